@@ -1,0 +1,19 @@
+"""Recording: the board's wire, decoders, the recorder and the run file.  ``daq.load(path)`` reads a run."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from daq.runfile import Recording as Recording
+    from daq.runfile import load as load
+
+__version__ = "0.1.0"
+__all__ = ["Recording", "load"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the run-file reader when it is first asked for: ``import daq`` alone loads nothing."""
+    if name in __all__:
+        from daq import runfile
+
+        return getattr(runfile, name)
+    raise AttributeError(f"module 'daq' has no attribute {name!r}")

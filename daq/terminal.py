@@ -1,0 +1,174 @@
+"""How every command meets the terminal: results on stdout, progress and errors on stderr, one exit-code rule.
+
+A command returns an `Answer`; `main` prints it as text, or under ``--json`` as one JSON document and nothing else.
+Errors of `daq.errors` become one line on stderr, or ``{"error": {"what", "where", "do"}}`` on stdout under ``--json``.
+Nothing here imports numpy: arrays are written through their own ``tolist``.
+"""
+
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any, NoReturn
+
+import cyclopts
+
+from daq.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
+
+Json = Annotated[
+    bool,
+    cyclopts.Parameter(name="--json", negative=(), help="One JSON document on stdout, nothing else there."),
+]
+SetChanges = Annotated[
+    list[str] | None,
+    cyclopts.Parameter(
+        name="--set",
+        negative=(),
+        help="Change a scene: section.key=value; repeatable.",
+        consume_multiple=False,
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command found: its JSON document, its text, its exit code.
+
+    ``text`` is a string or a rich renderable (or a sequence of them), printed when ``--json`` was not given.
+    """
+
+    data: Any
+    text: Any = ""
+    exit_code: int = EXIT_DONE
+
+
+def application(name: str, summary: str, example: str) -> cyclopts.App:
+    """Return a cyclopts application with the house's settings; `main` runs it."""
+    from daq import __version__
+
+    return cyclopts.App(
+        name=name,
+        help=f"{summary}\n\nExample: {example}",
+        version=f"{name} {__version__} (stickslip)",
+        help_format="plaintext",
+        result_action="return_value",
+        suppress_keyboard_interrupt=False,
+    )
+
+
+def plain(value: Any) -> Any:
+    """Return ``value`` as JSON types: arrays as lists, complex as [re, im], NaN and infinities as null."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, complex):
+        return [plain(value.real), plain(value.imag)]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    return value
+
+
+def print_json(value: Any) -> None:
+    """Write one JSON document on stdout."""
+    sys.stdout.write(json.dumps(plain(value), allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def note(line: str) -> None:
+    """Write a line of log on stderr."""
+    sys.stderr.write(line + "\n")
+
+
+def _fail(name: str, what: str, where: str, do: str, code: int, as_json: bool) -> int:
+    if as_json:
+        print_json({"error": {"what": what, "where": where, "do": do}})
+    else:
+        note(f"{name}: {StickslipError(what, where, do)}")
+    return code
+
+
+def _print_text(text: Any) -> None:
+    parts = text if isinstance(text, list | tuple) else [text]
+    for part in parts:
+        if isinstance(part, str):
+            if part:
+                sys.stdout.write(part.rstrip("\n") + "\n")
+        else:
+            from rich.console import Console
+
+            Console(soft_wrap=False).print(part)
+    sys.stdout.flush()
+
+
+def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
+    """Run one command line and return its exit code; the only place where errors become exit codes."""
+    name = app.name[0]
+    as_json = "--json" in arguments
+    try:
+        answer = app(list(arguments), exit_on_error=False, print_error=False)
+    except StickslipError as error:
+        return _fail(name, error.what, error.where, error.do, error.exit_code, as_json)
+    except cyclopts.CycloptsError as error:
+        what = " ".join(str(error).split())
+        return _fail(name, what, "command line", f"see '{name} --help'", EXIT_INPUT, as_json)
+    except KeyboardInterrupt:
+        return _fail(name, "interrupted", "", "", EXIT_INTERRUPTED, as_json)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+    except OSError as error:
+        where = str(error.filename or "")
+        do = "check the path, its permissions and the free space on the disk"
+        return _fail(name, error.strerror or str(error), where, do, EXIT_DEVICE, as_json)
+    except Exception as error:
+        if not as_json:
+            raise
+        what = f"{type(error).__name__}: {error}"
+        return _fail(name, what, name, "this is a bug: run it again without --json and report it", EXIT_BUG, as_json)
+    if isinstance(answer, Answer):
+        if as_json:
+            print_json(answer.data)
+        else:
+            _print_text(answer.text)
+        return answer.exit_code
+    return EXIT_DONE
+
+
+def main(app: cyclopts.App) -> NoReturn:
+    """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
+    sys.exit(run(app, sys.argv[1:]))
+
+
+@contextmanager
+def progress(description: str, total: float | None, unit: str = "") -> Iterator[Callable[[float], None]]:
+    """Show a progress bar with ETA on stderr; yield a function that takes the amount done so far.
+
+    On a stderr that is no terminal nothing is drawn.
+    """
+    if not sys.stderr.isatty():
+        yield lambda done: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit if total else "{task.completed:.0f} " + unit),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task(description, total=total)
+        yield lambda done: bar.update(task, completed=done)

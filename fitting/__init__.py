@@ -1,0 +1,18 @@
+"""Which friction law was it: ``fitting.rank(kinematics, rig=...)`` fits six laws and ranks them."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fitting.ranking import Ranking as Ranking
+    from fitting.ranking import rank as rank
+
+__all__ = ["Ranking", "rank"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for when it is first asked for: ``import fitting`` alone loads nothing."""
+    if name in __all__:
+        from fitting import ranking
+
+        return getattr(ranking, name)
+    raise AttributeError(f"module 'fitting' has no attribute {name!r}")

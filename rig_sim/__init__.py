@@ -1,0 +1,21 @@
+"""The rig in software: ``scene(name)``, ``events(scene, until)``, ``cycle(scene)``; nothing loads until asked."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rig_sim.motion import events as events
+    from rig_sim.orbit import cycle as cycle
+    from rig_sim.scenes import scene as scene
+
+__all__ = ["cycle", "events", "scene"]
+
+_HOME = {"scene": "rig_sim.scenes", "events": "rig_sim.motion", "cycle": "rig_sim.orbit"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for when it is first asked for: ``import rig_sim`` alone loads nothing."""
+    if name in _HOME:
+        from importlib import import_module
+
+        return getattr(import_module(_HOME[name]), name)
+    raise AttributeError(f"module 'rig_sim' has no attribute {name!r}")
