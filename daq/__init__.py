@@ -6,7 +6,6 @@ if TYPE_CHECKING:
     from daq.runfile import Recording as Recording
     from daq.runfile import load as load
 
-__version__ = "0.1.0"
 __all__ = ["Recording", "load"]
 
 

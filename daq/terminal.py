@@ -47,12 +47,12 @@ class Answer:
 
 def application(name: str, summary: str, example: str) -> cyclopts.App:
     """Return a cyclopts application with the house's settings; `main` runs it."""
-    from daq import __version__
+    from daq.version import VERSION
 
     return cyclopts.App(
         name=name,
         help=f"{summary}\n\nExample: {example}",
-        version=f"{name} {__version__} (stickslip)",
+        version=f"{name} {VERSION} (stickslip)",
         help_format="plaintext",
         result_action="return_value",
         suppress_keyboard_interrupt=False,

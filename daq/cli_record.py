@@ -1,0 +1,139 @@
+"""`daq record`, `daq recover`, `daq ports`."""
+
+import contextlib
+import shlex
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import cyclopts
+
+from daq import terminal
+from daq.errors import InputError
+from daq.terminal import Answer, Json, SetChanges
+
+if TYPE_CHECKING:
+    from daq.summary import Summary
+
+DEFAULT_SCENE = "rig"
+
+Rate = Annotated[int, cyclopts.Parameter(name="--rate", help="Samples per second.")]
+Duration = Annotated[float, cyclopts.Parameter(name="--duration", help="Seconds to record.")]
+PortName = Annotated[
+    str | None,
+    cyclopts.Parameter(name="--port", help="A device or URL; the simulated rig answers when none is given."),
+]
+Output = Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="The run file.")]
+Scene = Annotated[
+    str | None, cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file.")
+]
+Realtime = Annotated[
+    bool,
+    cyclopts.Parameter(name="--realtime", negative=(), help="The simulated rig keeps the pace of the wall clock."),
+]
+Baud = Annotated[int, cyclopts.Parameter(name="--baud", help="Bits per second of a serial line.")]
+Force = Annotated[bool, cyclopts.Parameter(name="--force", negative=(), help="Replace an existing file.")]
+
+
+def register(app: cyclopts.App) -> None:
+    """Add record, recover and ports to the `daq` application."""
+    app.command(record)
+    app.command(recover)
+    app.command(ports)
+
+
+def record(
+    *,
+    rate: Rate = 1000,
+    duration: Duration = 20.0,
+    port: PortName = None,
+    output: Output = Path("run.h5"),
+    scene: Scene = None,
+    set_: SetChanges = None,
+    realtime: Realtime = False,
+    baud: Baud = 115_200,
+    force: Force = False,
+    json: Json = False,
+) -> Answer:
+    """Record a run.  Ctrl-C stops and keeps the data; a second Ctrl-C leaves the journal for 'daq recover'.
+
+    Example: daq record --rate 1000 --duration 20 -o run.h5
+    """
+    from daq.ports import rig_url
+    from daq.record import Request
+    from daq.record import record as take
+
+    if port is not None and (scene is not None or set_ or realtime):
+        given = "--scene" if scene is not None else "--set" if set_ else "--realtime"
+        raise InputError(f"{given} is for the simulated rig, but --port {port} was given", given, "give one of the two")
+    if port is None:
+        name = scene if scene is not None else DEFAULT_SCENE
+        port = rig_url(str(Path(name).absolute()) if name.endswith(".toml") else name, set_ or [], realtime)
+    request = Request(port=port, output=output, rate_hz=rate, duration_s=duration, force=force, baud=baud)
+    with _stop_on_interrupt() as stop, terminal.progress("recording", duration, "s") as show:
+        found = take(request, progress=show, say=terminal.note, stop=stop)
+    return Answer(found.as_json(), _text("recorded", found))
+
+
+def recover(
+    journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal that a recording left.")],
+    /,
+    *,
+    force: Force = False,
+    json: Json = False,
+) -> Answer:
+    """Build the run file of a recording that was killed, out of its journal.
+
+    Example: daq recover run.h5.part
+    """
+    from daq.finalise import finalise
+
+    if journal.suffix != ".part":
+        raise InputError("is no journal", str(journal), "give the RUN.h5.part that the recording left")
+    found = finalise(journal, journal.with_suffix(""), finished_by="daq recover", force=force)
+    return Answer(found.as_json(), _text("recovered", found))
+
+
+def ports(*, json: Json = False) -> Answer:
+    """List the ports a board may be at, and what to do about one that may not be opened.
+
+    Example: daq ports
+    """
+    from daq.ports import list_ports
+
+    found = list_ports()
+    width = max(len(item.port) for item in found)
+    lines = []
+    for item in found:
+        lines.append(f"{item.port:<{width}}  {item.description}")
+        if item.do:
+            lines.append(f"{'':<{width}}  may not be opened: {item.do}")
+    if len(found) == 1:
+        lines.append("no serial port here: plug the board in and look again")
+    data = [vars(item) for item in found]
+    return Answer(data, "\n".join(lines))
+
+
+def _text(done: str, found: "Summary") -> str:
+    return found.as_text(done, f"process smooth {shlex.quote(str(found.file))}")
+
+
+@contextlib.contextmanager
+def _stop_on_interrupt() -> Iterator[threading.Event]:
+    """Yield an event that the first Ctrl-C sets; the second raises KeyboardInterrupt."""
+    stop = threading.Event()
+
+    def on_interrupt(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        terminal.note("stopping, the data are kept; Ctrl-C again leaves at once")
+
+    before = signal.signal(signal.SIGINT, on_interrupt)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,105 @@
+"""Counts unwrapped, segments cut, and every sample held against what came with it.
+
+A new segment begins where the port came back, where the board restarted, and after a gap across which the counters may
+have rolled over unseen.  In each the count starts at the counters' own difference: nothing is carried over, nothing is
+filled in.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import capability, counter, wire
+from daq.assemble import Samples
+from daq.quadrature import EDGES_PER_COUNT
+from daq.rig import Rig
+
+
+@dataclass(frozen=True)
+class Checked:
+    """The counts of n samples in s segments, and what is wrong with them.
+
+    Attributes
+    ----------
+    count : (n,) int64
+        Unwrapped net count.
+    segment : (n,) uint16
+        From 0.
+    flags : (n,) uint16
+        Status as sent, less the levels, and the host's checks (`daq.counter`).
+    lost : (n,) int64
+        Samples missing right before each one.
+    illegal : int
+        Illegal transitions the board counted during this run.
+    peak_count_rate : float
+        Fastest counting between two neighbouring samples, counts/s.
+    starts : (s,) int64
+        First sample of each segment.
+    why : tuple of str
+        What began each segment: "reopened", "restarted" or "invalid"; of the first it says nothing.
+    """
+
+    count: NDArray[np.int64]
+    segment: NDArray[np.uint16]
+    flags: NDArray[np.uint16]
+    lost: NDArray[np.int64]
+    illegal: int
+    peak_count_rate: float
+    why: tuple[str, ...]
+    starts: NDArray[np.int64]
+
+
+def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) -> Checked:
+    """Unwrap the counts, cut the run into segments, and flag what does not agree.
+
+    Raises
+    ------
+    ValueError
+        There is no sample.
+    """
+    if len(samples) == 0:
+        raise ValueError("nothing to check: there is no sample")
+    bits = rig.counter_bits
+    fresh = np.concatenate(([True], np.diff(samples.part) > 0))  # first sample of a part
+    lost = np.zeros(len(samples), dtype=np.int64)
+    lost[1:] = np.where(fresh[1:], 0, np.diff(samples.index) - 1)
+    lost[fresh] = samples.index[fresh]  # a start numbers from 0, so what is missing there was lost, too
+    interval = np.concatenate(([0.0], np.diff(samples.time)))
+    edges = EDGES_PER_COUNT.get(rig.decoder, 1)
+    gap = interval > 1.5 / rate_hz
+    moved = np.maximum(counter.increments(samples.up, bits), counter.increments(samples.down, bits))
+    seen = np.where(gap | fresh, 0, np.concatenate(([0], moved)))[1:] / interval[1:]
+    peak = float(seen.max()) if len(seen) else 0.0
+    safe = counter.longest_gap_s(capability.peak_edge_rate_hz(ident, rig, peak * edges), edges, bits)
+    invalid = gap & (interval > safe) & ~fresh
+    starts = np.flatnonzero(fresh | invalid)
+    segment = np.cumsum(fresh | invalid) - 1
+    count = np.empty(len(samples), dtype=np.int64)
+    for start, stop in zip(starts, [*starts[1:], len(samples)], strict=True):
+        count[start:stop] = counter.net_count(samples.up[start:stop], samples.down[start:stop], bits)
+    flags = (samples.status & ~np.uint8(wire.LEVELS)).astype(np.uint16)
+    flags[lost > 0] |= counter.FLAG_GAP
+    both = counter.check_both_moved(samples.up, samples.down)
+    both[starts] = False
+    flags[both] |= counter.FLAG_BOTH
+    if rig.decoder == "x4" and ident is not None and wire.Capability.LEVELS in ident.capabilities:
+        flags[counter.check_phase(samples.up, samples.down, samples.status)] |= counter.FLAG_PHASE
+    rise = np.zeros(len(samples), dtype=np.int64)
+    if ident is not None and wire.Capability.ILLEGAL in ident.capabilities:
+        rise[1:] = counter.increments(samples.illegal, 16)
+        rise[fresh] = 0  # what the board counted before this start is not this run's
+        # The count stands for its whole frame, so every sample of the frame is suspect.
+        flags[np.isin(samples.frame, samples.frame[rise > 0])] |= counter.FLAG_ILLEGAL
+    part_reason = ["reopened" if reopened else "restarted" for reopened in samples.reopened]
+    why = tuple("invalid" if invalid[s] else part_reason[samples.part[s]] for s in starts)
+    return Checked(
+        count,
+        segment.astype(np.uint16),
+        flags,
+        lost,
+        int(rise.sum()),
+        peak,
+        why,
+        starts,
+    )

@@ -1,0 +1,82 @@
+"""The frame-rate check of a camera's track: a slip must take as long as mass and spring say.
+
+In a slip the mass swings from its turning point to the opposite one in pi sqrt(m/k): exactly with constant friction,
+and within 10 % for linear and hyperbolic velocity weakening from weak to strong, whatever the belt's speed.  A track in
+which that takes another time was filmed at another rate than its times say, or the mass or the stiffness is wrong.
+
+Not modelled: strong damping, which lengthens the swing.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+TOLERANCE = 1.25  # the laws stay within 1.1; the rest is for noise, coarse sampling and the errors of m and k
+
+
+def check_half_period(
+    time: NDArray[np.float64], position: NDArray[np.float64], mass: float, stiffness: float
+) -> list[str]:
+    """Return a warning when the swings of the slips do not take pi sqrt(m/k), or an empty list."""
+    measured, swings = half_period(time, position)
+    wanted = math.pi * math.sqrt(mass / stiffness)
+    if swings == 0:
+        return ["the frame rate could not be checked: the track holds no whole slip"]
+    ratio = measured / wanted
+    if 1 / TOLERANCE <= ratio <= TOLERANCE:
+        return []
+    rate = 1 / float(np.median(np.diff(time)))
+    return [
+        f"the frame rate must be wrong: a slip swings over in {measured:.3g} s ({swings} found) where "
+        f"pi sqrt(m/k) = {wanted:.3g} s; the times say {rate:.4g} frames/s, {rate * ratio:.4g} would fit "
+        f"(or mass and stiffness are wrong); give the camera's true rate by --frame-rate"
+    ]
+
+
+def half_period(time: NDArray[np.float64], position: NDArray[np.float64]) -> tuple[float, int]:
+    """Return the time from a turning point to the opposite one in a slip, and how many slips it was taken from.
+
+    Turning points are the extremes between which the position moves by more than half of its range.  Of the two kinds
+    of swing, up and down, the quicker one is the slip: the other waits for the belt.
+
+    Returns
+    -------
+    float
+        Median, s; not a number when there is none.
+    int
+        Number of swings; 0 when the track has no whole one.
+    """
+    turns = _turns(position)
+    # The first and the last extreme may be mere ends of the record.
+    inner = turns[1:-1]
+    if len(inner) < 2:
+        return math.nan, 0
+    span = np.diff(time[inner])
+    down = np.diff(position[inner]) < 0
+    kinds = [span[kind] for kind in (down, ~down) if kind.any()]
+    slips = min(kinds, key=lambda kind: float(np.median(kind)))
+    return float(np.median(slips)), slips.size
+
+
+def _turns(position: NDArray[np.float64]) -> list[int]:
+    # Hysteresis of half the range: an extreme counts once the track has come back from it by that much.
+    reach = 0.5 * float(np.ptp(position))
+    if reach == 0:
+        return []
+    turns: list[int] = []
+    high = low = 0
+    rising: bool | None = None
+    for i, x in enumerate(position.tolist()):
+        if x > position[high]:
+            high = i
+        if x < position[low]:
+            low = i
+        if rising is not False and position[high] - x > reach:
+            turns.append(high)
+            low, rising = i, False
+        elif rising is not True and x - position[low] > reach:
+            turns.append(low)
+            high, rising = i, True
+    turns.append(high if rising else low)
+    return turns

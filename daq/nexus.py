@@ -1,0 +1,134 @@
+"""NeXus by hand: groups with a class, fields with units, tables whose axis is a true HDF5 dimension scale.
+
+Rules the validators taught: free columns belong in NXdata or NXcollection; every float has ``units`` ("" when it is
+dimensionless); ``NAME_errors`` draws error bars everywhere; no compression plugin, so that files open anywhere.
+No object stores its creation time, so equal data give equal bytes.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike
+
+CHUNK = 16384
+
+
+def group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5py.Group:
+    """Make the group ``name`` of NeXus class ``nx_class`` in ``parent``, with further attributes."""
+    made = parent.create_group(name)
+    made.attrs["NX_class"] = nx_class
+    for key, value in attributes.items():
+        made.attrs[key] = value
+    return made
+
+
+def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **attributes: Any) -> h5py.Dataset:
+    """Write one field.
+
+    Parameters
+    ----------
+    parent : h5py.Group
+        Where it goes.
+    name : str
+        Its name.
+    data : array, number, str or sequence of str
+        Arrays are stored in their own type, chunked by 16384, with gzip, shuffle and a checksum per chunk.
+    units : str, optional
+        Stored as ``@units``; a float without units is refused, "" says dimensionless.
+    **attributes
+        Further attributes.
+
+    Raises
+    ------
+    ValueError
+        For a float field without units.
+    """
+    if isinstance(data, str):
+        made = parent.create_dataset(name, data=data, dtype=h5py.string_dtype())
+    elif isinstance(data, list | tuple) and data and isinstance(data[0], str):
+        made = parent.create_dataset(name, data=list(data), dtype=h5py.string_dtype())
+    else:
+        values = np.asarray(data)
+        if values.dtype.kind == "f" and units is None:
+            raise ValueError(f"float field {name!r} has no units; give units, '' when it is dimensionless")
+        filters: dict[str, Any] = {}
+        if values.ndim and values.size:
+            chunks = (min(values.shape[0], CHUNK), *values.shape[1:])
+            filters = {
+                "chunks": chunks,
+                "compression": "gzip",
+                "compression_opts": 1,  # with shuffle, higher levels cost time and gain little
+                "shuffle": True,
+                "fletcher32": True,
+            }
+        # An array of an HDF5 enum carries its names in the dtype's metadata, which h5py reads here.
+        made = parent.create_dataset(name, data=values, dtype=values.dtype, track_times=False, **filters)
+    if units is not None:
+        made.attrs["units"] = units
+    for key, value in attributes.items():
+        made.attrs[key] = value
+    return made
+
+
+def table(
+    parent: h5py.Group,
+    name: str,
+    columns: Mapping[str, tuple[ArrayLike, str]],
+    *,
+    axis: str,
+    signal: str,
+    auxiliary: tuple[str, ...] = (),
+    **attributes: Any,
+) -> h5py.Group:
+    """Write columns of one length as an NXdata table over ``axis``.
+
+    The axis becomes an HDF5 dimension scale attached to every other column, so that xarray (engine h5netcdf)
+    opens the group with ``axis`` as its coordinate.
+
+    Parameters
+    ----------
+    parent : h5py.Group
+        Where the table goes.
+    name : str
+        Its name.
+    columns : mapping of str to (array of shape (n,), units)
+        The columns, the axis among them.  ``NAME_errors`` is the standard deviation of ``NAME``.
+    axis, signal : str
+        Which column is the axis, which is plotted.
+    auxiliary : tuple of str
+        Further columns to plot.
+    **attributes
+        Attributes of the group.
+
+    Raises
+    ------
+    ValueError
+        When the columns differ in length.
+    """
+    lengths = {key: np.shape(values) for key, (values, _) in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"columns of table {name!r} differ in shape: {lengths}")
+    made = group(parent, name, "NXdata", signal=signal, axes=axis, **attributes)
+    made.attrs[f"{axis}_indices"] = np.int64(0)
+    if auxiliary:
+        made.attrs["auxiliary_signals"] = list(auxiliary)
+    for key, (values, units) in columns.items():
+        field(made, key, values, units)
+    scale(made, axis)
+    return made
+
+
+def scale(parent: h5py.Group, axis: str) -> None:
+    """Make ``axis`` the dimension scale of every other one-dimensional field of its length in ``parent``."""
+    coordinate = parent[axis]
+    coordinate.make_scale(axis)
+    for key, item in parent.items():
+        if key != axis and isinstance(item, h5py.Dataset) and item.shape == coordinate.shape:
+            item.dims[0].attach_scale(coordinate)
+
+
+def link(parent: h5py.Group, name: str, target: h5py.Dataset) -> None:
+    """Give ``target`` a second name: a hard link, no copy."""
+    parent[name] = target

@@ -1,0 +1,165 @@
+"""Ports: open one by its name or URL, list those that are there, and say what is wrong with one that will not open.
+
+A port is anything pyserial opens: ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, ``loop://``, and ``rig://SCENE``,
+the simulated rig.  pyserial finds the last one by name: this package never imports the simulator.
+"""
+
+import errno
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, cast
+from urllib.parse import quote
+
+from daq.errors import DeviceError, InputError
+
+SIMULATED_RIG = "rig://rig"
+BAUD = 115_200
+READ_TIMEOUT_S = 0.1
+WRITE_TIMEOUT_S = 5.0
+
+
+class Port(Protocol):
+    """What the recorder needs of an open port: the part of pyserial that every one of its handlers has."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that a read would return at once."""
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Return up to ``size`` bytes, as many as come before the time-out."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send."""
+
+    def close(self) -> None:
+        """Let go of the port."""
+
+    def __enter__(self) -> "Port": ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None: ...
+
+
+@dataclass(frozen=True)
+class Found:
+    """One port that is there: its name, what the system says it is, whether it may be opened, what to do if not."""
+
+    port: str
+    description: str
+    usable: bool
+    do: str = ""
+
+
+def rig_url(scene: str, changes: list[str], realtime: bool) -> str:
+    """Return the URL of the simulated rig: a built-in scene or a TOML file, with ``section.key=value`` changes."""
+    query = [f"set={quote(change, safe='')}" for change in changes] + ["realtime=1"] * realtime
+    return f"rig://{quote(scene, safe='')}" + ("?" + "&".join(query) if query else "")
+
+
+def waits_for_reader(url: str) -> bool:
+    """Return whether a port makes its bytes only when asked: the simulated rig out of real time, and nothing else."""
+    return url.startswith("rig://") and "realtime=1" not in url.partition("?")[2].split("&")
+
+
+def open_port(url: str, baud: int = BAUD) -> Port:
+    """Open a port for reading and writing; reads return after `READ_TIMEOUT_S` with what came.
+
+    Raises
+    ------
+    DeviceError
+        The port is not there, is busy, or may not be opened.
+    InputError
+        The URL is of no known kind, or the simulated rig's scene is wrong.
+    """
+    import serial
+
+    if "rig_sim" not in serial.protocol_handler_packages:
+        serial.protocol_handler_packages.append("rig_sim")
+    try:
+        port = serial.serial_for_url(url, baudrate=baud, timeout=READ_TIMEOUT_S, write_timeout=WRITE_TIMEOUT_S)
+    except ValueError as error:  # pyserial's word for a URL scheme or a setting it does not know
+        do = "give a device, rig://SCENE, socket://HOST:PORT or loop://; 'daq ports' lists the devices"
+        raise InputError(f"cannot open such a port: {error}", url, do) from error
+    except OSError as error:  # SerialException is one, too
+        raise DeviceError(*explain(url, error)) from error
+    return cast(Port, port)
+
+
+def line_baud(url: str, port: Port) -> int | None:
+    """Return the baud rate that limits a port, or None for a URL, which has none.
+
+    A /dev/ttyACM has one, too: on most boards a second chip passes its bytes on through a serial line.
+    """
+    if "://" in url:
+        return None
+    baud: int | None = getattr(port, "baudrate", None)
+    return baud
+
+
+def explain(url: str, error: OSError) -> tuple[str, str, str]:
+    """Return what is wrong with a port that would not open, its name, and what to do."""
+    device = Path(url)
+    code = error.errno
+    if code == errno.EACCES or (device.exists() and not _allowed(device)):
+        return "no permission to open this port", url, permission_fix(device)
+    if code == errno.EBUSY or "exclusively lock" in str(error):
+        return "another program holds this port", url, "close that program (a serial monitor?) and try again"
+    if code == errno.ENOENT or (url.startswith("/dev/") and not device.exists()):
+        return "no such port", url, f"plug the board in; {_present()}"
+    if "://" in url:
+        return f"cannot connect: {error}", url, "check that the other end is up, and its address"
+    return f"cannot open this port: {error}", url, f"check the name; {_present()}"
+
+
+def list_ports() -> list[Found]:
+    """Return the serial devices of this machine, and the simulated rig, which is always there."""
+    from serial.tools.list_ports import comports
+
+    found = [Found(SIMULATED_RIG, "the simulated rig; 'daq record' takes it when no --port is given", True)]
+    for info in sorted(comports()):
+        device = Path(info.device)
+        usable = os.name == "nt" or _allowed(device)
+        if info.description in ("n/a", "", None) and info.hwid in ("n/a", "", None) and not usable:
+            continue  # a port of the machine itself with nothing behind it
+        described = (
+            info.description if info.description not in ("n/a", None) else "a serial port, nothing more is known"
+        )
+        found.append(Found(info.device, described, usable, "" if usable else permission_fix(device)))
+    return found
+
+
+def permission_fix(device: Path) -> str:
+    """Return the exact command that gives this user the right to open ``device``."""
+    user = _user()
+    try:
+        import grp
+
+        status = device.stat()
+        group = grp.getgrgid(status.st_gid).gr_name
+    except (ImportError, OSError, KeyError):
+        return f"ask for read and write permission on {device}"
+    # The group helps where the device gives it both rights; else only the owner of the machine can.
+    if status.st_mode & 0o060 == 0o060 and group != "root":
+        return f"run 'sudo usermod -a -G {group} {user}', then log out and in again"
+    return f"run 'sudo chmod a+rw {device}' (until it is unplugged)"
+
+
+def _allowed(device: Path) -> bool:
+    return os.access(device, os.R_OK | os.W_OK)
+
+
+def _user() -> str:
+    import getpass
+
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return "$USER"
+
+
+def _present() -> str:
+    devices = [found.port for found in list_ports() if found.port != SIMULATED_RIG]
+    return f"ports here: {', '.join(devices)}" if devices else "there is no serial port here now; see 'daq ports'"

@@ -1,0 +1,56 @@
+"""Where a file comes from: software and its commit, interpreter, platform, host, command line.
+
+Everything in here may differ between two files of the same data; nothing else in a run file may.
+"""
+
+import platform
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from daq.version import VERSION
+
+
+def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
+    """Return the provenance of a file made now by this process.
+
+    Parameters
+    ----------
+    command : sequence of str, optional
+        The command line; the process's own by default.
+
+    Returns
+    -------
+    dict
+        ``software, python, numpy, platform, hostname, command_line`` and, in a checkout with git, ``git_commit`` and
+        ``git_dirty`` (1 when the checkout had changes).
+    """
+    import numpy as np
+
+    found: dict[str, str | int] = {
+        "software": f"stickslip {VERSION}",
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "platform": platform.platform(),
+        "hostname": platform.node(),
+        "command_line": " ".join(sys.argv if command is None else command),
+    }
+    return found | _commit(Path(__file__).resolve().parent.parent)
+
+
+def _commit(folder: Path) -> dict[str, str | int]:
+    # Only our own checkout: an installed package inside somebody else's repository has no commit of ours.
+    if not (folder / ".git").exists():
+        return {}
+    try:
+        commit = _git(folder, "rev-parse", "HEAD")
+        changes = _git(folder, "status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.SubprocessError):
+        return {}
+    return {"git_commit": commit, "git_dirty": int(bool(changes))}
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True, timeout=5)
+    return done.stdout.strip()

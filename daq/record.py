@@ -1,0 +1,234 @@
+"""The recorder: a thread reads the port, the caller's thread writes the journal, the finaliser builds the file.
+
+The first interrupt (the caller sets ``stop``) ends the recording and keeps the data; a second one (KeyboardInterrupt)
+leaves the journal, which ``daq recover`` turns into the same file.
+"""
+
+import errno
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq import capability, journal, ports, protocols, provenance, wire
+from daq.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from daq.reader import Reader
+from daq.rig import Rig
+
+if TYPE_CHECKING:
+    from daq.summary import Summary
+
+WAKE_S = 0.1  # how often the writer looks at the clock while nothing comes
+LEAVE_S = 3.0  # how long a leaving recorder waits for its reader
+
+
+class RecordingInterruptedError(StickslipError):
+    """RecordingInterruptedError a second time: the journal is left as it is."""
+
+    exit_code = EXIT_INTERRUPTED
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to record; ``force`` replaces an existing file, ``baud`` matters to a serial line only."""
+
+    port: str
+    output: Path
+    rate_hz: int = 1000
+    duration_s: float = 20.0
+    force: bool = False
+    baud: int = ports.BAUD
+
+    @property
+    def samples(self) -> int:
+        """Samples wanted."""
+        return round(self.duration_s * self.rate_hz)
+
+    @property
+    def part(self) -> Path:
+        """Where the journal is kept while the recording runs."""
+        return self.output.with_name(self.output.name + ".part")
+
+
+def check_request(request: Request) -> None:
+    """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
+    from daq.runfile import refuse_existing
+
+    if request.rate_hz < 1:
+        raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")
+    if not 0 < request.duration_s < 1e9 or request.samples < 1:
+        raise InputError(f"the duration is {request.duration_s:g} s", "--duration", "give a time above 0 s")
+    refuse_existing(request.output, request.force)
+    if request.part.exists():
+        raise InputError(
+            "an earlier recording was not finished: its journal is still here",
+            str(request.part),
+            f"run 'daq recover {request.part}' to get its data, or delete it, or give another -o",
+        )
+
+
+def record(
+    request: Request,
+    *,
+    progress: Callable[[float], None] = lambda seconds: None,
+    say: Callable[[str], None] = lambda line: None,
+    stop: threading.Event | None = None,
+) -> "Summary":
+    """Record a run into ``request.output``.
+
+    Parameters
+    ----------
+    progress : callable
+        Is told the seconds recorded so far, many times a second.
+    say : callable
+        Is told in a line what a person should know at once: who answers, a lost port.
+    stop : Event
+        Ends the recording when it is set; what came so far becomes the file.
+
+    Raises
+    ------
+    InputError
+        The request is wrong, the file exists, or board and line cannot carry it; nothing has been touched.
+    DeviceError
+        The port cannot be opened or does not answer; or the disk refuses, and the journal stays.
+    DataError
+        Not one sample came.
+    RecordingInterruptedError
+        KeyboardInterrupt came, and the journal stays.
+    """
+    from daq.finalise import finalise
+
+    check_request(request)
+    board, identity, block, warnings = _connect(request)
+    say(f"{identity.ident.name or 'a board'} on {request.port}, decoder {identity.ident.decoder}")
+    try:
+        writer = journal.Writer(request.part, _header(request, board, identity, warnings))
+    except OSError as error:
+        board.close()
+        raise _disk(request, error) from error
+    reader = Reader(board, lambda: _connect(request)[0], request.rate_hz, block, request.samples, say)
+    try:
+        _take(reader, writer, request, progress, stop or threading.Event())
+        if reader.failure is not None:
+            raise reader.failure
+        return finalise(request.part, request.output, finished_by="daq record", force=request.force)
+    except KeyboardInterrupt as error:
+        do = f"get its data with 'daq recover {request.part}'"
+        raise RecordingInterruptedError("interrupted; the journal is kept", str(request.part), do) from error
+    except OSError as error:
+        raise _disk(request, error) from error
+    except DataError as error:
+        request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
+        raise DataError("not one sample came", request.port, "check the board, then record again") from error
+
+
+def _connect(request: Request) -> tuple[protocols.Frames, protocols.Identity, int, list[str]]:
+    """Open the port, find out who is there, check that it can do what is asked, and set it up."""
+    port = ports.open_port(request.port, request.baud)
+    try:
+        board = protocols.Frames(port, request.port)
+        identity = board.identify()
+        block = capability.block_size(identity.ident, request.rate_hz)
+        baud = ports.line_baud(request.port, port)
+        warnings = capability.check(identity.ident, _known(identity), request.rate_hz, block, baud)
+        identity = board.prepare(request.rate_hz, block)
+    except OSError as error:
+        port.close()
+        raise DeviceError(f"the port was lost: {error}", request.port, "check the cable and try again") from error
+    except BaseException:
+        port.close()
+        raise
+    return board, identity, block, warnings
+
+
+def _known(identity: protocols.Identity) -> Rig:
+    try:
+        return Rig.from_toml(identity.config or "", "the board's CONFIG")
+    except InputError:
+        return Rig()  # the finaliser reads the same text, and its warning tells what is wrong with it
+
+
+def _header(
+    request: Request, board: protocols.Frames, identity: protocols.Identity, warnings: list[str]
+) -> dict[str, Any]:
+    now = datetime.now().astimezone()
+    offset = now.utcoffset()
+    return {
+        "protocol": board.name,
+        "port": request.port,
+        "rate_hz": request.rate_hz,
+        "samples": request.samples,
+        "title": f"{identity.ident.name or 'stick-slip'}, {request.rate_hz} Hz",
+        "operator": "",
+        "wall_ns": time.time_ns(),
+        "monotonic_ns": time.monotonic_ns(),
+        "utc_offset_s": int(offset.total_seconds()) if offset else 0,
+        "warnings": warnings,
+        "provenance": provenance.here() | {"port": request.port, "firmware": _version(identity.ident)},
+    }
+
+
+def _version(ident: wire.Ident) -> str:
+    return ".".join(str(number) for number in ident.firmware)
+
+
+def _take(
+    reader: Reader,
+    writer: journal.Writer,
+    request: Request,
+    progress: Callable[[float], None],
+    stop: threading.Event,
+) -> None:
+    """Write what the reader brings until it ends; the journal is closed, and the reader gone, in every case."""
+    try:
+        for stamp, data in reader.board.received:
+            writer.append(journal.RECEIVED, stamp, data)
+        reader.start()
+        while True:
+            if stop.is_set():
+                reader.stop()
+            try:
+                item = reader.items.get(timeout=WAKE_S)
+            except queue.Empty:
+                writer.tick()
+                continue
+            if item is None:
+                break
+            writer.append(*item)
+            writer.tick()
+            progress(min(reader.tally.reached, request.samples) / request.rate_hz)
+        ended = f'{{"reason": "{reader.ended}"}}'
+        writer.append(journal.END, time.monotonic_ns(), ended.encode())
+        writer.close()
+    except BaseException:
+        reader.stop()
+        writer.abandon()
+        raise
+    finally:
+        _dismiss(reader)
+
+
+def _dismiss(reader: Reader) -> None:
+    """Let the reader end: empty its queue, so that it never waits for us, until it is gone."""
+    until = time.monotonic() + LEAVE_S
+    while reader.is_alive() and time.monotonic() < until:
+        try:
+            reader.items.get(timeout=WAKE_S)
+        except queue.Empty:
+            continue
+
+
+def _disk(request: Request, error: OSError) -> StickslipError:
+    """Return what a refusing disk means, and that the journal is kept."""
+    if request.part.exists():
+        do = f"mend that, then get the data with 'daq recover {request.part}'"
+    else:
+        do = "record into a folder you may write to, with -o"
+    if error.errno == errno.ENOSPC:
+        return DeviceError("the disk is full; the journal is kept as far as it got", str(request.part), do)
+    where = str(error.filename or request.part)
+    return DeviceError(f"cannot write: {error.strerror or error}", where, do)

@@ -1,0 +1,203 @@
+"""Captures of a logic analyser in sigrok's .sr format, read as a stream.
+
+A .sr file is a zip of ``metadata`` (ini text: sample rate, unit size, probe names) and the logic samples, one entry
+``logic-1`` or several ``logic-1-1``, ``logic-1-2`` ... which follow each other by number, not by name.  A sample is
+``unitsize`` bytes, little endian; bit n is probe n + 1 of the metadata.
+
+A probe is called by its name, or by its index numbered from 0 (its bit); where a name looks like an index (probes
+called 0 to 7), the name counts.  Not read: analog channels, compressed formats other than the zip's own.
+"""
+
+import configparser
+import re
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import InputError, nearest
+
+PIECE = 1 << 22  # bytes read at a time
+_RATE = re.compile(r"(\d+(?:\.\d+)?)\s*([kKmMgG]?)\s*(?:[hH][zZ])?")
+_PREFIX = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A capture, its samples still on disk.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    probes : dict of int to str
+        Name of each probe by its bit.
+    unitsize : int
+        Bytes a sample.
+    rate_hz : float or None
+        Sample rate; None where the metadata do not say.
+    samples : int
+        How many.
+    stamp : tuple of int
+        Year, month, day, hour, minute, second at which the capture was written, in a zone that the file does not say.
+    entries : tuple of str
+        Names of the zip entries with the samples, in order.
+    """
+
+    path: Path
+    probes: dict[int, str]
+    unitsize: int
+    rate_hz: float | None
+    samples: int
+    stamp: tuple[int, int, int, int, int, int]
+    entries: tuple[str, ...]
+
+    def bit(self, probe: str, flag: str) -> int:
+        """Return the bit of a probe called by name or index.
+
+        Raises
+        ------
+        InputError
+            For an unknown probe, listing the capture's probes.
+        """
+        for bit, name in self.probes.items():
+            if name == probe:
+                return bit
+        if probe.isdecimal() and int(probe) in self.probes:
+            return int(probe)
+        listed = ", ".join(f"{bit} {name}" for bit, name in self.probes.items())
+        near = nearest(probe, tuple(self.probes.values()))
+        do = (near + " " if near.startswith("did") else "") + f"its probes are: {listed}"
+        raise InputError(f"{flag}: the capture has no probe {probe!r}", str(self.path), do)
+
+    def levels(self, *bits: int) -> Iterator[NDArray[np.uint8]]:
+        """Yield the samples chunk by chunk: bit i of each value is the level of the i-th probe asked for.
+
+        Raises
+        ------
+        InputError
+            When the file turns out to be damaged or ends within a sample.
+        """
+        rest = b""
+        with _zip(self.path) as archive:
+            for entry in self.entries:
+                with archive.open(entry) as stream:
+                    while piece := stream.read(PIECE):
+                        data = rest + piece if rest else piece
+                        whole = len(data) - len(data) % self.unitsize
+                        rest = data[whole:]
+                        yield _pick(np.frombuffer(data, np.uint8, whole), bits, self.unitsize)
+        if rest:
+            raise InputError("ends within a sample", str(self.path), "copy the capture again from its source")
+
+
+def _pick(data: NDArray[np.uint8], bits: tuple[int, ...], unitsize: int) -> NDArray[np.uint8]:
+    out = np.zeros(data.size // unitsize, np.uint8)
+    for position, bit in enumerate(bits):
+        out |= ((data[bit // 8 :: unitsize] >> (bit % 8)) & 1) << position
+    return out
+
+
+def read(path: Path) -> Capture:
+    """Read what a capture says of itself.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, no zip, cut short, has no metadata, no logic samples or no probes.
+    """
+    where = str(path)
+    with _zip(path) as archive:
+        names = archive.namelist()
+        if "metadata" not in names:
+            raise InputError("is a zip without 'metadata', not a sigrok capture", where, "give a .sr file")
+        device = _device(archive.read("metadata"), where)
+        base = device.get("capturefile", "logic-1")
+        entries = _entries(names, base, where)
+        size = sum(archive.getinfo(name).file_size for name in entries)
+        stamp = archive.getinfo(entries[0]).date_time
+        if not (1 <= stamp[1] <= 12 and 1 <= stamp[2] <= 31):
+            stamp = (1980, 1, 1, 0, 0, 0)  # a zip without dates
+    probes = _probes(device, where)
+    unitsize = _whole(device, "unitsize", where) or 1 + max(probes) // 8
+    if max(probes) >= 8 * unitsize:
+        raise InputError(f"names probe {max(probes) + 1} in samples of {unitsize} bytes", where, "capture again")
+    if size // unitsize == 0:
+        raise InputError("holds no logic samples", where, "capture again")
+    return Capture(path, probes, unitsize, _rate(device, where), size // unitsize, stamp, entries)
+
+
+@contextmanager
+def _zip(path: Path) -> Iterator[zipfile.ZipFile]:
+    where = str(path)
+    if not path.exists():
+        raise InputError("no such file", where, "check the path")
+    if path.is_dir():
+        raise InputError("is a folder", where, "give the .sr file in it")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            yield archive
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        with path.open("rb") as stream:
+            head = stream.read(2)
+        if head != b"PK":
+            raise InputError("is no sigrok capture (not a zip)", where, "give a .sr file") from error
+        what = f"is damaged or cut short ({error})"
+        raise InputError(what, where, "copy the capture again from its source") from error
+
+
+def _device(text: bytes, where: str) -> dict[str, str]:
+    parser = configparser.ConfigParser(interpolation=None, strict=False)
+    try:
+        parser.read_string(text.decode("utf-8", "replace"))
+    except configparser.Error as error:
+        what = f"has broken metadata: {' '.join(str(error).split())}"
+        raise InputError(what, where, "copy the capture again from its source") from error
+    devices = [dict(parser[name]) for name in parser.sections() if name.lower().startswith("device")]
+    with_logic = [device for device in devices if "capturefile" in device]
+    if not with_logic:
+        raise InputError("has no logic samples (no capturefile in its metadata)", where, "capture digital channels")
+    return with_logic[0]
+
+
+def _entries(names: list[str], base: str, where: str) -> tuple[str, ...]:
+    if base in names:
+        return (base,)
+    numbers = sorted(int(n[len(base) + 1 :]) for n in names if re.fullmatch(re.escape(base) + r"-\d+", n))
+    if not numbers:
+        raise InputError(f"has no logic samples (no {base} in the zip)", where, "capture digital channels")
+    missing = sorted(set(range(1, numbers[-1] + 1)) - set(numbers))
+    if missing:
+        what = f"lacks {base}-{missing[0]} of {base}-1 to {base}-{numbers[-1]}"
+        raise InputError(what, where, "copy the capture again from its source")
+    return tuple(f"{base}-{number}" for number in numbers)
+
+
+def _probes(device: dict[str, str], where: str) -> dict[int, str]:
+    probes = {int(key[5:]) - 1: name for key, name in device.items() if re.fullmatch(r"probe[1-9]\d*", key)}
+    if not probes:
+        raise InputError("names no probes in its metadata", where, "capture digital channels")
+    return dict(sorted(probes.items()))
+
+
+def _whole(device: dict[str, str], key: str, where: str) -> int | None:
+    if key not in device:
+        return None
+    if not device[key].isdecimal() or int(device[key]) == 0:
+        raise InputError(f"has {key} = {device[key]!r} in its metadata", where, "copy the capture again")
+    return int(device[key])
+
+
+def _rate(device: dict[str, str], where: str) -> float | None:
+    text = device.get("samplerate", "").strip()
+    if not text or text == "0":
+        return None
+    found = _RATE.fullmatch(text)
+    if not found:
+        raise InputError(f"has samplerate = {text!r} in its metadata", where, "copy the capture again")
+    return float(found[1]) * _PREFIX[found[2].lower()]

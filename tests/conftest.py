@@ -1,0 +1,54 @@
+"""What tests of every package share."""
+
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="session")
+def captures() -> Path:
+    """Return the folder of real logic-analyser captures, which are not part of the project."""
+    root = Path(__file__).resolve().parent.parent
+    folder = Path(os.environ.get("STICKSLIP_SHARED", root.parent / "shared")) / "captures"
+    if not folder.is_dir():
+        pytest.skip(f"no captures at {folder}; set STICKSLIP_SHARED to the folder that holds captures/")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def write_capture() -> Callable[..., Path]:
+    """Return a function that writes a logic-analyser capture as sigrok does."""
+    return _capture
+
+
+def _capture(
+    path: Path,
+    samples: Any,
+    probes: dict[int, str],
+    *,
+    unitsize: int = 1,
+    rate: str | None = "1 MHz",
+    chunk: int | None = None,
+) -> Path:
+    """Write integer samples, bit n for probe n + 1, as one entry or as numbered chunks of so many bytes."""
+    data = np.asarray(samples, "<u8").view(np.uint8).reshape(-1, 8)[:, :unitsize].tobytes()
+    lines = ["[global]", "sigrok version=0.5.2", "", "[device 1]", "capturefile=logic-1"]
+    lines += [f"total probes={8 * unitsize}", f"unitsize={unitsize}"]
+    lines += [f"samplerate={rate}"] if rate else []
+    lines += [f"probe{bit + 1}={name}" for bit, name in probes.items()]
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("version", "2")
+        archive.writestr("metadata", "\n".join(lines) + "\n")
+        if chunk is None:
+            archive.writestr("logic-1", data)
+        else:
+            pieces = [data[start : start + chunk] for start in range(0, len(data), chunk)]
+            numbered = [(f"logic-1-{number}", piece) for number, piece in enumerate(pieces, start=1)]
+            for name, piece in sorted(numbered):  # by name: 1, 10, 11, 2 ...
+                archive.writestr(name, piece)
+    return path

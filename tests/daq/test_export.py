@@ -1,0 +1,130 @@
+"""Export: a flat table that loses nothing and reads back."""
+
+from pathlib import Path
+
+import cyclopts
+import numpy as np
+import pandas as pd
+import pytest
+
+from daq import cli_files, runfile, terminal
+from daq.recording import Raw, RunData, positions
+from daq.rig import Measured, Rig
+
+N = 101
+
+
+@pytest.fixture
+def app() -> cyclopts.App:
+    made = terminal.application("daq", "files", "daq export")
+    cli_files.register(made)
+    return made
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    count = (1000 * np.sin(np.arange(N))).astype(np.int64)
+    rig = Rig(metres_per_count=Measured(7.67e-6), datum=Measured(1 / 3))
+    raw = Raw(
+        sample=np.arange(N, dtype=np.uint32),
+        count_up=(count & 0xFFFF).astype(np.uint16),
+        count_down=np.zeros(N, np.uint16),
+        device_time=np.arange(N, dtype=np.uint32) * 1000,
+        levels=np.zeros(N, np.uint8),
+        flags=np.zeros(N, np.uint16),
+        illegal=np.zeros(N, np.uint16),
+        edge_time=np.arange(N, dtype=np.uint16),
+    )
+    data = RunData(
+        title="a run",
+        started="2024-05-01T12:00:00+02:00",
+        ended="2024-05-01T12:00:01+02:00",
+        rate_hz=1000.0,
+        rig=rig,
+        time=np.cumsum(np.full(N, 1 / 3)),
+        position=positions(count, rig),
+        count=count,
+        raw=raw,
+        segment=np.zeros(N, np.uint16),
+    )
+    runfile.write(tmp_path / "run.h5", data)
+    return tmp_path / "run.h5"
+
+
+COLUMNS = "time_s position_m count segment sample count_up count_down device_time_us levels flags illegal edge_time_us"
+
+
+def _read_csv(path: Path) -> pd.DataFrame:
+    # Python's own float: pandas' parser may err in the last bit.
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    columns = zip(*lines[1:], strict=True)
+    return pd.DataFrame({name: [float(c) for c in column] for name, column in zip(lines[0], columns, strict=True)})
+
+
+def test_both_tables_hold_every_sample_to_the_last_bit(run: Path, app: cyclopts.App) -> None:
+    csv, parquet = run.with_suffix(".csv"), run.with_suffix(".parquet")
+    assert terminal.run(app, ["export", str(run), "--csv", str(csv), "--parquet", str(parquet)]) == 0
+    recording = runfile.load(run)
+    assert recording.raw is not None
+    for table in (_read_csv(csv), pd.read_parquet(parquet)):
+        assert list(table.columns) == COLUMNS.split()
+        np.testing.assert_array_equal(table["time_s"], recording.time)
+        np.testing.assert_array_equal(table["position_m"], recording.position)
+        np.testing.assert_array_equal(table["count_up"], recording.raw.count_up)
+        np.testing.assert_array_equal(table["edge_time_us"], recording.raw.edge_time)
+
+
+def test_an_exported_table_imports_as_the_same_motion(run: Path, app: cyclopts.App) -> None:
+    csv, again = run.with_suffix(".csv"), run.with_name("again.h5")
+    assert terminal.run(app, ["export", str(run), "--csv", str(csv)]) == 0
+    assert terminal.run(app, ["import", str(csv), "-o", str(again)]) == 0
+    first, second = runfile.load(run), runfile.load(again)
+    np.testing.assert_array_equal(second.position, first.position)
+    np.testing.assert_array_equal(second.time, first.time - first.time[0])
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ([], ["--csv FILE or --parquet FILE"]),
+        (["--csv", "old.csv"], ["old.csv", "--force"]),
+        (["--parquet", "no/where.parquet"], ["no/where.parquet", "folder"]),
+    ],
+)
+def test_bad_requests_are_one_line_and_write_nothing(
+    run: Path,
+    app: cyclopts.App,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    flags: list[str],
+    words: list[str],
+) -> None:
+    monkeypatch.chdir(run.parent)
+    Path("old.csv").write_text("precious")
+    assert terminal.run(app, ["export", "run.h5", *flags]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    for word in words:
+        assert word in line
+    assert Path("old.csv").read_text() == "precious"
+    assert sorted(item.name for item in Path().iterdir()) == ["old.csv", "run.h5"]
+
+
+def test_an_uncalibrated_run_says_count(run: Path, app: cyclopts.App) -> None:
+    recording = runfile.load(run)
+    assert recording.count is not None
+    bare = RunData(
+        title="bare",
+        started=recording.started,
+        ended=recording.ended,
+        rate_hz=1000.0,
+        rig=Rig(),
+        time=recording.time,
+        position=positions(recording.count, Rig()),
+        count=recording.count,
+    )
+    other = run.with_name("bare.h5")
+    runfile.write(other, bare)
+    csv = run.with_suffix(".csv")
+    assert terminal.run(app, ["export", str(other), "--csv", str(csv)]) == 0
+    assert csv.read_text().splitlines()[0] == "time_s,position_count,count"

@@ -1,0 +1,345 @@
+"""A camera's CSV becomes a run: formats found, bad lines named, a wrong frame rate noticed."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cyclopts
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from daq import cli_files, frame_rate, runfile, table, table_import, terminal, units
+from daq.errors import InputError
+from daq.rig import Measured
+from daq.table_import import Wishes
+
+MASS, STIFFNESS = 0.3, 10.5552  # pi sqrt(m/k) = 0.52963 s
+
+
+def sawtooth(rate_hz: float, until: float = 12.0, belt: float = 0.22) -> tuple[Any, Any]:
+    """Stick at belt speed, then slip half a cosine in pi sqrt(m/k): turning points exactly that far apart."""
+    slip = math.pi * math.sqrt(MASS / STIFFNESS)
+    stick = 1.1
+    reach = belt * stick / 2
+    time = np.arange(round(until * rate_hz)) / rate_hz
+    phase = time % (stick + slip)
+    sticking = -reach + belt * phase
+    slipping = reach * np.cos(math.pi * (phase - stick) / slip)
+    return time, np.where(phase < stick, sticking, slipping)
+
+
+def wishes(**changes: Any) -> Wishes:
+    known: dict[str, Any] = {"mass": Measured(MASS), "stiffness": Measured(STIFFNESS)}
+    return Wishes(**(known | {"started": "2024-05-01T12:00:00+02:00"} | changes))
+
+
+def make(
+    path: Path, head: str, rows: Any, *, delimiter: str = ",", decimal: str = ".", end: str = "\n", **how: Any
+) -> Path:
+    lines = [delimiter.join(f"{cell:.9g}".replace(".", decimal) for cell in row) for row in rows]
+    text = head + "".join(line + end for line in lines)
+    path.write_bytes(text.encode(how.get("encoding", "utf-8")))
+    return path
+
+
+@pytest.fixture
+def csv(tmp_path: Path) -> Path:
+    return tmp_path / "track.csv"
+
+
+FORMATS = [
+    ("t,x\n", {}),
+    ("", {}),
+    ("t;x\r\n", {"delimiter": ";", "decimal": ",", "end": "\r\n", "encoding": "utf-8-sig"}),
+    ("t\tx\r", {"delimiter": "\t", "end": "\r"}),
+    ("t\tx\n", {"delimiter": "\t", "decimal": ","}),
+    ("", {"delimiter": "   "}),
+    ("t (s)   x (m)\n", {"delimiter": "  ", "decimal": ","}),
+    ("t (s) x (m)\n", {"delimiter": " "}),
+    ("t, x\n", {"delimiter": ", "}),
+    ("t;x;\n", {"delimiter": ";", "decimal": ",", "end": ";\n"}),
+    ("t;x\n", {"delimiter": ";", "decimal": ",", "end": ";\n"}),
+    ("sep=;\nt;x\n", {"delimiter": ";"}),
+    ("# a camera\n% 400 fps\n\n// more\nt,x\n", {}),
+    ("Experiment 12\nmass_A\nt\tx\n", {"delimiter": "\t"}),
+    ("t;x\n", {"delimiter": ";", "encoding": "utf-16"}),
+    ("Zeit [s];Weg [m]; Größe\n", {"delimiter": ";", "decimal": ",", "encoding": "cp1252", "wide": True}),
+]
+
+
+@pytest.mark.parametrize(("head", "how"), FORMATS)
+def test_the_format_is_found(csv: Path, head: str, how: dict[str, Any]) -> None:
+    time, x = sawtooth(100, 3)
+    how = dict(how)
+    columns = [time, x, x] if how.pop("wide", False) else [time, x]
+    found = table_import.read(make(csv, head, zip(*columns, strict=True), **how), wishes())
+    np.testing.assert_allclose(found.run.time, time, atol=1e-8)
+    np.testing.assert_allclose(found.run.position, x, atol=1e-8)
+    assert found.decimal == how.get("decimal", ".")
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    rows=st.lists(st.tuples(*[st.floats(-1e6, 1e6).map(lambda v: round(v, 3))] * 3), min_size=2, max_size=30),
+    how=st.sampled_from(
+        [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), (" ", "."), (" ", ","), ("|", ",")]
+    ),
+    head=st.booleans(),
+)
+def test_any_table_reads_back(tmp_path: Path, rows: Any, how: tuple[str, str], head: bool) -> None:
+    delimiter, decimal = how
+    # Written with three decimals: a table of whole numbers alone does not tell its decimal sign.
+    lines = [delimiter.join(f"{cell:.3f}".replace(".", decimal) for cell in row) for row in rows]
+    text = (delimiter.join("abc") + "\n" if head else "") + "\n".join(lines) + "\n"
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    found = table.read(path)
+    assert (found.delimiter, found.decimal) == how
+    for column, name in enumerate("abc"):
+        assert found.numbers(column) == [row[column] for row in rows]
+        assert found.label(column) == (f"column {name!r}" if head else f"column {column + 1}")
+
+
+@pytest.mark.parametrize(
+    ("head", "t_size", "x_size", "changes"),
+    [
+        ("t,x", 1, 1, {}),
+        ("t (ms),x (cm)", 1e-3, 1e-2, {}),
+        ("time [s],pos [mm]", 1, 1e-3, {}),
+        ("t/ms,x/µm", 1e-3, 1e-6, {}),
+        ("time_s,position_m", 1, 1, {}),
+        ("t,x", 1e-3, 1e-2, {"t_unit": "ms", "x_unit": "cm"}),
+        ("t,x (px)", 1, 2.5e-4, {"x_unit": "0.25 mm"}),
+    ],
+)
+def test_units_come_from_the_flag_or_the_header(
+    csv: Path, head: str, t_size: float, x_size: float, changes: Any
+) -> None:
+    csv.write_text(f"{head}\n0,1\n2,3\n5,7\n")
+    found = table_import.read(csv, Wishes(**changes))
+    np.testing.assert_allclose(found.run.time, np.array([0, 2, 5]) * t_size, rtol=1e-15)
+    np.testing.assert_allclose(found.run.position, np.array([1, 3, 7]) * x_size, rtol=1e-15)
+    assert found.warnings == ()
+
+
+def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
+    csv.write_text("t,x (cm)\n0,1\n2,3\n")
+    found = table_import.read(csv, Wishes(x_unit="mm"))
+    assert found.run.position.tolist() == [0.001, 0.003]
+    assert "not in cm" in found.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "changes", "time", "position"),
+    [
+        ("x\n1\n2\n3\n", {"frame_rate_hz": 400.0}, [0, 1, 2], [1, 2, 3]),
+        ("1,5\n2,5\n3,5\n", {"frame_rate_hz": 400.0, "position": "1"}, [0, 1, 2], [1, 2, 3]),
+        ("frame,x\n7,1\n8,2\n11,3\n", {"frame_rate_hz": 400.0}, [0, 1, 4], [1, 2, 3]),
+        ("x;y\n1;4\n2;5\n3;6\n", {"frame_rate_hz": 400.0, "position": "y"}, [0, 1, 2], [4, 5, 6]),
+    ],
+)
+def test_a_frame_rate_makes_the_times(csv: Path, text: str, changes: Any, time: Any, position: Any) -> None:
+    csv.write_text(text)
+    found = table_import.read(csv, Wishes(**changes))
+    np.testing.assert_allclose(found.run.time, np.array(time) / 400, rtol=1e-15)
+    assert found.run.position.tolist() == position
+
+
+def test_columns_are_chosen_by_name_or_number(csv: Path) -> None:
+    csv.write_text("i,Clock,laser A,laser B\n0,0.5,1,2\n1,0.6,3,4\n")
+    for time, position in (("Clock", "laser B"), ("clock", "LASER B"), ("2", "4")):
+        found = table_import.read(csv, Wishes(time=time, position=position))
+        assert found.run.position.tolist() == [2, 4]
+        np.testing.assert_allclose(found.run.time, [0, 0.1], atol=1e-15)
+
+
+def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
+    csv.write_text("t,x\n0,1\n0.1,2\n0.35,2\n0.4,5\n")
+    found = table_import.read(csv, Wishes())
+    assert not found.even
+    assert found.run.time.tolist() == [0, 0.1, 0.35, 0.4]
+
+
+@pytest.mark.parametrize(
+    ("text", "changes", "words"),
+    [
+        ("t,x\n0,1\n0.1,lost\n", {}, ["line 3", "column 'x'", "'lost'", "mend"]),
+        ("t,x\n0,foo\n0.1,2\n", {}, ["line 2", "'foo'"]),
+        ("0,1\n0.1,\n0.2,3\n", {}, ["line 2", "column 2", "empty"]),
+        ("t,x\n0,1\n0.1,nan\n", {}, ["line 3", "'nan'"]),
+        ("t,x\n0,1\ninf,2\n", {}, ["line 3", "column 't'", "'inf'"]),
+        ("t,x\n0,1\n1,2\n1,3\n", {}, ["line 4", "does not increase", "1 s after 1 s"]),
+        ("t,x\n\n0,1\n# note\n2,2\n1,3\n", {}, ["line 6", "does not increase"]),
+        ("t,x\n0,1\n1,2,3\n2,3\n", {}, ["line 3", "3 columns"]),
+        ("t,x\n0,10,1,25\n0,20,1,50\n", {}, ["line 1", "2 columns", "have 4", "semicolons"]),
+        ("a,b,c\n0,1,2\n1,2,3\n", {}, ["which column is the position", "a, b, c"]),
+        ("x,b,c\n0,1,2\n1,2,3\n", {}, ["which column is the time", "--time"]),
+        ("t,x\n0,1\n1,2\n", {"position": "y"}, ["no column 'y'", "t, x"]),
+        ("t,x\n0,1\n1,2\n", {"time": "t", "position": "t"}, ["time and position are the same"]),
+        ("t,x (px)\n0,1\n1,2\n", {}, ["'px'", "--x-unit", "0.25 mm"]),
+        ("t,x\n0,1\n1,2\n", {"x_unit": "kg"}, ["--x-unit", "'kg'"]),
+        ("t,x\n0,1\n1,2\n", {"x_unit": "0 m"}, ["--x-unit", "zero"]),
+        ("x\n1\n2\n", {}, ["no column of times", "--frame-rate"]),
+        ("frame,x\n1,2\n2,3\n", {}, ["frame numbers", "--frame-rate"]),
+        ("t,x\n0,1\n", {}, ["single sample"]),
+        ("t,x\n", {}, ["holds no numbers"]),
+        ("", {}, ["is empty"]),
+        ("# nothing\n", {}, ["holds no data"]),
+        ("t,x\n0,1\n1,2\n", {"started": "yesterday"}, ["--start", "zone"]),
+        ("a\0b", {}, ["not a text file"]),
+    ],
+)
+def test_bad_tables_are_refused_by_line(csv: Path, text: str, changes: Any, words: list[str]) -> None:
+    csv.write_text(text)
+    with pytest.raises(InputError) as error:
+        table_import.read(csv, Wishes(**changes))
+    line = str(error.value)
+    assert "\n" not in line
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.parametrize("belt", [0.22, -0.22])
+def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -> None:
+    time, x = sawtooth(400, belt=belt)
+    measured, slips = frame_rate.half_period(time, x)
+    assert measured == pytest.approx(math.pi * math.sqrt(MASS / STIFFNESS), abs=1 / 400)
+    assert slips == 7
+
+
+def test_a_right_frame_rate_is_accepted(csv: Path) -> None:
+    found = table_import.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), wishes())
+    assert found.warnings == ()
+
+
+def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> None:
+    time, x = sawtooth(400)
+    make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))  # a 400 fps film played at 30
+    found = table_import.read(csv, wishes())
+    assert "frame rate must be wrong" in found.warnings[0]
+    fitting = float(found.warnings[0].split(" would fit")[0].split()[-1])
+    assert fitting == pytest.approx(400, rel=0.01)
+
+
+def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
+    time, x = sawtooth(400)
+    make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))
+    found = table_import.read(csv, wishes(frame_rate_hz=400.0))
+    np.testing.assert_allclose(found.run.time, time, atol=1e-6)
+    assert len(found.warnings) == 1
+    assert "times were multiplied by 0.075" in found.warnings[0]
+
+
+def test_times_that_agree_with_the_given_frame_rate_stay_as_they_are(csv: Path) -> None:
+    csv.write_text("t,x\n0,1\n0.0025,2\n0.005,2\n0.00752,2\n")
+    found = table_import.read(csv, Wishes(frame_rate_hz=400.0))
+    assert found.run.time.tolist() == [0, 0.0025, 0.005, 0.00752]
+    assert found.warnings == ()
+
+
+def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv: Path) -> None:
+    csv.write_text("t,x\n0,0\n1,1\n2,2\n")
+    assert "could not be checked" in table_import.read(csv, wishes()).warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "dimension", "value"),
+    [
+        ("1 kg", "mass", 1.0),
+        ("300g", "mass", 0.3),
+        ("0.3", "mass", 0.3),
+        ("12 cm", "length", 0.12),
+        ("-1.5e2 mm", "length", -0.15),
+        ("400 fps", "rate", 400.0),
+        ("1 kHz", "rate", 1000.0),
+        ("22 cm/s", "speed", 0.22),
+        ("10.5 N/m", "stiffness", 10.5),
+        ("1 N/mm", "stiffness", 1000.0),
+        ("5 µs", "time", 5e-6),
+        ("5 \N{GREEK SMALL LETTER MU}s", "time", 5e-6),
+    ],
+)
+def test_quantities_are_read_in_si(text: str, dimension: str, value: float) -> None:
+    assert units.quantity(text, dimension, "--flag") == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize("text", ["300 g +- 1 g", "0.3 ± 0.001", "300 +/- 1 g", "0.3 kg +- 1 g"])
+def test_a_quantity_may_carry_its_error(text: str) -> None:
+    found = units.measured(text, "mass", "--mass")
+    assert (found.value, found.sd) == pytest.approx((0.3, 0.001), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("heavy", ["--mass", "'heavy'", "300 g"]),
+        ("", ["--mass"]),
+        ("1 kn", ["'kn'", "did you mean 'kg'"]),
+        ("1,5 kg", ["decimal point"]),
+        ("1 KG", ["'KG'"]),
+        ("1 kg +- 1 g +- 2 g", ["more than one"]),
+        ("1 kg +- -1 g", ["negative"]),
+        ("1e999 kg", ["too large"]),
+    ],
+)
+def test_what_is_no_quantity_is_refused(text: str, words: list[str]) -> None:
+    with pytest.raises(InputError) as error:
+        units.measured(text, "mass", "--mass")
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.fixture
+def app() -> cyclopts.App:
+    made = terminal.application("daq", "files", "daq import track.csv")
+    cli_files.register(made)
+    return made
+
+
+def test_the_command_writes_a_run_that_loads(csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str]) -> None:
+    time, x = sawtooth(400)
+    make(csv, "t;x [cm]\n", zip(time, 100 * x, strict=True), delimiter=";", decimal=",")
+    target = csv.with_name("run.h5")
+    line = ["import", str(csv), "-o", str(target), "--mass", "300 g +- 1 g", "--belt", "22 cm/s", "--datum", "2 mm"]
+    assert terminal.run(app, [*line, "--stiffness", "10.5552 N/m", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["samples"] == time.size
+    assert told["warnings"] == []
+    assert (told["delimiter"], told["decimal"], told["even"]) == ("semicolon", ",", True)
+    recording = runfile.load(target)
+    np.testing.assert_allclose(recording.position, x + 0.002, atol=1e-9)
+    assert recording.raw is None
+    assert recording.count is None
+    assert recording.unit == "m"
+    assert recording.rate_hz == pytest.approx(400, rel=1e-6)
+    assert recording.rig.mass == Measured(pytest.approx(0.3), pytest.approx(0.001))
+    assert recording.rig.belt_speed == Measured(0.22)
+    assert recording.rig.datum == Measured(0.002)
+
+
+def test_the_command_refuses_in_one_line_and_writes_nothing(
+    csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str]
+) -> None:
+    csv.write_text("t,x\n0,1\n1,oops\n")
+    target = csv.with_name("run.h5")
+    assert terminal.run(app, ["import", str(csv), "-o", str(target)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not target.exists()
+    target.write_text("precious")
+    csv.write_text("t,x\n0,1\n1,2\n")
+    assert terminal.run(app, ["import", str(csv), "-o", str(target)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert target.read_text() == "precious"
+    assert terminal.run(app, ["import", str(csv), "-o", str(target), "--mass", "-1"]) == 2
+    assert terminal.run(app, ["import", str(csv), "-o", str(target), "--force"]) == 0
+    assert runfile.load(target).position.tolist() == [1, 2]
+
+
+def test_the_start_is_the_files_date_unless_given(csv: Path) -> None:
+    csv.write_text("t,x\n0,1\n1.5,2\n")
+    given_start = table_import.read(csv, Wishes(started="2024-05-01T12:00:00+02:00")).run
+    assert (given_start.started, given_start.ended) == ("2024-05-01T12:00:00+02:00", "2024-05-01T12:00:01.500000+02:00")
+    assert "modification" in str(table_import.read(csv, Wishes()).run.provenance["start_time_from"])

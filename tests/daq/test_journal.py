@@ -1,0 +1,102 @@
+"""The journal: whatever the tail looks like after a crash, the records before it come back."""
+
+import pytest
+
+from daq import journal
+from daq.errors import InputError
+
+HEADER = {"protocol": "frames", "rate_hz": 1000}
+RECORDS = [
+    (journal.RECEIVED, 10, b"abc"),
+    (journal.LOST, 20, b"unplugged"),
+    (journal.REOPENED, 30, b""),
+    (journal.RECEIVED, 40, bytes(range(256))),
+    (journal.END, 50, b"{}"),
+]
+
+
+@pytest.fixture
+def written(tmp_path):
+    path = tmp_path / "run.h5.part"
+    writer = journal.Writer(path, HEADER)
+    for record in RECORDS:
+        writer.append(*record)
+    writer.close()
+    return path
+
+
+def as_tuples(read):
+    return [(record.kind, record.stamp_ns, record.data) for record in read.records]
+
+
+def test_what_is_written_is_read(written):
+    read = journal.read(written)
+    assert read.header == HEADER
+    assert as_tuples(read) == RECORDS
+    assert read.lost_tail == 0
+
+
+def test_cut_at_every_byte_it_gives_the_records_before_the_cut(written):
+    whole = written.read_bytes()
+    ends, at = [], len(whole)
+    for _, _, data in reversed(RECORDS):
+        ends.append(at)
+        at -= 13 + len(data) + 4
+    ends.append(at)  # the end of the header
+    ends.reverse()
+    for cut in range(len(whole)):
+        written.write_bytes(whole[:cut])
+        if cut < ends[0]:
+            with pytest.raises(InputError):
+                journal.read(written)
+            continue
+        complete = sum(end <= cut for end in ends) - 1
+        read = journal.read(written)
+        assert as_tuples(read) == RECORDS[:complete]
+        assert read.lost_tail == cut - ends[complete]
+
+
+@pytest.mark.parametrize("tail", [b"\0" * 4096, b"R" * 100, b"\xff" * 50])
+def test_a_tail_of_another_kind_is_left_out(written, tail):
+    written.write_bytes(written.read_bytes() + tail)
+    read = journal.read(written)
+    assert as_tuples(read) == RECORDS
+    assert read.lost_tail == len(tail)
+
+
+def test_a_damaged_record_ends_the_journal_there(written):
+    content = bytearray(written.read_bytes())
+    content[content.index(b"unplugged")] ^= 1
+    written.write_bytes(content)
+    assert as_tuples(journal.read(written)) == RECORDS[:1]
+
+
+def test_a_journal_is_never_overwritten(written):
+    before = written.read_bytes()
+    with pytest.raises(FileExistsError):
+        journal.Writer(written, HEADER)
+    assert written.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [(b"t,x\n0,1\n", "no journal"), (b"", "no record"), (journal.MAGIC, "cut inside its header")]
+)
+def test_what_is_no_journal_is_refused(tmp_path, content, said):
+    path = tmp_path / "x.h5.part"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=said):
+        journal.read(path)
+
+
+def test_a_missing_journal_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"nothing\.part: no such journal"):
+        journal.read(tmp_path / "nothing.part")
+
+
+def test_markers_are_read_in_order_and_torn_lines_left_out(tmp_path):
+    path = tmp_path / "run.h5.markers"
+    assert journal.read_markers(path) == ()
+    path.write_text("300 belt off\n100 belt on\n\nnonsense\n40", encoding="utf-8")
+    assert journal.read_markers(path) == ((40, ""), (100, "belt on"), (300, "belt off"))
+    assert journal.markers_path(tmp_path / "run.h5.part") == path
+    assert journal.markers_path(tmp_path / "run.h5") == path

@@ -1,0 +1,121 @@
+"""Ports and their limits: what will not open, or cannot carry the recording, is named with its cure."""
+
+import errno
+from dataclasses import replace
+
+import pytest
+
+from daq import capability, ports
+from daq.errors import DeviceError, InputError
+from daq.rig import Measured, Rig
+from daq.wire import Capability, Ident
+
+BOARD = Ident((1, 0, 0), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 8, 5000, 125_000, "uno")
+RIG = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.22))
+
+
+def test_a_missing_port_is_named_with_what_is_there():
+    with pytest.raises(DeviceError) as caught:
+        ports.open_port("/dev/ttyNONE7")
+    assert caught.value.where == "/dev/ttyNONE7"
+    assert "no such port" in caught.value.what
+    assert "plug the board in" in caught.value.do
+
+
+def test_an_unknown_kind_of_url_is_bad_input():
+    with pytest.raises(InputError, match="rig://SCENE"):
+        ports.open_port("morse://7")
+
+
+def test_a_wrong_scene_reaches_the_user_as_its_own_error():
+    with pytest.raises(InputError, match="friction"):
+        ports.open_port("rig://rig?set=friction.lew%3D3")
+
+
+def test_a_port_without_permission_says_the_command_that_helps(tmp_path):
+    device = tmp_path / "ttyACM0"
+    device.touch()
+    what, where, do = ports.explain(str(device), PermissionError(errno.EACCES, "Permission denied"))
+    assert "permission" in what
+    assert where == str(device)
+    assert do.startswith("run 'sudo ")
+
+
+@pytest.mark.parametrize(("mode", "command"), [(0o660, "usermod -a -G dialout"), (0o600, "chmod a+rw")])
+def test_the_group_is_the_cure_only_where_it_has_the_right(tmp_path, monkeypatch, mode, command):
+    grp = pytest.importorskip("grp")
+    device = tmp_path / "ttyACM0"
+    device.touch(mode)
+    device.chmod(mode)
+    monkeypatch.setattr(grp, "getgrgid", lambda gid: type("Group", (), {"gr_name": "dialout"}))
+    assert command in ports.permission_fix(device)
+
+
+def test_a_busy_port_is_not_a_missing_one():
+    what, _, do = ports.explain("/dev/null", OSError(errno.EBUSY, "Device or resource busy"))
+    assert "another program" in what
+    assert "close" in do
+
+
+def test_the_simulated_rig_is_always_listed():
+    assert ports.list_ports()[0].port == "rig://rig"
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes", "realtime", "url"),
+    [
+        ("rig", [], False, "rig://rig"),
+        ("rig", ["friction.law=3"], True, "rig://rig?set=friction.law%3D3&realtime=1"),
+        ("/a b/s.toml", ["x.y=1", "z.w=2"], False, "rig://%2Fa%20b%2Fs.toml?set=x.y%3D1&set=z.w%3D2"),
+    ],
+)
+def test_the_rigs_url_carries_scene_and_changes(scene, changes, realtime, url):
+    assert ports.rig_url(scene, changes, realtime) == url
+    assert ports.waits_for_reader(url) is not realtime
+
+
+def test_only_the_rig_out_of_real_time_waits_for_its_reader():
+    assert not ports.waits_for_reader("/dev/ttyACM0")
+    assert not ports.waits_for_reader("socket://rig:1")
+
+
+def test_1_khz_in_blocks_fits_115200_baud_and_is_8875_bytes_a_second():
+    assert capability.block_size(BOARD, 1000) == 8
+    assert capability.bytes_per_s(BOARD, 1000, 8) == 8875
+    assert capability.check(BOARD, RIG, 1000, 8, 115_200) == []
+
+
+def test_1_khz_in_single_frames_does_not_fit_and_says_what_would():
+    with pytest.raises(InputError, match=r"22000 bytes/s, and 115200 baud carries 11520; give --rate 523 or less"):
+        capability.check(BOARD, RIG, 1000, 1, 115_200)
+
+
+def test_500_hz_in_single_frames_is_tight():
+    warnings = capability.check(BOARD, RIG, 500, 1, 115_200)
+    assert len(warnings) == 1
+    assert "11000 bytes/s" in warnings[0]
+
+
+def test_a_line_without_a_baud_rate_has_no_such_limit():
+    assert capability.check(BOARD, RIG, 5000, 8, None) == []
+
+
+def test_more_than_the_board_samples_is_refused_with_its_limit():
+    with pytest.raises(InputError, match="5000"):
+        capability.check(BOARD, RIG, 6000, 8, None)
+
+
+def test_a_slip_that_would_outrun_the_decoder_is_warned_about():
+    warnings = capability.check(replace(BOARD, max_edge_rate_hz=80_000), RIG, 1000, 8, None)
+    assert "114733 edges/s" in warnings[0]
+
+
+def test_a_rate_at_which_counters_roll_over_unseen_is_refused():
+    fast = replace(RIG, metres_per_count=Measured(7.67e-9))
+    with pytest.raises(InputError, match="roll over"):
+        capability.check(replace(BOARD, max_edge_rate_hz=0), fast, 1000, 8, None)
+
+
+def test_slow_rates_are_sent_in_single_frames():
+    assert capability.block_size(BOARD, 20) == 1
+    assert capability.block_size(replace(BOARD, capabilities=Capability.LEVELS), 1000) == 1

@@ -1,0 +1,177 @@
+"""Decoders against their truth tables, against each other, and at their known failings."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.quadrature import DECODERS, EDGES_PER_COUNT, GRAY, PHASE, Decoder, PulseDecoder, levels_of
+
+UP = [(0, 1), (1, 3), (3, 2), (2, 0)]  # levels A + 2 B: 00 -> 10 -> 11 -> 01 -> 00
+DOWN = [(after, before) for before, after in UP]
+BOTH = [(0, 3), (3, 0), (1, 2), (2, 1)]
+
+# What each legal change does, written out by hand: x4, x1, jk (+1 up, -1 down, 0 nothing).
+TABLE = {
+    (0, 1): (1, 1, 1),
+    (1, 3): (1, 0, 0),
+    (3, 2): (1, 0, 0),
+    (2, 0): (1, 0, 0),
+    (1, 0): (-1, -1, 0),
+    (3, 1): (-1, 0, 0),
+    (2, 3): (-1, 0, -1),
+    (0, 2): (-1, 0, 0),
+}
+
+# A walk of single steps: what an encoder can do.
+walks = st.lists(st.sampled_from([-1, 1]), max_size=80).map(lambda steps: np.cumsum([0, *steps]))
+
+
+def decoded(kind, levels, start=None):
+    decoder = Decoder(kind, start)
+    return decoder, decoder.feed(levels)
+
+
+def scalar_latched(levels):
+    """Follow the J-K flip-flop edge by edge, with its clock, J and K spelt out."""
+    q, up, down = 1, 0, 0
+    for before, after in pairwise(levels):
+        if (before ^ after) == 3:
+            continue
+        a, b = after & 1, after >> 1
+        if b and not before >> 1:
+            j, k = a, 1 - a
+            q = {(1, 0): 1, (0, 1): 0}[j, k]
+        if a and not before & 1:
+            up, down = up + q, down + 1 - q
+    return up, down
+
+
+@pytest.mark.parametrize("change", UP + DOWN)
+@pytest.mark.parametrize(("column", "kind"), list(enumerate(("x4", "x1", "jk"))))
+def test_legal_changes_do_what_the_table_says(change, column, kind):
+    _, steps = decoded(kind, np.array(change))
+    assert steps.step.tolist() == [TABLE[change][column]]
+    assert not steps.illegal.any()
+
+
+@pytest.mark.parametrize("kind", DECODERS)
+@pytest.mark.parametrize("change", BOTH)
+def test_a_double_change_is_counted_as_illegal_and_never_guessed(kind, change):
+    decoder, steps = decoded(kind, np.array(change))
+    assert (decoder.up, decoder.down, decoder.illegal, decoder.edges) == (0, 0, 1, 1)
+    assert steps.illegal.tolist() == [True]
+
+
+@pytest.mark.parametrize("rise", [(0, 1), (2, 3)])
+def test_the_latched_direction_starts_as_up(rise):
+    assert decoded("jk-latched", np.array(rise))[0].net == 1
+
+
+def test_the_latch_takes_a_at_each_rise_of_b():
+    down = levels_of(-np.arange(9))
+    decoder, steps = decoded("jk-latched", down)
+    assert (decoder.up, decoder.down) == (0, 2)
+    assert steps.step.tolist() == [0, -1, 0, 0, 0, -1, 0, 0]
+    assert decoder.latched_up is False
+
+
+@given(walks)
+def test_the_latched_decoder_is_the_flip_flop_edge_by_edge(walk):
+    levels = levels_of(walk)
+    decoder, _ = decoded("jk-latched", levels)
+    assert (decoder.up, decoder.down) == scalar_latched(levels.tolist())
+
+
+@given(walks)
+def test_x4_counts_every_step(walk):
+    decoder, steps = decoded("x4", levels_of(walk))
+    assert decoder.net == walk[-1]
+    assert decoder.edges == len(walk) - 1
+    assert np.array_equal(np.cumsum(steps.step), walk[1:])
+
+
+@given(walks)
+def test_x1_is_never_a_line_off(walk):
+    decoder, _ = decoded("x1", levels_of(walk))
+    assert decoder.net == (walk[-1] + 3) // 4  # one line each time the walk passes from 4 k to 4 k + 1
+
+
+@given(st.lists(st.integers(0, 3), max_size=60), st.lists(st.integers(0, 12), max_size=8))
+@pytest.mark.parametrize("kind", DECODERS)
+def test_chunks_decode_as_the_whole(kind, levels, cuts):
+    whole, steps = decoded(kind, np.array(levels, dtype=np.uint8))
+    pieces = Decoder(kind)
+    index, signs, at = [], [], 0
+    for cut in [*cuts, len(levels)]:
+        found = pieces.feed(np.array(levels[at : at + cut], dtype=np.uint8))
+        index += (found.index + at).tolist()
+        signs += found.step.tolist()
+        at = min(at + cut, len(levels))
+    assert (pieces.up, pieces.down, pieces.illegal, pieces.edges) == (
+        whole.up,
+        whole.down,
+        whole.illegal,
+        whole.edges,
+    )
+    assert (index, signs) == (steps.index.tolist(), steps.step.tolist())
+
+
+@pytest.mark.parametrize(
+    ("kind", "least", "most"), [("x4", 0, 0), ("x1", -3, 3), ("jk", 39_996, 40_003), ("jk-latched", 39_996, 40_003)]
+)
+def test_ten_thousand_dithers_about_one_rise_of_a(kind, least, most):
+    """Errors in x4 counts; the J-K boxes gain a line, four counts, each time: +39,999 within one line."""
+    x = 1 + 0.3 * np.tile([-1, 1], 10_000)  # in counts: A rises between count 0 and count 1
+    n = np.floor(x).astype(int)
+    decoder, _ = decoded(kind, levels_of(n), start=0)
+    assert least <= EDGES_PER_COUNT[kind] * decoder.net - n[-1] <= most
+
+
+@pytest.mark.parametrize("kind", DECODERS)
+def test_a_steady_level_is_no_edge(kind):
+    decoder, steps = decoded(kind, np.full(101, 2))
+    assert decoder.edges == 0
+    assert len(steps.index) == 0
+
+
+def test_levels_and_phase_are_each_others_inverse():
+    assert PHASE[GRAY].tolist() == [0, 1, 2, 3]
+    assert levels_of([-1, 0, 1, 2, 3, 4]).tolist() == [2, 0, 1, 3, 2, 0]
+
+
+@pytest.mark.parametrize("bad", [[0, 4], [0, 255, 1]])
+def test_levels_outside_two_bits_are_refused_by_sample(bad):
+    with pytest.raises(ValueError, match="sample 1"):
+        Decoder("x4").feed(np.array(bad))
+
+
+def test_an_unknown_decoder_is_refused_with_those_that_exist():
+    with pytest.raises(ValueError, match="x4, x1, jk, jk-latched"):
+        Decoder("x2")
+
+
+def test_step_and_direction_count_rises_only():
+    step = [1, 0, 1, 1, 0, 1, 0, 1]  # high at first: no rise was seen
+    direction = [1, 1, 1, 0, 0, 0, 1, 1]
+    decoder = PulseDecoder()
+    found = decoder.feed(step, direction)
+    assert (decoder.up, decoder.down, decoder.edges, decoder.net) == (2, 1, 3, 1)
+    assert found.index.tolist() == [2, 5, 7]
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), max_size=40), st.integers(0, 40))
+def test_step_and_direction_in_chunks_as_in_one(pairs, cut):
+    step, direction = [p[0] for p in pairs], [p[1] for p in pairs]
+    whole, pieces = PulseDecoder(), PulseDecoder()
+    whole.feed(step, direction)
+    pieces.feed(step[:cut], direction[:cut])
+    pieces.feed(step[cut:], direction[cut:])
+    assert (whole.up, whole.down) == (pieces.up, pieces.down)
+
+
+def test_step_and_direction_must_be_as_long():
+    with pytest.raises(ValueError, match="need the same"):
+        PulseDecoder().feed([0, 1], [1])

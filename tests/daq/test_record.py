@@ -1,0 +1,608 @@
+"""The recorder: from a port to a run file, through everything that can go wrong on the way."""
+
+import errno
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import h5py
+import numpy as np
+import pytest
+from serial import SerialException
+
+import daq
+from daq import finalise, journal, ports, protocols, reader, runfile, wire
+from daq.errors import DataError, DeviceError, InputError
+from daq.quadrature import levels_of
+from daq.record import RecordingInterruptedError, Request, record
+from daq.wire import Capability
+
+CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\n"
+RATE = 1000
+
+
+def motion(k):
+    """Return the x4 count of the fake board's sample k: back and forth, some 16-bit roll-overs of `up`."""
+    return 40_000 * np.sin(np.asarray(k) * 0.01) // 1
+
+
+def counters(k):
+    n = motion(np.arange(k.stop)).astype(np.int64)
+    steps = np.diff(n, prepend=0)
+    up, down = np.cumsum(np.maximum(steps, 0)), np.cumsum(np.maximum(-steps, 0))
+    return up[k], down[k], n[k]
+
+
+class FakeBoard:
+    """A board on a port: answers commands, sends a frame at each read; ``faults`` says what goes wrong at which frame.
+
+    A fault is a function of the frame's bytes that returns other bytes, or raises.
+    """
+
+    def __init__(self, faults=None, start_ticks=5000, config=CONFIG, capabilities=None):
+        self.faults = faults or {}
+        self.config = config
+        self.start_ticks = start_ticks
+        every = Capability.BLOCKS | Capability.LEVELS | Capability.ILLEGAL
+        self.capabilities = every | Capability.CONFIG * (config is not None) if capabilities is None else capabilities
+        self.block = 8
+        self.buffer = b""
+        self.running = False
+        self.frame = 0
+        self.commands = []
+        self.closed = False
+
+    def ident(self):
+        return wire.encode_ident(
+            wire.Ident((1, 2, 3), "x4", self.capabilities, 16, 1000, self.block, 5000, 10**8, "fake")
+        )
+
+    def write(self, data):
+        for line in data.decode().split("\n"):
+            self.commands.append(line)
+            if line == "I":
+                self.buffer += self.ident()
+                if Capability.CONFIG in self.capabilities:
+                    self.buffer += wire.encode_config(self.config)
+            elif line.startswith("B"):
+                self.block = int(line[1:])
+            elif line == "S":
+                self.running, self.frame = True, 0
+            elif line == "X":
+                self.running = False
+
+    def samples(self, frame):
+        first = frame * self.block
+        up, down, n = counters(slice(first, first + self.block))
+        ticks = self.start_ticks + 1000 * first
+        dt = [0, *[1000] * (self.block - 1)]
+        columns = (dt, (up % 65536).tolist(), (down % 65536).tolist(), levels_of(n).tolist())
+        return wire.encode_samples(wire.SampleBlock(first & 0xFFFF, ticks % 2**32, 0, *columns))
+
+    @property
+    def in_waiting(self):
+        if self.running and self.frame in self.faults.get("in_waiting", ()):
+            raise OSError(errno.EIO, "Input/output error")
+        return len(self.buffer)
+
+    def read(self, size=1):
+        if self.running and not self.buffer:
+            line = self.samples(self.frame)
+            fault = self.faults.get(self.frame)
+            self.frame += 1
+            self.buffer += fault(line) if fault else line
+        elif not self.buffer:
+            time.sleep(0.001)
+        data, self.buffer = self.buffer[:size], self.buffer[size:]
+        return data
+
+    def close(self):
+        self.closed = True
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    monkeypatch.setattr(protocols, "QUIET_S", 0.001)
+    monkeypatch.setattr(protocols, "ANSWER_S", 0.1)
+    monkeypatch.setattr(protocols, "ASK_AGAIN_S", 0.03)
+    monkeypatch.setattr(reader, "SILENT_S", 0.2)
+    monkeypatch.setattr(reader, "REOPEN_S", 0.5)
+    monkeypatch.setattr(reader, "REOPEN_EVERY_S", 0.01)
+
+
+@pytest.fixture
+def attach(monkeypatch):
+    """Put boards behind the port's name, one after the other as it is opened again."""
+
+    def attach(*boards):
+        waiting = iter(boards)
+
+        def open_port(url, baud=0):
+            try:
+                return next(waiting)
+            except StopIteration:
+                raise DeviceError("no such port", url, "plug the board in") from None
+
+        monkeypatch.setattr(ports, "open_port", open_port)
+
+    return attach
+
+
+def request(tmp_path, samples=800, **more):
+    return Request("fake://board", tmp_path / "run.h5", RATE, samples / RATE, **more)
+
+
+def kinds(run):
+    return list(zip(run.event_sample.tolist(), run.event_kind, strict=True))
+
+
+def raising(error):
+    def fault(line):
+        raise error
+
+    return fault
+
+
+def test_every_sample_comes_through_the_counters_roll_overs(tmp_path, attach):
+    attach(FakeBoard())
+    found = record(request(tmp_path, 5000))
+    run = daq.load(tmp_path / "run.h5")
+    _, _, n = counters(slice(0, 5000))
+    assert (found.samples, found.lost, found.segments, found.illegal, found.phase_errors) == (5000, 0, 1, 0, 0)
+    assert np.array_equal(run.count - run.count[0], n - n[0])
+    assert run.time == pytest.approx(np.arange(5000) / RATE, abs=1e-12)
+    assert run.position == pytest.approx(run.count * 1e-5)
+    assert found.duration_s == pytest.approx(5.0)
+    assert kinds(run) == [k for k in kinds(run) if k[1] == "both-moved"]
+    assert not (tmp_path / "run.h5.part").exists()
+
+
+def test_the_board_is_asked_set_started_and_stopped(tmp_path, attach):
+    board = FakeBoard()
+    attach(board)
+    record(request(tmp_path))
+    assert [c for c in board.commands if c] == ["X", "I", "R 1000", "B 8", "I", "S", "X"]
+    assert board.closed
+
+
+def test_the_last_block_is_cut_to_the_samples_asked_for(tmp_path, attach):
+    attach(FakeBoard())
+    assert record(request(tmp_path, 803)).samples == 803
+
+
+def test_lost_frames_are_counted_and_marked_and_never_filled(tmp_path, attach):
+    attach(FakeBoard({10: lambda line: b"", 20: lambda line: b"", 21: lambda line: b""}))
+    found = record(request(tmp_path))
+    run = daq.load(tmp_path / "run.h5")
+    assert (found.samples, found.lost, found.segments) == (776, 24, 1)
+    assert [k for k in kinds(run) if k[1] == "gap"] == [(80, "gap"), (152, "gap")]
+    assert run.raw.sample[79:81].tolist() == [79, 88]
+    assert np.diff(run.time)[79] == pytest.approx(0.009)
+    assert np.array_equal(run.count, counters(slice(0, 800))[2][run.raw.sample])
+    assert "24 samples were lost in 2 places" in found.warnings
+
+
+def test_a_damaged_frame_is_thrown_away_and_counted(tmp_path, attach):
+    attach(FakeBoard({30: lambda line: line[:20] + bytes([line[20] ^ 4]) + line[21:]}))
+    found = record(request(tmp_path))
+    assert (found.crc_errors, found.lost, found.samples) == (1, 8, 792)
+    assert (240, "crc") in kinds(daq.load(tmp_path / "run.h5"))
+
+
+def test_a_repeated_frame_is_left_out(tmp_path, attach):
+    attach(FakeBoard({30: lambda line: line + line}))
+    found = record(request(tmp_path))
+    assert (found.samples, found.lost, found.segments) == (800, 0, 1)
+    assert any("came twice or late" in warning for warning in found.warnings)
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        {50: raising(SerialException("device disconnected"))},
+        {50: raising(OSError(errno.EIO, "Input/output error"))},
+        {"in_waiting": (50,)},
+        dict.fromkeys(range(50, 10_000), lambda line: b""),
+    ],
+    ids=["SerialException", "OSError", "in_waiting", "silence"],
+)
+def test_a_lost_port_is_opened_again_and_a_new_segment_begins(tmp_path, attach, faults):
+    said = []
+    attach(FakeBoard(faults), FakeBoard(start_ticks=77))
+    found = record(request(tmp_path, 2000), say=said.append)
+    run = daq.load(tmp_path / "run.h5")
+    assert found.segments == 2
+    first = int(np.searchsorted(run.segment, 1))
+    assert first in (392, 400)
+    assert (first, "reopened") in kinds(run)
+    assert "the port was lost for" in run.event_note[run.event_kind.index("reopened")]
+    assert " ms" in run.event_note[run.event_kind.index("reopened")]
+    assert run.raw.sample[first] == 0
+    assert run.time[first] > run.time[first - 1]
+    assert any("port is lost" in line for line in said)
+    assert any("new segment" in line for line in said)
+    assert "positions are not joined" in " ".join(found.warnings)
+
+
+def test_a_port_that_stays_away_leaves_what_came(tmp_path, attach):
+    attach(FakeBoard({50: raising(SerialException("gone"))}))
+    found = record(request(tmp_path))
+    assert found.samples == 400
+
+
+def test_a_board_that_resets_is_set_to_work_again(tmp_path, attach):
+    def reset(line):
+        board.running = False
+        board.start_ticks = 123
+        board.faults.clear()
+        return line[:30] + b"\0" + board.ident()
+
+    board = FakeBoard({40: reset})
+    attach(board)
+    found = record(request(tmp_path))
+    run = daq.load(tmp_path / "run.h5")
+    assert found.segments == 2
+    assert board.commands.count("S") == 2
+    assert (320, "reopened") in kinds(run)
+
+
+def test_a_gap_too_long_for_the_counters_is_invalid_and_not_joined(tmp_path, attach):
+    """At 40,000 counts/s or more seen, 16 bits are safe for 0.8 s at most: 1.6 s are not."""
+    attach(FakeBoard(dict.fromkeys(range(100, 300), lambda line: b"")))
+    found = record(request(tmp_path, 4000))
+    run = daq.load(tmp_path / "run.h5")
+    assert (found.segments, found.lost) == (2, 1600)
+    assert (800, "invalid") in kinds(run)
+    assert (run.count[800] - counters(slice(0, 4000))[2][2400]) % 65536 == 0
+
+
+def test_counts_that_disagree_with_their_levels_are_flagged(tmp_path, attach):
+    class Miscounting(FakeBoard):
+        def samples(self, frame):
+            block = wire.FrameReader().feed(super().samples(frame))[0]
+            if frame < 20:
+                return wire.encode_samples(block)
+            up = [(u + 2) % 65536 for u in block.up]
+            illegal = 1
+            return wire.encode_samples(
+                wire.SampleBlock(block.seq, block.time, illegal, block.dt, up, block.down, block.status)
+            )
+
+    attach(Miscounting())
+    found = record(request(tmp_path))
+    run = daq.load(tmp_path / "run.h5")
+    assert (found.illegal, found.phase_errors) == (1, 640)
+    assert [k for k in kinds(run) if k[1] in ("illegal", "phase")] == [(160, "illegal"), (160, "phase")]
+    assert "may be off by 2" in " ".join(found.warnings)
+
+
+def test_a_board_without_calibration_records_counts(tmp_path, attach):
+    attach(FakeBoard(config=None))
+    found = record(request(tmp_path))
+    run = daq.load(tmp_path / "run.h5")
+    assert run.unit == "count"
+    assert np.array_equal(run.position, run.count)
+    assert any("positions are counts" in warning for warning in found.warnings)
+
+
+def test_a_calibration_that_cannot_be_read_costs_the_calibration_not_the_run(tmp_path, attach):
+    attach(FakeBoard(config="[rig]\nmess = 1\n"))
+    found = record(request(tmp_path))
+    assert found.samples == 800
+    assert any("mess" in warning for warning in found.warnings)
+
+
+def test_what_the_recorder_itself_could_not_keep_is_counted(tmp_path, attach, monkeypatch):
+    monkeypatch.setattr(reader, "QUEUE_READS", 4)
+    append = journal.Writer.append
+
+    def slow(writer, kind, stamp, data):
+        time.sleep(0.002)
+        append(writer, kind, stamp, data)
+
+    monkeypatch.setattr(journal.Writer, "append", slow)
+    attach(FakeBoard())
+    found = record(request(tmp_path, 2000))
+    assert found.dropped_bytes > 0
+    assert found.samples + found.lost <= 2000
+    assert any("could not keep up" in warning for warning in found.warnings)
+
+
+def test_a_silent_port_is_a_device_error_and_leaves_nothing(tmp_path, attach):
+    class Mute(FakeBoard):
+        def write(self, data):
+            """Hear nothing."""
+
+    attach(Mute())
+    with pytest.raises(DeviceError, match="no answer"):
+        record(request(tmp_path))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_something_else_on_the_line_is_said_to_be_that(tmp_path, attach):
+    class Sketch(FakeBoard):
+        def write(self, data):
+            self.buffer += b"Hello from setup()\r\n"
+
+    attach(Sketch())
+    with pytest.raises(DeviceError, match="something else"):
+        record(request(tmp_path))
+
+
+def test_not_one_sample_is_an_error_that_stands_in_nobodys_way(tmp_path, attach):
+    attach(FakeBoard(dict.fromkeys(range(10_000), lambda line: b"")))
+    with pytest.raises(DataError, match="not one sample"):
+        record(request(tmp_path))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_file_is_not_touched(tmp_path, attach):
+    (tmp_path / "run.h5").write_bytes(b"mine")
+    attach()
+    with pytest.raises(InputError, match="--force"):
+        record(request(tmp_path))
+    assert (tmp_path / "run.h5").read_bytes() == b"mine"
+
+
+def test_force_replaces_it(tmp_path, attach):
+    (tmp_path / "run.h5").write_bytes(b"mine")
+    attach(FakeBoard())
+    record(request(tmp_path, force=True))
+    assert daq.load(tmp_path / "run.h5").count.size == 800
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_the_journal_of_a_crashed_run_is_never_overwritten(tmp_path, attach, force):
+    part = tmp_path / "run.h5.part"
+    part.write_bytes(b"precious")
+    attach()
+    with pytest.raises(InputError, match=r"daq recover .*run\.h5\.part"):
+        record(request(tmp_path, force=force))
+    assert part.read_bytes() == b"precious"
+
+
+def test_a_full_disk_keeps_the_journal_and_says_what_to_do(tmp_path, attach, monkeypatch):
+    attach(FakeBoard())
+    monkeypatch.setattr(journal, "SYNC_EVERY_S", 0.0)
+    calls = []
+
+    def full(writer):
+        calls.append(1)
+        if len(calls) > 5:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        writer._file.flush()
+
+    monkeypatch.setattr(journal.Writer, "sync", full)
+    with pytest.raises(DeviceError, match=r"disk is full.*daq recover .*run\.h5\.part"):
+        record(request(tmp_path))
+    monkeypatch.undo()
+    assert journal.read(tmp_path / "run.h5.part").records
+    assert not (tmp_path / "run.h5").exists()
+
+
+def test_a_stop_keeps_what_came(tmp_path, attach):
+    attach(FakeBoard())
+    stop = threading.Event()
+
+    def progress(seconds):
+        if seconds > 0.5:
+            stop.set()
+
+    found = record(request(tmp_path, 100_000), stop=stop, progress=progress)
+    assert 500 <= found.samples < 100_000
+    assert found.lost == 0
+    assert daq.load(tmp_path / "run.h5").count.size == found.samples
+
+
+def interrupt(seconds):
+    raise KeyboardInterrupt
+
+
+def test_an_interrupt_leaves_the_journal_and_recover_makes_the_file(tmp_path, attach):
+    attach(FakeBoard())
+    with pytest.raises(RecordingInterruptedError, match="daq recover") as caught:
+        record(request(tmp_path), progress=interrupt)
+    assert caught.value.exit_code == 130
+    part = tmp_path / "run.h5.part"
+    assert not (tmp_path / "run.h5").exists()
+    found = finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
+    assert found.samples > 0
+    assert not part.exists()
+
+
+def test_a_recovered_file_is_the_finished_one_up_to_who_finished_it(tmp_path, attach, monkeypatch):
+    attach(FakeBoard({30: lambda line: b""}))
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    unlink = type(kept).unlink
+
+    def keep(path, missing_ok=False):
+        if path == tmp_path / "run.h5.part":
+            shutil.copy(path, kept / path.name)
+        unlink(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(type(kept), "unlink", keep)
+    record(request(tmp_path))
+    finalise.finalise(kept / "run.h5.part", kept / "run.h5", finished_by="daq recover")
+    with h5py.File(tmp_path / "run.h5") as one, h5py.File(kept / "run.h5") as other:
+        names = []
+        one.visit(names.append)
+        others = []
+        other.visit(others.append)
+        assert names == others
+        for name in names:
+            if isinstance(one[name], h5py.Dataset):
+                same = np.array_equal(one[name][()], other[name][()])
+                assert same is not name.endswith("finished_by"), name
+    # With the same finisher the two are the same file, byte for byte.
+    shutil.copy(kept / "run.h5", kept / "recovered.h5")
+    monkeypatch.undo()
+    for path in (tmp_path / "run.h5", kept / "run.h5"):
+        with h5py.File(path, "r+") as file:
+            file["entry/provenance/finished_by"][()] = b"x"
+    assert (tmp_path / "run.h5").read_bytes() == (kept / "run.h5").read_bytes()
+
+
+def small_journal(tmp_path, attach):
+    attach(FakeBoard())
+    calls = iter(range(100))
+    with pytest.raises(RecordingInterruptedError):
+        record(request(tmp_path, 64), progress=lambda s: interrupt(s) if next(calls) == 4 else None)
+    return tmp_path / "run.h5.part"
+
+
+def test_a_journal_cut_at_any_byte_gives_the_samples_before_the_cut(tmp_path, attach):
+    part = small_journal(tmp_path, attach)
+    whole = part.read_bytes()
+    _, _, n = counters(slice(0, 64))
+    seen = set()
+    for cut in range(len(journal.MAGIC), len(whole) + 1):
+        part.write_bytes(whole[:cut])
+        try:
+            data, found = finalise.run_data(journal.read(part))
+        except (InputError, DataError):
+            assert not seen, "a longer journal cannot hold less"
+            continue
+        assert found.samples >= max(seen, default=0)
+        seen.add(found.samples)
+        assert np.array_equal(data.count, n[: found.samples])
+    assert len(seen) > 3
+
+
+def test_markers_from_another_process_become_events(tmp_path, attach):
+    part = small_journal(tmp_path, attach)
+    stamps = [r.stamp_ns for r in journal.read(part).records if r.kind == journal.RECEIVED]
+    journal.markers_path(part).write_text(f"{stamps[-1]} belt on\n12 long ago\n", encoding="utf-8")
+    finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
+    run = daq.load(tmp_path / "run.h5")
+    assert [note for kind, note in zip(run.event_kind, run.event_note, strict=True) if kind == "marker"] == ["belt on"]
+    assert not journal.markers_path(part).exists()
+
+
+def test_a_journal_without_samples_is_said_to_be_that_and_stays(tmp_path):
+    part = tmp_path / "run.h5.part"
+    header = {"protocol": "frames", "rate_hz": 1000, "samples": 10}
+    journal.Writer(part, header).close()
+    with pytest.raises(DataError, match="no samples"):
+        finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
+    assert part.exists()
+
+
+def run_daq(*arguments, cwd):
+    command = [sys.executable, "-m", "daq.cli", *arguments]
+    return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_samples(part):
+    """Wait until the journal holds samples and has been synced."""
+    for _ in range(600):
+        if part.exists() and part.stat().st_size > 8000:
+            return
+        time.sleep(0.05)
+    pytest.fail("the recording did not begin within 30 s")
+
+
+def test_the_simulated_rig_is_recorded_to_the_last_sample(tmp_path):
+    process = run_daq("record", "--duration", "5", "--json", cwd=tmp_path)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    answer = json.loads(out)
+    assert (answer["samples"], answer["lost"], answer["crc_errors"], answer["segments"]) == (5000, 0, 0, 1)
+    assert (answer["illegal"], answer["phase_errors"], answer["warnings"]) == (0, 0, [])
+    assert answer["rate_hz"] == 1000
+    assert answer["clock_ppm"] is None  # it ran faster than real time: there is no clock to compare with
+    assert answer["duration_s"] == pytest.approx(5.0, abs=1e-3)
+    run = daq.load(tmp_path / answer["file"])
+    assert run.rig.mass.value == pytest.approx(0.3, rel=0.01)
+    assert run.unit == "m"
+    assert runfile.truth(run.source) is None
+
+
+def test_truth_is_recorded_beside_each_sample_when_the_rig_tells_it(tmp_path):
+    url = ports.rig_url("rig", ["tell.truth=true"], False)
+    record(Request(url, tmp_path / "run.h5", RATE, 2.0))
+    run, truth = daq.load(tmp_path / "run.h5"), runfile.truth(tmp_path / "run.h5")
+    assert truth.time == pytest.approx(run.time, abs=1e-6)
+    offset = run.position - truth.x
+    assert (
+        np.ptp(offset - np.polyval(np.polyfit(truth.x, offset, 1), truth.x)) < 1e-5
+    )  # one count of 7.67 um, and the edges' own scatter
+
+
+@pytest.mark.parametrize(
+    ("decoder", "lines", "least"), [("x4", 0, 0), ("x1", 0, 0), ("jk", 2000, 1), ("jk-latched", 2000, 1)]
+)
+def test_a_parked_mass_that_vibrates_makes_only_the_jk_boxes_drift(tmp_path, decoder, lines, least):
+    """2 s of +-0.3 count at 1 kHz; start positions half a count apart find the one at which A dithers."""
+    parked = ["belt.start=100", "scatter.Fs=0", "encoder.vibration=2.3e-6", "encoder.vibration_hz=1000"]
+    drifts = []
+    for half_counts in range(8):
+        changes = [*parked, f"start.x={half_counts * 3.835e-6}", f"encoder.decoder={decoder}"]
+        path = tmp_path / f"{half_counts}.h5"
+        record(Request(ports.rig_url("rig", changes, False), path, RATE, 2.0))
+        run = daq.load(path)
+        drifts.append(abs(int(run.count[-1] - run.count[0])))
+    assert max(drifts) == pytest.approx(lines, abs=1)
+    assert sum(drift > 1 for drift in drifts) >= least
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_the_first_ctrl_c_keeps_the_data_and_exits_0(tmp_path):
+    process = run_daq("record", "--realtime", "--json", cwd=tmp_path)
+    wait_for_samples(tmp_path / "run.h5.part")
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    answer = json.loads(out)
+    assert 500 < answer["samples"] < 20_000
+    assert answer["lost"] == 0
+    assert daq.load(tmp_path / "run.h5").count.size == answer["samples"]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
+def test_a_killed_recorder_loses_at_most_its_last_second(tmp_path):
+    process = run_daq("record", "--realtime", cwd=tmp_path)
+    wait_for_samples(tmp_path / "run.h5.part")
+    process.kill()
+    process.communicate()
+    assert not (tmp_path / "run.h5").exists()
+    again = run_daq("record", "--force", cwd=tmp_path)
+    _, err = again.communicate(timeout=30)
+    assert again.returncode == 2
+    assert "daq recover run.h5.part" in err
+    process = run_daq("recover", "run.h5.part", "--json", cwd=tmp_path)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    answer = json.loads(out)
+    assert answer["samples"] > 500
+    assert answer["lost"] == 0
+    assert daq.load(tmp_path / "run.h5").count.size == answer["samples"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--port", "/dev/ttyNONE7"], 3, "/dev/ttyNONE7: no such port"),
+        (["--set", "friction.lew=3"], 2, "lew"),
+        (["--rate", "0"], 2, "--rate"),
+        (["--duration", "-1"], 2, "--duration"),
+        (["--port", "/dev/ttyS0", "--realtime"], 2, "--realtime"),
+        (["--output", "nowhere/run.h5"], 2, "folder"),
+    ],
+)
+def test_bad_requests_end_in_one_line_and_touch_nothing(tmp_path, monkeypatch, capsys, arguments, code, said):
+    from daq import terminal
+    from daq.cli import app
+
+    monkeypatch.chdir(tmp_path)
+    assert terminal.run(app, ["record", *arguments]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert said in err
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,250 @@
+"""Replay: a capture sampled as a board would, a run decoded anew, a journal through its finaliser."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cyclopts
+import h5py
+import numpy as np
+import pytest
+
+from daq import cli_files, decode, journal, replay, runfile, sigrok, terminal, wire
+from daq.errors import InputError
+from daq.quadrature import GRAY, PHASE
+from daq.rig import Measured, Rig
+
+PAIR = {0: "A", 1: "B"}
+WIRED = decode.Wiring((0, 1), "x4")
+SWING = np.round(900 * np.sin(np.arange(20_011) * 1e-3) + 2.4).astype(np.int64)  # below an edge a sample
+CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\ndatum = 0.001\n"
+
+
+@pytest.fixture
+def app() -> cyclopts.App:
+    made = terminal.application("daq", "files", "daq replay")
+    cli_files.register(made)
+    return made
+
+
+@pytest.fixture
+def swing(tmp_path: Path, write_capture: Callable[..., Path]) -> Path:
+    return write_capture(tmp_path / "swing.sr", GRAY[SWING & 3], PAIR, rate="10 kHz", chunk=777)
+
+
+@pytest.fixture
+def part(tmp_path: Path) -> Path:
+    """Write the journal of a board that moved up 3 counts a sample, past a roll-over, 8 samples a frame."""
+    path = tmp_path / "board.h5.part"
+    header = {
+        "protocol": "frames",
+        "port": "fake",
+        "rate_hz": 1000.0,
+        "samples": None,
+        "title": "a board",
+        "operator": "",
+        "wall_ns": 1_714_557_600_000_000_000,
+        "monotonic_ns": 0,
+        "utc_offset_s": 7200,
+        "warnings": [],
+        "provenance": {"port": "fake"},
+    }
+    ident = wire.Ident(
+        firmware=(0, 1, 0),
+        decoder="x4",
+        capabilities=wire.Capability.BLOCKS | wire.Capability.LEVELS,
+        counter_bits=16,
+        tick_ns=1000,
+        block_size=8,
+        max_rate_hz=5000,
+        max_edge_rate_hz=125_000,
+        name="board",
+    )
+    writer = journal.Writer(path, header)
+    writer.append(journal.RECEIVED, 1_000_000, wire.encode_ident(ident) + wire.encode_config(CONFIG))
+    for frame in range(30):
+        up = 65_000 + 3 * np.arange(8 * frame, 8 * frame + 8)
+        block = wire.SampleBlock(
+            seq=8 * frame,
+            time=8000 * frame,
+            illegal=0,
+            dt=[0] + [1000] * 7,
+            up=(up & 0xFFFF).tolist(),
+            down=[0] * 8,
+            status=GRAY[up & 3].tolist(),
+        )
+        writer.append(journal.RECEIVED, 8_000_000 * (frame + 1), wire.encode_samples(block))
+    writer.close()
+    return path
+
+
+@pytest.mark.parametrize("rate", [1000.0, 300.0, 10_000.0])
+def test_a_capture_is_sampled_where_it_stood(swing: Path, rate: float) -> None:
+    run, totals = replay.from_capture(sigrok.read(swing), WIRED, rate, Rig())
+    assert run.raw is not None
+    assert run.count is not None
+    index = np.round(run.time * 10_000).astype(int)
+    np.testing.assert_array_equal(index, np.floor(np.arange(index.size) * (10_000 / rate)))
+    assert 0 < SWING.size - index[-1] <= np.ceil(10_000 / rate)
+    power_up = SWING[0] - int(PHASE[GRAY[SWING[0] & 3]])  # a board wakes up at the phase of the levels
+    np.testing.assert_array_equal(run.count, SWING[index] - power_up)
+    np.testing.assert_array_equal(run.raw.levels, GRAY[SWING[index] & 3])
+    assert not run.raw.flags.any()
+    assert totals.net == SWING[-1] - SWING[0]
+    np.testing.assert_array_equal(run.raw.device_time, index * 100)
+
+
+def test_counters_of_a_capture_roll_over_at_16_bits(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
+    count = np.arange(140_001)
+    path = write_capture(tmp_path / "far.sr", GRAY[count & 3], PAIR, rate="100 kHz")
+    run, _ = replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig(metres_per_count=Measured(2.0**-10)))
+    assert run.raw is not None
+    assert run.raw.count_up.tolist() == [int(n) & 0xFFFF for n in count[::100]]
+    assert run.position.tolist() == [n / 1024 for n in count[::100]]
+
+
+def test_step_pulses_become_two_counters(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
+    step = np.tile([0, 1], 300)
+    direction = np.repeat([1, 0], 300)
+    path = write_capture(tmp_path / "s.sr", step + 2 * direction, {0: "step", 1: "dir"}, rate="1 kHz")
+    wired = decode.wiring(sigrok.read(path), None, "step", "dir", None)
+    run, totals = replay.from_capture(sigrok.read(path), wired, 1000.0, Rig())
+    assert (totals.up, totals.down) == (150, 150)
+    assert run.raw is not None
+    assert (run.raw.count_up[-1], run.raw.count_down[-1]) == (150, 150)
+    assert run.rig.decoder == "two-counter"
+
+
+def test_illegal_transitions_are_marked_in_the_run(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
+    count = np.arange(200)
+    count[120:] += 1  # two counts in one sample: both channels change at once, and the direction is not known
+    path = write_capture(tmp_path / "bad.sr", GRAY[count & 3], PAIR, rate="1 kHz")
+    run, totals = replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig())
+    assert totals.illegal == 1
+    runfile.write(tmp_path / "run.h5", run)
+    recording = runfile.load(tmp_path / "run.h5")
+    assert list(zip(recording.event_sample.tolist(), recording.event_kind, strict=True)) == [
+        (120, "illegal"),
+        (120, "phase"),
+    ]
+    assert replay.findings(run) == {"lost": 0, "illegal": 1, "phase_errors": 80, "crc_errors": 0}
+
+
+def test_a_capture_without_a_rate_is_not_guessed(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
+    path = write_capture(tmp_path / "x.sr", [0, 1], PAIR, rate=None)
+    with pytest.raises(InputError, match="--capture-rate"):
+        replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig())
+
+
+def test_a_board_cannot_sample_faster_than_the_capture(swing: Path) -> None:
+    with pytest.raises(InputError, match="up to 10000"):
+        replay.from_capture(sigrok.read(swing), WIRED, 20_000.0, Rig())
+
+
+def test_a_journal_is_replayed_and_kept(
+    part: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    before = part.read_bytes()
+    assert terminal.run(app, ["replay", str(part), "-o", str(tmp_path / "a.h5"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    keys = "samples lost crc_errors illegal phase_errors segments rate_hz clock_ppm duration_s file warnings"
+    assert set(keys.split()) <= set(told)
+    assert (told["samples"], told["lost"], told["segments"], told["phase_errors"]) == (240, 0, 1, 0)
+    assert part.read_bytes() == before
+    recording = runfile.load(tmp_path / "a.h5")
+    start = 65_000 - 65_536
+    np.testing.assert_array_equal(recording.count, start + 3 * np.arange(240))
+    np.testing.assert_allclose(recording.position, (start + 3 * np.arange(240)) * 1e-5 + 0.001, rtol=1e-15)
+
+
+def test_a_run_is_decoded_anew_from_its_raw_counters(part: Path, app: cyclopts.App, tmp_path: Path) -> None:
+    first, second = tmp_path / "a.h5", tmp_path / "b.h5"
+    assert terminal.run(app, ["replay", str(part), "-o", str(first)]) == 0
+    runfile.extend(first, "smooth", lambda entry: entry.create_group("smooth"), default="smooth")
+    before = runfile.load(first)
+    with h5py.File(first, "r+") as file:
+        file["entry/instrument/encoder/value_log/raw_value"][...] = 7  # derived, so not to be trusted
+    assert terminal.run(app, ["replay", str(first), "-o", str(second)]) == 0
+    after = runfile.load(second)
+    np.testing.assert_array_equal(after.count, before.count)
+    np.testing.assert_array_equal(after.position, before.position)
+    assert after.digest == before.digest
+    assert (before.default, after.default) == ("smooth", "data")
+
+
+def test_another_calibration_moves_positions_and_no_raw_data(part: Path, app: cyclopts.App, tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text("[rig]\nmass = 0.5\n[encoder]\nmetres_per_count = 2e-5\n")
+    first, second = tmp_path / "a.h5", tmp_path / "b.h5"
+    assert terminal.run(app, ["replay", str(part), "-o", str(first)]) == 0
+    assert terminal.run(app, ["replay", str(first), "-o", str(second), "--rig", str(rig)]) == 0
+    before, after = runfile.load(first), runfile.load(second)
+    np.testing.assert_allclose(after.position, 2 * (before.position - 0.001), rtol=1e-12)
+    assert after.rig.mass == Measured(0.5)
+    assert after.digest == before.digest
+
+
+def test_an_import_is_replayed_as_it_stands(app: cyclopts.App, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("t,x\n0,1\n1,2\n")
+    first, second = str(tmp_path / "a.h5"), str(tmp_path / "b.h5")
+    assert terminal.run(app, ["import", str(tmp_path / "t.csv"), "-o", first]) == 0
+    assert terminal.run(app, ["replay", first, "-o", second]) == 0
+    again = runfile.load(second)
+    assert again.position.tolist() == [1, 2]
+    assert again.count is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none.sr"], ["none.sr", "no such file"]),
+        (["notes.txt"], ["notes.txt", "neither a journal"]),
+        (["board.h5.part", "--step", "3"], ["--step", "journal"]),
+        (["board.h5.part", "--rig", "none.toml"], ["none.toml", "--rig"]),
+        (["board.h5.part", "--rate", "x"], ["--rate"]),
+        (["swing.sr"], ["which probes", "0 A, 1 B"]),
+        (["swing.sr", "--channels", "A=A,B=B", "--rate", "0"], ["--rate", "not positive"]),
+        (["swing.sr", "--channels", "A=A,B=B", "--rate", "nope"], ["--rate", "'nope'"]),
+    ],
+)
+def test_bad_requests_are_one_line_and_write_nothing(
+    part: Path,
+    swing: Path,
+    app: cyclopts.App,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    words: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("notes.txt").write_text("hello")
+    assert terminal.run(app, ["replay", *arguments, "-o", "out.h5"]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    for word in words:
+        assert word in line
+    assert not Path("out.h5").exists()
+
+
+def test_a_source_is_never_replaced_by_its_replay(part: Path, app: cyclopts.App, tmp_path: Path) -> None:
+    run = tmp_path / "a.h5"
+    assert terminal.run(app, ["replay", str(part), "-o", str(run)]) == 0
+    before = run.read_bytes()
+    assert terminal.run(app, ["replay", str(run), "-o", str(run), "--force"]) == 2
+    assert terminal.run(app, ["replay", str(part), "-o", str(run)]) == 2
+    assert run.read_bytes() == before
+
+
+def test_real_captures_become_runs(captures: Path, app: cyclopts.App, tmp_path: Path, capsys: Any) -> None:
+    run = tmp_path / "y.h5"
+    source = captures / "avago_adns_2051_move_mouse_up_down.sr"
+    line = ["replay", str(source), "--channels", "A=YA,B=YB", "-o", str(run), "--json"]
+    assert terminal.run(app, line) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["edges"], told["illegal"], told["samples"], told["rate_hz"]) == (629, 0, 3000, 1000)
+    recording = runfile.load(run)
+    assert recording.unit == "count"
+    assert recording.count is not None
+    assert recording.count[-1] - recording.count[0] == told["net"]

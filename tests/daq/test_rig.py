@@ -1,0 +1,79 @@
+"""The calibration: its TOML form, what it refuses, and in which words."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.errors import InputError
+from daq.rig import DECODERS, Measured, Rig
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+positive = st.floats(min_value=1e-300, max_value=1e300)
+not_negative = st.floats(min_value=0, max_value=1e300)
+
+
+def measured(values: st.SearchStrategy[float]) -> st.SearchStrategy[Measured | None]:
+    return st.none() | st.builds(Measured, values, not_negative)
+
+
+rigs = st.builds(
+    Rig,
+    name=st.text(st.characters(exclude_categories=["Cs"])),
+    decoder=st.sampled_from(DECODERS),
+    metres_per_count=measured(positive | positive.map(lambda x: -x)),
+    counts_per_revolution=st.none() | st.integers(1, 10**9),
+    counter_bits=st.sampled_from([8, 16, 24, 32]),
+    mass=measured(positive),
+    stiffness=measured(positive),
+    datum=measured(finite),
+    damping=measured(not_negative),
+    belt_speed=measured(finite),
+)
+
+
+@given(rigs)
+def test_toml_reads_back_an_equal_rig(rig: Rig) -> None:
+    assert Rig.from_toml(rig.to_toml(), "rig.toml") == rig
+
+
+def test_absent_quantities_stay_unknown() -> None:
+    rig = Rig.from_toml("[rig]\nmass = 0.3\n", "rig.toml")
+    assert rig.mass == Measured(0.3, 0.0)
+    assert rig.stiffness is None
+    assert rig.metres_per_count is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[rig]\nmas = 1", ["rig.toml", "rig.mas", "'mass'"]),
+        ("[encoder]\ndatum_ds = 1", ["encoder.datum_ds", "'datum_sd'"]),
+        ("[encodr]\ndatum = 1", ["[encodr]", "'encoder'"]),
+        ("rig = 3", ["rig is a value", "[rig]"]),
+        ("[rig]\nmass = -1", ["mass is -1", "positive"]),
+        ("[rig]\nmass = inf", ["mass is inf"]),
+        ("[rig]\nmass = '1 kg'", ["rig.mass", "'1 kg'", "SI"]),
+        ("[rig]\nmass = true", ["rig.mass", "True"]),
+        ("[rig]\nmass_sd = 1", ["mass_sd stands without"]),
+        ("[rig]\nmass = 1\nmass_sd = -1", ["mass_sd is -1"]),
+        ("[encoder]\nmetres_per_count = 0", ["not zero"]),
+        ("[encoder]\ndecoder = 'x3'", ["'x3'", "did you mean"]),
+        ("[encoder]\ncounter_bits = 17", ["17", "8, 16, 24, 32"]),
+        ("[encoder]\ncounts_per_revolution = 1.5", ["1.5", "whole"]),
+        ("[rig]\nname = 5", ["rig.name", "quotes"]),
+        ("[rig\n", ["broken TOML", "line 1"]),
+    ],
+)
+def test_bad_toml_is_refused_by_name(text: str, words: list[str]) -> None:
+    with pytest.raises(InputError) as error:
+        Rig.from_toml(text, "rig.toml")
+    for word in words:
+        assert word in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_numbers_survive_to_the_last_bit() -> None:
+    third = Measured(1 / 3, math.nextafter(1e-3, 1))
+    assert Rig.from_toml(Rig(mass=third).to_toml(), "x").mass == third

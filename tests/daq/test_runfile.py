@@ -1,0 +1,534 @@
+"""The run file: what is written reads back, opens everywhere, and raw data stay as they were."""
+
+import hashlib
+import subprocess
+import sys
+import warnings
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from daq import nexus, runfile
+from daq.errors import InputError
+from daq.recording import EVENTS, Raw, Recording, RunData, Truth, positions
+from daq.rig import Measured, Rig
+
+RIG = Rig(
+    name="bench 2",
+    metres_per_count=Measured(7.67e-6, 1e-9),
+    counts_per_revolution=16384,
+    mass=Measured(0.3, 3e-4),
+    stiffness=Measured(10.5552),
+    datum=Measured(0.001, 5e-4),
+    damping=Measured(0.02, 0.002),
+    belt_speed=Measured(0.22, 0.002),
+)
+
+
+def run(n: int = 501, *, rig: Rig = RIG, **changes: Any) -> RunData:
+    """Return a run of n samples whose counters roll over."""
+    time = np.arange(n) / 1000
+    count = np.round(40_000 * np.sin(3 * time)).astype(np.int64)
+    raw = Raw(
+        sample=np.arange(n, dtype=np.uint32),
+        count_up=(np.maximum(count, 0) * 3 % 65536).astype(np.uint16),
+        count_down=(np.maximum(-count, 0) * 3 % 65536).astype(np.uint16),
+        device_time=(2**32 - 1000 + np.arange(n) * 1000 & 0xFFFFFFFF).astype(np.uint32),
+        levels=(count & 3).astype(np.uint8),
+        flags=np.zeros(n, np.uint16),
+        illegal=np.arange(n, dtype=np.uint16) // 400,
+    )
+    made = RunData(
+        title="a run",
+        started="2024-05-01T12:00:00.250000+02:00",
+        ended="2024-05-01T12:00:20.750000+02:00",
+        rate_hz=1000.0,
+        rig=rig,
+        time=time,
+        position=positions(count, rig),
+        count=count,
+        raw=raw,
+        segment=np.zeros(n, np.uint16),
+        config_toml=rig.to_toml(),
+        clock_sample=np.array([0, 250], np.uint32),
+        clock_offset=np.array([12.25, 12.25001]),
+        event_sample=np.array([3, 400], np.uint32),
+        event_kind=np.array([EVENTS["marker"], EVENTS["illegal"]], np.uint8),
+        event_note=("touched", ""),
+        provenance={"software": "stickslip", "git_dirty": 1},
+    )
+    return replace(made, **changes)
+
+
+def imported(n: int = 101) -> RunData:
+    bare = run(n, count=None, raw=None, segment=None, clock_sample=np.empty(0, np.uint32))
+    return replace(bare, clock_offset=np.empty(0), rig=Rig(mass=Measured(0.3)))
+
+
+def smooth(entry: h5py.Group) -> None:
+    n = entry["data/time"].size
+    columns = {name: (np.linspace(0, 1, n), unit) for name, unit in (("position", "m"), ("velocity", "m/s"))}
+    errors = {f"{name}_errors": (np.full(n, 0.1, np.float32), unit) for name, (_, unit) in columns.items()}
+    stage = nexus.group(entry, "smooth", "NXprocess", default="phase_portrait")
+    nexus.field(stage, "program", "process")
+    nexus.field(stage, "version", "0.1.0")
+    nexus.field(stage, "date", "2024-05-01T12:00:00+02:00")
+    nexus.field(stage, "sequence_index", np.int64(1))
+    nexus.field(nexus.group(stage, "parameters", "NXparameters"), "window", np.int64(31))
+    table = nexus.table(
+        stage,
+        "kinematics",
+        {"time": (entry["data/time"][()], "s"), **columns, **errors},
+        axis="time",
+        signal="position",
+        auxiliary=("velocity",),
+    )
+    portrait = nexus.group(stage, "phase_portrait", "NXdata", signal="velocity", axes="position")
+    nexus.link(portrait, "position", table["position"])
+    nexus.link(portrait, "velocity", table["velocity"])
+
+
+def fit(entry: h5py.Group) -> None:
+    stage = nexus.group(entry, "fit", "NXprocess", default="ranking")
+    nexus.field(stage, "program", "fit-friction")
+    nexus.field(stage, "sequence_index", np.int64(2))
+    law = np.arange(1, 7)
+    nexus.table(
+        stage,
+        "ranking",
+        {"law": (law, ""), "weight": (law / 21, "")},
+        axis="law",
+        signal="weight",
+    )
+    one = nexus.group(entry, "fit_law1", "NXprocess")
+    nexus.field(one, "program", "fit-friction")
+    parameters = nexus.group(one, "parameters", "NXparameters")
+    nexus.field(parameters, "Fs", np.float64(1.38), "N")
+    nexus.field(parameters, "Fs_errors", np.float32(0.01), "N")
+
+
+def nxcheck(path: Path) -> tuple[int, int]:
+    """Return nxcheck's warnings and errors, by its command line."""
+    tool = Path(sys.executable).parent / "nxcheck"
+    done = subprocess.run([tool, path], capture_output=True, text=True, check=False)
+    counts = {}
+    for line in done.stdout.splitlines():
+        for kind in ("warnings", "errors"):
+            if f"number of {kind}:" in line:
+                counts[kind] = int(line.split(":")[1].split("\x1b")[0])
+    assert set(counts) == {"warnings", "errors"}, done.stdout + done.stderr
+    return counts["warnings"], counts["errors"]
+
+
+def raw_digest(path: Path) -> str:
+    sha = hashlib.sha256()
+    with h5py.File(path) as file:
+        for group in ("raw", "instrument/encoder/value_log", "clock_sync", "events"):
+            for name, item in sorted(file[f"entry/{group}"].items()):
+                for chunk in range(item.id.get_num_chunks() if item.chunks else 0):
+                    sha.update(item.id.read_direct_chunk(item.id.get_chunk_info(chunk).chunk_offset)[1])
+                sha.update(f"{name} {item[()].tolist()}".encode())
+    return sha.hexdigest()
+
+
+def same(recording: Recording, data: RunData) -> None:
+    for field in fields(RunData):
+        wanted = getattr(data, field.name)
+        if field.name in ("truth", "event_kind"):
+            continue
+        found = getattr(recording, field.name)
+        if field.name == "raw" and wanted is not None:
+            assert found is not None
+            for name, column in vars(wanted).items():
+                np.testing.assert_array_equal(getattr(found, name), column)
+                assert column is None or getattr(found, name).dtype == column.dtype
+        elif field.name == "segment" and wanted is None:
+            assert not found.any()
+        elif field.name == "event_note":
+            assert found == (wanted or ("",) * len(data.event_sample))
+        elif isinstance(wanted, np.ndarray):
+            np.testing.assert_array_equal(found, wanted)
+            assert found.dtype == wanted.dtype
+        else:
+            assert found == wanted
+    assert [EVENTS[kind] for kind in recording.event_kind] == list(data.event_kind)
+
+
+n_samples = 37
+words = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=20)
+
+
+@st.composite
+def runs(draw: st.DrawFn) -> RunData:
+    n = draw(st.integers(1, n_samples))
+    finite = st.floats(-1e9, 1e9)
+
+    def column(dtype: Any) -> Any:
+        return draw(hnp.arrays(dtype, n))
+
+    steps = draw(hnp.arrays(np.float64, n, elements=st.floats(1e-6, 1e3)))
+    raw = None
+    if draw(st.booleans()):
+        extra = column(np.uint16) if draw(st.booleans()) else None
+        u16 = [column(np.uint16) for _ in range(4)]
+        raw = Raw(
+            sample=column(np.uint32),
+            count_up=u16[0],
+            count_down=u16[1],
+            device_time=column(np.uint32),
+            levels=column(np.uint8),
+            flags=u16[2],
+            illegal=u16[3],
+            belt_count=extra,
+            edge_time=extra,
+        )
+    events = draw(st.integers(0, 4))
+    truth = draw(hnp.arrays(np.float64, (4, 5), elements=finite)) if draw(st.booleans()) else None
+    return RunData(
+        title=draw(words),
+        started="2024-05-01T12:00:00+02:00",
+        ended="2024-05-01T12:00:01+02:00",
+        rate_hz=draw(st.floats(0.1, 1e6)),
+        rig=Rig(name=draw(words), decoder="jk", mass=Measured(draw(st.floats(1e-9, 1e9)), 0.1)) if raw else Rig(),
+        time=np.cumsum(steps),
+        position=draw(hnp.arrays(np.float64, n, elements=finite)),
+        count=column(np.int64) if raw is not None else None,
+        raw=raw,
+        segment=column(np.uint16) if raw is not None else None,
+        config_toml=draw(words),
+        event_sample=draw(hnp.arrays(np.uint32, events)),
+        event_kind=draw(hnp.arrays(np.uint8, events, elements=st.sampled_from(sorted(EVENTS.values())))),
+        event_note=tuple(draw(st.lists(words, min_size=events, max_size=events))),
+        belt_velocity=draw(hnp.arrays(np.float64, n, elements=finite)) if draw(st.booleans()) else None,
+        truth=None if truth is None else Truth(*truth, scene="rig"),
+        operator=draw(words),
+        provenance={"software": draw(words), "git_dirty": draw(st.integers(-9, 9))},
+    )
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=runs())
+def test_what_is_written_reads_back_to_the_last_bit(tmp_path: Path, data: RunData) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, data, force=True)
+    same(runfile.load(path), data)
+    truth = runfile.truth(path)
+    if data.truth is None:
+        assert truth is None
+    else:
+        assert truth is not None
+        for name in ("time", "x", "v", "F"):
+            np.testing.assert_array_equal(getattr(truth, name), getattr(data.truth, name))
+
+
+def test_equal_runs_give_equal_bytes(tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    for folder in ("one", "two"):
+        runfile.write(tmp_path / folder / "run.h5", run())
+    first, second = ((tmp_path / folder / "run.h5").read_bytes() for folder in ("one", "two"))
+    assert first == second
+
+
+def test_provenance_is_the_only_place_that_differs_between_hosts(tmp_path: Path) -> None:
+    for name, host in (("a", "alpha"), ("b", "beta")):
+        (tmp_path / name).mkdir()
+        runfile.write(tmp_path / name / "run.h5", run(provenance={"hostname": host}))
+    differ = []
+    with h5py.File(tmp_path / "a/run.h5") as a, h5py.File(tmp_path / "b/run.h5") as b:
+
+        def compare(name: str, item: Any) -> None:
+            if dict(item.attrs).keys() != dict(b[name].attrs).keys():
+                differ.append(name)
+            if isinstance(item, h5py.Dataset) and not np.array_equal(item[()], b[name][()]):
+                differ.append(name)
+
+        a.visititems(compare)
+    assert differ == ["entry/provenance/hostname"]
+
+
+@pytest.mark.parametrize("made", [run(), imported()], ids=["recorded", "imported"])
+def test_nxcheck_finds_no_errors_and_no_warnings_at_any_stage(tmp_path: Path, made: RunData) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, replace(made, operator="A. Person", truth=Truth(*np.ones((4, 3)), scene="rig")))
+    assert nxcheck(path) == (0, 0)
+    runfile.extend(path, "smooth", smooth, default="smooth")
+    runfile.extend(path, ["fit", "fit_law1"], fit, default="fit")
+    assert nxcheck(path) == (0, 0)
+
+
+def test_nxcheck_accepts_optional_channels(tmp_path: Path) -> None:
+    made = run()
+    assert made.raw is not None
+    extra = np.zeros(made.time.size, np.uint16)
+    full = replace(made, raw=replace(made.raw, belt_count=extra, edge_time=extra), belt_velocity=made.time)
+    runfile.write(tmp_path / "run.h5", full)
+    assert nxcheck(tmp_path / "run.h5") == (0, 0)
+
+
+def test_default_attributes_lead_to_a_plot(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, run())
+    shown = []
+    for name, writer in (("data", None), ("smooth", smooth), ("fit", fit)):
+        if writer is not None:
+            runfile.extend(path, ["fit", "fit_law1"] if name == "fit" else name, writer, default=name)
+        with h5py.File(path) as file:
+            group = file
+            while "default" in group.attrs:
+                group = group[group.attrs["default"]]
+            assert group.attrs["NX_class"] == "NXdata"
+            assert group[group.attrs["signal"]].shape == group[group.attrs["axes"]].shape
+            shown.append((group.name, group.attrs["signal"]))
+    assert shown == [
+        ("/entry/data", "value"),
+        ("/entry/smooth/phase_portrait", "velocity"),
+        ("/entry/fit/ranking", "weight"),
+    ]
+
+
+def test_data_are_links_not_copies(tmp_path: Path) -> None:
+    runfile.write(tmp_path / "run.h5", run())
+    with h5py.File(tmp_path / "run.h5") as file:
+        for name in ("time", "value"):
+            assert file[f"entry/data/{name}"] == file[f"entry/instrument/encoder/value_log/{name}"]
+
+
+def test_xarray_reads_tables_over_time(tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    path = tmp_path / "run.h5"
+    data = run()
+    runfile.write(path, data)
+    runfile.extend(path, "smooth", smooth, default="smooth")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for group in ("entry/smooth/kinematics", "entry/data"):
+            with xarray.open_dataset(path, group=group, engine="h5netcdf") as table:
+                assert dict(table.sizes) == {"time": data.time.size}
+                np.testing.assert_array_equal(table["time"], data.time)
+        with xarray.open_dataset(path, group="entry/smooth/kinematics", engine="h5netcdf") as table:
+            assert table["velocity_errors"].dims == ("time",)
+            assert table["velocity_errors"].dtype == np.float32
+
+
+def test_types_and_units_are_those_of_the_layout(tmp_path: Path) -> None:
+    runfile.write(tmp_path / "run.h5", run())
+    with h5py.File(tmp_path / "run.h5") as file:
+        raw = file["entry/raw"]
+        wanted = {"sample": "u4", "segment": "u2", "count_up": "u2", "count_down": "u2", "device_time": "u4"}
+        wanted |= {"levels": "u1", "flags": "u2", "illegal": "u2"}
+        assert {name: item.dtype.str[1:] for name, item in raw.items()} == wanted
+        assert file["entry/instrument/encoder/value_log/raw_value"].dtype == np.int64
+        assert h5py.check_enum_dtype(file["entry/events/kind"].dtype) == EVENTS
+        assert file["entry/duration"][()] == 20  # 20.5 s, an even integer nearest
+        assert np.issubdtype(file["entry/duration"].dtype, np.integer)
+        floats: list[str] = []
+        file.visititems(
+            lambda name, item: (
+                floats.append(name)
+                if isinstance(item, h5py.Dataset) and item.dtype.kind == "f" and "units" not in item.attrs
+                else None
+            )
+        )
+        assert floats == []
+
+
+def test_uncalibrated_positions_are_counts_and_say_so(tmp_path: Path) -> None:
+    runfile.write(tmp_path / "run.h5", run(rig=Rig()))
+    recording = runfile.load(tmp_path / "run.h5")
+    assert recording.unit == "count"
+    np.testing.assert_array_equal(recording.position, recording.count)
+
+
+def test_position_is_count_times_pitch_plus_datum() -> None:
+    count = np.array([-(2**31), -1, 0, 1, 2**31])
+    rig = Rig(metres_per_count=Measured(2.0**-17), datum=Measured(0.5))
+    assert positions(count, rig).tolist() == [n * 2.0**-17 + 0.5 for n in (-(2**31), -1, 0, 1, 2**31)]
+
+
+def test_extending_leaves_raw_data_untouched(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, run(20_001))
+    before, loaded = raw_digest(path), runfile.load(path)
+    runfile.extend(path, "smooth", smooth, default="smooth")
+    runfile.extend(path, ["fit", "fit_law1"], fit, default="fit")
+    assert raw_digest(path) == before
+    after = runfile.load(path)
+    assert after.digest == loaded.digest
+    assert after.default == "fit"
+    same(after, run(20_001))
+
+
+def test_a_new_smooth_drops_the_fit_made_from_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, run())
+    runfile.extend(path, "smooth", smooth, default="smooth")
+    runfile.extend(path, ["fit", "fit_law1"], fit, default="fit")
+    runfile.extend(path, "smooth", smooth, default="smooth")
+    with h5py.File(path) as file:
+        assert "smooth" in file["entry"]
+        assert not [name for name in file["entry"] if name.startswith("fit")]
+
+
+def test_repeated_stages_do_not_pile_up(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, run(20_001))
+    runfile.extend(path, "smooth", smooth, default="smooth")
+    once = path.stat().st_size
+    for _ in range(5):
+        runfile.extend(path, "smooth", smooth, default="smooth")
+    assert path.stat().st_size < 1.25 * once
+
+
+def test_a_stage_that_fails_leaves_the_file_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, run())
+    before = path.read_bytes()
+
+    def broken(entry: h5py.Group) -> None:
+        smooth(entry)
+        raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        runfile.extend(path, "smooth", broken)
+    assert path.read_bytes() == before
+    assert [item.name for item in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_extend_never_replaces_the_record(tmp_path: Path) -> None:
+    runfile.write(tmp_path / "run.h5", run())
+    with pytest.raises(ValueError, match="never the record"):
+        runfile.extend(tmp_path / "run.h5", "raw", lambda entry: None)
+
+
+def test_an_existing_file_is_refused_and_kept(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    path.write_text("precious")
+    with pytest.raises(InputError, match=r"exists; give another -o, or --force"):
+        runfile.write(path, run())
+    assert path.read_text() == "precious"
+    runfile.write(path, run(), force=True)
+    assert runfile.load(path).title == "a run"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"position": np.zeros(3)}, "position has shape"),
+        ({"time": np.zeros(501)}, "time does not increase at sample 1"),
+        ({"position": np.full(501, np.nan)}, "finite"),
+        ({"count": None}, "count has shape"),
+        ({"event_kind": np.array([1], np.uint8)}, "event_sample and event_kind"),
+        ({"event_kind": np.array([1, 99], np.uint8)}, r"\[99\] are unknown"),
+        ({"started": "2024-05-01T12:00:00"}, "zone"),
+    ],
+)
+def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, changes: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        runfile.write(tmp_path / "run.h5", run(**changes))
+    assert list(tmp_path.iterdir()) == []
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(InputError) as error:
+        runfile.load(path)
+    line = str(error.value)
+    assert "\n" not in line
+    assert str(path) in line
+    assert error.value.do
+    return line
+
+
+def test_missing_foreign_and_cut_files_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    assert "no such file" in refused(path)
+    assert "is a folder" in refused(tmp_path)
+    path.write_bytes(b"")
+    assert "is empty" in refused(path)
+    path.write_text("t,x\n0,1\n")
+    assert "not an HDF5 file" in refused(path)
+    path.write_bytes(b"stickslip journal 1\n")
+    assert "daq recover" in refused(path)
+    path.unlink()
+    with h5py.File(path, "w") as file:
+        file["numbers"] = [1, 2]
+    assert "no run file" in refused(path)
+    runfile.write(path, run(), force=True)
+    whole = path.read_bytes()
+    for kept in (len(whole) - 1, len(whole) // 2, 100):
+        path.write_bytes(whole[:kept])
+        assert "cut short" in refused(path)
+
+
+def test_a_damaged_chunk_is_found_by_its_checksum(tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, run(20_001))
+    with h5py.File(path) as file:
+        offset = file["entry/raw/count_up"].id.get_chunk_info(0).byte_offset
+    content = bytearray(path.read_bytes())
+    content[offset + 50] ^= 0xFF
+    path.write_bytes(content)
+    assert "is damaged" in refused(path)
+
+
+@pytest.mark.parametrize("place", ["/", "/entry/provenance"])
+@pytest.mark.parametrize(
+    ("schema", "words"), [(0, "has schema 0"), (2, "newer stickslip"), ("1", "not a whole number")]
+)
+def test_other_schemas_are_refused(tmp_path: Path, place: str, schema: Any, words: str) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, run())
+    with h5py.File(path, "r+") as file:
+        file[place].attrs["stickslip_schema"] = schema
+    assert words in refused(path)
+    before = path.read_bytes()
+    with pytest.raises(InputError):
+        runfile.extend(path, "smooth", smooth)
+    assert path.read_bytes() == before
+
+
+LOG = "instrument/encoder/value_log"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        (f"{LOG}/time", None, "has no /entry/instrument/encoder/value_log/time"),
+        (f"{LOG}/time", ["a", "b"], "not one column of float64"),
+        (f"{LOG}/time", np.zeros(501), "time does not increase at sample 1"),
+        (f"{LOG}/value", np.zeros(3), "has 3 values where 501 belong"),
+        (f"{LOG}/value", np.full(501, np.inf), "not finite at sample 0"),
+        (f"{LOG}/raw_value", np.zeros(501), "not one column of int64"),
+        ("raw/count_up", np.zeros((501, 2), np.uint16), "2-dimensional"),
+        ("raw/levels", np.zeros(5, np.uint8), "has 5 values"),
+        ("sample/mass", "heavy", "is no number"),
+        ("title", 5, "is no text"),
+        ("events/kind", None, "has no /entry/events/kind"),
+    ],
+)
+def test_wrong_content_is_named(tmp_path: Path, name: str, value: Any, words: str) -> None:
+    path = tmp_path / "run.h5"
+    runfile.write(path, run())
+    with h5py.File(path, "r+") as file:
+        del file["entry"][name]
+        if value is not None:
+            file["entry"][name] = value
+    assert words in refused(path)
+
+
+def test_float_fields_need_units(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "x.h5", "w") as file, pytest.raises(ValueError, match="no units"):
+        nexus.field(file, "speed", 0.22)
+
+
+def test_table_columns_need_one_length(tmp_path: Path) -> None:
+    columns = {"time": (np.zeros(101), "s"), "x": (np.zeros(100), "m")}
+    with h5py.File(tmp_path / "x.h5", "w") as file, pytest.raises(ValueError, match="differ in shape"):
+        nexus.table(file, "t", columns, axis="time", signal="x")

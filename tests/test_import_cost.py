@@ -1,0 +1,72 @@
+"""What each command loads: only what it needs, seen through sys.modules in a process of its own."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+MODULES = {
+    "daq": "daq.cli",
+    "process": "processing.cli",
+    "fit-friction": "fitting.cli",
+    "rig-sim": "rig_sim.cli",
+}
+HELP = [
+    ("daq", []),
+    *[
+        ("daq", [name])
+        for name in ("record", "recover", "replay", "decode", "import", "export", "ports", "doctor", "demo")
+    ],
+    ("process", []),
+    *[("process", [name]) for name in ("smooth", "compare", "inspect", "export")],
+    ("fit-friction", []),
+    ("rig-sim", []),
+    *[("rig-sim", [name]) for name in ("scenes", "cycle", "events", "run")],
+]
+LOADER = """
+import json, sys
+sys.argv = {argv!r}
+try:
+    from {module} import main
+    main()
+except SystemExit as stop:
+    code = stop.code
+sys.stderr.write("\\nLOADED " + json.dumps([code, sorted({{name.split(".")[0] for name in sys.modules}})]))
+"""
+
+
+def loaded(command: str, arguments: list[str], cwd: object = None) -> set[str]:
+    """Run a command in a fresh interpreter and return the top-level names in its sys.modules."""
+    source = LOADER.format(argv=[command, *arguments], module=MODULES[command])
+    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, cwd=cwd, check=False)
+    assert "LOADED " in done.stderr, done.stderr
+    code, names = json.loads(done.stderr.rsplit("LOADED ", 1)[1])
+    assert code in (0, None), done.stderr
+    return set(names)
+
+
+@pytest.mark.parametrize(("command", "arguments"), HELP, ids=lambda value: value if isinstance(value, str) else None)
+def test_help_loads_no_numerical_package(command, arguments):
+    names = loaded(command, [*arguments, "--help"])
+    assert not names & {"numpy", "h5py", "scipy", "pandas", "matplotlib", "numba", "pydantic", "serial"}
+
+
+def test_recording_loads_no_analysis_package(tmp_path):
+    names = loaded("daq", ["record", "--duration", "0.5", "--json"], cwd=tmp_path)
+    assert {"numpy", "h5py", "serial"} <= names
+    assert not names & {"scipy", "pandas", "matplotlib", "numba", "jinja2"}
+
+
+def test_a_cycle_loads_no_scipy_numba_or_matplotlib():
+    names = loaded("rig-sim", ["cycle", "base", "--json"])
+    assert not names & {"scipy", "pandas", "matplotlib", "numba", "h5py", "serial"}
+
+
+@pytest.mark.parametrize("package", ["daq", "processing", "fitting", "rig_sim"])
+def test_importing_a_package_loads_nothing_else(package):
+    source = f"import sys, json, {package}; print(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-I", "-c", source], capture_output=True, text=True, check=True)
+    names = set(json.loads(done.stdout))
+    assert {name for name in names if name.split(".")[0] in ("daq", "processing", "fitting", "rig_sim")} == {package}
+    assert not names & {"numpy", "h5py", "scipy", "numba", "pydantic", "serial", "cyclopts"}
