@@ -1,0 +1,242 @@
+"""`process`: make the motion out of a recorded run, compare the ways to, look at it, hand it on."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+from cyclopts import Parameter
+
+from daq import terminal
+from daq.errors import InputError
+from daq.terminal import Answer, Json
+
+if TYPE_CHECKING:
+    from processing.compare import Row
+    from processing.kinematics import Kinematics
+
+Run = Annotated[Path, Parameter(help="Run file, as daq record, import or replay made it.")]
+Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]
+
+NAMES = {"sg": "Savitzky-Golay", "fd": "finite differences"}
+
+app = terminal.application(
+    "process", "Position, velocity and acceleration from a recorded run.", "process smooth run.h5"
+)
+
+
+@app.command
+def smooth(
+    file: Run,
+    /,
+    *,
+    method: Annotated[str, Parameter(help="auto (Savitzky-Golay), sg, or fd (differences, the baseline).")] = "auto",
+    window: Annotated[str, Parameter(help="auto, an odd number of samples, or a duration: 20ms.")] = "auto",
+    order: Annotated[int | None, Parameter(help="Degree of the polynomial; default chosen with the window.")] = None,
+    times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
+    belt_speed: Annotated[str, Parameter(help="auto, or the speed in m/s with its sign.")] = "auto",
+    json: Json = False,
+) -> Answer:
+    """Rebuild the motion, find sticks and slips, and write both into the run beside the untouched raw data.
+
+    Example: process smooth run.h5 --window 20ms
+    """
+    from daq import runfile
+    from processing import kinematics
+
+    recording = runfile.load(file)
+    motion = kinematics.smooth(recording, method, window, order, times, belt_speed)
+    kinematics.save(motion, file)
+    chosen = window == "auto" and motion.method != "fd"
+    data = _summary(motion)
+    return Answer(data, [*_sentences(motion, data, chosen), f"written to /entry/smooth of {file}"])
+
+
+@app.command
+def compare(file: Run, /, *, json: Json = False) -> Answer:
+    """Run every method on the record: error against run time.
+
+    The true errors are known only for a simulated run that tells its truth
+    (daq record --set tell.truth=true).
+
+    Example: process compare run.h5
+    """
+    from daq import runfile
+    from processing import compare as comparison
+
+    recording = runfile.load(file)
+    rows = comparison.rows(recording, runfile.truth(file))
+    told = any(row.rms_error is not None for row in rows)
+    return Answer({"rows": [vars(row) for row in rows], "truth": told}, _table(rows, file, recording.unit, told))
+
+
+@app.command
+def inspect(
+    file: Run,
+    /,
+    *,
+    plot: Annotated[
+        Path | None, Parameter(help="Picture to write: .png, .svg or .pdf; default RUN.inspect.png.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> Answer:
+    """Show a run: what it holds, its time trace and its phase portrait.
+
+    A run that was not smoothed yet is smoothed in memory.
+
+    Example: process inspect run.h5 --plot portrait.png
+    """
+    from daq import runfile
+    from processing import plot as drawing
+
+    target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
+    if plot is not None:
+        runfile.refuse_existing(plot, force)
+    motion, now = _motion(file)
+    drawing.save(drawing.inspection(motion), target)
+    recording = motion.recording
+    data = _summary(motion) | {
+        "title": recording.title,
+        "started": recording.started,
+        "duration_s": float(motion.time[-1] - motion.time[0]),
+        "rate_hz": recording.rate_hz,
+        "segments": len(set(recording.segment.tolist())),
+        "unit": recording.unit,
+        "position_range": [float(motion.position.min()), float(motion.position.max())],
+        "velocity_range": [float(motion.velocity.min()), float(motion.velocity.max())],
+        "events": {kind: recording.event_kind.count(kind) for kind in sorted(set(recording.event_kind))},
+        "smoothed_in_memory": now,
+        "plot": target,
+    }
+    return Answer(data, _portrayal(file, data, motion))
+
+
+@app.command
+def export(
+    file: Run,
+    /,
+    *,
+    csv: Annotated[Path | None, Parameter(help="CSV file to write.")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> Answer:
+    """Write the motion as a table: time, position, velocity, acceleration, their errors, and the phase.
+
+    A run that was not smoothed yet is smoothed in memory.
+
+    Example: process export run.h5 --csv motion.csv
+    """
+    from daq import runfile
+    from processing import export as tables
+
+    if csv is None:
+        raise InputError("nothing to write", "command line", "give --csv FILE")
+    runfile.refuse_existing(csv, force)
+    motion, now = _motion(file)
+    columns = tables.write_csv(motion, csv, force=force)
+    rows = int(motion.time.size)
+    data = {"rows": rows, "columns": columns, "file": csv, "smoothed_in_memory": now}
+    return Answer(data, f"{csv}: {rows} rows; columns {', '.join(columns)}")
+
+
+def _motion(file: Path) -> "tuple[Kinematics, bool]":
+    """Return the stored motion, or one smoothed in memory and True."""
+    from daq import runfile
+    from processing import kinematics
+
+    stored = kinematics.load(file)
+    if stored is not None:
+        return stored, False
+    return kinematics.smooth(runfile.load(file)), True
+
+
+def _summary(motion: "Kinematics") -> dict[str, Any]:
+    return {
+        "method": motion.method,
+        "window": motion.window,
+        "order": motion.order,
+        "times": motion.times,
+        "sticks": len(motion.sticks),
+        "slips": len(motion.slips),
+        "belt_speed": motion.belt_speed,
+        "plateau_fraction": motion.plateau_fraction,
+        "lost_counts": motion.lost_counts,
+        "cpu_s": motion.cpu_s,
+        "samples": int(motion.time.size),
+        "warnings": _warnings(motion),
+    }
+
+
+def _warnings(motion: "Kinematics") -> list[str]:
+    found = []
+    if motion.lost_counts:
+        found.append(
+            f"counts went missing at {motion.lost_counts} sample{'s' if motion.lost_counts > 1 else ''} "
+            "(marked, not repaired): look for a bouncing encoder wheel or a slipping coupling"
+        )
+    if not motion.phases:
+        found.append("the mass never moves in this record")
+    return found
+
+
+def _sentences(motion: "Kinematics", data: dict[str, Any], chosen: bool) -> list[str]:
+    unit = motion.recording.unit
+    how = NAMES[motion.method]
+    if motion.method != "fd":
+        span = 1e3 * (motion.window - 1) * float(motion.time[-1] - motion.time[0]) / max(motion.time.size - 1, 1)
+        how += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
+        how += ", chosen from the record" if chosen else ""
+    speed = motion.belt_speed
+    belt = f"belt {speed:.5g} {unit}/s" if speed == speed else "belt speed unknown"
+    sticks, slips = data["sticks"], data["slips"]
+    lines = [
+        f"{how}; {motion.times} times",
+        f"{sticks} stick{'s' if sticks != 1 else ''} and {slips} slip{'s' if slips != 1 else ''}; {belt}; "
+        f"stuck for {100 * motion.plateau_fraction:.0f} % of the record",
+        f"{data['samples']} samples in {motion.cpu_s:.2f} s of CPU time",
+    ]
+    return lines + [f"warning: {warning}" for warning in data["warnings"]]
+
+
+def _table(rows: "list[Row]", file: Path, unit: str, told: bool) -> Any:
+    from rich.table import Table
+
+    factor, name = (1e3, "mm/s") if unit == "m" else (1.0, f"{unit}/s")
+    table = Table(title=f"{file}: errors of the velocity, {name}", title_justify="left")
+    for heading in ("method", "setting"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("CPU ms", "stated", "true rms", "true max"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        errors = (row.sigma_v, row.rms_error, row.max_error)
+        shown = ["-" if value is None else f"{factor * value:.3g}" for value in errors]
+        table.add_row(row.method, row.setting, f"{1e3 * row.cpu_s:.1f}", *shown)
+    if told:
+        return table
+    return [table, "no truth in this run; record one with: daq record --set tell.truth=true"]
+
+
+def _portrayal(file: Path, data: dict[str, Any], motion: "Kinematics") -> Any:
+    unit = data["unit"]
+    low, high = data["position_range"]
+    slow, fast = data["velocity_range"]
+    events = ", ".join(f"{count} {kind}" for kind, count in data["events"].items()) or "none"
+    segments = f" in {data['segments']} segments" if data["segments"] > 1 else ""
+    lines = [
+        f"{file}: {data['title']}, {data['started']}",
+        f"{data['samples']} samples at {data['rate_hz']:g} Hz, {data['duration_s']:.4g} s{segments}; events: {events}",
+        f"position {low:.4g} to {high:.4g} {unit}, velocity {slow:.4g} to {fast:.4g} {unit}/s",
+        *_sentences(motion, data, False)[:2],
+        f"picture: {data['plot']}",
+    ]
+    if data["smoothed_in_memory"]:
+        lines.append("not smoothed yet, so smoothed in memory; keep it with: process smooth")
+    return lines + [f"warning: {warning}" for warning in data["warnings"]]
+
+
+def main() -> NoReturn:
+    """Run the command line."""
+    terminal.main(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,112 @@
+"""Error against run time: every method and a range of its settings on one record.
+
+The true errors are stated only where the run file of a simulated rig holds the truth; this is the one place in
+`processing` that may look at it.
+"""
+
+import math
+import time as clock
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.recording import Recording, Truth
+from processing import methods, series
+from processing import window as windows
+from processing.methods import Motion, Setting
+from processing.series import Series
+
+Array = NDArray[np.float64]
+
+WINDOWS = (11, 21, 41, 81, 161)
+ORDER = 4
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method in one setting.
+
+    Attributes
+    ----------
+    method, setting : str
+        What was run.
+    cpu_s : float
+        CPU time of one run, s.
+    sigma_v : float
+        Root mean square of the velocity's own standard errors, m/s.
+    rms_error, max_error : float or None
+        Velocity against truth, m/s; None without truth.
+    """
+
+    method: str
+    setting: str
+    cpu_s: float
+    sigma_v: float
+    rms_error: float | None
+    max_error: float | None
+
+
+def rows(recording: Recording, truth: Truth | None) -> list[Row]:
+    """Run every method on the recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        The run.
+    truth : Truth or None
+        Its exact motion, where it is known.
+
+    Returns
+    -------
+    list of Row
+        Finite differences and Savitzky-Golay, on nominal and on recorded times.
+    """
+    from processing import whitejerk  # noqa: F401  (loads scipy now, not while the clock runs)
+
+    true = velocity_at(recording, truth) if truth is not None else None
+    found = []
+    for times in reversed(series.TIMES):
+        data = series.of(recording, times)
+        found.append(_row("fd", times, data, Setting(), true))
+        longest = max(piece.stop - piece.start for piece in data.pieces)
+        for window in (length for length in WINDOWS if length <= longest):
+            found.append(_row("sg", f"{window},{ORDER} {times}", data, Setting(window, ORDER), true))
+        found.append(_row("sg", f"auto {times}", data, windows.setting("auto", None, data), true))
+    return found
+
+
+def _row(method: str, setting: str, data: Series, asked: Setting, true: Array | None) -> Row:
+    begun = clock.process_time()
+    motion = methods.estimate(method, data, asked)
+    cpu = clock.process_time() - begun
+    if setting.startswith("auto"):
+        setting = f"auto = {motion.window},{motion.order}{setting[4:]}"
+    rms, worst = _errors(motion, true) if true is not None else (None, None)
+    known = np.isfinite(motion.velocity_errors)
+    sigma = float(np.sqrt(np.mean(motion.velocity_errors[known] ** 2))) if known.any() else math.inf
+    return Row(method, setting, cpu, sigma, rms, worst)
+
+
+def _errors(motion: Motion, true: Array) -> tuple[float, float] | tuple[None, None]:
+    error = (motion.velocity - true)[np.isfinite(true) & np.isfinite(motion.velocity_errors)]
+    if not error.size:
+        return None, None
+    return float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+
+
+def velocity_at(recording: Recording, truth: Truth) -> Array:
+    """Return the true velocity at the recorded samples, m/s; NaN where the truth holds no sample near.
+
+    Both are on the run's time axis.  They name the same samples when they are equally many; otherwise (rows were lost
+    on the way) each recorded sample takes the true one nearest in time.
+    """
+    if truth.v.size == recording.time.size:
+        return truth.v
+    if truth.v.size < 2:
+        return np.full(recording.time.size, np.nan)
+    after = np.clip(np.searchsorted(truth.time, recording.time), 1, truth.time.size - 1)
+    nearest = after - (recording.time - truth.time[after - 1] < truth.time[after] - recording.time)
+    found = truth.v[nearest].copy()
+    found[np.abs(truth.time[nearest] - recording.time) > 0.5 / recording.rate_hz] = np.nan
+    return found

@@ -1,0 +1,34 @@
+"""A smoothed run as a flat CSV table: one row a sample, units in the column names, digits that read back exactly."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from daq import runfile
+from processing.kinematics import Kinematics
+
+DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
+
+
+def frame(kinematics: Kinematics) -> pd.DataFrame:
+    """Return time, position, velocity and acceleration with errors, and the phase: "stick", "slip" or "rest"."""
+    unit = kinematics.recording.unit
+    columns: dict[str, np.ndarray] = {"time_s": kinematics.time}
+    for name, per in DERIVATIVES.items():
+        columns[f"{name}_{unit}{per}"] = getattr(kinematics, name)
+    for name, per in DERIVATIVES.items():
+        columns[f"{name}_error_{unit}{per}"] = getattr(kinematics, f"{name}_errors")
+    phase = np.full(kinematics.time.size, "rest", dtype="U5")
+    for found in kinematics.phases:
+        phase[found.first : found.last + 1] = found.kind
+    return pd.DataFrame(columns | {"phase": phase, "segment": kinematics.recording.segment})
+
+
+def write_csv(kinematics: Kinematics, target: Path, *, force: bool = False) -> list[str]:
+    """Write the table and return its column names; an existing file is replaced only by ``force``."""
+    runfile.refuse_existing(target, force)
+    table = frame(kinematics)
+    with runfile.replacing(target, force) as temporary:
+        table.to_csv(temporary, index=False, lineterminator="\n")
+    return list(table.columns)

@@ -1,0 +1,136 @@
+"""The smoothed stage of a run file: /entry/smooth, beside the untouched raw data.
+
+::
+
+    smooth            NXprocess   @default=phase_portrait; program, version, date, sequence_index
+      parameters      NXparameters  how it was made, and the sha256 of what it was made from
+      kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time
+      phase_portrait  NXdata      velocity against position: hard links, no copy
+      phases          NXdata      one row a stick or slip: start, end, first, last, stick (1) or slip (0)
+"""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from daq import nexus, nexus_read, runfile
+from daq.errors import InputError
+from daq.version import VERSION
+from processing.kinematics import Kinematics, Phase
+
+DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
+
+
+def save(kinematics: Kinematics, path: Path) -> None:
+    """Write the stage into the run file, replacing an earlier one (and dropping what was fitted to that)."""
+    runfile.extend(path, "smooth", lambda entry: _write(entry, kinematics), default="smooth")
+
+
+def _write(entry: h5py.Group, motion: Kinematics) -> None:
+    smooth = nexus.group(entry, "smooth", "NXprocess", default="phase_portrait")
+    nexus.field(smooth, "program", "process smooth")
+    nexus.field(smooth, "version", VERSION)
+    nexus.field(smooth, "date", datetime.now(UTC).isoformat(timespec="seconds"))
+    nexus.field(smooth, "sequence_index", np.int64(1))
+    unit = motion.recording.unit
+    parameters = nexus.group(smooth, "parameters", "NXparameters")
+    nexus.field(parameters, "method", motion.method)
+    nexus.field(parameters, "window", np.int64(motion.window))
+    nexus.field(parameters, "order", np.int64(motion.order))
+    nexus.field(parameters, "times", motion.times)
+    nexus.field(parameters, "belt_speed", np.float64(motion.belt_speed), f"{unit}/s")
+    nexus.field(parameters, "lost_counts", np.int64(motion.lost_counts))
+    nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
+    nexus.field(parameters, "sha256_input", motion.recording.digest)
+    columns: dict[str, tuple[np.ndarray, str]] = {"time": (motion.time, "s")}
+    for name, per in DERIVATIVES.items():
+        columns[name] = (getattr(motion, name), unit + per)
+        columns[f"{name}_errors"] = (getattr(motion, f"{name}_errors").astype(np.float32), unit + per)
+    table = nexus.table(
+        smooth,
+        "kinematics",
+        columns,
+        axis="time",
+        signal="velocity",
+        auxiliary=("position", "acceleration"),
+        title="kinematics",
+    )
+    portrait = nexus.group(
+        smooth, "phase_portrait", "NXdata", signal="velocity", axes="position", title="phase portrait"
+    )
+    portrait.attrs["position_indices"] = np.int64(0)
+    for name in ("position", "velocity"):
+        nexus.link(portrait, name, table[name])
+    if motion.phases:
+        nexus.table(
+            smooth,
+            "phases",
+            {
+                "start": (np.array([phase.start for phase in motion.phases]), "s"),
+                "end": (np.array([phase.end for phase in motion.phases]), "s"),
+                "first": (np.array([phase.first for phase in motion.phases], np.uint32), ""),
+                "last": (np.array([phase.last for phase in motion.phases], np.uint32), ""),
+                "stick": (np.array([phase.kind == "stick" for phase in motion.phases], np.uint8), ""),
+            },
+            axis="start",
+            signal="stick",
+            title="sticks and slips",
+        )
+
+
+def load(path: Path) -> Kinematics | None:
+    """Read the stage back; None when the run holds none.
+
+    Raises
+    ------
+    InputError
+        For a file that is no run, or a stage that is damaged or was made from other raw data.
+    """
+    recording = runfile.load(path)
+    with runfile.opened(path) as file:
+        entry = file["entry"]
+        if "smooth" not in entry:
+            return None
+        made_from = nexus_read.string(entry, "smooth/parameters/sha256_input", path)
+        if made_from != recording.digest:
+            raise InputError(
+                "its smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
+            )
+        columns = {}
+        for name in ("time", *(key for base in DERIVATIVES for key in (base, f"{base}_errors"))):
+            columns[name] = nexus_read.array(entry, f"smooth/kinematics/{name}", np.float64, path)
+            nexus_read.same_length(columns[name].size, recording.time.size, f"smooth/kinematics/{name}", path)
+        phases = _phases(entry, path)
+        stick = np.zeros(recording.time.size, bool)
+        for phase in phases:
+            if phase.kind == "stick":
+                stick[phase.first : phase.last + 1] = True
+        parameters = "smooth/parameters"
+        return Kinematics(
+            recording=recording,
+            **columns,
+            method=nexus_read.string(entry, f"{parameters}/method", path),
+            window=int(nexus_read.scalar(entry, f"{parameters}/window", path)),
+            order=int(nexus_read.scalar(entry, f"{parameters}/order", path)),
+            times=nexus_read.string(entry, f"{parameters}/times", path),
+            belt_speed=nexus_read.scalar(entry, f"{parameters}/belt_speed", path),
+            stick=stick,
+            phases=phases,
+            lost_counts=int(nexus_read.scalar(entry, f"{parameters}/lost_counts", path)),
+            cpu_s=nexus_read.scalar(entry, f"{parameters}/cpu_time", path),
+        )
+
+
+def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:
+    if "smooth/phases" not in entry:
+        return ()
+    start, end = (nexus_read.array(entry, f"smooth/phases/{name}", np.float64, path) for name in ("start", "end"))
+    first, last, stick = (
+        nexus_read.array(entry, f"smooth/phases/{name}", np.int64, path) for name in ("first", "last", "stick")
+    )
+    return tuple(
+        Phase("stick" if row[4] else "slip", float(row[0]), float(row[1]), int(row[2]), int(row[3]))
+        for row in zip(start, end, first, last, stick, strict=True)
+    )

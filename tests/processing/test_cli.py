@@ -1,0 +1,167 @@
+"""`process` as it is typed: what it prints, what it writes, how it refuses."""
+
+import csv
+import json
+
+import h5py
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from daq import runfile, terminal
+from processing.cli import app
+
+
+@pytest.fixture
+def path(tmp_path, motion, run_data):
+    target = tmp_path / "run.h5"
+    runfile.write(target, run_data(motion(5, 6.0, start=0.5), told=True))
+    return target
+
+
+@pytest.fixture
+def typed(capsys):
+    def run(*arguments):
+        code = terminal.run(app, [str(argument) for argument in arguments])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return run
+
+
+def document(typed, *arguments):
+    code, out, err = typed(*arguments, "--json")
+    assert (code, err) == (0, "")
+    return json.loads(out)
+
+
+def test_smooth_says_what_it_chose_and_found(typed, path):
+    data = document(typed, "smooth", path)
+    assert {"method", "window", "order", "sticks", "slips", "belt_speed", "lost_counts", "cpu_s"} <= set(data)
+    assert (data["method"], data["lost_counts"]) == ("sg", 0)
+    assert data["window"] % 2 == 1
+    assert data["belt_speed"] == pytest.approx(0.22, abs=2e-4)
+    assert (data["sticks"], data["slips"]) == (4, 4)
+    code, out, err = typed("smooth", path, "--window", "41")
+    assert (code, err) == (0, "")
+    assert "Savitzky-Golay, window 41 samples (40 ms), order 4; recorded times" in out
+    assert "4 sticks and 4 slips" in out
+
+
+def test_an_unknown_belt_speed_is_null(typed, tmp_path, motion, run_data):
+    target = tmp_path / "still.h5"
+    runfile.write(target, run_data(motion(5, 0.4, start=0.5)))
+    data = document(typed, "smooth", target)
+    assert data["belt_speed"] is None
+    assert data["warnings"] == ["the mass never moves in this record"]
+
+
+def test_settings_are_carried_out(typed, path):
+    data = document(typed, "smooth", path, "--method", "fd", "--times", "nominal", "--belt-speed", "-0.22")
+    assert (data["method"], data["window"], data["order"], data["times"]) == ("fd", 2, 1, "nominal")
+    assert (data["belt_speed"], data["sticks"]) == (-0.22, 0)
+    assert document(typed, "smooth", path, "--window", "20ms", "--order", "2")["window"] == 21
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--window", "40"], "--window: window is 40; need an odd number above order 4; take 41"),
+        (["--window", "broad"], "--window: window is 'broad'"),
+        (["--method", "rts"], "--method: method is 'rts'; known: auto, sg, fd"),
+        (["--times", "guessed"], "--times: times is 'guessed'; known: recorded, nominal"),
+        (["--belt-speed", "fast"], "--belt-speed: belt speed is 'fast'"),
+        (["--order", "0"], "--order: order is 0; give 1 to 20"),
+        (["--order", "two"], "see 'process --help'"),
+        (["--method", "fd", "--window", "41"], "finite differences have no window"),
+    ],
+)
+def test_bad_flags_are_one_line_exit_2_and_nothing_is_written(typed, path, arguments, says):
+    before = path.read_bytes()
+    code, out, err = typed("smooth", path, *arguments)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    assert says in err
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("command", ["smooth", "compare", "inspect"])
+def test_what_is_no_run_is_refused_by_name(typed, tmp_path, command):
+    foreign = tmp_path / "foreign.h5"
+    with h5py.File(foreign, "w") as file:
+        file["x"] = np.arange(3)
+    code, out, err = typed(command, foreign)
+    assert (code, out) == (2, "")
+    assert "foreign.h5: is HDF5 but no run file" in err
+    code, out, err = typed(command, tmp_path / "none.h5", "--json")
+    assert code == 2
+    assert json.loads(out)["error"]["what"] == "no such file"
+    assert list(tmp_path.iterdir()) == [foreign]
+
+
+def test_compare_states_true_errors_only_where_truth_was_told(typed, path, tmp_path, motion, run_data):
+    rows = document(typed, "compare", path)["rows"]
+    assert {"method", "setting", "cpu_s", "sigma_v", "rms_error", "max_error"} <= set(rows[0])
+    by_name = {(row["method"], row["setting"]): row for row in rows}
+    rough, smooth = by_name["fd", "recorded"], next(row for row in rows if row["setting"].startswith("auto"))
+    assert 3e-3 < rough["rms_error"] < 4e-3
+    assert (
+        next(row for row in rows if row["setting"].startswith("auto") and "recorded" in row["setting"])["rms_error"]
+        < 0.1 * rough["rms_error"]
+    )
+    assert smooth["max_error"] > smooth["rms_error"]
+    silent = tmp_path / "silent.h5"
+    runfile.write(silent, run_data(motion(5, 6.0, start=0.5)))
+    for row in document(typed, "compare", silent)["rows"]:
+        assert row["rms_error"] is None
+        assert row["sigma_v"] > 0
+    code, out, _ = typed("compare", silent)
+    assert code == 0
+    assert "no truth in this run" in out
+
+
+def test_smoothing_does_not_look_at_the_truth(typed, path, tmp_path, motion, run_data):
+    silent = tmp_path / "silent.h5"
+    runfile.write(silent, run_data(motion(5, 6.0, start=0.5)))
+    told, kept = (document(typed, "smooth", target) for target in (path, silent))
+    assert {**told, "cpu_s": 0} == {**kept, "cpu_s": 0}
+
+
+def test_inspect_draws_the_run_smoothed_or_not(typed, path, tmp_path):
+    data = document(typed, "inspect", path)
+    assert data["smoothed_in_memory"] is True
+    assert data["sticks"] == 4
+    picture = imread(path.with_name("run.inspect.png"))
+    assert picture.shape[1] > 1200
+    typed("smooth", path)
+    target = tmp_path / "mine.svg"
+    assert document(typed, "inspect", path, "--plot", target)["smoothed_in_memory"] is False
+    drawn = target.read_text()
+    for words in ("time (s)", "x (cm)", "v (cm/s)", "phase portrait", "stick", "belt"):
+        assert words in drawn
+
+
+def test_inspect_replaces_no_picture_unasked(typed, path, tmp_path):
+    mine = tmp_path / "mine.png"
+    mine.write_text("precious")
+    code, _, err = typed("inspect", path, "--plot", mine)
+    assert code == 2
+    assert "the output file exists" in err
+    assert mine.read_text() == "precious"
+    assert typed("inspect", path, "--plot", mine, "--force")[0] == 0
+    assert typed("inspect", path, "--plot", tmp_path / "mine.gif")[0] == 2
+
+
+def test_export_writes_what_reads_back(typed, path, tmp_path):
+    target = tmp_path / "motion.csv"
+    data = document(typed, "export", path, "--csv", target)
+    assert data["rows"] == 6000
+    with target.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == data["columns"]
+    assert {row["phase"] for row in rows} == {"rest", "slip", "stick"}
+    assert float(rows[2000]["velocity_m_per_s"]) == pytest.approx(0.22, abs=0.7)
+    code, _, err = typed("export", path, "--csv", target)
+    assert code == 2
+    assert "exists" in err
+    assert typed("export", path)[0] == 2

@@ -1,0 +1,169 @@
+"""Sticks and slips against the true ones, for all six laws, and records that hold none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import processing
+from daq.errors import InputError
+from daq.rig import Measured, Rig
+from processing.phases import half_sample_mode
+
+START = 0.5  # s: the belt starts after the record
+
+
+def true_sticks(true):
+    ends = [(a - true.time[0], min(b, true.time[-1]) - true.time[0]) for a, b in true.sticks]
+    return [(a, b) for a, b in ends if b - a > 0.1]
+
+
+@pytest.mark.parametrize("pitch", [7.67e-6, 50e-6, 200e-6])
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
+def test_every_stick_is_found_and_none_besides(motion, recorded, law, pitch):
+    true = motion(law, 20.0, start=START)
+    found = processing.smooth(recorded(true, pitch))
+    sticks = true_sticks(true)
+    held = [stick for stick in found.sticks if stick.duration > 0.1]  # the record's end may cut one short
+    assert len(held) == len(sticks)
+    assert found.plateau_fraction == pytest.approx(true_share(true), abs=0.03)
+    for stick, (start, end) in zip(held, sticks, strict=True):
+        assert stick.start == pytest.approx(start, abs=0.03)
+        assert stick.end == pytest.approx(end, abs=0.07)
+
+
+def true_share(true):
+    return sum(end - start for start, end in true_sticks(true)) / (true.time[-1] - true.time[0])
+
+
+def test_landings_are_placed_within_a_millisecond(motion, recorded):
+    true = motion(5, 20.0, start=START)
+    found = processing.smooth(recorded(true))
+    late = [stick.start - start for stick, (start, _) in zip(found.sticks, true_sticks(true), strict=True)]
+    assert np.abs(late).max() < 1e-3
+
+
+@pytest.mark.parametrize("law", [1, 2])
+def test_laws_that_only_graze_the_belt_do_not_stick_after_the_first_drag(motion, recorded, law):
+    true = motion(law, 20.0, scatter=0.0, start=START)
+    found = processing.smooth(recorded(true))
+    assert all(stick.start < 1.2 for stick in found.sticks)
+    assert len(found.sticks) <= 1
+    assert found.plateau_fraction < 0.05
+
+
+def test_rest_before_the_belt_starts_is_no_stick(motion, recorded):
+    found = processing.smooth(recorded(motion(5, 20.0, start=START)))
+    assert found.phases[0].kind == "slip"
+    assert found.phases[0].start == pytest.approx(START, abs=0.01)
+    assert not found.stick[: int(1000 * START)].any()
+
+
+def test_belt_speed_is_found_in_the_plateaus(motion, recorded):
+    assert processing.smooth(recorded(motion(5, 20.0, start=START))).belt_speed == pytest.approx(0.22, abs=1e-4)
+    assert processing.smooth(recorded(motion(3, 20.0, start=START))).belt_speed == pytest.approx(0.22, abs=1e-4)
+
+
+def test_a_belt_that_runs_backwards_is_as_good_as_one_that_runs_forwards(motion, recorded):
+    forth = processing.smooth(recorded(motion(5, 20.0, start=START)))
+    back = processing.smooth(recorded(motion(5, 20.0, start=START, belt=-0.22)))
+    assert back.belt_speed == pytest.approx(-forth.belt_speed, abs=1e-4)
+    assert len(back.sticks) == len(forth.sticks)
+    assert len(back.slips) == len(forth.slips)
+
+
+def test_a_creeping_plateau_reports_the_belt_speed_that_was_measured(motion, recorded):
+    rig = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.2215, 0.0022))
+    run = recorded(motion(4, 20.0, start=START), rig=rig)
+    assert processing.smooth(run).belt_speed == 0.2215
+    run = recorded(motion(5, 20.0, start=START), rig=rig)
+    assert processing.smooth(run).belt_speed == pytest.approx(0.22, abs=1e-4)
+
+
+def test_a_belt_speed_that_was_given_settles_it(motion, recorded):
+    run = recorded(motion(5, 20.0, start=START))
+    assert processing.smooth(run, belt_speed=0.22).belt_speed == 0.22
+    assert len(processing.smooth(run, belt_speed="0.22").sticks) == 11
+    assert processing.smooth(run, belt_speed=-0.22).sticks == ()
+    for bad in ("fast", "nan"):
+        with pytest.raises(InputError, match="belt speed is"):
+            processing.smooth(run, belt_speed=bad)
+
+
+def test_phases_follow_each_other_without_overlap(motion, recorded):
+    found = processing.smooth(recorded(motion(5, 20.0, start=START)))
+    for before, after in zip(found.phases, found.phases[1:], strict=False):
+        assert before.kind != after.kind
+        assert before.end == after.start
+        assert before.last + 1 == after.first
+    for phase in found.phases:
+        assert found.stick[phase.first : phase.last + 1].all() == (phase.kind == "stick")
+
+
+@pytest.mark.parametrize("method", ["sg", "fd"])
+def test_sticks_do_not_depend_on_the_method(motion, recorded, method):
+    found = processing.smooth(recorded(motion(5, 20.0, start=START)), method)
+    assert (len(found.sticks), len(found.slips)) == (11, 12)
+
+
+def test_a_pure_swing_never_sticks(imported):
+    time = np.arange(20_000) * 1e-3
+    for hertz in (0.2, 1.0, 5.0):
+        for noise in (0.0, 1e-5):
+            x = 0.05 * np.sin(2 * np.pi * hertz * time) + noise * np.random.default_rng(1).standard_normal(time.size)
+            found = processing.smooth(imported(time, x))
+            assert found.sticks == ()
+            assert np.isnan(found.belt_speed)
+
+
+def test_noise_and_rest_never_stick(imported):
+    time = np.arange(5_000) * 1e-3
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(time.size)
+    for x in (noise, np.full(time.size, 0.1)):
+        assert processing.smooth(imported(time, x)).sticks == ()
+    assert processing.smooth(imported(time, np.full(time.size, 0.1))).phases == ()
+
+
+def test_riding_on_the_belt_throughout_is_one_stick(imported):
+    time = np.arange(5_000) * 1e-3
+    found = processing.smooth(imported(time, 0.2 * time))
+    assert len(found.sticks) == 1
+    assert found.belt_speed == pytest.approx(0.2)
+
+
+def test_no_phase_crosses_a_gap(motion, recorded):
+    true = motion(5, 20.0, start=START)
+    kept = np.ones(true.time.size, bool)
+    kept[2400:2450] = False  # within a stick
+    found = processing.smooth(recorded(type(true)(true.time[kept], true.x[kept], true.v[kept], true.sticks)))
+    assert len(found.sticks) == 12
+    for phase in found.phases:
+        assert np.diff(found.time[phase.first : phase.last + 1]).max() < 0.01
+
+
+def test_lost_counts_do_not_end_a_stick(motion, recorded):
+    run = recorded(motion(5, 20.0, start=START))
+    count = run.count.copy()
+    count[2400:] -= 40  # within a stick
+    found = processing.smooth(replace(run, count=count))
+    assert found.lost_counts == 1
+    assert len(found.sticks) == 11
+
+
+def test_a_camera_track_with_dropped_frames_shows_its_sticks(motion, imported):
+    true = motion(5, 20.0, start=START)
+    rng = np.random.default_rng(3)
+    time = np.arange(0, 19, 1 / 400)
+    x = np.interp(time, true.time, true.x) + 2e-4 * rng.standard_normal(time.size)
+    kept = rng.random(time.size) > 0.02
+    found = processing.smooth(imported(time[kept], x[kept], 400.0))
+    assert len(found.sticks) == 11
+    assert found.belt_speed == pytest.approx(0.22, abs=1e-3)
+
+
+def test_half_sample_mode_finds_the_heap_and_not_the_mean():
+    rng = np.random.default_rng(4)
+    values = np.concatenate((rng.normal(0.22, 1e-4, 3000), rng.uniform(-0.8, 0.2, 5000)))
+    assert half_sample_mode(values) == pytest.approx(0.22, abs=2e-4)
+    assert half_sample_mode(np.array([1.0])) == 1.0
+    assert half_sample_mode(np.array([0.0, 1.0, 1.2])) == pytest.approx(1.1)

@@ -1,0 +1,107 @@
+"""The smoothed stage in the run file: read back as written, raw data untouched, open to other readers."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+
+import daq
+from daq import runfile
+from daq.errors import InputError
+from processing import kinematics
+
+
+@pytest.fixture
+def path(tmp_path, motion, run_data):
+    target = tmp_path / "run.h5"
+    runfile.write(target, run_data(motion(5, 5.0, start=0.5)))
+    return target
+
+
+def raw_bytes(path):
+    with h5py.File(path) as file:
+        found = {}
+
+        def visit(name, item):
+            if isinstance(item, h5py.Dataset) and not name.startswith("entry/smooth"):
+                found[name] = np.asarray(item[()]).tobytes()
+
+        file.visititems(visit)
+        return found
+
+
+def test_what_was_saved_is_loaded(path):
+    made = kinematics.smooth(daq.load(path))
+    kinematics.save(made, path)
+    found = kinematics.load(path)
+    for name in ("time", "position", "velocity", "acceleration", "stick"):
+        assert np.array_equal(getattr(found, name), getattr(made, name))
+    for name in ("position_errors", "velocity_errors", "acceleration_errors"):
+        assert getattr(found, name) == pytest.approx(getattr(made, name), rel=1e-6)
+    for name in ("method", "window", "order", "times", "belt_speed", "phases", "lost_counts", "cpu_s"):
+        assert getattr(found, name) == getattr(made, name)
+    assert found.recording.default == "smooth"
+
+
+def test_a_run_that_was_not_smoothed_has_no_stage(path):
+    assert kinematics.load(path) is None
+
+
+def test_raw_data_are_untouched_and_smoothing_again_replaces(path):
+    before = raw_bytes(path)
+    kinematics.save(kinematics.smooth(daq.load(path)), path)
+    kinematics.save(kinematics.smooth(daq.load(path), "fd"), path)
+    assert raw_bytes(path) == before
+    assert kinematics.load(path).method == "fd"
+
+
+def test_unknown_numbers_survive_the_file(tmp_path, imported, path, run_data, motion):
+    still = motion(5, 0.4, start=0.5)  # the belt has not started yet
+    target = tmp_path / "still.h5"
+    runfile.write(target, run_data(still))
+    kinematics.save(kinematics.smooth(daq.load(target)), target)
+    found = kinematics.load(target)
+    assert np.isnan(found.belt_speed)
+    assert found.phases == ()
+
+
+def test_xarray_reads_kinematics_with_a_time_coordinate(path):
+    made = kinematics.smooth(daq.load(path))
+    kinematics.save(made, path)
+    with xarray.open_dataset(path, engine="h5netcdf", group="entry/smooth/kinematics") as table:
+        assert table["velocity"].dims == ("time",)
+        assert np.array_equal(table["time"].values, made.time)
+        assert np.array_equal(table["velocity"].values, made.velocity)
+        assert table["velocity"].attrs["units"] == "m/s"
+        assert table["velocity_errors"].dtype == np.float32
+
+
+def test_the_default_plot_is_the_phase_portrait_by_hard_links(path):
+    kinematics.save(kinematics.smooth(daq.load(path)), path)
+    with h5py.File(path) as file:
+        entry = file["entry"]
+        portrait = entry[entry.attrs["default"]][entry["smooth"].attrs["default"]]
+        assert (portrait.attrs["signal"], portrait.attrs["axes"]) == ("velocity", "position")
+        assert portrait["velocity"] == entry["smooth/kinematics/velocity"]
+
+
+def test_the_validator_finds_nothing_to_say(path):
+    kinematics.save(kinematics.smooth(daq.load(path)), path)
+    command = [str(Path(sys.executable).parent / "nxcheck"), path.name]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=path.parent, check=False)
+    said = done.stdout + done.stderr
+    assert "Total number of errors: 0" in said, said[-2000:]
+    assert "Total number of warnings: 0" in said, said[-2000:]
+
+
+def test_a_stage_made_from_other_raw_data_is_refused(path):
+    kinematics.save(kinematics.smooth(daq.load(path)), path)
+    with h5py.File(path, "r+") as file:
+        del file["entry/smooth/parameters/sha256_input"]
+        file["entry/smooth/parameters/sha256_input"] = "0" * 64
+    with pytest.raises(InputError, match=r"made from other raw data; run: process smooth run\.h5"):
+        kinematics.load(path)

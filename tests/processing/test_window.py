@@ -1,0 +1,89 @@
+"""The window: chosen without truth close to the best one known with it, and read as people write it."""
+
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from processing import methods, series
+from processing import window as windows
+from processing.methods import Setting
+
+
+def rms(data, true, setting):
+    found = methods.estimate("sg", data, setting)
+    return float(np.sqrt(np.mean((found.velocity - true.v)[400:-400] ** 2)))
+
+
+@pytest.mark.parametrize("times", ["recorded", "nominal"])
+@pytest.mark.parametrize("jitter", [0.0, 30e-6])
+@pytest.mark.parametrize("pitch", [1e-6, 7.67e-6, 50e-6, 200e-6])
+def test_the_chosen_window_is_close_to_the_best_one(motion, recorded, pitch, jitter, times):
+    true = motion(5, 30.0, jitter)
+    data = series.of(recorded(true, pitch), times)
+    chosen = windows.choose(data)
+    error = rms(data, true, Setting(chosen.window, chosen.order))
+    ladder = sorted({max(int(chosen.window * factor) | 1, 7) for factor in np.geomspace(0.5, 1.6, 9)})
+    best = min(rms(data, true, Setting(length, order)) for order in (4, 6) for length in ladder if length > order)
+    assert error < 1.12 * best
+
+
+def test_the_reading_error_of_an_encoder_is_found(motion, recorded):
+    for pitch in (7.67e-6, 50e-6):
+        found = windows.choose(series.of(recorded(motion(5, 30.0), pitch)))
+        assert found.reading_error == pytest.approx(pitch / np.sqrt(12), rel=0.12)
+
+
+def test_white_noise_on_a_swing_is_found(imported):
+    time = np.arange(20_000) * 1e-3
+    noise = 3e-5 * np.random.default_rng(8).standard_normal(time.size)
+    found = windows.choose(series.of(imported(time, 0.1 * np.sin(6 * time) + noise)))
+    assert found.reading_error == pytest.approx(3e-5, rel=0.03)
+
+
+def test_an_oversampled_record_gets_a_window_of_the_same_duration(imported):
+    rng = np.random.default_rng(9)
+    spans = []
+    for rate in (1e3, 2e4):
+        time = np.arange(int(8 * rate)) / rate
+        noise = 3e-5 * np.sqrt(rate / 1e3) * rng.standard_normal(time.size)  # equal per unit of time
+        found = windows.choose(series.of(imported(time, 0.1 * np.sin(6 * time) + noise, rate)), 4)
+        spans.append(found.window / rate)
+    assert spans[1] == pytest.approx(spans[0], rel=0.4)
+
+
+def test_rest_tells_nothing_and_gets_a_plain_window(imported):
+    found = windows.choose(series.of(imported(np.arange(500) * 1e-3, np.full(500, 0.2))))
+    assert (found.window, found.order, found.reading_error) == (41, 4, 0.0)
+
+
+def test_rest_before_the_motion_does_not_shorten_the_window(motion, recorded):
+    short, long = (windows.choose(series.of(recorded(motion(5, 30.0, start=start)))) for start in (0.5, 15.0))
+    assert long.window == pytest.approx(short.window, rel=0.25)
+
+
+@pytest.mark.parametrize(("text", "samples"), [("41", 41), (41, 41), ("20ms", 21), ("0.02 s", 21), ("20000us", 21)])
+def test_a_window_is_read_as_people_write_it(imported, text, samples):
+    data = series.of(imported(np.arange(100) * 1e-3, np.arange(100.0)))
+    assert windows.setting(text, None, data) == Setting(samples, None)
+
+
+@pytest.mark.parametrize(
+    ("window", "order", "message"),
+    [
+        (40, 4, "window is 40; need an odd number above order 4; take 41"),
+        ("40", None, "window is 40; need an odd number above order 4"),
+        ("3", None, "window is 3; need an odd number above order 4; take 5"),
+        ("2ms", None, "window is 3; need an odd number above order 4"),
+        ("0.2ms", None, "less than two sample intervals"),
+        ("wide", None, "window is 'wide'; give auto, an odd number of samples, or 20ms"),
+        ("4.5", None, "give a whole number of samples, or a unit"),
+        ("101", None, "the longest stretch of the record has 100"),
+        ("1e400s", None, "the longest stretch of the record has 100"),
+        ("auto", 0, "order is 0; give 1 to 20"),
+        ("auto", 21, "order is 21; give 1 to 20"),
+    ],
+)
+def test_an_impossible_window_is_refused_with_the_remedy(imported, window, order, message):
+    data = series.of(imported(np.arange(100) * 1e-3, np.arange(100.0)))
+    with pytest.raises(InputError, match=message.replace("(", r"\(")):
+        windows.setting(window, order, data)
