@@ -233,6 +233,7 @@ def _findings(found: Summary, samples: Samples, checked: Checked, rig: Rig, said
             "across them",
         ),
     ]
+    lines += [(1, f"the board stopped: {text}") for connection in said for _, text in connection.notices]
     if rig.decoder in ("jk", "jk-latched"):
         lines.append((1, f"a {rig.decoder} counter adds a line ({edges} edges) at each dither: expect drift"))
         lines.append((found.both_moved, f"both counters moved within one sample, {found.both_moved} times"))

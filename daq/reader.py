@@ -31,6 +31,7 @@ class Tally:
     def __init__(self) -> None:
         self.reached = 0
         self.resets = 0  # identifications after the first sample: the board has restarted
+        self.notice = ""  # what the board said when it stopped by itself
         self._frames = wire.FrameReader()
         self._next: int | None = None
         self._base = 0
@@ -47,6 +48,8 @@ class Tally:
             elif payload[0] == wire.IDENT and self._next is not None:
                 self.resets += 1
                 self._next = None
+            elif payload[0] == wire.NOTICE:
+                self.notice = payload[2:].decode(errors="replace")
 
     def begin_again(self, reached: int) -> None:
         """Begin with sequence number 0 again, ``reached`` periods after the start."""
@@ -78,7 +81,7 @@ class Reader(threading.Thread):
     failure : BaseException or None
         Why the thread ended before its time.
     ended : str
-        "complete", "stopped", or "port lost".
+        "complete", "stopped", "board stopped" (with a NOTICE), or "port lost".
     """
 
     def __init__(
@@ -147,6 +150,10 @@ class Reader(threading.Thread):
                 heard = time.monotonic()
             if self.tally.reached >= self._samples:
                 self.ended = "complete"
+                break
+            if self.tally.notice:
+                self._say(f"the board has stopped: {self.tally.notice}")
+                self.ended = "board stopped"
                 break
         self._finish()
 

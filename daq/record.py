@@ -27,7 +27,7 @@ LEAVE_S = 3.0  # how long a leaving recorder waits for its reader
 
 
 class RecordingInterruptedError(StickslipError):
-    """RecordingInterruptedError a second time: the journal is left as it is."""
+    """Interrupted a second time: the journal is left as it is."""
 
     exit_code = EXIT_INTERRUPTED
 
@@ -93,6 +93,7 @@ def record(
     ------
     InputError
         The request is wrong, the file exists, or board and line cannot carry it; nothing has been touched.
+        The simulated rig's scene cannot be played; nothing is left behind.
     DeviceError
         The port cannot be opened or does not answer; or the disk refuses, and the journal stays.
     DataError
@@ -114,6 +115,8 @@ def record(
     try:
         _take(reader, writer, request, progress, stop or threading.Event())
         if reader.failure is not None:
+            if reader.tally.reached == 0:
+                request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
             raise reader.failure
         return finalise(request.part, request.output, finished_by="daq record", force=request.force)
     except KeyboardInterrupt as error:
@@ -123,7 +126,8 @@ def record(
         raise _disk(request, error) from error
     except DataError as error:
         request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
-        raise DataError("not one sample came", request.port, "check the board, then record again") from error
+        why = f": {reader.tally.notice}" if reader.tally.notice else ""
+        raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
 
 
 def _connect(request: Request) -> tuple[protocols.Frames, protocols.Identity, int, list[str]]:

@@ -202,7 +202,7 @@ def refuse_existing(path: Path, force: bool) -> None:
     if path.is_dir():
         raise InputError("is a folder", str(path), "give a file name")
     if path.exists() and not force:
-        raise InputError("the output file exists", str(path), "give another -o, or --force to replace it")
+        raise InputError("the output file exists", str(path), "give another name (-o), or --force to replace it")
     if not path.absolute().parent.is_dir():
         raise InputError("its folder does not exist", str(path), f"make {path.absolute().parent} first")
 

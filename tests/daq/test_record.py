@@ -606,3 +606,16 @@ def test_bad_requests_end_in_one_line_and_touch_nothing(tmp_path, monkeypatch, c
     assert err.count("\n") == 1
     assert said in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_board_that_stops_with_a_notice_ends_the_run_and_its_words_are_kept(tmp_path):
+    # It used to be waited for, and the port opened anew.
+    output = tmp_path / "run.h5"
+    heard: list[str] = []
+    changes = "set=friction.law%3D3&set=start.v%3D-5"  # the linear curve changes its sign at this slip speed
+    found = record(Request(f"rig://rig?{changes}", output), say=heard.append)
+    assert found.samples < 20_000
+    assert any("force reversal" in line for line in heard)
+    assert any("force reversal" in warning for warning in found.warnings)
+    kinds = dict(zip(runfile.load(output).event_kind, runfile.load(output).event_note, strict=True))
+    assert "force reversal" in kinds["notice"]
