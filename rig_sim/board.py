@@ -1,0 +1,273 @@
+"""The board: samples the encoder's counters at the commanded rate and speaks the wire of `daq.wire`.
+
+Rules.  Time 0 is the first sample, where the device clock (1 us ticks) reads 0.  Sample i is taken at i/rate plus
+jitter, and the recorded time is that true instant, rounded down to its tick: jitter is recorded, not hidden.  The
+motion stands still while no samples are asked for.  Counters are 16 bits wide and wrap.  The simulated decoder follows
+any edge rate, so its illegal count stays 0, and the simulated line any frame rate.
+
+``I`` identify, ``R <hz>`` rate, ``B <n>`` samples per frame, ``M <decoder>`` decoder (counters start again), ``S``
+start, ``X`` stop (flushes the partial block); a command that is unknown or impossible is answered by a NOTICE and
+changes nothing.  CONFIG is what a careful lab would have measured of this rig: each value drawn about the true one with
+the standard deviation it states.
+
+Not modelled: baud rate, a board that resets or misses samples, drift of the device clock.
+"""
+
+import random
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import wire
+from daq.errors import InputError
+from daq.quadrature import EDGES_PER_COUNT
+from rig_sim.encoder import QuadratureEncoder
+from rig_sim.motion import Motion, Path
+from rig_sim.scenes import Encoder, Scene
+
+FIRMWARE = (0, 1, 0)
+COUNTER_BITS = 16
+TICK_NS = 1000
+MAX_RATE_HZ = 100_000
+MAX_EDGE_RATE_HZ = 1_000_000_000  # the simulated decoder misses nothing
+LONGEST_DT = 0xFFFF  # ticks between two samples of one frame
+
+# Relative standard deviations of what the lab measured; the datum's is a fraction of the cog's circumference (0.5 mm on
+# `rig`), the damping's a fraction of critical damping, as a ring-down gives it.
+CONFIG_SD = {"metres_per_count": 2e-4, "mass": 1e-3, "datum": 0.004, "damping": 1e-3, "belt_speed": 0.01}
+
+
+class Board:
+    """A simulated board with a scene under it.
+
+    Parameters
+    ----------
+    scene : Scene
+        Must have an encoder.
+
+    Raises
+    ------
+    InputError
+        The scene has no encoder.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        if scene.encoder is None:
+            raise InputError(
+                "the scene has no encoder, so a board has nothing to count",
+                f"scene {scene.name}",
+                "give encoder.lines_per_rev and encoder.circumference, or take the scene rig",
+            )
+        self.scene = scene
+        self.rate_hz = 1000
+        self.block = 8
+        self.running = False
+        self._section: Encoder = scene.encoder
+        self._motion = Motion(scene)
+        self._encoder = QuadratureEncoder(scene.encoder, scene.start.x)
+        self._jitter = random.Random(f"{scene.seed}/jitter")
+        self._sample = 0  # samples since S
+        self._started = 0.0  # time of the sample 0 of this S
+        self._clock: float | None = None  # true instant of the last sample, s
+        self._pending: list[tuple[int, ...]] = []
+        self._told: list[tuple[float, float, float, float]] = []
+        self._line = b""
+
+    def power_up(self) -> bytes:
+        """Return what the board says by itself: its identification."""
+        return wire.encode_ident(self._ident())
+
+    def write(self, data: bytes) -> bytes:
+        """Take bytes of commands as they come and return the answers."""
+        *lines, self._line = (self._line + data).split(b"\n")
+        return b"".join(self._command(line.decode("ascii", "replace").strip()) for line in lines)
+
+    def samples(self, count: int) -> bytes:
+        """Take the next ``count`` samples and return the frames they fill; none unless started.
+
+        A motion that cannot go on (friction that changes its sign, say) stops the sampling with a NOTICE that says why.
+        """
+        if not self.running or count <= 0:
+            return b""
+        instants = self._instants(count)
+        path = self._motion.follow(instants, forces=self._tells)
+        counts = self._encoder.read(path.nodes, path.samples)
+        taken = len(path.samples)
+        ticks = _ticks(instants[:taken])
+        status = counts.levels
+        rows = zip(
+            ticks.tolist(), (counts.up & 0xFFFF).tolist(), (counts.down & 0xFFFF).tolist(), status.tolist(), strict=True
+        )
+        self._pending.extend(rows)
+        if self._tells:
+            self._told.extend(_truth_rows(path))
+        if taken == count:
+            return b"".join(self._full_frames())
+        self._sample -= count - taken
+        self.running = False
+        ended = self._motion.outcome
+        notice = f"the motion ended at {self._motion.t:.6g} s: {ended.name}; {ended.advice}"
+        return b"".join(self._full_frames(flush=True)) + wire.encode_notice(notice)
+
+    @property
+    def _tells(self) -> bool:
+        return self.scene.tell is not None and self.scene.tell.truth
+
+    def _command(self, line: str) -> bytes:
+        word, _, argument = line.partition(" ")
+        if word == "I":
+            return wire.encode_ident(self._ident()) + wire.encode_config(calibration(self.scene, self._encoder))
+        if word == "X":
+            self.running = False
+            return b"".join(self._full_frames(flush=True))
+        if word in ("R", "B", "M", "S") and self.running:
+            return wire.encode_notice(f"{line}: sampling; stop it first with X")
+        if word == "R":
+            return self._set_rate(argument)
+        if word == "B":
+            return self._set_block(argument)
+        if word == "M":
+            return self._set_decoder(argument)
+        if word == "S":
+            return self._start()
+        return (
+            wire.encode_notice(f"{line[:40]!r} is no command; known: I, R <hz>, B <n>, M <decoder>, S, X")
+            if line
+            else b""
+        )
+
+    def _set_rate(self, argument: str) -> bytes:
+        rate = _whole(argument)
+        if rate is None or not 1 <= rate <= MAX_RATE_HZ:
+            return wire.encode_notice(f"R {argument}: the rate is a whole number from 1 to {MAX_RATE_HZ} Hz")
+        self.rate_hz = rate
+        return b""
+
+    def _set_block(self, argument: str) -> bytes:
+        block = _whole(argument)
+        if block is None or not 1 <= block <= 255:
+            return wire.encode_notice(f"B {argument}: samples per frame are 1 to 255")
+        self.block = block
+        return b""
+
+    def _set_decoder(self, argument: str) -> bytes:
+        if argument not in EDGES_PER_COUNT:
+            return wire.encode_notice(f"M {argument}: no such decoder; known: {', '.join(EDGES_PER_COUNT)}")
+        self._encoder = QuadratureEncoder(self._section, self._motion.x, self._motion.t, argument)
+        return b""
+
+    def _start(self) -> bytes:
+        longest = 2_000_000 // self.rate_hz  # two periods, so that jitter fits too
+        if self.block > 1 and longest > LONGEST_DT:
+            return wire.encode_notice(
+                f"S: at {self.rate_hz} Hz two samples of a block are too far apart for its 16-bit time difference; "
+                "send single frames (B 1)"
+            )
+        self._started = 0.0 if self._clock is None else self._clock + 1 / self.rate_hz
+        self._sample = 0
+        self.running = True
+        return b""
+
+    def _instants(self, count: int) -> NDArray[np.float64]:
+        """Return the true times of the next samples: the grid plus jitter, held within 0.45 of a period either way."""
+        period = 1 / self.rate_hz
+        instants = self._started + (self._sample + np.arange(count)) / self.rate_hz
+        if self.scene.jitter is not None:
+            rms = self.scene.jitter.rms
+            noise = np.array([self._jitter.gauss(0.0, rms) for _ in range(count)])
+            if self._clock is None:
+                noise[0] = 0.0  # the clock starts with the first sample
+            instants += np.clip(noise, -0.45 * period, 0.45 * period)
+        self._sample += count
+        self._clock = float(instants[-1])
+        return instants
+
+    def _full_frames(self, flush: bool = False) -> list[bytes]:
+        """Return the frames of the samples waiting; ``flush`` sends a last block that is not full."""
+        frames: list[bytes] = []
+        waiting = len(self._pending)
+        sent = 0
+        while waiting - sent >= self.block or (flush and waiting > sent):
+            rows = self._pending[sent : sent + self.block]
+            seq = self._sample - waiting + sent & 0xFFFF
+            ticks, up, down, status = zip(*rows, strict=True)
+            dt = [0, *(later - earlier for earlier, later in pairwise(ticks))]
+            frames.append(wire.encode_samples(wire.SampleBlock(seq, ticks[0] & 0xFFFFFFFF, 0, dt, up, down, status)))
+            if self._tells:
+                frames.append(wire.encode_truth(wire.Truth(seq, self._told[sent : sent + self.block])))
+            sent += len(rows)
+        del self._pending[:sent]
+        del self._told[:sent]
+        return frames
+
+    def _ident(self) -> wire.Ident:
+        has = wire.Capability
+        capabilities = has.BLOCKS | has.LEVELS | has.ILLEGAL | has.CONFIG
+        return wire.Ident(
+            firmware=FIRMWARE,
+            decoder=self._encoder.decoder,
+            capabilities=capabilities | has.TRUTH if self._tells else capabilities,
+            counter_bits=COUNTER_BITS,
+            tick_ns=TICK_NS,
+            block_size=self.block,
+            max_rate_hz=MAX_RATE_HZ,
+            max_edge_rate_hz=MAX_EDGE_RATE_HZ,
+            name=f"simulated rig, scene {self.scene.name}",
+        )
+
+
+def calibration(scene: Scene, encoder: QuadratureEncoder) -> str:
+    """Return the CONFIG text: the rig as a careful lab measured it, drawn once per seed about the truth.
+
+    Position of the mass from the spring's rest = (up - down) * metres_per_count + datum, the middle of the count.
+    """
+    draw = random.Random(f"{scene.seed}/calibration")
+    pitch = encoder.delta * EDGES_PER_COUNT[encoder.decoder]
+    critical = 2 * (scene.spring.k * scene.mass.m) ** 0.5
+    size = {
+        "metres_per_count": pitch,
+        "mass": scene.mass.m,
+        "datum": encoder.section.circumference,
+        "damping": critical,
+        "belt_speed": abs(scene.belt.speed) if scene.belt else 0.0,
+    }
+    sd = {key: CONFIG_SD[key] * size[key] for key in size}
+    error = {key: draw.gauss(0.0, sd[key]) for key in size}  # always all five: a seed means the same rig
+    damping = max(0.0, (scene.damper.c if scene.damper else 0.0) + error["damping"])
+    lines = [
+        "[rig]",
+        f'name = "simulated rig, scene {scene.name}"',
+        *_measured("mass", scene.mass.m + error["mass"], sd["mass"]),
+        *_measured("damping", damping, sd["damping"]),
+    ]
+    if scene.belt:
+        lines += _measured("belt_speed", scene.belt.speed + error["belt_speed"], sd["belt_speed"])
+    lines += [
+        "[encoder]",
+        f'decoder = "{encoder.decoder}"',
+        *_measured("metres_per_count", pitch + error["metres_per_count"], sd["metres_per_count"]),
+        f"counts_per_revolution = {encoder.section.lines_per_rev * 4 // EDGES_PER_COUNT[encoder.decoder]}",
+        f"counter_bits = {COUNTER_BITS}",
+        *_measured("datum", encoder.origin - scene.spring.x0 + error["datum"], sd["datum"]),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _measured(key: str, value: float, sd: float) -> list[str]:
+    return [f"{key} = {float(value)!r}", f"{key}_sd = {float(sd)!r}"]
+
+
+def _truth_rows(path: Path) -> list[tuple[float, float, float, float]]:
+    at = path.samples
+    columns = (path.nodes.t[at], path.nodes.x[at], path.nodes.v[at], path.F)
+    return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+def _ticks(instants: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the device times, ticks rounded down; a time of a whole number of ticks keeps that number."""
+    return np.floor(instants * (1e9 / TICK_NS) + 1e-6).astype(np.int64)
+
+
+def _whole(text: str) -> int | None:
+    return int(text) if text.isdecimal() else None

@@ -1,0 +1,135 @@
+"""``rig-sim``: the simulated rig on the command line: scenes, periodic orbit, events, exact motion into a file."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+from cyclopts import Parameter
+
+from daq import terminal
+from daq.errors import InputError
+from daq.terminal import Answer, Json, SetChanges
+
+if TYPE_CHECKING:
+    from rig_sim.scenes import Scene
+
+Until = Annotated[float, Parameter(help="Time to end at, in the scene's unit (s for SI scenes).")]
+MaxSteps = Annotated[int, Parameter(help="Phases after which the run ends with the outcome 'step limit'.")]
+
+app = terminal.application(
+    "rig-sim",
+    "The stick-slip rig in software: exact motion between events, six friction laws.",
+    "rig-sim cycle base --set friction.law=3",
+)
+
+
+@app.command
+def scenes(*, json: Json = False) -> Answer:
+    """List the built-in scenes and the terms each of them has.
+
+    Example: rig-sim scenes
+    """
+    from rig_sim.scenes import builtin_names, scene
+
+    rows = [{"name": name, "title": (built := scene(name)).title, "terms": built.terms()} for name in builtin_names()]
+    text = "\n".join(f"{row['name']:8} {row['title']}\n         {', '.join(row['terms'])}" for row in rows)
+    return Answer(rows, text)
+
+
+@app.command
+def cycle(scene: str, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
+    """Find the periodic orbit that starts at the slip point; start, belt.start and every random section are ignored.
+
+    Example: rig-sim cycle base --set friction.law=6 --set friction.G_stick=-5e6
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from rig_sim.orbit import cycle as find
+
+    data = asdict(find(_scene(scene, set_)))
+    lines = [f"{key:9} {_shown(value)}" for key, value in data.items() if value not in (None, "")]
+    return Answer(data, "\n".join(lines))
+
+
+@app.command
+def events(
+    scene: str,
+    /,
+    *,
+    until: Until,
+    set_: SetChanges = None,
+    max_steps: MaxSteps = 10**6,
+    json: Json = False,
+) -> Answer:
+    """List when the mass sticks and slips: N slip slower than the belt, P faster, S stick or ramp.
+
+    Example: rig-sim events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from rig_sim.motion import events as play
+
+    found = play(_scene(scene, set_), until, max_steps=max_steps)
+    rows = [{"t": event.t, "x": event.x, "kind": event.kind} for event in found.events]
+    lines = [f"{'t':>22} {'x':>24}  kind"]
+    lines += [f"{event.t:22.15g} {event.x:24.16g}  {event.kind}" for event in found.events]
+    lines.append(f"{len(rows)} events, {found.steps} steps, outcome: {_outcome(found.outcome, found.advice)}")
+    return Answer({"events": rows, "outcome": found.outcome, "steps": found.steps}, "\n".join(lines))
+
+
+@app.command
+def run(
+    scene: str,
+    /,
+    *,
+    until: Until,
+    rate: Annotated[float, Parameter(help="Samples per unit of time (Hz for SI scenes).")],
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="File to write, .h5 or .csv.")],
+    set_: SetChanges = None,
+    max_steps: MaxSteps = 10**6,
+    force: Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")] = False,
+    json: Json = False,
+) -> Answer:
+    """Write the exact motion t, x, v and friction force F on an even grid of times.
+
+    Example: rig-sim run rig --until 20 --rate 1000 -o motion.h5
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from rig_sim.motion_file import write
+
+    if output.exists() and not force:
+        raise InputError("exists", str(output), "give another -o, or --force to replace it")
+    found = write(_scene(scene, set_), output, until=until, rate=rate, max_steps=max_steps)
+    data = {"file": output, "samples": found.samples, "outcome": found.outcome, "steps": found.steps}
+    ended = _outcome(found.outcome, found.advice)
+    return Answer(data, f"{output}: {found.samples} samples of t, x, v, F; outcome: {ended}")
+
+
+def _scene(name: str, changes: list[str] | None) -> "Scene":
+    from rig_sim.scenes import parse_changes
+    from rig_sim.scenes import scene as read
+
+    return read(name, **parse_changes(changes))
+
+
+def _outcome(name: str, advice: str) -> str:
+    return f"{name} ({advice})" if advice else name
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.15g}" if isinstance(value, float) else str(value)
+
+
+def main() -> NoReturn:
+    """Run ``rig-sim`` on the process's own command line."""
+    terminal.main(app)

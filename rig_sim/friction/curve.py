@@ -1,0 +1,58 @@
+"""The three slip curves: the magnitude of friction against slip speed s >= 0.
+
+Formulas below take floats or numpy arrays alike; numpy itself is not imported.
+"""
+
+import math
+from typing import TypeVar
+
+Real = TypeVar("Real")  # float, or numpy array of floats
+
+CONSTANT = 0
+LINEAR = 1
+HYPERBOLIC = 2
+
+CURVES = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC}
+
+
+def magnitude(curve: int, s: Real, Fs: float, G_slip: float = 0.0, gamma: float = 0.0) -> Real:
+    """Return the friction force (N, >= 0 in its physical range) at slip speed ``s``.
+
+    Parameters
+    ----------
+    curve : int
+        CONSTANT, LINEAR or HYPERBOLIC.
+    s : float or array
+        Slip speed, m/s, >= 0.
+    Fs : float
+        Level at s = 0, N.
+    G_slip : float
+        Slope of the linear curve, N s/m, > 0 for falling friction.
+    gamma : float
+        Of the hyperbolic curve, s/m.
+
+    Notes
+    -----
+    The linear curve changes sign beyond s = Fs/G_slip (`reversal_speed`); the formula is returned as it stands.
+    Not modelled: rise at high speed (viscous), memory, dependence on normal force or temperature.
+
+    Raises
+    ------
+    ValueError
+        For an unknown curve.
+    """
+    speed: float = s  # type: ignore[assignment]  # arithmetic is the same for arrays
+    if curve == CONSTANT:
+        force = Fs + 0.0 * speed
+    elif curve == LINEAR:
+        force = Fs - G_slip * speed
+    elif curve == HYPERBOLIC:
+        force = Fs / (1.0 + gamma * speed)
+    else:
+        raise ValueError(f"curve is {curve}; need one of {CURVES}")
+    return force  # type: ignore[return-value]
+
+
+def reversal_speed(curve: int, Fs: float, G_slip: float) -> float:
+    """Return the slip speed (m/s) beyond which the curve is unphysical; infinite unless it falls linearly."""
+    return Fs / G_slip if curve == LINEAR and G_slip > 0.0 else math.inf

@@ -1,0 +1,65 @@
+"""The six friction laws: a slip curve (how friction falls with slip speed) times a contact (jump or ramp at rest).
+
+===  ===========  =======  ==============  ==============================================
+law  curve        contact  parameters      thesis
+===  ===========  =======  ==============  ==============================================
+1    constant     jump     Fs              2.4 classic Coulomb
+2    constant     ramp     Fs, d           2.5 continuous Coulomb
+3    linear       jump     Fs, G_slip      2.6 discontinuous, sloping slip
+4    linear       ramp     Fs, G_slip, d   2.7 continuous, sloping slip
+5    hyperbolic   jump     Fs, gamma       2.8 discontinuous, non-linear slip
+6    hyperbolic   ramp     Fs, gamma, d    2.9 continuous, non-linear slip
+===  ===========  =======  ==============  ==============================================
+"""
+
+from dataclasses import dataclass
+
+from rig_sim.friction.curve import CURVES
+
+
+@dataclass(frozen=True)
+class Law:
+    """One friction law.
+
+    Parameters
+    ----------
+    number : int
+        1 to 6.
+    name : str
+        The law in words.
+    curve : str
+        'constant', 'linear' or 'hyperbolic': see `rig_sim.friction.curve`.
+    contact : str
+        'jump' (set-valued at rest) or 'ramp' (F proportional to w for abs(w) <= d): see `rig_sim.friction.contact`.
+    parameters : tuple of str
+        What the law needs: Fs (N), G_slip (N s/m), gamma (s/m), d (m/s).
+    """
+
+    number: int
+    name: str
+    curve: str
+    contact: str
+    parameters: tuple[str, ...]
+
+    @property
+    def curve_code(self) -> int:
+        """The curve as the kernels' integer."""
+        return CURVES[self.curve]
+
+    @property
+    def ramp(self) -> int:
+        """1 for a ramp contact, 0 for a jump: the kernels' integer."""
+        return int(self.contact == "ramp")
+
+
+LAWS = {
+    law.number: law
+    for law in (
+        Law(1, "constant friction", "constant", "jump", ("Fs",)),
+        Law(2, "constant friction with a ramp", "constant", "ramp", ("Fs", "d")),
+        Law(3, "friction falling linearly", "linear", "jump", ("Fs", "G_slip")),
+        Law(4, "friction falling linearly, with a ramp", "linear", "ramp", ("Fs", "G_slip", "d")),
+        Law(5, "friction falling hyperbolically", "hyperbolic", "jump", ("Fs", "gamma")),
+        Law(6, "friction falling hyperbolically, with a ramp", "hyperbolic", "ramp", ("Fs", "gamma", "d")),
+    )
+}

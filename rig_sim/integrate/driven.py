@@ -1,0 +1,217 @@
+"""Driven phases in closed form: stick, and the steep ramp in which a Taylor series would crawl.
+
+Drive u0 cos(omega t + phase).  In stick the load's margin g = k p - drive (between -2B and 0) is monotone between
+extremes known in closed form, and rises by k v T per period, so the right period is computed, not searched.  In an
+overdamped ramp the answer is the undriven solution plus Re(W e^{i omega tau}); events are searched with a bound on w''
+that falls as the fast root dies.
+"""
+
+import math
+
+from rig_sim.integrate.linear import EPS, LARGEST_EXPONENT, fundamental, roots
+from rig_sim.integrate.modes import RAMP, Frame, acceleration, line
+
+PIECES = 500  # searched in one step of a driven ramp; the caller goes on from there
+STEEP = 4.0  # the ramp's fast root against the other rates: from here on the closed form is the cheaper one
+
+
+def is_steep(fr: Frame, mode: int) -> bool:
+    """Tell whether a driven ramp is taken in closed form."""
+    if mode != RAMP:
+        return False
+    C, _ = line(fr, mode)
+    return C / fr.m > STEEP * (math.sqrt(fr.omega2) + abs(fr.omega))
+
+
+def ramp_parts(
+    fr: Frame, p: float, w: float, t: float
+) -> tuple[float, float, float, float, float, float, float, float]:
+    """Return (zeta, disc, u_h, a_h, W_re, W_im, omega, theta): the undriven part's start and the driven part's size."""
+    C, _ = line(fr, RAMP)
+    zeta = 0.5 * C / fr.m
+    disc = zeta * zeta - fr.omega2
+    a = acceleration(fr, RAMP, p, w, t)
+    theta = fr.omega * t + fr.phase
+    # (omega0^2 - omega^2 + 2 i zeta omega) W = i omega (u0/m) e^{i theta}
+    re = fr.omega2 - fr.omega * fr.omega
+    im = 2.0 * zeta * fr.omega
+    size = fr.u0 / fr.m * fr.omega
+    below = re * re + im * im
+    top_re = -size * math.sin(theta)
+    top_im = size * math.cos(theta)
+    W_re = (top_re * re + top_im * im) / below
+    W_im = (top_im * re - top_re * im) / below
+    return zeta, disc, w + fr.v - W_re, a + fr.omega * W_im, W_re, W_im, fr.omega, theta
+
+
+def ramp_state(fr: Frame, p: float, w: float, t: float, tau: float) -> tuple[float, float, float]:
+    """Return (p, w, w') of a driven ramp at local time tau."""
+    zeta, disc, u, a, W_re, W_im, omega, _ = ramp_parts(fr, p, w, t)
+    S, E, I = fundamental(zeta, fr.omega2, disc, tau)  # noqa: E741
+    sine = math.sin(omega * tau)
+    half = math.sin(0.5 * omega * tau)
+    fall = -2.0 * half * half  # cos - 1
+    p_end = p + u * (S + 2.0 * zeta * I) + a * I
+    if omega != 0.0:
+        p_end += (W_re * sine + W_im * fall) / omega
+    w_end = w + a * S - u * E + (W_re * fall - W_im * sine)
+    a_end = a * (1.0 - E - 2.0 * zeta * S) - fr.omega2 * u * S
+    a_end -= omega * (W_re * sine + W_im * (1.0 + fall))
+    return p_end, w_end, a_end
+
+
+def ramp_exit(fr: Frame, p: float, w: float, t: float, lo: float, hi: float, tau_max: float) -> tuple[int, float]:
+    """Return (side, tau): the first exit of w from [lo, hi] in a driven ramp, (0, tau reached) when there is none."""
+    zeta, disc, u, a, W_re, W_im, omega, _ = ramp_parts(fr, p, w, t)
+    lambda1, lambda2, gap = roots(zeta, fr.omega2, disc)
+    fast = abs((a - lambda2 * u) / gap) * lambda1 * lambda1
+    slow = abs((a - lambda1 * u) / gap) * lambda2 * lambda2
+    swing = math.hypot(W_re, W_im) * omega * omega
+    start_a = acceleration(fr, RAMP, p, w, t)
+    if w >= hi and start_a > 0.0:
+        return 1, 0.0
+    if w <= lo and start_a < 0.0:
+        return -1, 0.0
+    start = 0.0
+    value = w
+    shortest = 1e-9 / abs(lambda1)
+    step = min(tau_max, 1.0 / abs(lambda1))
+    for _i in range(PIECES):
+        if start >= tau_max:
+            return 0, tau_max
+        end = min(start + step, tau_max)
+        h = end - start
+        bound = fast * math.exp(max(lambda1 * start, -LARGEST_EXPONENT)) + slow + swing
+        _, after, slope = ramp_state(fr, p, w, t, end)
+        sag = 0.125 * bound * h * h
+        inside = lo < after < hi
+        if inside and max(value, after) + sag < hi and min(value, after) - sag > lo:
+            start = end
+            value = after
+            step = 2.0 * h
+        elif abs(slope) > bound * h or h <= max(shortest, 4.0 * EPS * end):  # monotone
+            if after >= hi:
+                return 1, ramp_root(fr, p, w, t, hi, 1, start, end)
+            if after <= lo:
+                return -1, ramp_root(fr, p, w, t, lo, -1, start, end)
+            start = end
+            value = after
+            step = 2.0 * h
+        else:
+            step = 0.5 * h
+    return 0, start
+
+
+def ramp_root(fr: Frame, p: float, w: float, t: float, level: float, side: int, inside: float, outside: float) -> float:
+    """Return where w crosses ``level`` between ``inside`` and ``outside``: Newton kept in its bracket."""
+    tau = 0.5 * (inside + outside)
+    for _i in range(100):
+        _, value, slope = ramp_state(fr, p, w, t, tau)
+        error = value - level
+        if error == 0.0:
+            return tau
+        if side * error > 0.0:
+            outside = tau
+        else:
+            inside = tau
+        following = tau - error / slope if slope != 0.0 else inside
+        if not inside < following < outside:
+            following = 0.5 * (inside + outside)
+        if abs(following - tau) <= 2.0 * EPS * following or not inside < following < outside:
+            return following
+        tau = following
+    return tau
+
+
+def margin(fr: Frame, p: float, theta: float, omega: float, size: float, tau: float) -> float:
+    """Return g = k p - drive at tau within a stick."""
+    return fr.k * (p + fr.v * tau) - size * math.cos(theta + omega * tau)
+
+
+def margin_root(
+    fr: Frame,
+    p: float,
+    theta: float,
+    omega: float,
+    size: float,
+    level: float,
+    side: int,
+    inside: float,
+    outside: float,
+) -> float:
+    """Return where the margin crosses ``level`` on a monotone piece: Newton kept in its bracket."""
+    tau = 0.5 * (inside + outside)
+    for _i in range(100):
+        error = margin(fr, p, theta, omega, size, tau) - level
+        if error == 0.0:
+            return tau
+        if side * error > 0.0:
+            outside = tau
+        else:
+            inside = tau
+        slope = fr.k * fr.v + size * omega * math.sin(theta + omega * tau)
+        following = tau - error / slope if slope != 0.0 else inside
+        if not inside < following < outside:
+            following = 0.5 * (inside + outside)
+        if abs(following - tau) <= 2.0 * EPS * following or not inside < following < outside:
+            return following
+        tau = following
+    return tau
+
+
+def driven_stick_exit(fr: Frame, p: float, t: float, tau_max: float) -> tuple[int, float]:
+    """Return (side, tau): where the margin of a driven stick rises above 0 (+1) or falls below -2B (-1)."""
+    size = abs(fr.u0)
+    omega = abs(fr.omega)
+    theta = fr.omega * t + fr.phase
+    if fr.omega < 0.0:
+        theta = -theta
+    if fr.u0 < 0.0:
+        theta += math.pi
+    floor = -2.0 * fr.B
+    rise = fr.k * fr.v
+    start = margin(fr, p, theta, omega, size, 0.0)
+    slope = rise + size * omega * math.sin(theta)
+    if start < floor or (start == floor and slope < 0.0):
+        return -1, 0.0
+    rounding = 8.0 * EPS * (fr.B + size)
+    if start > rounding or (start >= 0.0 and slope > 0.0):
+        return 1, 0.0
+    if size * omega <= rise:  # the belt always wins: monotone
+        if fr.v == 0.0:
+            return 0, tau_max
+        end = max((size / fr.k - p) / fr.v * (1.0 + 4.0 * EPS), 0.0) + 4.0 * EPS * size / rise
+        tau = margin_root(fr, p, theta, omega, size, 0.0, 1, 0.0, end)
+        return (1, tau) if tau <= tau_max else (0, tau_max)
+    period = 2.0 * math.pi / omega
+    tilt = math.asin(rise / (size * omega))
+    highest = (math.pi + tilt - theta) / omega
+    highest -= math.floor(highest / period) * period  # first maximum, in [0, period)
+    lowest = (-tilt - theta) / omega
+    lowest -= math.floor(lowest / period) * period
+    falling = (math.pi - 2.0 * tilt) / omega
+    climb = period - falling
+    # the first maximum, when the margin begins by rising
+    top = margin(fr, p, theta, omega, size, highest)
+    if highest < lowest and top > 0.0:
+        tau = margin_root(fr, p, theta, omega, size, 0.0, 1, 0.0, highest)
+        return (1, tau) if tau <= tau_max else (0, tau_max)
+    # the lower edge is met before the first minimum or never: the minima rise
+    if margin(fr, p, theta, omega, size, lowest) < floor:
+        tau = margin_root(fr, p, theta, omega, size, floor, -1, max(0.0, lowest - falling), lowest)
+        return (-1, tau) if tau <= tau_max else (0, tau_max)
+    if rise == 0.0:
+        if top <= 0.0:
+            return 0, tau_max
+        turns = 0.0
+    else:
+        turns = max(0.0, math.ceil(-top / (rise * period)) - 1.0)
+    for _i in range(4):
+        peak = highest + turns * period
+        if margin(fr, p, theta, omega, size, peak) > 0.0:
+            if peak - climb > tau_max:
+                return 0, tau_max
+            tau = margin_root(fr, p, theta, omega, size, 0.0, 1, max(0.0, peak - climb), peak)
+            return (1, tau) if tau <= tau_max else (0, tau_max)
+        turns += 1.0
+    return 0, min(tau_max, highest + turns * period)

@@ -1,0 +1,364 @@
+"""The loop over phases: next event, motion at given times, turning points, and lists of events.
+
+All kernels take and return the state as (mode, x, w, t): x in m, w = x' - v_belt in m/s, t in s.  They run as they
+stand, with ``work = new_work()``, or compiled (`rig_sim.integrate.compiled`) with ``new_work(compiled=True)``; arrays
+of times and results are then float64 (modes too), one-dimensional and contiguous.
+
+A driver that changes the Flow between events (belt start, wear, scatter, kicks) asks for one phase at a time with
+`next_event` or `sample_phase`, and classifies anew with `initial_mode` only when it moved the state or the load:
+
+    mode = initial_mode(flow, x, v, t)
+    while t < t_max:
+        kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, t_max, out_x, out_v, out_mode, work)
+        if kind >= FORCE_REVERSAL: ...          # ended: OUTCOMES[kind] has name and advice
+        if mode == STICK: flow = flow._replace(factor=...)
+
+`kind` is COMPLETED (0) when t_max was reached first, a transition (4 old + new mode, named in KINDS), or an outcome.
+"""
+
+import math
+
+from rig_sim.friction.curve import HYPERBOLIC
+from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ramp_state
+from rig_sim.integrate.linear import EPS, linear_exit, state, stick_exit
+from rig_sim.integrate.modes import (
+    CARRY,
+    COMPLETED,
+    EVENT_RATE,
+    FORCE_REVERSAL,
+    LIST_FULL,
+    NOT_FINITE,
+    RAMP,
+    RAPID,
+    STEP_LIMIT,
+    STEPS,
+    STEPS_ALLOWED,
+    STICK,
+    TIME_SCALE,
+    Buffer,
+    Flow,
+    Frame,
+    Work,
+    acceleration,
+    displacement,
+    edges,
+    frame,
+    landing,
+    line,
+    mirrored,
+    position,
+)
+from rig_sim.integrate.taylor import series_exit, value
+
+RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit
+RAPID_TIME = 1e-12  # x sqrt(m/k)
+
+
+def is_series(fr: Frame, mode: int) -> bool:
+    """Tell whether a mode is stepped by Taylor series: hyperbolic slip, and driven phases but stick and steep ramps."""
+    if mode == STICK:
+        return False
+    if fr.u0 != 0.0:
+        return not is_steep(fr, mode)
+    return fr.curve == HYPERBOLIC and mode != RAMP
+
+
+def leave(
+    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Work
+) -> tuple[int, float]:
+    """Return (side, tau): w leaves [lo, hi] after tau at its lower (-1) or upper (+1) end, or (0, tau) passed inside.
+
+    Without an exit, tau is ``tau_max`` but in phases stepped by series, where it may be less: call again from there.
+    """
+    if mode == STICK:
+        if fr.u0 != 0.0:
+            return driven_stick_exit(fr, p, t, tau_max)
+        return stick_exit(fr, p, tau_max)
+    if is_series(fr, mode):
+        return series_exit(fr, mode, p, w, t, lo, hi, tau_max, work)
+    if fr.u0 != 0.0:
+        return ramp_exit(fr, p, w, t, lo, hi, tau_max)
+    C, _ = line(fr, mode)
+    zeta = 0.5 * C / fr.m
+    omega0 = math.sqrt(fr.omega2)
+    disc = (zeta - omega0) * (zeta + omega0)
+    a = acceleration(fr, mode, p, w, t)
+    touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
+    return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch)
+
+
+def after(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Work) -> tuple[float, float]:
+    """Return (p, w) at tau into the phase; in a series phase ``work`` must hold the step that contains tau."""
+    if mode == STICK:
+        return p + fr.v * tau, 0.0
+    if is_series(fr, mode):
+        xi = tau / work[5][TIME_SCALE]
+        return value(work[1], xi), value(work[0], xi)
+    if fr.u0 != 0.0:
+        p_end, w_end, _ = ramp_state(fr, p, w, t, tau)
+        return p_end, w_end
+    C, _ = line(fr, mode)
+    zeta = 0.5 * C / fr.m
+    omega0 = math.sqrt(fr.omega2)
+    disc = (zeta - omega0) * (zeta + omega0)
+    a = acceleration(fr, mode, p, w, t)
+    return state(p, w, a, w + fr.v, zeta, fr.omega2, disc, tau)
+
+
+def phase(
+    fr: Frame,
+    mode: int,
+    p: float,
+    w: float,
+    t: float,
+    carry: float,
+    t_max: float,
+    times: Buffer,
+    i: int,
+    n: int,
+    out_x: Buffer,
+    out_v: Buffer,
+    out_mode: Buffer,
+    work: Work,
+) -> tuple[int, int, float, float, float, float, int]:
+    """Go to the next event or to t_max within the frame; return (kind, mode, p, w, t, carry, i).
+
+    Results are stored for times[i], times[i + 1] ... up to there.  Time is t + carry, summed by Neumaier's rule.
+    """
+    counters = work[5]
+    lo, hi = edges(fr, mode)
+    begun = t
+    if not (math.isfinite(p) and math.isfinite(w) and math.isfinite(t_max - t)):
+        return NOT_FINITE, mode, p, w, t, carry, i
+    while True:
+        rest = (t_max - t) - carry
+        side = 0
+        tau = 0.0
+        if rest > 0.0:
+            if counters[STEPS] >= counters[STEPS_ALLOWED]:
+                return STEP_LIMIT, mode, p, w, t, carry, i
+            counters[STEPS] += 1.0
+            side, tau = leave(fr, mode, p, w, t, lo, hi, rest, work)
+        if not math.isfinite(rest + tau):
+            return NOT_FINITE, mode, p, w, t, carry, i
+        while i < n:
+            dt = (times[i] - t) - carry
+            if dt > tau:
+                break
+            p_at, w_at = (p, w) if dt <= 0.0 else after(fr, mode, p, w, t, dt, work)
+            out_x[i] = position(fr, p_at)
+            out_v[i] = fr.mirror * (w_at + fr.v)
+            out_mode[i] = float(mirrored(fr, mode))
+            i += 1
+        if tau > 0.0:
+            p, w = after(fr, mode, p, w, t, tau, work)
+            if not (math.isfinite(p) and math.isfinite(w)):
+                return NOT_FINITE, mode, p, w, t, carry, i
+        if side == 0 and tau >= rest:
+            counters[RAPID] = 0.0
+            return COMPLETED, mode, p, w, t_max, 0.0, i
+        total = t + tau
+        carry += (t - total) + tau if abs(t) >= abs(tau) else (tau - total) + t
+        t = total
+        if side == 0:
+            continue
+        if mode == STICK:
+            w = 0.0
+            if side > 0 and fr.u0 == 0.0 and tau > 0.0:
+                p = 0.0
+        else:
+            w = hi if side > 0 else lo
+        entered = landing(fr, mode, side, p, t)
+        if entered == FORCE_REVERSAL:
+            return FORCE_REVERSAL, mode, p, w, t, carry, i
+        if t - begun <= RAPID_TIME / math.sqrt(fr.omega2):
+            counters[RAPID] += 1.0
+            if counters[RAPID] > RAPID_ALLOWED:
+                return EVENT_RATE, entered, p, w, t, carry, i
+        else:
+            counters[RAPID] = 0.0
+        return 4 * mode + entered, entered, p, w, t, carry, i
+
+
+def seen(fr: Frame, kind: int) -> int:
+    """Return a kind found in the frame as it is outside: transitions of a mirrored frame are mirrored."""
+    if kind == COMPLETED or kind >= FORCE_REVERSAL:
+        return kind
+    return 4 * mirrored(fr, kind // 4) + mirrored(fr, kind % 4)
+
+
+def sample_phase(
+    flow: Flow,
+    mode: int,
+    x: float,
+    w: float,
+    t: float,
+    times: Buffer,
+    i: int,
+    n: int,
+    t_max: float,
+    out_x: Buffer,
+    out_v: Buffer,
+    out_mode: Buffer,
+    work: Work,
+) -> tuple[int, int, float, float, float, int]:
+    """Go to the next event, or to t_max, storing the motion at times[i:n] on the way.
+
+    Parameters
+    ----------
+    flow, mode, x, w, t
+        The flow and the state to start from (s, m, m/s).
+    times, i, n
+        Sorted times (s); times[i:n] are still to be served; earlier ones than t get the state at t.
+    t_max : float
+        Where to stop when no event comes first, s; finite.
+    out_x, out_v, out_mode
+        Buffers of at least n: x (m), absolute velocity (m/s), mode.
+    work : Work
+        From `new_work`.
+
+    Returns
+    -------
+    (kind, mode, x, w, t, i)
+        ``mode`` is the one entered; ``i`` the first time not yet served (those at the event itself are).
+    """
+    fr = frame(flow)
+    kind, own, p, w, t, carry, i = phase(
+        fr,
+        mirrored(fr, mode),
+        displacement(fr, x),
+        fr.mirror * w,
+        t,
+        0.0,
+        t_max,
+        times,
+        i,
+        n,
+        out_x,
+        out_v,
+        out_mode,
+        work,
+    )
+    return seen(fr, kind), mirrored(fr, own), position(fr, p), fr.mirror * w, t + carry, i
+
+
+def next_event(
+    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Work
+) -> tuple[int, int, float, float, float]:
+    """Return (kind, mode, x, w, t) at the next event, or at t_max with kind COMPLETED."""
+    idle = work[0]
+    kind, mode, x, w, t, _ = sample_phase(flow, mode, x, w, t, idle, 0, 0, t_max, idle, idle, idle, work)
+    return kind, mode, x, w, t
+
+
+def sample(
+    flow: Flow,
+    mode: int,
+    x: float,
+    w: float,
+    t0: float,
+    times: Buffer,
+    n: int,
+    out_x: Buffer,
+    out_v: Buffer,
+    out_mode: Buffer,
+    work: Work,
+) -> tuple[int, int, float, float, float]:
+    """Run through all events from t0 to times[n - 1] and store the motion at times[0:n]; the flow stays the same.
+
+    Returns (status, mode, x, w, t): status COMPLETED, or the outcome that ended the run before the last time (results
+    from there on are untouched).  Buffers as in `sample_phase`.
+    """
+    fr = frame(flow)
+    own = mirrored(fr, mode)
+    p = displacement(fr, x)
+    w = fr.mirror * w
+    t = t0
+    carry = 0.0
+    kind = COMPLETED
+    i = 0
+    while i < n:
+        kind, own, p, w, t, carry, i = phase(
+            fr, own, p, w, t, carry, times[n - 1], times, i, n, out_x, out_v, out_mode, work
+        )
+        if kind >= FORCE_REVERSAL:
+            break
+        kind = COMPLETED
+    return kind, mirrored(fr, own), position(fr, p), fr.mirror * w, t + carry
+
+
+def next_turn(
+    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Work
+) -> tuple[bool, float, float, float]:
+    """Return (found, x, w, t) at the next turning point of x (w = -v_belt) after t, staying in the given mode.
+
+    Ask with t_max no later than the phase's event: the mode's edges are not looked at.  A start on a turning point is
+    not found again.  Without one before t_max the state there is returned.
+    """
+    fr = frame(flow)
+    own = mirrored(fr, mode)
+    p = displacement(fr, x)
+    w = fr.mirror * w
+    counters = work[5]
+    if own == STICK:
+        return False, position(fr, p + fr.v * (t_max - t)), 0.0, t_max
+    while True:
+        rest = t_max - t
+        if rest <= 0.0 or counters[STEPS] >= counters[STEPS_ALLOWED]:
+            return False, position(fr, p), fr.mirror * w, t
+        counters[STEPS] += 1.0
+        lo = -math.inf
+        hi = math.inf
+        level = -fr.v
+        if w < level or (w == level and acceleration(fr, own, p, w, t) < 0.0):
+            hi = level
+        else:
+            lo = level
+        side, tau = leave(fr, own, p, w, t, lo, hi, rest, work)
+        if tau > 0.0:
+            p, w = after(fr, own, p, w, t, tau, work)
+        t = t + tau
+        if side != 0:
+            return True, position(fr, p), fr.mirror * level, t
+        if tau >= rest:
+            return False, position(fr, p), fr.mirror * w, t_max
+
+
+def run(
+    flow: Flow,
+    mode: int,
+    x: float,
+    w: float,
+    t: float,
+    t_max: float,
+    room: int,
+    out_t: Buffer,
+    out_x: Buffer,
+    out_kind: Buffer,
+    work: Work,
+) -> tuple[int, int, int, float, float, float]:
+    """List the events up to t_max; return (outcome, count, mode, x, w, t).
+
+    ``out_t``, ``out_x``, ``out_kind`` hold ``room`` entries.  Outcome LIST_FULL: store them and call again with the
+    returned state and the same ``work``, whose last buffer carries what t itself cannot hold.
+    """
+    fr = frame(flow)
+    own = mirrored(fr, mode)
+    p = displacement(fr, x)
+    w = fr.mirror * w
+    counters = work[5]
+    carry = float(counters[CARRY])
+    idle = work[0]
+    count = 0
+    outcome = LIST_FULL
+    while count < room:
+        kind, own, p, w, t, carry, _ = phase(fr, own, p, w, t, carry, t_max, idle, 0, 0, idle, idle, idle, work)
+        if kind == COMPLETED or kind >= FORCE_REVERSAL:
+            outcome = kind
+            break
+        out_t[count] = t + carry
+        out_x[count] = position(fr, p)
+        out_kind[count] = float(seen(fr, kind))
+        count += 1
+    counters[CARRY] = carry
+    return outcome, count, mirrored(fr, own), position(fr, p), fr.mirror * w, t

@@ -1,0 +1,305 @@
+"""Play a scene: the exact motion at requested times, and the events, with what changes the flow between events.
+
+The integrator runs one phase at a time.  Between phases this driver changes its flow:
+
+    belt.start          the belt steps from rest to its speed; the mass keeps its velocity
+    joint               the mass's velocity steps by ``kick`` each time belt.length has passed since the belt's start
+    wear, scatter       one factor on the whole friction curve, evaluated at each landing on the belt (entering stick or
+                        the ramp; a stick of zero length is a landing too): (1 - rate t)(1 + Fs g), g drawn from the
+                        normal distribution; never below `LEAST_FACTOR`; 1 until the first landing
+
+Random numbers come from one stream per effect, seeded by the scene's ``seed`` and the effect's name, so that adding an
+effect does not change what another one draws.
+
+Not modelled: ripple and droop of the belt's speed, creep in stick.
+"""
+
+import math
+import random
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from daq.errors import InputError
+from rig_sim.integrate.events import list_events
+from rig_sim.integrate.hybrid import sample_phase
+from rig_sim.integrate.modes import (
+    COMPLETED,
+    FORCE_REVERSAL,
+    KINDS,
+    LETTERS,
+    OUTCOMES,
+    RAMP,
+    STEPS,
+    STICK,
+    Flow,
+    Outcome,
+    force,
+    initial_mode,
+    new_work,
+)
+from rig_sim.scenes import Scene
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from rig_sim.encoder import Nodes
+
+DEFAULT_MAX_STEPS = 1_000_000
+LEAST_FACTOR = 0.05  # of Fs: friction that wear and scatter never go below
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """At time t (s) and position x (m) the mass went from one kind of contact to another.
+
+    ``kind`` is 'N>S', 'S>N', 'N>P' ...: N slip slower than the belt, P faster, S stick or ramp; 'kick' where the belt's
+    joint came by.
+    """
+
+    t: float
+    x: float
+    kind: str
+
+
+@dataclass(frozen=True)
+class Events:
+    """The events of one run, in order, and how it ended.
+
+    ``outcome`` is 'completed' or the named reason why it ended early, ``advice`` what to do about it; ``steps`` counts
+    the integrator's steps.
+    """
+
+    events: tuple[Event, ...]
+    outcome: str
+    advice: str
+    steps: int
+
+
+@dataclass(frozen=True)
+class Path:
+    """The motion over a stretch of time.
+
+    Attributes
+    ----------
+    nodes : Nodes
+        t, x, v at the stretch's start, at the times asked for, at every event between them and, where these lie far
+        apart, at times in between.
+    samples : (s,) int64
+        Which nodes are the times asked for; fewer than asked for when the motion ended early.
+    F : (s,) float64
+        Friction force on the mass at these times, N; empty unless it was asked for.
+    """
+
+    nodes: "Nodes"
+    samples: "NDArray[np.int64]"
+    F: "NDArray[np.float64]"
+
+
+class Motion:
+    """The mass on its belt, played forwards in time.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to play, from t = 0.
+    max_steps : float
+        Integrator steps after which the motion ends with the outcome 'step limit'; infinite for a board.
+
+    Attributes
+    ----------
+    t, x, v : float
+        Where the motion stands: s, m, m/s.
+    outcome : Outcome
+        'completed' while it goes on; else why it ended, and what to do.
+    events : list of Event or None
+        Set to a list to collect the events in it; None collects nothing.
+    """
+
+    def __init__(self, scene: Scene, *, max_steps: float = math.inf) -> None:
+        self.scene = scene
+        self.t, self.x, self.v = 0.0, float(scene.start.x), float(scene.start.v)
+        self.outcome: Outcome = OUTCOMES[COMPLETED]
+        self.events: list[Event] | None = None
+        self.flow: Flow = scene.flow(belt_running=not (scene.belt and scene.belt.start > 0))
+        self._belt_waits = scene.belt is not None and scene.belt.start > 0
+        self._kicks = 0
+        self._draw = random.Random(f"{scene.seed}/scatter")
+        self._landings_matter = scene.wear is not None or scene.scatter is not None
+        self._work = new_work(max_steps)  # type: ignore[arg-type]  # infinity is no int
+        self._mode = initial_mode(self.flow, self.x, self.v, self.t)
+
+    @property
+    def steps(self) -> int:
+        """Integrator steps taken so far."""
+        return int(self._work[5][STEPS])
+
+    def advance(self, until: float) -> bool:
+        """Play up to a time (s) and return whether the motion still goes on there."""
+        self._play([until], [])
+        return self.outcome.name == OUTCOMES[COMPLETED].name
+
+    def follow(self, instants: "NDArray[np.float64]", *, forces: bool = False) -> Path:
+        """Play through increasing times (s, none before ``t``) and return the motion.
+
+        Parameters
+        ----------
+        instants : (s,) float64
+            Times to sample at; the first may be ``t`` itself.
+        forces : bool
+            Whether the friction force is wanted too.
+        """
+        import numpy as np
+
+        from rig_sim.encoder import Nodes
+
+        times, asked = _refined(np.concatenate(([self.t], instants)), self._spacing())
+        wanted: list[float] = times.tolist()
+        corners: list[tuple[int, float, float, float]] = []
+        x, v, F, served = self._play(wanted, corners, forces=forces)
+        before = np.array([corner[0] for corner in corners], dtype=np.int64)
+        t_corner, x_corner, v_corner = np.array([corner[1:] for corner in corners], dtype=np.float64).reshape(-1, 3).T
+        nodes = Nodes(
+            np.maximum.accumulate(np.insert(times[:served], before, t_corner)),
+            np.insert(np.array(x[:served]), before, x_corner),
+            np.insert(np.array(v[:served]), before, v_corner),
+        )
+        at = asked[1:][asked[1:] < served]
+        friction = np.array(F)[at] if forces else np.empty(0)
+        return Path(nodes, at + np.searchsorted(before, at, side="right"), friction)
+
+    def _play(
+        self,
+        times: Sequence[float],
+        corners: list[tuple[int, float, float, float]],
+        *,
+        forces: bool = False,
+    ) -> tuple[list[float], list[float], list[float], int]:
+        """Go through ``times``; return x, v, F there and how many were reached.
+
+        Each event adds (how many times are before it, t, x, v) to ``corners``; a kick adds two.
+        """
+        n = len(times)
+        x, v, modes, F = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
+        served = 0
+        while self.outcome.name == OUTCOMES[COMPLETED].name:
+            end = min(times[-1], self._next_change())
+            first, was, w = served, self._mode, self.v - self.flow.v_belt
+            kind, self._mode, self.x, w, self.t, served = sample_phase(
+                self.flow, was, self.x, w, self.t, times, served, n, end, x, v, modes, self._work
+            )
+            self.v = w + self.flow.v_belt
+            if forces:
+                for i in range(first, served):
+                    F[i] = force(self.flow, was, x[i], v[i] - self.flow.v_belt, times[i])
+            if kind >= FORCE_REVERSAL:
+                self.outcome = OUTCOMES[kind]
+            elif kind != COMPLETED:
+                corners.append((served, self.t, self.x, self.v))
+                self._note(KINDS[kind])
+                if self._landings_matter and self._mode in (STICK, RAMP):
+                    self.flow = self.flow._replace(factor=self._factor())
+            elif self.t >= self._next_change():
+                self._change(served, corners)
+            elif served == n:
+                break
+        return x, v, F, served
+
+    def _next_change(self) -> float:
+        """Return when the belt starts or its joint comes by next (s)."""
+        belt = self.scene.belt
+        if belt is None:
+            return math.inf
+        if self._belt_waits:
+            return belt.start
+        if self.scene.joint is None or belt.length is None or belt.speed == 0:
+            return math.inf
+        return belt.start + (self._kicks + 1) * belt.length / abs(belt.speed)
+
+    def _change(self, served: int, corners: list[tuple[int, float, float, float]]) -> None:
+        """Start the belt, or kick the mass."""
+        corners.append((served, self.t, self.x, self.v))
+        was = self._mode
+        if self._belt_waits:
+            self._belt_waits = False
+            self.flow = self.scene.flow(factor=self.flow.factor)
+        elif self.scene.joint is not None:
+            self._kicks += 1
+            self.v += self.scene.joint.kick
+            corners.append((served, self.t, self.x, self.v))
+            self._note("kick")
+        self._mode = initial_mode(self.flow, self.x, self.v, self.t)
+        if LETTERS[self._mode] != LETTERS[was]:
+            self._note(f"{LETTERS[was]}>{LETTERS[self._mode]}")
+
+    def _factor(self) -> float:
+        """Return the factor on the friction curve from this landing on."""
+        factor = 1.0
+        if self.scene.wear is not None:
+            factor -= self.scene.wear.rate * self.t
+        if self.scene.scatter is not None:
+            factor *= 1.0 + self._draw.gauss(0.0, self.scene.scatter.Fs)
+        return max(LEAST_FACTOR, factor)
+
+    def _note(self, kind: str) -> None:
+        if self.events is not None:
+            self.events.append(Event(self.t, self.x, kind))
+
+    def _spacing(self) -> float:
+        """Return how far apart nodes may lie for the cubic between them to be much finer than an encoder's count."""
+        if self.scene.encoder is None:
+            return math.inf
+        rate = math.sqrt(self.flow.k / self.flow.m) + (self.flow.gamma * self.flow.Fs + self.flow.G_slip) / self.flow.m
+        return 0.05 / rate
+
+
+def _refined(times: "NDArray[np.float64]", spacing: float) -> "tuple[NDArray[np.float64], NDArray[np.int64]]":
+    """Return times with points put in where two lie further apart than ``spacing``, and the given ones' places."""
+    import numpy as np
+
+    gaps = np.diff(times)
+    parts = np.maximum(1, np.ceil(gaps / spacing)).astype(np.int64)
+    asked = np.concatenate(([0], np.cumsum(parts)))
+    if asked[-1] == len(gaps):
+        return times, asked
+    within = np.arange(asked[-1]) - np.repeat(asked[:-1], parts)
+    fine = np.repeat(times[:-1], parts) + np.repeat(gaps / parts, parts) * within
+    return np.append(fine, times[-1]), asked
+
+
+def events(scene: Scene, until: float, *, max_steps: int = DEFAULT_MAX_STEPS) -> Events:
+    """Return when and where the mass sticks and slips, from t = 0 to ``until`` (s).
+
+    Parameters
+    ----------
+    scene : Scene
+        From `rig_sim.scene`.
+    until : float
+        Time to end at.
+    max_steps : int
+        Integrator steps after which the run ends with the outcome 'step limit'.
+
+    Raises
+    ------
+    InputError
+        ``until`` is not a positive number, or ``max_steps`` is below 1.
+    """
+    if not (math.isfinite(until) and until > 0):
+        raise InputError(f"is {until:g}", "--until", "give a positive number")
+    if max_steps < 1:
+        raise InputError(f"is {max_steps}", "--max-steps", "give a positive number")
+    if _flow_never_changes(scene):
+        found = list_events(scene.flow(), float(scene.start.x), float(scene.start.v), until, max_steps=max_steps)
+        listed = (Event(*event) for event in zip(found.t, found.x, found.kinds, strict=True))
+        return Events(tuple(listed), found.outcome, found.advice, found.steps)
+    motion = Motion(scene, max_steps=max_steps)
+    motion.events = []
+    motion.advance(until)
+    return Events(tuple(motion.events), motion.outcome.name, motion.outcome.advice, motion.steps)
+
+
+def _flow_never_changes(scene: Scene) -> bool:
+    """Tell whether one call of the integrator, which sums time with compensation, does for the whole run."""
+    effects = (scene.wear, scene.scatter, scene.joint)
+    return all(effect is None for effect in effects) and not (scene.belt and scene.belt.start > 0)

@@ -1,0 +1,398 @@
+"""Scenes: a TOML file, or a built-in name, says what exists on the rig; what it does not name does not exist.
+
+======== ===================================== =========================================================================
+section  keys                                  meaning
+======== ===================================== =========================================================================
+mass     m                                     required
+spring   k, x0 = 0                             required; x0: the spring's rest position
+belt     speed, start = 0, length              at rest before ``start``, then at ``speed``; one turn is ``length``
+friction law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
+         static = 1
+start    x = 0, v = 0                          the mass at t = 0
+damper   c
+drive    u0, omega                             the force u0 cos(omega t)
+wear     rate                                  fraction of Fs lost per second
+scatter  Fs                                    standard deviation of Fs from stick to stick, a fraction
+joint    kick                                  velocity step of the mass once per ``belt.length``
+encoder  lines_per_rev, circumference,         vibration is added to the encoder's position only
+         decoder = "x4", vibration,
+         vibration_hz = 50
+jitter   rms                                   of the sampling instants, s
+tell     truth                                 the board also sends the exact motion
+======== ===================================== =========================================================================
+
+Top-level keys: name, title, seed (default 0).  SI units, or dimensionless throughout.  ``G_stick = -Fs/d``: naming one
+of the two in a change removes the other.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from daq.errors import InputError, nearest
+from rig_sim.friction.law import LAWS
+from rig_sim.integrate.modes import Flow
+
+BUILTIN_FOLDER = Path(__file__).parent / "builtin"
+TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive")
+EFFECTS = ("wear", "scatter", "joint", "encoder", "jitter", "tell")
+SECTIONS = TERMS + EFFECTS
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Negative = Annotated[float, Field(lt=0)]
+
+
+class Section(BaseModel):
+    """A scene's section: frozen, no unknown key, no NaN or infinity, no string where a number belongs."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class Mass(Section):
+    """The sliding mass; ``m`` in kg."""
+
+    m: Positive
+
+
+class Spring(Section):
+    """The spring between mass and wall: ``k`` in N/m, rest position ``x0`` in m."""
+
+    k: Positive
+    x0: float = 0.0
+
+
+class Belt(Section):
+    """The driving belt: ``speed`` in m/s (signed), ``start`` in s, ``length`` of one turn in m."""
+
+    speed: float
+    start: NotNegative = 0.0
+    length: Positive | None = None
+
+
+class Friction(Section):
+    """Law 1 to 6 and every parameter the scene knows; the law takes the ones it needs.
+
+    Attributes
+    ----------
+    Fs : float
+        Largest static force, N.
+    G_slip, gamma : float, optional
+        Slope of the linear curve, N s/m; rate of the hyperbolic curve, s/m.
+    G_stick, d : float, optional
+        The ramp's slope (negative, N s/m), or its half-width (m/s): one of the two.
+    static : float
+        Break-away level over Fs; at least 1.
+    """
+
+    law: Literal[1, 2, 3, 4, 5, 6]
+    Fs: NotNegative
+    G_slip: NotNegative | None = None
+    gamma: NotNegative | None = None
+    G_stick: Negative | None = None
+    d: Positive | None = None
+    static: Annotated[float, Field(ge=1)] = 1.0
+
+    def ramp(self) -> float:
+        """Return the ramp's half-width (m/s); 0 when the scene names no ramp."""
+        if self.d is not None:
+            return self.d
+        return self.Fs / -self.G_stick if self.G_stick is not None else 0.0
+
+    def parameters(self) -> dict[str, float]:
+        """Return Fs and the parameters that this law needs, by name."""
+        return {key: self.ramp() if key == "d" else float(getattr(self, key)) for key in LAWS[self.law].parameters}
+
+
+class Start(Section):
+    """Position (m) and velocity (m/s) of the mass at t = 0."""
+
+    x: float = 0.0
+    v: float = 0.0
+
+
+class Damper(Section):
+    """Viscous damper to the wall; ``c`` in N s/m."""
+
+    c: NotNegative
+
+
+class Drive(Section):
+    """The force u0 cos(omega t) on the mass; N and rad/s."""
+
+    u0: float
+    omega: NotNegative
+
+
+class Wear(Section):
+    """``rate``: fraction of Fs lost per second (negative: the contact runs in and Fs grows)."""
+
+    rate: float
+
+
+class Scatter(Section):
+    """``Fs``: standard deviation of the factor drawn at each stick, a fraction of Fs."""
+
+    Fs: NotNegative
+
+
+class Joint(Section):
+    """``kick``: step of the mass's velocity (m/s) each time the belt's joint comes by."""
+
+    kick: float
+
+
+class Encoder(Section):
+    """The rotary encoder on its cog: x4 count n = floor((x + vibration)/(circumference/lines_per_rev/4))."""
+
+    lines_per_rev: Annotated[int, Field(gt=0)]
+    circumference: Positive
+    decoder: Literal["x4", "x1", "jk", "jk-latched"] = "x4"
+    vibration: NotNegative = 0.0
+    vibration_hz: NotNegative = 50.0
+
+    @property
+    def metres_per_count(self) -> float:
+        """The x4 count in metres; a line is four of them."""
+        return self.circumference / self.lines_per_rev / 4
+
+
+class Jitter(Section):
+    """``rms`` of the sampling instants about the commanded grid, s."""
+
+    rms: NotNegative
+
+
+class Tell(Section):
+    """``truth``: the board also sends the exact time, x, v and F of every sample."""
+
+    truth: bool = False
+
+
+class Scene(Section):
+    """What exists on the rig; an absent section is None and its term does not exist."""
+
+    name: str = ""
+    title: str = ""
+    seed: Annotated[int, Field(ge=0)] = 0
+    mass: Mass
+    spring: Spring
+    belt: Belt | None = None
+    friction: Friction | None = None
+    start: Start = Start()
+    damper: Damper | None = None
+    drive: Drive | None = None
+    wear: Wear | None = None
+    scatter: Scatter | None = None
+    joint: Joint | None = None
+    encoder: Encoder | None = None
+    jitter: Jitter | None = None
+    tell: Tell | None = None
+
+    def terms(self) -> list[str]:
+        """Return the names of the sections the scene has, in the order of the table above."""
+        return [name for name in SECTIONS if getattr(self, name) is not None]
+
+    def flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
+        """Return the equation of motion as the integrator takes it.
+
+        Parameters
+        ----------
+        belt_running : bool
+            False before ``belt.start``: the belt is there, at rest.
+        factor : float
+            Wear times scatter: multiplies the whole friction curve, the ramp's width unchanged.
+        """
+        law = LAWS[self.friction.law if self.friction else 1]
+        values = self.friction.parameters() if self.friction else {}
+        return Flow(
+            m=float(self.mass.m),
+            k=float(self.spring.k),
+            x0=float(self.spring.x0),
+            c=float(self.damper.c) if self.damper else 0.0,
+            v_belt=float(self.belt.speed) if self.belt and belt_running else 0.0,
+            curve=law.curve_code,
+            ramp=law.ramp,
+            Fs=values.get("Fs", 0.0),
+            static=float(self.friction.static) if self.friction else 1.0,
+            factor=factor,
+            G_slip=values.get("G_slip", 0.0),
+            gamma=values.get("gamma", 0.0),
+            d=values.get("d", 0.0),
+            u0=float(self.drive.u0) if self.drive else 0.0,
+            omega=float(self.drive.omega) if self.drive else 0.0,
+            phase=0.0,
+        )
+
+
+def builtin_names() -> list[str]:
+    """Return the names of the built-in scenes."""
+    return sorted(path.stem for path in BUILTIN_FOLDER.glob("*.toml"))
+
+
+def scene(name_or_path: "str | Path", **changes: object) -> Scene:
+    """Return a scene, built in or read from a TOML file, with some keys changed.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A built-in name (`builtin_names`), or the path of a TOML file.
+    **changes
+        Either dotted keys, ``scene("rig", **{"friction.law": 3})``, or whole or partial sections,
+        ``scene("rig", friction={"law": 3}, seed=7)``.  A section that is absent is created; naming ``G_stick`` removes
+        ``d`` and the other way round.
+
+    Raises
+    ------
+    InputError
+        No such scene, a file that is no TOML, an unknown section or key (with its nearest neighbour), a value that is
+        no finite number or out of its range: each names the file and the key.
+    """
+    where, content = _read(name_or_path)
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            for inner, item in value.items():
+                _change(content, f"{key}.{inner}", item, where)
+        else:
+            _change(content, key, value, where)
+    return _checked(content, where)
+
+
+def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
+    """Return ``["friction.law=3", ...]``, as ``--set`` takes them, as changes for `scene`.
+
+    Values are TOML; a bare word is a string.
+
+    Raises
+    ------
+    InputError
+        A setting without ``=``.
+    """
+    changes: dict[str, object] = {}
+    for setting in settings or ():
+        key, equals, value = setting.partition("=")
+        if not equals or not key.strip() or not value.strip():
+            raise InputError(f"{setting!r} is no change of a scene", "--set", "write section.key=value")
+        changes[key.strip()] = _value(value.strip())
+    return changes
+
+
+def _value(text: str) -> object:
+    import tomllib
+
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        pass
+    try:
+        return float(text)
+    except ValueError:
+        return {"true": True, "false": False}.get(text.lower(), text)
+
+
+def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
+    import tomllib
+
+    name = str(name_or_path)
+    path = BUILTIN_FOLDER / f"{name}.toml"
+    where = f"scene {name}"
+    if name not in builtin_names():
+        path, where = Path(name), name
+        if path.suffix != ".toml" and not path.exists():
+            raise InputError(
+                f"no built-in scene {name!r} and no such file",
+                "scene",
+                f"{nearest(name, builtin_names())}; or give the path of a TOML file",
+            )
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError("no such file", where, f"check the path, or take a built-in scene: {_listed()}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as text ({error})", where, "give the path of a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not TOML: {error}", where, "mend that line") from None
+    content.setdefault("name", path.stem)
+    return where, content
+
+
+def _listed() -> str:
+    return ", ".join(builtin_names())
+
+
+def _change(content: dict[str, Any], dotted: str, value: object, where: str) -> None:
+    section, dot, key = dotted.partition(".")
+    if not dot:
+        content[section] = value
+        return
+    plain = section in Scene.model_fields and not _keys(section)
+    if plain or not isinstance(content.setdefault(section, {}), dict):
+        raise InputError(f"{section!r} is a plain value and has no key {key!r}", where, f"set {section} itself")
+    content[section][key] = value
+    if section == "friction" and key in ("G_stick", "d"):
+        content[section].pop("d" if key == "G_stick" else "G_stick", None)
+
+
+def _checked(content: dict[str, Any], where: str) -> Scene:
+    _refuse_unknown(content, where)
+    try:
+        found = Scene.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "missing":
+            raise InputError(f"{key} is missing", where, f"give it, or --set {_first_key(key)}=...") from None
+        reason = (first["msg"][0].lower() + first["msg"][1:]).replace("input should", "it should")
+        raise InputError(
+            f"{key} is {first['input']!r:.60}", where, reason.replace("input should", "it should")
+        ) from None
+    _check_together(found, where)
+    return found
+
+
+def _first_key(key: str) -> str:
+    return {"mass": "mass.m", "spring": "spring.k"}.get(key, key)
+
+
+def _refuse_unknown(content: Mapping[str, Any], where: str) -> None:
+    for section, keys in content.items():
+        if section not in Scene.model_fields:
+            what = "section" if isinstance(keys, dict) else "key"
+            raise InputError(f"unknown {what} {section!r}", where, nearest(section, list(Scene.model_fields)))
+        if not isinstance(keys, dict):
+            continue
+        known = _keys(section)
+        for key in keys:
+            if key not in known:
+                raise InputError(f"unknown key '{section}.{key}'", where, nearest(key, known))
+
+
+def _keys(section: str) -> list[str]:
+    annotation = Scene.model_fields[section].annotation
+    for model in (annotation, *getattr(annotation, "__args__", ())):
+        if isinstance(model, type) and issubclass(model, Section):
+            return list(model.model_fields)
+    return []
+
+
+def _check_together(found: Scene, where: str) -> None:
+    """Refuse what only two sections together make impossible."""
+    friction = found.friction
+    if friction is None:
+        for effect in ("wear", "scatter"):
+            if getattr(found, effect) is not None:
+                raise InputError(f"{effect} without friction", where, f"add a friction section or drop {effect}")
+    else:
+        if friction.G_stick is not None and friction.d is not None:
+            raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -Fs/d")
+        for key in LAWS[friction.law].parameters:
+            if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
+                name = "G_stick or d" if key == "d" else key
+                raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
+    if found.joint is not None and (found.belt is None or found.belt.length is None):
+        raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
+    if not math.isfinite(found.spring.k / found.mass.m):
+        raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")

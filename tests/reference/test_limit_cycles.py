@@ -1,0 +1,80 @@
+"""Limit cycles and driven event lists against the multi-precision reference (50 digits, limit_cycles.json)."""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+
+from rig_sim.friction.law import LAWS
+from rig_sim.integrate.events import list_events
+from rig_sim.integrate.modes import Flow
+from rig_sim.orbit import cycle
+
+REFERENCE = json.loads(Path(__file__).with_name("limit_cycles.json").read_text())
+MEASURED = ("period", "t_stick", "t_slip", "x_slip", "x_stick", "x_min", "x_max", "v_min", "v_max")
+PERIODIC = [case for case in REFERENCE["cases"] if "period" in case]
+RESTING = [case for case in REFERENCE["cases"] if "result" in case]
+
+
+def flow_of(params: dict[str, str | int]) -> Flow:
+    law = LAWS[int(params["law"])]
+    changes = {
+        field: float(params[key])
+        for key, field in {
+            "vdr": "v_belt",
+            "gamma": "gamma",
+            "Gs": "G_slip",
+            "c": "c",
+            "u0": "u0",
+            "om": "omega",
+        }.items()
+        if key in params
+    }
+    if "Gst" in params:
+        changes["d"] = 1.0 / abs(float(params["Gst"]))
+    return Flow(curve=law.curve_code, ramp=law.ramp, **changes)
+
+
+@pytest.mark.parametrize("case", PERIODIC, ids=lambda case: case["name"])
+def test_cycle_meets_the_reference(case):
+    orbit = cycle(flow_of(case["params"]))
+    assert orbit.outcome == "cycle"
+    compared = [key for key in MEASURED if key in case]
+    assert {"period", "t_stick", "x_stick", "v_min"} <= set(compared)
+    for key in compared:
+        error = abs(Fraction(getattr(orbit, key)) - Fraction(case[key]))
+        assert error <= 1e-14 * max(1.0, abs(float(case[key]))), key
+    if "slip_sequence" in case:
+        assert orbit.sequence == case["slip_sequence"]
+
+
+@pytest.mark.parametrize("case", RESTING, ids=lambda case: case["name"])
+def test_case_without_a_cycle_ends_at_its_fixed_point(case):
+    orbit = cycle(flow_of(case["params"]))
+    assert orbit.outcome == "fixed point"
+    assert orbit.period is None
+    expected = 0.5 if case["params"]["law"] == 6 else 1.0 / (1.0 + 3.0 * 0.6)
+    assert orbit.x_rest == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize("case", REFERENCE["forced_event_times"], ids=lambda case: case["name"])
+def test_driven_events_meet_the_reference(case):
+    found = list_events(flow_of(case["params"]), 0.0, 0.0, float(case["t_max"]))
+    assert found.outcome == "completed"
+    expected = case["events"]
+    # the lists stop at a number of events or at t_max, whichever came first
+    assert len(found.t) >= len(expected)
+    assert list(found.kinds[: len(expected)]) == [kind for _, kind, _ in expected]
+    for t, x, (t_expected, _, x_expected) in zip(found.t, found.x, expected, strict=False):
+        assert abs(Fraction(t) - Fraction(t_expected)) <= 1e-12
+        assert abs(Fraction(x) - Fraction(x_expected)) <= 1e-12
+
+
+def test_grazing_fold_of_the_damped_case_lies_where_the_reference_has_it():
+    fold = float(REFERENCE["analytic"]["fold"]["c_F"])
+    below = cycle(Flow(v_belt=0.6, c=fold - 1e-9))
+    above = cycle(Flow(v_belt=0.6, c=fold + 1e-9))
+    assert below.outcome == "cycle"
+    assert below.period == pytest.approx(6.48057626545, abs=5e-9)
+    assert above.outcome == "fixed point"

@@ -1,0 +1,178 @@
+"""``rig-sim``: its JSON keys, its numbers, its one-line errors, and what it does not import."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import rig_sim
+from daq import terminal
+from rig_sim.cli import app
+from rig_sim.motion import Motion
+
+SHARED = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).parents[3] / "shared"))
+REFERENCE = [
+    Path(__file__).parents[1] / "reference" / "limit_cycles.json",
+    SHARED / "reference" / "limit_cycles.json",
+]
+KEYS = {
+    "law": "friction.law",
+    "Gs": "friction.G_slip",
+    "Gst": "friction.G_stick",
+    "gamma": "friction.gamma",
+    "vdr": "belt.speed",
+    "c": "damper.c",
+}
+
+
+def reference_cases() -> list[dict[str, Any]]:
+    for path in REFERENCE:
+        if path.exists():
+            return list(json.loads(path.read_text())["cases"])
+    return []
+
+
+def answer(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> Any:
+    assert terminal.run(app, [*arguments, "--json"]) == code
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return json.loads(printed.out)
+
+
+@pytest.mark.parametrize("case", reference_cases(), ids=lambda case: case["name"])
+def test_cycle_meets_the_reference_through_set(capsys: pytest.CaptureFixture[str], case: dict[str, Any]) -> None:
+    changes = [f"--set={KEYS[key]}={value}" for key, value in case["params"].items()]
+    found = answer(capsys, "cycle", "base", *changes)
+    if "result" in case:  # no limit cycle there
+        assert found["outcome"] == "fixed point"
+        return
+    for key in ("period", "t_stick", "t_slip", "x_slip", "x_stick", "x_min", "x_max", "v_min", "v_max"):
+        assert found[key] == pytest.approx(float(case[key]), abs=1e-12)
+    assert found["sequence"] == case.get("slip_sequence", "NS")
+
+
+def test_cycle_has_the_promised_keys(capsys: pytest.CaptureFixture[str]) -> None:
+    found = answer(capsys, "cycle", "base")
+    promised = "period t_stick t_slip x_slip x_stick x_min x_max v_min v_max sequence outcome".split()
+    assert set(promised) <= set(found)
+    for law in (1, 2):
+        assert answer(capsys, "cycle", "base", "--set", f"friction.law={law}")["outcome"] == "grazing"
+
+
+def test_scenes_lists_name_title_and_terms(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = answer(capsys, "scenes")
+    assert [row["name"] for row in rows] == ["base", "damped", "forced", "rig"]
+    assert rows[0]["terms"] == ["mass", "spring", "belt", "friction", "start"]
+    assert all(row["title"] for row in rows)
+    assert terminal.run(app, ["scenes"]) == 0
+    assert "laboratory rig" in capsys.readouterr().out
+
+
+def test_events_have_the_promised_keys(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--set", "drive.u0=0.2", "--set", "drive.omega=0.3", "--until", "60")
+    found = answer(capsys, "events", "base", *arguments)
+    assert set(found) >= {"events", "outcome", "steps"}
+    assert set(found["events"][0]) == {"t", "x", "kind"}
+    assert len(found["events"]) == 15
+    short = answer(capsys, "events", "base", "--until", "60", "--max-steps", "5")
+    assert (short["outcome"], short["steps"]) == ("step limit", 5)
+    assert terminal.run(app, ["events", "base", "--until", "60", "--max-steps", "5"]) == 0
+    assert "raise the number of steps" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("ending", [".csv", ".h5"])
+def test_run_writes_the_exact_motion(capsys: pytest.CaptureFixture[str], tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"motion{ending}"
+    found = answer(capsys, "run", "rig", "--until", "3", "--rate", "250", "-o", str(path), "--set", "seed=8")
+    assert (found["samples"], found["outcome"]) == (751, "completed")
+    table: Any
+    if ending == ".csv":
+        table = np.genfromtxt(path, delimiter=",", names=True)
+    else:
+        with h5py.File(path) as file:
+            entry = file["entry"]
+            assert entry.attrs["default"] == "motion"
+            assert entry["motion"].attrs["signal"] == "x"
+            table = {name: entry["motion"][name][()] for name in "txvF"}
+            assert json.loads(entry["simulation/scene"][()])["seed"] == 8
+            assert entry["motion/v"].attrs["units"] == "m/s"
+    path_exact = Motion(rig_sim.scene("rig", seed=8)).follow(np.arange(751) / 250, forces=True)
+    np.testing.assert_array_equal(table["t"], np.arange(751) / 250)
+    np.testing.assert_array_equal(table["x"], path_exact.nodes.x[path_exact.samples])
+    np.testing.assert_array_equal(table["v"], path_exact.nodes.v[path_exact.samples])
+    np.testing.assert_array_equal(table["F"], path_exact.F)
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "kept.csv"
+    path.write_text("mine")
+    arguments = ("run", "rig", "--until", "1", "--rate", "10", "-o", str(path))
+    error = answer(capsys, *arguments, code=2)["error"]
+    assert (error["what"], error["where"]) == ("exists", str(path))
+    assert "--force" in error["do"]
+    assert path.read_text() == "mine"
+    answer(capsys, *arguments, "--force")
+    assert path.read_text().startswith("t,x,v,F\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "where"),
+    [
+        (["run", "rig", "--until", "1", "--rate", "10", "-o", "a.txt"], "a.txt"),
+        (["run", "rig", "--until", "1", "--rate", "0", "-o", "a.csv"], "--rate"),
+        (["run", "rig", "--until", "nan", "--rate", "10", "-o", "a.csv"], "--until"),
+        (["run", "rig", "--until", "1", "--rate", "10", "-o", "none/a.csv"], "none"),
+        (["events", "rig", "--until", "0"], "--until"),
+        (["events", "rig", "--until", "1", "--max-steps", "0"], "--max-steps"),
+        (["cycle", "bass"], "scene"),
+        (["cycle", "base", "--set", "friction.Gama=1"], "scene base"),
+        (["cycle", "base", "--set", "friction"], "--set"),
+        (["cycle"], "command line"),
+        (["map", "base"], "command line"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    where: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    error = answer(capsys, *arguments, code=2)["error"]
+    assert error["where"] == where
+    assert error["what"]
+    assert error["do"]
+    assert terminal.run(app, arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", [["cycle", "base"], ["events", "rig", "--until", "20"], ["scenes"], ["--help"]])
+def test_light_commands_import_no_array_package(command: list[str]) -> None:
+    code = (
+        "import sys; from daq import terminal; from rig_sim.cli import app;"
+        f"code = terminal.run(app, {command!r});"
+        "heavy = ('numpy', 'scipy', 'numba', 'matplotlib', 'pandas', 'h5py');"
+        "print([m for m in heavy if m in sys.modules], file=sys.stderr); sys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stderr.strip() == "[]"
+
+
+def test_the_package_imports_nothing_until_asked() -> None:
+    code = "import sys, rig_sim; print([m for m in sys.modules if m.startswith(('rig_sim.', 'numpy', 'pydantic'))])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert rig_sim.cycle(rig_sim.scene("base")).outcome == "cycle"
+    assert rig_sim.events(rig_sim.scene("base"), 3.0).outcome == "completed"

@@ -1,0 +1,70 @@
+"""The laws and their force: odd, continuous where they should be, and one definition for simulation and fits."""
+
+import numpy as np
+import pytest
+
+from rig_sim.friction.contact import force
+from rig_sim.friction.curve import magnitude, reversal_speed
+from rig_sim.friction.law import LAWS
+from rig_sim.integrate.modes import Flow, initial_mode
+from rig_sim.integrate.modes import force as force_in_mode
+
+SETTINGS = {"Fs": 1.3, "G_slip": 0.05, "gamma": 3.0, "d": 0.2}
+
+
+@pytest.mark.parametrize("number", LAWS)
+def test_law_is_odd(number):
+    w = np.linspace(1e-3, 3.0, 101)
+    F = force(LAWS[number], -w, **SETTINGS)
+    assert np.array_equal(F, -force(LAWS[number], w, **SETTINGS))
+    assert np.all(F > 0)
+
+
+@pytest.mark.parametrize("number", [2, 4, 6])
+def test_ramp_is_continuous_and_linear_inside(number):
+    law = LAWS[number]
+    below, above = (force(law, 0.2 * factor, **SETTINGS) for factor in (1.0 - 1e-12, 1.0 + 1e-12))
+    assert below == pytest.approx(above, abs=1e-10)
+    assert force(law, -0.05, **SETTINGS) == pytest.approx(1.3 / 0.2 * 0.05, rel=1e-15)
+
+
+def test_law_4_has_the_thesis_constant():
+    # F = 1.01 + 0.05 w for w < -d: Fs + G_slip d = 1.01
+    assert force(LAWS[4], -1.0, Fs=1.0, G_slip=0.05, d=0.2) == pytest.approx(1.01 - 0.05, rel=1e-15)
+
+
+@pytest.mark.parametrize("number", LAWS)
+def test_scatter_multiplies_the_whole_curve(number):
+    w = np.linspace(-1.0, 1.0, 100)
+    scaled = force(LAWS[number], w, factor=1.25, **SETTINGS)
+    assert np.allclose(scaled, 1.25 * force(LAWS[number], w, **SETTINGS), rtol=1e-15, atol=0)
+
+
+@pytest.mark.parametrize("number", LAWS)
+@pytest.mark.parametrize("static", [1.0, 1.4])
+def test_kernels_use_the_same_force_as_fits(number, static):
+    law = LAWS[number]
+    flow = Flow(curve=law.curve_code, ramp=law.ramp, static=static, factor=0.9, x0=0.3, c=0.1, **SETTINGS)
+    for w in (-2.1, -0.7, -0.13, 0.05, 0.19, 0.6):
+        mode = initial_mode(flow, 0.4, w + flow.v_belt, 0.0)
+        expected = force(law, w, static=static, factor=0.9, **SETTINGS)
+        assert force_in_mode(flow, mode, 0.4, w, 0.0) == pytest.approx(expected, rel=1e-14)
+
+
+def test_force_in_stick_balances_the_load():
+    flow = Flow(c=0.2, x0=0.1, u0=0.3, omega=2.0)
+    mode = initial_mode(flow, 0.4, 0.5, 1.0)
+    assert force_in_mode(flow, mode, 0.4, 0.0, 1.0) == pytest.approx(0.3 + 0.1 - 0.3 * np.cos(2.0), abs=1e-15)
+
+
+def test_linear_curve_reverses_at_its_stated_speed():
+    speed = reversal_speed(LAWS[3].curve_code, 1.3, 0.05)
+    assert magnitude(LAWS[3].curve_code, speed, 1.3, 0.05) == 0.0
+    assert reversal_speed(LAWS[5].curve_code, 1.3, 0.05) == np.inf
+
+
+def test_ramp_without_width_and_unknown_curve_are_refused():
+    with pytest.raises(ValueError, match="d is 0"):
+        force(LAWS[6], 0.1, gamma=3.0)
+    with pytest.raises(ValueError, match="curve is 9"):
+        magnitude(9, 0.1, 1.0)

@@ -1,0 +1,55 @@
+"""The compiled kernels are the interpreted ones: same source, same bits; and the cache follows the source."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from rig_sim.friction.law import LAWS
+from rig_sim.integrate.compiled import compiled
+from rig_sim.integrate.events import list_events
+from rig_sim.integrate.modes import Flow
+
+CASES = [
+    *({"law": law} for law in LAWS),
+    {"law": 6, "d": 2e-7},
+    {"law": 5, "gamma": 10.0, "v_belt": -0.5},
+    {"law": 5, "u0": 0.2, "omega": 1.1},
+    {"law": 4, "u0": 0.2, "omega": 1.1, "d": 2e-7},
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_compiled_equals_interpreted_bit_for_bit(case):
+    changes = {key: number for key, number in case.items() if key != "law"}
+    flow = Flow(curve=LAWS[case["law"]].curve_code, ramp=LAWS[case["law"]].ramp, **changes)
+    interpreted = list_events(flow, 0.1, 0.0, 60.0)
+    assert len(interpreted.t) > 10
+    machine = list_events(flow, 0.1, 0.0, 60.0, compiled=True)
+    assert machine.kinds == interpreted.kinds
+    assert machine.steps == interpreted.steps
+    # transcendental functions come from two libraries: an ulp per event is allowed them
+    assert np.max(np.abs(np.subtract(machine.t, interpreted.t))) <= 60.0 * 2.3e-16 * len(machine.t)
+
+
+def test_unknown_kernel_is_refused():
+    with pytest.raises(ValueError, match="no kernel; known: initial_mode"):
+        compiled("integrate")
+
+
+def test_first_use_says_that_it_compiles_and_the_second_does_not(tmp_path):
+    code = (
+        "from rig_sim.integrate.compiled import compiled; from rig_sim.integrate.modes import Flow;"
+        "print(compiled('initial_mode')(Flow(), 0.0, 0.0, 0.0))"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+        for _ in range(2)
+    )
+    assert first.stdout.strip() == second.stdout.strip() == "1"
+    assert "compiling initial_mode" in first.stderr
+    assert second.stderr == ""
+    assert len(list((tmp_path / "stickslip").iterdir())) == 1

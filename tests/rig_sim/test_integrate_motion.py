@@ -1,0 +1,153 @@
+"""Motion between events: dense samples, single phases, turning points, energy."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from rig_sim.friction.contact import force
+from rig_sim.friction.law import LAWS
+from rig_sim.integrate.events import list_events
+from rig_sim.integrate.hybrid import next_event, next_turn, sample, sample_phase
+from rig_sim.integrate.modes import (
+    COMPLETED,
+    NEGATIVE,
+    RAMP,
+    STICK,
+    Flow,
+    initial_mode,
+    new_work,
+)
+from rig_sim.orbit import cycle
+
+
+def flow_of(law, **changes):
+    return Flow(curve=LAWS[law].curve_code, ramp=LAWS[law].ramp, **changes)
+
+
+def sampled(flow, x, v, times):
+    n = len(times)
+    outs = [[0.0] * n for _ in range(3)]
+    mode = initial_mode(flow, x, v, times[0])
+    status, *_ = sample(flow, mode, x, v - flow.v_belt, times[0], list(times), n, *outs, new_work())
+    assert status == COMPLETED
+    return (np.array(out) for out in outs)
+
+
+@pytest.mark.parametrize("drive", [{}, {"u0": 0.2, "omega": 1.1, "phase": 0.4}])
+@pytest.mark.parametrize("law", [2, 4, 6])
+def test_samples_solve_the_equation_of_motion(law, drive):
+    # ramp laws have a continuous right-hand side: a plain integrator can be the witness, up to its kinks
+    flow = flow_of(law, m=1.3, k=0.8, x0=0.2, c=0.03, **drive)
+    settings = {name: getattr(flow, name) for name in ("Fs", "G_slip", "gamma", "d")}
+
+    def rhs(t, y):
+        pull = flow.u0 * math.cos(flow.omega * t + flow.phase) - flow.c * y[1] - flow.k * (y[0] - flow.x0)
+        return [y[1], (force(LAWS[law], y[1] - flow.v_belt, **settings) + pull) / flow.m]
+
+    times = np.linspace(0.0, 12.0, 101)
+    expected = solve_ivp(
+        rhs, (0.0, 12.0), [0.3, -0.1], method="DOP853", t_eval=times, rtol=1e-10, atol=1e-12, max_step=0.02
+    )
+    x, v, _ = sampled(flow, 0.3, -0.1, times.tolist())
+    assert np.max(np.abs(x - expected.y[0])) < 1e-7
+    assert np.max(np.abs(v - expected.y[1])) < 1e-7
+
+
+def test_stick_samples_ride_on_the_belt():
+    times = np.linspace(0.0, 30.0, 301)
+    x, v, mode = sampled(flow_of(5), 0.0, 0.0, times.tolist())
+    stuck = mode == STICK
+    assert 0.3 < stuck.mean() < 0.6
+    assert np.all(v[stuck] == 0.5)
+    both = stuck[1:] & stuck[:-1]
+    assert np.allclose(np.diff(x)[both], 0.05, atol=1e-14)
+
+
+def test_sampling_in_pieces_equals_sampling_at_once():
+    flow = flow_of(6, u0=0.1, omega=0.7)
+    times = np.linspace(0.0, 20.0, 201).tolist()
+    x, v, _ = sampled(flow, 0.0, 0.0, times)
+    outs = [[0.0] * 201 for _ in range(3)]
+    work = new_work()
+    mode, at_x, w, t, i = initial_mode(flow, 0.0, 0.0, 0.0), 0.0, -0.5, 0.0, 0
+    phases = 0
+    while i < 201:
+        _, mode, at_x, w, t, i = sample_phase(flow, mode, at_x, w, t, times, i, 201, 20.0, *outs, work)
+        phases += 1
+    assert phases == len(list_events(flow, 0.0, 0.0, 20.0).t) + 1
+    assert np.allclose(outs[0], x, atol=1e-13)
+    assert np.allclose(outs[1], v, atol=1e-13)
+
+
+def test_flow_may_change_between_events():
+    # scatter: each stick is left at its own level, so the slip point moves with the factor
+    flow = flow_of(5)
+    work = new_work()
+    mode, x, w, t = initial_mode(flow, 0.0, 0.0, 0.0), 0.0, -0.5, 0.0
+    slip_points = []
+    for factor in (1.0, 1.1, 1.05):
+        while mode != STICK:
+            _, mode, x, w, t = next_event(flow, mode, x, w, t, 100.0, work)
+        flow = flow._replace(factor=factor)
+        _, mode, x, w, t = next_event(flow, mode, x, w, t, 100.0, work)
+        slip_points.append(x)
+        assert mode == NEGATIVE
+    assert slip_points == pytest.approx([1.0, 1.1, 1.05], abs=1e-15)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_turning_points_are_where_the_velocity_vanishes(law):
+    flow = flow_of(law, static=1.2)
+    work = new_work()
+    orbit = cycle(flow)
+    x, w, t = 1.2, -0.0, 0.0
+    mode = initial_mode(flow, x, 0.5, t)
+    turns = []
+    while t < 30.0:
+        _, following, x_end, w_end, t_end = next_event(flow, mode, x, w, t, 30.0, work)
+        found, x_turn, w_turn, t_turn = next_turn(flow, mode, x, w, t, t_end, work)
+        while found:
+            assert w_turn == -0.5
+            turns.append(x_turn)
+            found, x_turn, w_turn, t_turn = next_turn(flow, mode, x_turn, w_turn, t_turn, t_end, work)
+        assert t_turn == t_end
+        mode, x, w, t = following, x_end, w_end, t_end
+    assert turns[-2:] == pytest.approx([orbit.x_max, orbit.x_min], abs=1e-9) or turns[-2:] == pytest.approx(
+        [orbit.x_min, orbit.x_max], abs=1e-9
+    )
+
+
+@pytest.mark.parametrize(("law", "c"), [(3, 0.0), (4, 0.01), (5, 0.1), (6, 0.0)])
+def test_energy_balances_over_a_cycle(law, c):
+    # the friction's work on the mass equals what the damper takes: the spring and the mass come back to where they were
+    flow = flow_of(law, c=c, m=1.4, k=0.7)
+    orbit = cycle(flow)
+    work = new_work()
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    mode, x, w, t = (RAMP if flow.ramp else STICK), orbit.x_slip, (-flow.d if flow.ramp else 0.0), 0.0
+    _, mode, x, w, t = next_event(flow, mode, x, w, t, 100.0, work)
+    mode, x, w, t = NEGATIVE, orbit.x_slip, (-flow.d if flow.ramp else 0.0), 0.0
+    balance = taken = 0.0
+    settings = {name: getattr(flow, name) for name in ("Fs", "G_slip", "gamma", "d")}
+    for _ in orbit.sequence:
+        _, following, x_end, w_end, t_end = next_event(flow, mode, x, w, t, 100.0, work)
+        if mode == STICK:
+            rise = flow.k * (x_end**2 - x**2) / 2.0 + c * flow.v_belt * (x_end - x)
+            balance += rise
+            taken += c * flow.v_belt**2 * (t_end - t)
+        else:
+            edges = np.linspace(t, t_end, 41)
+            for a, b in pairwise(edges):
+                times = (0.5 * (a + b) + 0.5 * (b - a) * nodes).tolist()
+                outs = [[0.0] * 20 for _ in range(3)]
+                sample_phase(flow, mode, x, w, t, times, 0, 20, t_end, *outs, work)
+                v = np.array(outs[1])
+                F = force(LAWS[law], v - flow.v_belt, **settings)
+                balance += 0.5 * (b - a) * float(weights @ (F * v))
+                taken += 0.5 * (b - a) * float(weights @ (c * v * v))
+        mode, x, w, t = following, x_end, w_end, t_end
+    assert t == pytest.approx(orbit.period, abs=1e-13)
+    assert balance == pytest.approx(taken, abs=1e-10)

@@ -1,0 +1,222 @@
+"""Motion: a scene played exactly, stretch after stretch, with what changes the flow between events."""
+
+import itertools
+import json
+import math
+import os
+from pathlib import Path as FilePath
+
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from rig_sim.motion import LEAST_FACTOR, Event, Motion, events
+from rig_sim.scenes import parse_changes, scene
+
+SHARED = FilePath(os.environ.get("STICKSLIP_SHARED", FilePath(__file__).parents[3] / "shared"))
+REFERENCE = [
+    FilePath(__file__).parents[1] / "reference" / "limit_cycles.json",
+    SHARED / "reference" / "limit_cycles.json",
+]
+
+
+def forced_lists() -> list[dict]:  # type: ignore[type-arg]
+    for path in REFERENCE:
+        if path.exists():
+            return list(json.loads(path.read_text())["forced_event_times"])
+    return []
+
+
+def forced_scene(parameters: dict[str, str]) -> dict[str, object]:
+    changes: dict[str, object] = {"drive.u0": float(parameters["u0"]), "drive.omega": float(parameters["om"])}
+    if "vdr" in parameters:
+        changes["belt.speed"] = float(parameters["vdr"])
+    return changes
+
+
+@pytest.mark.parametrize("case", forced_lists(), ids=lambda case: case["name"])
+def test_forced_events_meet_the_reference_lists(case: dict) -> None:  # type: ignore[type-arg]
+    found = events(scene("base", **forced_scene(case["params"])), case["t_max"])
+    assert found.outcome == "completed"
+    assert [event.kind for event in found.events] == [kind for _, kind, _ in case["events"]]
+    for event, (t, _, x) in zip(found.events, case["events"], strict=True):
+        assert event.t == pytest.approx(float(t), abs=1e-10)
+        assert event.x == pytest.approx(float(x), abs=1e-10)
+
+
+def test_first_stick_of_law_1_is_the_closed_form() -> None:
+    first, second, *_ = events(scene("base", **{"friction.law": 1}), 3.0).events
+    assert (first.kind, second.kind) == ("N>S", "S>N")
+    assert first.t == pytest.approx(math.pi / 6, abs=1e-14)
+    assert first.x == pytest.approx(1 - math.cos(math.pi / 6), abs=1e-14)
+    assert second.t == pytest.approx(math.pi / 6 + math.sqrt(3), abs=1e-14)
+
+
+def test_events_and_one_phase_at_a_time_agree() -> None:
+    motion = Motion(scene("forced"))
+    motion.events = []
+    motion.advance(50.0)
+    listed = events(scene("forced"), 50.0)
+    assert [event.kind for event in motion.events] == [event.kind for event in listed.events]
+    np.testing.assert_allclose([event.t for event in motion.events], [event.t for event in listed.events], rtol=1e-12)
+
+
+def test_without_friction_and_belt_the_mass_is_a_harmonic_oscillator(tmp_path: FilePath) -> None:
+    path = tmp_path / "free.toml"
+    path.write_text("[mass]\nm = 2.0\n[spring]\nk = 8.0\nx0 = 0.25\n[start]\nx = 1.25\n")
+    t = np.linspace(0, 30, 301)
+    motion = Motion(scene(path))
+    followed = motion.follow(t, forces=True)
+    at = followed.samples
+    np.testing.assert_allclose(followed.nodes.x[at], 0.25 + np.cos(2 * t), atol=1e-12)
+    np.testing.assert_allclose(followed.nodes.v[at], -2 * np.sin(2 * t), atol=1e-12)
+    np.testing.assert_array_equal(followed.F, 0.0)
+
+
+def test_a_mass_at_rest_within_the_cone_stays_put_until_the_belt_starts() -> None:
+    parked = scene("rig", start={"x": 0.1}, belt={"start": 3.0}, scatter={"Fs": 0.0})
+    found = events(parked, 5.0)
+    assert found.events[0] == Event(3.0, 0.1, "S>N")
+    motion = Motion(parked)
+    followed = motion.follow(np.array([0.0, 1.0, 2.9]), forces=True)
+    np.testing.assert_array_equal(followed.nodes.x[followed.samples], 0.1)
+    np.testing.assert_allclose(followed.F, parked.spring.k * 0.1, rtol=1e-14)
+
+
+def test_a_mass_outside_the_cone_slides_back_on_the_resting_belt() -> None:
+    found = events(scene("rig", start={"x": 0.2}, belt={"start": 100.0}), 5.0)
+    assert found.events[0].kind in ("N>S", "N>P")
+    assert found.events[-1].kind.endswith("S")
+    assert abs(found.events[-1].x) < 0.13068
+
+
+@pytest.mark.parametrize("law", range(1, 7))
+def test_sampled_motion_obeys_the_equation_of_motion(law: int) -> None:
+    rig = scene("rig", **{"friction.law": law, "damper.c": 0.05, "drive.u0": 0.1, "drive.omega": 3.0})
+    motion = Motion(rig)
+    h = 1e-4
+    t = np.arange(h, 4.0, h, dtype=np.float64)
+    followed = motion.follow(t, forces=True)
+    at = followed.samples
+    x, v = followed.nodes.x[at], followed.nodes.v[at]
+    acceleration = (followed.F - 0.05 * v - rig.spring.k * x + 0.1 * np.cos(3.0 * t)) / rig.mass.m
+    middle = (v[2:] - v[:-2]) / (2 * h)
+    error = np.abs(middle - acceleration[1:-1])
+    assert np.quantile(error, 0.99) < 1e-4 * np.abs(acceleration).max()  # all but the samples beside an event
+    np.testing.assert_allclose((x[2:] - x[:-2]) / (2 * h), v[1:-1], atol=1e-3)
+
+
+def test_stretches_of_any_length_give_the_same_motion() -> None:
+    rig = scene("rig", seed=5)
+    t = np.arange(8001) / 1000
+    whole = Motion(rig).follow(t)
+    motion, xs = Motion(rig), []
+    cuts = [0, 1, 2, 700, 701, 3333, 3334, 8001]
+    for first, last in itertools.pairwise(cuts):
+        piece = motion.follow(t[first:last])
+        xs.append(piece.nodes.x[piece.samples])
+    np.testing.assert_allclose(np.concatenate(xs), whole.nodes.x[whole.samples], atol=1e-13)
+    np.testing.assert_array_equal(whole.nodes.t[whole.samples], t)
+    assert np.all(np.diff(whole.nodes.t) >= 0)
+
+
+def test_nodes_lie_close_enough_for_the_encoder_between_rare_samples() -> None:
+    rig = scene("rig")
+    rare = Motion(rig).follow(np.array([0.7, 4.0]))
+    assert len(rare.samples) == 2
+    assert np.diff(rare.nodes.t).max() <= 2e-3
+    np.testing.assert_array_equal(rare.nodes.t[rare.samples], [0.7, 4.0])
+
+
+def test_each_landing_draws_its_own_friction_level() -> None:
+    rig = scene("rig", seed=1)
+    found = events(rig, 60.0).events
+    levels = np.array([event.x for event in found if event.kind == "S>N"][1:]) / 0.13068
+    assert len(levels) > 20
+    assert levels.mean() == pytest.approx(1.0, abs=0.03)
+    assert 0.015 < levels.std() < 0.06
+    assert len(set(levels)) == len(levels)
+
+
+def test_the_seed_makes_a_run_again_and_another_seed_another_one() -> None:
+    assert events(scene("rig", seed=3), 20.0) == events(scene("rig", seed=3), 20.0)
+    assert events(scene("rig", seed=3), 20.0) != events(scene("rig", seed=4), 20.0)
+
+
+def test_one_effect_does_not_change_what_another_draws() -> None:
+    alone = events(scene("rig", seed=3), 3.0).events
+    with_jitter = events(scene("rig", seed=3, jitter={"rms": 1e-3}, tell={"truth": True}), 3.0).events
+    assert alone == with_jitter
+
+
+def test_wear_lowers_the_level_at_each_landing_and_never_below_the_bound() -> None:
+    worn = scene("rig", scatter={"Fs": 0.0}, wear={"rate": 0.02})
+    found = events(worn, 20.0).events
+    landings = [event.t for event in found if event.kind.endswith(">S")]
+    slips = [event.x for event in found if event.kind == "S>N" and event.t > landings[0]]
+    for landing, x in zip(landings, slips, strict=False):
+        assert x == pytest.approx(0.13068 * (1 - 0.02 * landing), rel=1e-12)
+    late = Motion(scene("rig", scatter={"Fs": 0.0}, wear={"rate": 1.0}))
+    late.advance(30.0)
+    assert late.flow.factor == LEAST_FACTOR
+
+
+def test_a_zero_length_stick_draws_too() -> None:
+    # The belt runs so fast that law 1 grazes: every landing at the slip point is a stick of zero length.
+    grazing = scene("base", start={"x": 1.0, "v": 0.5}, **{"friction.law": 1, "wear.rate": 1e-3})
+    motion = Motion(grazing)
+    motion.events = []
+    motion.advance(30.0)
+    assert motion.flow.factor < 1.0
+
+
+def test_the_joint_kicks_once_per_turn_of_the_belt() -> None:
+    kicked = scene("rig", scatter={"Fs": 0.0}, joint={"kick": -0.05}, belt={"length": 0.66})
+    found = events(kicked, 12.0).events
+    kicks = [event.t for event in found if event.kind == "kick"]
+    np.testing.assert_allclose(kicks, [0.5 + 3 * (turn + 1) for turn in range(3)])
+    motion = Motion(kicked)
+    path = motion.follow(np.array([3.4, 3.6]))
+    twice = np.flatnonzero(np.diff(path.nodes.t) == 0)
+    assert len(twice) == 1
+    assert path.nodes.v[twice[0] + 1] - path.nodes.v[twice[0]] == pytest.approx(-0.05)
+    assert path.nodes.x[twice[0] + 1] == path.nodes.x[twice[0]]
+
+
+def test_a_kick_ends_the_stick_it_falls_into() -> None:
+    still = scene("rig", belt={"length": 0.44}, scatter={"Fs": 0.0}, joint={"kick": 0.02})
+    found = events(still, 3.5).events
+    at = [i for i, event in enumerate(found) if event.kind == "kick"]
+    assert at
+    assert any(found[i + 1].kind == "S>P" and found[i + 1].t == found[i].t for i in at)
+
+
+def test_the_step_limit_is_a_named_outcome() -> None:
+    found = events(scene("base"), 1000.0, max_steps=50)
+    assert (found.outcome, found.steps) == ("step limit", 50)
+    assert found.advice
+    motion = Motion(scene("rig"), max_steps=20)
+    path = motion.follow(np.arange(20_000) / 1000)
+    assert motion.outcome.name == "step limit"
+    assert 0 < len(path.samples) < 20_000
+    assert path.nodes.t[path.samples[-1]] == (len(path.samples) - 1) / 1000
+    assert len(motion.follow(np.array([30.0])).samples) == 0
+
+
+def test_linear_friction_ends_where_it_would_change_its_sign() -> None:
+    motion = Motion(scene("base", **{"friction.law": 3, "friction.G_slip": 0.5, "start.v": -4.0}))
+    assert not motion.advance(10.0)
+    assert motion.outcome.name == "force reversal"
+
+
+@pytest.mark.parametrize("until", [0.0, -1.0, math.inf, math.nan])
+def test_an_impossible_end_is_refused(until: float) -> None:
+    with pytest.raises(InputError, match="--until"):
+        events(scene("base"), until)
+    with pytest.raises(InputError, match="--max-steps"):
+        events(scene("base"), 1.0, max_steps=0)
+
+
+def test_settings_from_the_command_line_play() -> None:
+    changes = parse_changes(["drive.u0=0.2", "drive.omega=0.3"])
+    assert events(scene("base", **changes), 60.0).events[0].kind == "N>S"

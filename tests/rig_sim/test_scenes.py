@@ -1,0 +1,168 @@
+"""Scenes: what is named exists, what is wrong is refused by name."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from daq.errors import InputError
+from rig_sim.scenes import SECTIONS, Scene, builtin_names, parse_changes, scene
+
+
+def changed(*settings: str, base: str = "base") -> Scene:
+    return scene(base, **parse_changes(settings))
+
+
+def test_builtin_scenes_are_these() -> None:
+    assert builtin_names() == ["base", "damped", "forced", "rig"]
+    for name in builtin_names():
+        assert scene(name).name == name
+        assert scene(name).title
+
+
+def test_rig_is_the_laboratory_rig() -> None:
+    rig = scene("rig")
+    assert rig.spring.k / rig.mass.m == pytest.approx(35.184, rel=1e-12)
+    assert rig.friction is not None
+    assert rig.friction.Fs / rig.spring.k == pytest.approx(0.13068, rel=1e-12)
+    assert rig.encoder is not None
+    assert 4 * rig.encoder.metres_per_count == pytest.approx(30.68e-6, rel=1e-4)
+    assert rig.encoder.metres_per_count == pytest.approx(7.67e-6, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["base", "damped", "forced", "rig"])
+@pytest.mark.parametrize("law", range(1, 7))
+def test_every_builtin_scene_carries_what_every_law_needs(name: str, law: int) -> None:
+    flow = changed(f"friction.law={law}", base=name).flow()
+    assert flow.ramp == (law in (2, 4, 6))
+    assert flow.curve == (law - 1) // 2
+    assert (flow.d > 0) == (law in (2, 4, 6))
+    assert (flow.G_slip > 0) == (law in (3, 4))
+    assert (flow.gamma > 0) == (law in (5, 6))
+
+
+def test_a_law_drops_the_parameters_it_does_not_need() -> None:
+    friction = changed("friction.law=3").friction
+    assert friction is not None
+    assert friction.parameters() == {"Fs": 1.0, "G_slip": 0.05}
+
+
+def test_ramp_width_and_slope_are_one_parameter() -> None:
+    assert changed("friction.law=6").flow().d == 0.2
+    by_width = changed("friction.law=6", "friction.d=0.1")
+    assert by_width.friction is not None
+    assert by_width.friction.G_stick is None
+    assert by_width.flow().d == 0.1
+    by_slope = changed("friction.law=6", "friction.G_stick=-5e6", base="rig")
+    assert by_slope.friction is not None
+    assert by_slope.friction.d is None
+    assert by_slope.flow().d == by_slope.flow().Fs / 5e6
+
+
+def test_an_absent_section_is_created_and_only_named_terms_exist() -> None:
+    assert scene("base").terms() == ["mass", "spring", "belt", "friction", "start"]
+    assert scene("base").flow().u0 == 0
+    driven = changed("drive.u0=0.2", "drive.omega=0.3")
+    assert "drive" in driven.terms()
+    assert (driven.flow().u0, driven.flow().omega) == (0.2, 0.3)
+
+
+def test_belt_is_at_rest_before_it_starts() -> None:
+    assert scene("rig").flow(belt_running=False).v_belt == 0
+    assert scene("rig").flow().v_belt == 0.22
+
+
+def test_changes_from_python_may_be_nested_or_dotted() -> None:
+    nested = scene("rig", friction={"law": 3, "Fs": 2}, seed=7)
+    dotted = scene("rig", **{"friction.law": 3, "friction.Fs": 2, "seed": 7})
+    assert nested == dotted
+    assert nested.seed == 7
+    assert nested.flow().Fs == 2.0
+
+
+def test_a_file_is_a_scene(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("seed = 3\n[mass]\nm = 2\n[spring]\nk = 8.0\n[friction]\nlaw = 1\nFs = 1\n")
+    mine = scene(path)
+    assert (mine.name, mine.seed, mine.flow().k) == ("mine", 3, 8.0)
+    assert mine.belt is None
+    assert mine.flow().v_belt == 0
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("frction.law=3", ["frction", "did you mean 'friction'"]),
+        ("friction.gama=3", ["friction.gama", "did you mean 'gamma'"]),
+        ("gaps.rate=1", ["unknown section 'gaps'"]),
+        ("coupling.a=1", ["unknown section 'coupling'"]),
+        ("belt.ripple=1", ["belt.ripple", "known: speed, start, length"]),
+        ("sed=1", ["sed", "did you mean 'seed'"]),
+        ("friction.gamma=nan", ["friction.gamma", "nan"]),
+        ("belt.speed=inf", ["belt.speed", "inf"]),
+        ("mass.m=0", ["mass.m", "0"]),
+        ("mass.m=-1", ["mass.m", "-1"]),
+        ("spring.k=-2.5", ["spring.k", "-2.5"]),
+        ("friction.Fs=-1", ["friction.Fs", "-1"]),
+        ("friction.G_stick=5", ["friction.G_stick", "5"]),
+        ("friction.law=7", ["friction.law", "7"]),
+        ("friction.law=x", ["friction.law", "'x'"]),
+        ("friction.static=0.9", ["friction.static", "0.9"]),
+        ("belt.start=-1", ["belt.start", "-1"]),
+        ("drive.u0=0.2", ["drive.omega is missing"]),
+        ("joint.kick=0.1", ["joint needs belt.length"]),
+        ("encoder.decoder=x5", ["encoder.decoder", "x5"]),
+        ("mass=3", ["mass is 3"]),
+        ("seed.x=3", ["seed", "no key 'x'"]),
+        ("friction.Fs", ["section.key=value"]),
+        ("friction.Fs=", ["section.key=value"]),
+    ],
+)
+def test_what_is_wrong_is_refused_by_name(setting: str, words: list[str]) -> None:
+    with pytest.raises(InputError) as caught:
+        changed(setting, base="rig" if "decoder" in setting else "base")
+    line = str(caught.value)
+    assert "\n" not in line
+    for word in words:
+        assert word in line
+    assert caught.value.do
+
+
+def test_an_unknown_key_names_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "odd.toml"
+    path.write_text("[mass]\nm = 1\n[spring]\nk = 1\nkk = 3\n")
+    with pytest.raises(InputError, match=r"odd\.toml: unknown key 'spring\.kk'; did you mean 'k'"):
+        scene(path)
+
+
+def test_a_file_that_is_no_scene_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="did you mean 'base'"):
+        scene("bse")
+    with pytest.raises(InputError, match="no such file"):
+        scene(tmp_path / "none.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("[mass\nm = 1\n")
+    with pytest.raises(InputError, match=r"broken\.toml: is not TOML"):
+        scene(broken)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"binary\.toml: cannot be read"):
+        scene(binary)
+    empty = tmp_path / "empty.toml"
+    empty.write_text("")
+    with pytest.raises(InputError, match="mass is missing"):
+        scene(empty)
+
+
+def test_both_ramp_parameters_in_one_file_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "both.toml"
+    path.write_text("[mass]\nm = 1\n[spring]\nk = 1\n[friction]\nlaw = 6\nFs = 1\ngamma = 3\nd = 0.2\nG_stick = -5\n")
+    with pytest.raises(InputError, match="both G_stick and d"):
+        scene(path)
+
+
+def test_a_scene_is_frozen_and_its_sections_are_the_documented_ones() -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        scene("base").mass.m = 2.0
+    assert set(SECTIONS) == set(Scene.model_fields) - {"name", "title", "seed"}
+    assert math.isfinite(scene("base").flow().m)
