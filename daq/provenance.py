@@ -4,6 +4,7 @@ Everything in here may differ between two files of the same data; nothing else i
 """
 
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -34,9 +35,16 @@ def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
         "numpy": np.__version__,
         "platform": platform.platform(),
         "hostname": platform.node(),
-        "command_line": " ".join(sys.argv if command is None else command),
+        "command_line": shlex.join(_typed() if command is None else command),
     }
     return found | _commit(Path(__file__).resolve().parent.parent)
+
+
+def _typed() -> list[str]:
+    """Return the process's command line as a person would type it, without the folder the program lives in."""
+    program = Path(sys.argv[0])
+    name = f"python -m {program.parent.name}.{program.stem}" if program.suffix == ".py" else program.name
+    return [*name.split(), *sys.argv[1:]]
 
 
 def _commit(folder: Path) -> dict[str, str | int]:

@@ -133,3 +133,7 @@ def _shown(value: Any) -> str:
 def main() -> NoReturn:
     """Run ``rig-sim`` on the process's own command line."""
     terminal.main(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -5,9 +5,10 @@ gives its coefficients one after another.  Time is scaled by the phase's fastest
 overflows whatever gamma is; the step is where the last terms fall below rounding of the leading ones.
 
 An event is the first root of w - level on the step.  Leading zero coefficients (a phase begins on its edge, often with
-w' = 0) are divided out, so that the start is never found again.  Then the step is searched with a bound on the second
-derivative: a piece is passed only when the bound excludes a root, and a root is polished only on a piece where the
-bound proves w monotone; pieces are halved until one of the two holds.
+w' = 0) are divided out, so that the start is never found again.  Most steps stray too little from their first term to
+reach the level.  Otherwise the step is searched with a bound on the second derivative: a piece is passed only when the
+bound excludes a root, and a root is polished only on a piece where the bound proves w monotone; pieces are halved until
+one of the two holds.
 """
 
 import math
@@ -31,6 +32,7 @@ from rig_sim.integrate.modes import (
 INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))
 SETTLED = 64.0 * EPS  # speed and force, relative, at which a stable fixed point counts as reached
 LOG_ROUNDING = math.log(0.5 * EPS)
+LONGEST_STEP = 4.0  # in scaled time: beyond, terms far above their sum cancel
 SHORTEST_PIECE = 1e-9  # of a step: over it a parabola stays within rounding
 PIECES = 300  # three times what halving down to the shortest piece on both sides of a tangency takes
 
@@ -126,7 +128,7 @@ def reach(cw: Buffer, c0: float, c1: float) -> float:
             last = math.log(abs(cw[j])) - LOG_ROUNDING
             longest = max((size0 - last) / j, (size1 - last) / (j - 1), (size2 - last) / (j - 2))
             shortest = min(shortest, longest)
-    return math.exp(min(shortest, LARGEST_EXPONENT))
+    return min(math.exp(min(shortest, LARGEST_EXPONENT)), LONGEST_STEP)
 
 
 def value(c: Buffer, xi: float) -> float:
@@ -147,6 +149,14 @@ def deflated(c: Buffer, zeros: int, level: float, xi: float) -> tuple[float, flo
     if zeros == 0:
         total -= level
     return total, slope
+
+
+def spread(c: Buffer, zeros: int, xi: float) -> float:
+    """Return a bound on how far `deflated` strays from its first term over [0, xi]."""
+    total = abs(c[ORDER])
+    for j in range(ORDER - 1, zeros, -1):
+        total = total * xi + abs(c[j])
+    return float(total * xi)
 
 
 def survey(c: Buffer, zeros: int, level: float, xi: float) -> tuple[float, float, float]:
@@ -186,6 +196,8 @@ def first_root(c: Buffer, level: float, side: int, xi_end: float) -> float:
             return 0.0
         if lead == 0.0:
             return -1.0
+    if lead > spread(c, zeros, xi_end):
+        return -1.0
     rounding = EPS * (lead if zeros > 0 else max(abs(level), abs(c[0])))
     total, slope, bound = survey(c, zeros, level, xi_end)
     start = 0.0

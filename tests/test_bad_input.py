@@ -1,0 +1,141 @@
+"""Bad input: one line that names what, where and what to do, the right exit code, and nothing overwritten."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+MODULES = {
+    "daq": "daq.cli",
+    "process": "processing.cli",
+    "fit-friction": "fitting.cli",
+    "rig-sim": "rig_sim.cli",
+}
+
+
+def run(command: str, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder."""
+    line = [sys.executable, "-m", MODULES[command], *map(str, arguments)]
+    return subprocess.run(line, capture_output=True, text=True, cwd=cwd, check=False)
+
+
+def assert_refused(folder: Path, code: int, names: list[str], command: str, *arguments: object) -> None:
+    """Assert the exit code, one line on stderr that names each of ``names``, and the same facts under --json."""
+    done = run(command, *arguments, cwd=folder)
+    assert done.returncode == code, done.stderr
+    assert done.stdout == ""
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    for name in names:
+        assert name in lines[0], done.stderr
+    told = run(command, *arguments, "--json", cwd=folder)
+    assert told.returncode == code
+    error = json.loads(told.stdout)["error"]
+    assert set(error) == {"what", "where", "do"}
+    assert error["what"]
+    assert error["where"]
+    assert error["do"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    done = run("daq", "record", "--duration", "6", "-o", "run.h5", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def changed_schema(folder: Path, name: str, version: int) -> str:
+    """Write a copy of the run whose schema number is ``version``."""
+    (folder / name).write_bytes((folder / "run.h5").read_bytes())
+    with h5py.File(folder / name, "r+") as file:
+        file.attrs["stickslip_schema"] = np.int64(version)
+    return name
+
+
+def test_an_odd_scene_key_names_its_neighbour(folder):
+    assert_refused(folder, 2, ["friction.gama", "gamma"], "rig-sim", "cycle", "base", "--set", "friction.gama=3")
+
+
+def test_an_odd_scene_section_names_its_neighbour(folder):
+    assert_refused(folder, 2, ["belts", "belt"], "rig-sim", "cycle", "base", "--set", "belts.speed=3")
+
+
+def test_an_odd_scene_key_is_refused_while_recording_and_leaves_no_file(folder):
+    assert_refused(folder, 2, ["belt.sped", "speed"], "daq", "record", "-o", "odd.h5", "--set", "belt.sped=1")
+    assert not list(folder.glob("odd*"))
+
+
+def test_a_scene_file_with_a_text_number_names_file_and_key(folder):
+    (folder / "bad.toml").write_text('[mass]\nm = "heavy"\n[spring]\nk = 1\n')
+    assert_refused(folder, 2, ["bad.toml", "mass.m"], "rig-sim", "cycle", "bad.toml")
+
+
+def test_an_unknown_scene_lists_the_known_ones(folder):
+    assert_refused(folder, 2, ["basic", "base"], "rig-sim", "cycle", "basic")
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-1", "0"])
+def test_an_impossible_mass_is_refused_by_key(folder, value):
+    assert_refused(folder, 2, ["mass.m"], "rig-sim", "cycle", "base", "--set", f"mass.m={value}")
+
+
+def test_an_existing_output_file_is_left_alone(folder):
+    before = (folder / "run.h5").read_bytes()
+    assert_refused(folder, 2, ["run.h5", "--force"], "daq", "record", "-o", "run.h5")
+    assert (folder / "run.h5").read_bytes() == before
+
+
+def test_a_missing_port_is_a_device_error(folder):
+    assert_refused(folder, 3, ["/dev/ttyNONE"], "daq", "record", "-o", "x.h5", "--port", "/dev/ttyNONE")
+    assert not (folder / "x.h5").exists()
+
+
+def test_an_even_window_is_refused(folder):
+    before = (folder / "run.h5").read_bytes()
+    assert_refused(folder, 2, ["40", "odd"], "process", "smooth", "run.h5", "--window", "40")
+    assert (folder / "run.h5").read_bytes() == before
+
+
+@pytest.mark.parametrize("command", [("process", "smooth"), ("process", "inspect"), ("fit-friction",)])
+def test_a_foreign_hdf5_file_is_refused(folder, command):
+    with h5py.File(folder / "foreign.h5", "w") as file:
+        file["x"] = [1.0, 2.0]
+    assert_refused(folder, 2, ["foreign.h5"], *command, "foreign.h5")
+
+
+@pytest.mark.parametrize("command", [("process", "smooth"), ("fit-friction",)])
+@pytest.mark.parametrize("version", [0, 999])
+def test_an_older_or_newer_schema_is_refused(folder, command, version):
+    name = changed_schema(folder, f"schema{version}.h5", version)
+    assert_refused(folder, 2, [name, str(version)], *command, name)
+
+
+@pytest.mark.parametrize("command", [("process", "smooth"), ("fit-friction",), ("daq", "recover")])
+def test_a_missing_file_is_refused(folder, command):
+    assert_refused(folder, 2, ["none.h5"], *command, "none.h5")
+
+
+def test_a_truncated_run_file_is_refused(folder):
+    (folder / "cut.h5").write_bytes((folder / "run.h5").read_bytes()[:3000])
+    assert_refused(folder, 2, ["cut.h5"], "process", "smooth", "cut.h5")
+
+
+def test_text_in_a_number_column_is_named_by_line(folder):
+    (folder / "text.csv").write_text("t,x\n0.0,0.1\n0.1,oops\n0.2,0.3\n")
+    assert_refused(folder, 2, ["text.csv", "line 3", "oops"], "daq", "import", "text.csv", "-o", "text.h5")
+    assert not (folder / "text.h5").exists()
+
+
+def test_an_unknown_flag_names_its_neighbour(folder):
+    assert_refused(folder, 2, ["--rat", "--rate"], "daq", "record", "--rat", "5")
+
+
+def test_a_journal_cut_short_gives_what_it_holds_and_one_without_a_header_is_refused(folder):
+    (folder / "junk.h5.part").write_bytes(b"not a journal")
+    assert_refused(folder, 2, ["junk.h5.part"], "daq", "recover", "junk.h5.part")
+    assert (folder / "junk.h5.part").read_bytes() == b"not a journal"
