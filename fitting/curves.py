@@ -1,0 +1,67 @@
+"""Friction against relative velocity: each law's fitted curve, and the points the record itself shows.
+
+A measured point is what is left of the force balance, F = m a + c v + k (x - b), at the smoothed samples, divided by
+its cycle's own level so that the cycles lie on one curve.  In newtons when mass or stiffness is known, else per
+kilogram.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.motion import Array, Motion
+from fitting.result import LawResult, Ranking
+from fitting.trajectory import DAMPING, DATUM, LEVEL, LOG_F, SHAPE, V_DR, D, Fit, K
+from rig_sim.friction.contact import force
+from rig_sim.friction.law import LAWS
+
+
+def mass(motion: Motion, fit: Fit) -> float:
+    """Return the mass that turns accelerations into newtons, kg; 1 when neither mass nor stiffness is known."""
+    if motion.mass is not None:
+        return motion.mass.value
+    return motion.stiffness.value / float(fit.u[K]) if motion.stiffness is not None else 1.0
+
+
+def unit(motion: Motion) -> str:
+    """Return the unit of a friction."""
+    return "N" if motion.mass is not None or motion.stiffness is not None else "N/kg"
+
+
+def speeds(motion: Motion, number: int = 401) -> Array:
+    """Return relative velocities (m/s, in the record's own sign) that span the motion, 0 among them."""
+    w = motion.velocity - motion.belt_speed
+    low, high = float(w.min()), max(float(w.max()), 0.1 * motion.belt_speed)
+    # densest around 0, where the laws differ
+    half = np.linspace(0, 1, number // 2 + 1) ** 2
+    return np.sort(motion.sign * np.r_[low * half[1:], high * half])
+
+
+def curve(row: LawResult, motion: Motion, w: Array) -> Array:
+    """Return a law's friction at relative velocities ``w`` (m/s, the record's own sign), in `unit`."""
+    u = row.fit.u
+    scale = mass(motion, row.fit)
+    Fs = math.exp(u[LOG_F]) * scale
+    law = LAWS[row.law]
+    return np.asarray(force(law, w, Fs=Fs, G_slip=float(u[SHAPE]) * Fs, gamma=float(u[SHAPE]), d=float(u[D]) or 1.0))
+
+
+def points(ranking: Ranking) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return relative velocity (m/s), friction (in `unit`) and whether it is a stick, of every slip and stick sample.
+
+    Samples within half a smoothing window of a landing are left out: smoothing rounds the corner off there.
+    """
+    motion, fit = ranking.motion, ranking.best.fit
+    u = fit.u
+    scale = mass(motion, fit)
+    w_parts, f_parts, stick_parts = [], [], []
+    for k, cycle in enumerate(fit.cycles):
+        level = math.exp(float(fit.local[k, LEVEL]))
+        near = int(np.searchsorted(motion.time, cycle.landing - motion.half_window))
+        for first, end, stick in ((*cycle.stick, True), (cycle.slip[0], near, False)):
+            x, v, a = (part[first:end] for part in (motion.position, motion.velocity, motion.acceleration))
+            w_parts.append(v - u[V_DR])
+            f_parts.append(scale * (a + u[DAMPING] * v + u[K] * (x - u[DATUM])) / level)
+            stick_parts.append(np.full(x.size, stick))
+    return motion.sign * np.concatenate(w_parts), motion.sign * np.concatenate(f_parts), np.concatenate(stick_parts)

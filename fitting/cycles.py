@@ -1,0 +1,146 @@
+"""Each break-away by itself: when it came, at which load, and how strong friction was in the slip after it.
+
+The load at break-away is not read off the smoothed corner (that is 6 to 7 % off): the time at which a slip under the
+fitted law must begin, so as to pass through the measured positions around the corner, is searched instead.
+"""
+
+import math
+
+import numpy as np
+
+from fitting.motion import Array, Motion
+from fitting.prediction import LOCALS, Windows, evaluator
+from fitting.result import Event
+from fitting.trajectory import DAMPING, DATUM, LEVEL, LOG_F, NEXT_LEVEL, V_DR, V_SLIP, X_SLIP, X_STICK, D, Fit, K
+from fitting.windows import BEFORE_ONSET_S, Cut
+from rig_sim.friction.law import LAWS
+
+LONGEST_DOUBT_S = 0.15  # about the smoothed onset
+AFTER_S = 0.05  # of the slip that the break-away is judged by
+ROUNDS, TRIALS = 3, 21  # of the search: each round looks closer, about the best trial before
+ROUGH = 3.0  # times the usual error of a cycle: so much says that something else happened in it
+
+
+def events(fit: Fit, motion: Motion, cut: Cut) -> tuple[Event, ...]:
+    """Return every break-away of the record, fitted or not.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the best law.
+    motion, cut : Motion, Cut
+        What it was fitted to.
+    """
+    times, loads = _break_aways(fit, motion)
+    usual = float(np.median(fit.cycle_rms))
+    place = {cycle.number: k for k, cycle in enumerate(fit.cycles)}
+    rows = []
+    for cycle in cut.cycles:
+        k = place.get(cycle.number)
+        if k is None:
+            rows.append(Event(cycle.number, cycle.onset, math.nan, math.nan, cycle.flag))
+            continue
+        rough = fit.cycle_rms[k] > ROUGH * max(usual, motion.resolution)
+        scale = math.exp(float(fit.local[k, LEVEL]))
+        rows.append(Event(cycle.number, float(times[k]), float(loads[k]), scale, "rough" if rough else ""))
+    return tuple(rows)
+
+
+def _break_aways(fit: Fit, motion: Motion) -> tuple[Array, Array]:
+    """Return time (s) and friction over Fs/m of each fitted cycle's break-away; arrays of shape (cycles,).
+
+    The search begins where the load reaches the level of the slip that follows: earlier, the law itself would hold.
+    """
+    count = len(fit.cycles)
+    earliest = np.array([_reaches_level(fit, motion, k) for k in range(count)])
+    latest = np.array([float(motion.time[cycle.slip[0]]) for cycle in fit.cycles])
+    low, high = earliest, np.maximum(latest, earliest)
+    best = earliest
+    for _ in range(ROUNDS):
+        trials = low[:, None] + (high - low)[:, None] * np.linspace(0, 1, TRIALS)
+        best = trials[np.arange(count), np.argmin(_misfit(fit, motion, trials), axis=1)]
+        step = (high - low) / (TRIALS - 1)
+        low, high = np.maximum(best - step, earliest), best + step
+    place = np.array([_riding(fit, motion, k, best[k : k + 1])[0] for k in range(count)])
+    return best, _friction(fit, place) / math.exp(fit.u[LOG_F])
+
+
+def _edge_speed(fit: Fit) -> float:
+    """Return the velocity at which a stick ends, m/s: the belt's, or that of the ramp's edge."""
+    return float(fit.u[V_DR] - (fit.u[D] if LAWS[fit.law].ramp else 0.0))
+
+
+def _friction(fit: Fit, x: Array) -> Array:
+    """Return friction per unit mass (m/s^2) just before the break-away at ``x``.
+
+    On a ramp the mass is already slowing down, by d K v/F, and that much of the load is not friction.
+    """
+    u, speed = fit.u, _edge_speed(fit)
+    load = u[K] * (x - u[DATUM]) + u[DAMPING] * speed
+    slowing = u[D] * u[K] * speed / math.exp(u[LOG_F]) if LAWS[fit.law].ramp else 0.0
+    return np.asarray(load - slowing)
+
+
+def _reaches_level(fit: Fit, motion: Motion, k: int) -> float:
+    """Return when the friction of a riding mass reaches the level of the slip after it, s."""
+    onset = fit.cycles[k].onset
+    time = np.arange(onset - LONGEST_DOUBT_S, onset + LONGEST_DOUBT_S, 1e-4)
+    level = math.exp(float(fit.u[LOG_F] + fit.local[k, LEVEL]))
+    enough = _friction(fit, _riding(fit, motion, k, time)) >= level
+    return float(time[np.argmax(enough)]) if enough.any() else onset
+
+
+def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
+    """Return the squared error around the corner for break-aways at ``trials`` (cycles, m), same shape; m^2."""
+    law, u = LAWS[fit.law], fit.u
+    errors = np.full(trials.shape, np.inf)
+    table: list[tuple[int, ...]] = []
+    owner: list[tuple[int, ...]] = []
+    time: list[Array] = []
+    local: list[Array] = []
+    total = 0
+    for k, cycle in enumerate(fit.cycles):
+        first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_ONSET_S))
+        last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + AFTER_S))
+        for j, (begin, x) in enumerate(zip(trials[k], _riding(fit, motion, k, trials[k]), strict=True)):
+            after = max(first, int(np.searchsorted(motion.time, begin, side="right")))
+            if after >= last:
+                continue
+            row = np.zeros(LOCALS)
+            row[X_SLIP], row[V_SLIP] = x, _edge_speed(fit) - 1e-9 * u[V_DR]
+            row[LEVEL] = row[NEXT_LEVEL] = fit.local[k, LEVEL]
+            taken = np.r_[begin, motion.time[after:last]]
+            table.append((len(local), 0, total, taken.size, 0))
+            time.append(taken)
+            local.append(row)
+            owner.append((k, j, first, after, last, total))
+            total += taken.size
+    if not table:
+        return errors
+    windows = Windows(
+        table=np.array(table, np.int64),
+        epoch=np.array([fit.cycles[row[0]].onset for row in owner]),
+        firm=np.full(len(table), np.inf),
+        time=np.concatenate(time),
+        position=np.zeros(total),
+        source=np.zeros(total, np.int64),
+        rows=(),
+    )
+    evaluate = evaluator(law.curve_code, bool(law.ramp), windows, u, [K], np.ones(u.size), np.ones(LOCALS))
+    found = evaluate(u[[K]], np.array(local), False)
+    if found is None:
+        return errors
+    model = found[0]
+    for k, j, first, after, last, at in owner:
+        before = _riding(fit, motion, k, motion.time[first:after]) - motion.measured[first:after]
+        slipping = model[at + 1 : at + 1 + last - after] - motion.measured[after:last]
+        errors[k, j] = float(before @ before + slipping @ slipping)
+    return errors
+
+
+def _riding(fit: Fit, motion: Motion, k: int, time: Array) -> Array:
+    """Return where the mass would be at ``time`` had it not yet left the belt, m."""
+    first, end = fit.cycles[k].stick
+    if LAWS[fit.law].ramp or end <= first:
+        return np.interp(time, motion.time, motion.position)
+    return np.asarray(fit.local[k, X_STICK] + fit.u[V_DR] * (time - motion.time[first]))

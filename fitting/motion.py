@@ -1,0 +1,168 @@
+"""The measured motion as the fit sees it: metres, seconds, and a belt that runs towards +x.
+
+A record of a backward belt is mirrored (x -> -x, v -> -v) on the way in; the physics is odd, so the same fit serves
+both and only the signs of datum and belt speed are turned back in the result.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import DataError, InputError
+from daq.rig import Measured, Rig
+from processing.kinematics import Kinematics
+
+Array = NDArray[np.float64]
+
+REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
+FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What was measured, in the fit's frame.
+
+    Attributes
+    ----------
+    time, measured, position, velocity, acceleration : (n,) f8
+        s; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2).
+    broken : (n,) bool
+        True at a sample that does not follow the one before it: a gap, or a new segment.
+    belt_speed : float
+        m/s, > 0: a first value; the fit finds its own.
+    belt_prior, datum_prior, damping_prior : Measured or None
+        What the calibration knows: belt speed (m/s), spring's rest position in this record (m), damping c (N s/m).
+    mass, stiffness : Measured or None
+        kg, N/m.
+    sign : float
+        -1.0 where the record was mirrored, else 1.0.
+    resolution : float
+        Standard error of one measured position, m.
+    half_window : float
+        Half of the smoothing window, s: how far a corner is blurred.
+    """
+
+    time: Array
+    measured: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    broken: NDArray[np.bool_]
+    belt_speed: float
+    belt_prior: Measured | None
+    datum_prior: Measured | None
+    damping_prior: Measured | None
+    mass: Measured | None
+    stiffness: Measured | None
+    sign: float
+    resolution: float
+    half_window: float
+
+    @property
+    def span(self) -> float:
+        """Length of the record, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def travel(self) -> float:
+        """Largest minus smallest position, m."""
+        return float(np.ptp(self.position))
+
+
+def of(kinematics: Kinematics, rig: Rig, belt_speed: float | None) -> Motion:
+    """Bring a smoothed record into the fit's frame.
+
+    Parameters
+    ----------
+    kinematics : Kinematics
+        A Savitzky-Golay (or better) motion; accelerations of plain differences are too rough to start from.
+    rig : Rig
+        The calibration to use, already changed by whatever the caller knows better.
+    belt_speed : float or None
+        m/s, signed, when the caller states it; otherwise the plateaus and the calibration decide.
+
+    Raises
+    ------
+    InputError
+        For a record in counts, or a belt at rest.
+    DataError
+        When nothing in the record moves.
+    """
+    recording = kinematics.recording
+    source = str(recording.source)
+    if recording.unit != "m":
+        raise InputError(
+            "positions are in counts: this rig has no metres per count",
+            source,
+            "add metres_per_count to the rig's calibration and record again",
+        )
+    if belt_speed == 0:
+        raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
+    resolution = _resolution(kinematics)
+    if np.ptp(kinematics.position) < 20 * resolution:
+        raise DataError(
+            "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
+        )
+    speed = _belt_speed(kinematics, rig, belt_speed)
+    sign = math.copysign(1.0, speed)
+    interval = np.diff(kinematics.time)
+    usual = float(np.median(interval))
+    segment = recording.segment
+    broken = np.r_[True, (interval > FASTER_GAP * usual) | (np.diff(segment.astype(np.int64)) != 0)]
+    stated = Measured(belt_speed) if belt_speed is not None else rig.belt_speed
+    return Motion(
+        time=kinematics.time,
+        measured=sign * recording.position,
+        position=sign * kinematics.position,
+        velocity=sign * kinematics.velocity,
+        acceleration=sign * kinematics.acceleration,
+        broken=broken,
+        belt_speed=abs(speed),
+        belt_prior=None if stated is None else Measured(abs(stated.value), stated.sd),
+        datum_prior=_rest_position(rig, recording.rig, sign),
+        damping_prior=rig.damping,
+        mass=rig.mass,
+        stiffness=rig.stiffness,
+        sign=sign,
+        resolution=resolution,
+        half_window=kinematics.window * usual / 2,
+    )
+
+
+def _resolution(kinematics: Kinematics) -> float:
+    """Return the standard error of one position: a uniform count, or the scatter about the smooth curve."""
+    recording = kinematics.recording
+    scatter = float(np.std(recording.position - kinematics.position))
+    count = recording.rig.metres_per_count
+    if recording.count is not None and count is not None:
+        return abs(count.value) / math.sqrt(12)
+    steps = np.abs(np.diff(recording.position))
+    smallest = float(steps[steps > 0].min()) if np.any(steps > 0) else 0.0
+    return max(min(scatter, smallest), 1e-9 * float(np.ptp(recording.position)))
+
+
+def _belt_speed(kinematics: Kinematics, rig: Rig, stated: float | None) -> float:
+    """Return a first belt speed, signed: stated, else the plateaus', else the calibration's, else the fastest drag."""
+    if stated is not None:
+        return stated
+    if math.isfinite(kinematics.belt_speed) and kinematics.belt_speed != 0:
+        return float(kinematics.belt_speed)
+    if rig.belt_speed is not None and rig.belt_speed.value != 0:
+        return rig.belt_speed.value
+    # Constant friction ends in a sine that just reaches the belt's speed; the drag displaces its middle.
+    middle = 0.5 * (kinematics.position.max() + kinematics.position.min())
+    direction = 1.0 if middle >= kinematics.position[0] else -1.0
+    return direction * float(np.percentile(direction * kinematics.velocity, 99.5))
+
+
+def _rest_position(rig: Rig, recorded: Rig, sign: float) -> Measured | None:
+    """Return where the spring's rest lies in the recorded positions, m, in the fit's frame.
+
+    The positions were made with the recorded datum; a datum known better moves the spring's rest by the difference.
+    """
+    if rig.datum is None:
+        return None
+    used = recorded.datum.value if recorded.datum is not None else 0.0
+    return Measured(sign * (used - rig.datum.value), rig.datum.sd)

@@ -1,0 +1,278 @@
+"""Positions that a law predicts in every window, and their derivatives, on the compiled flow of rig_sim."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.motion import Array, Motion
+from fitting.windows import Cycle
+from rig_sim.integrate.compiled import compile_entry
+from rig_sim.integrate.hybrid import sample_phase
+from rig_sim.integrate.modes import (
+    FORCE_REVERSAL,
+    NEGATIVE,
+    NOT_FINITE,
+    POSITIVE,
+    RAMP,
+    STEPS,
+    STICK,
+    Flow,
+    Work,
+    new_work,
+)
+
+LOCALS = 6
+STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
+HOLDS = 10.0  # break-away level of a jump's stick inside a window: the break-away itself lies in no window
+WEAR_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
+WORK_STEPS = 10_000  # phases and Taylor steps one window may take
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """The samples of all windows, end to end, each cycle's stick window before its slip window.
+
+    Attributes
+    ----------
+    table : (windows, 5) i8
+        Cycle, 1 for a stick window and 0 for a slip window, first sample, number of samples, 1 where the mass was seen
+        to overtake the belt after landing.
+    epoch : (windows,) f8
+        s; the cycle's break-away: its level is the level then.
+    firm : (windows,) f8
+        s; half way from a slip window's start to the measured landing: a touch of the belt before is no landing.
+    time, position : (N,) f8
+        s, m.
+    source : (N,) i8
+        Index of each sample in the record.
+    rows : tuple of slice
+        The samples of each cycle.
+    """
+
+    table: NDArray[np.int64]
+    epoch: Array
+    firm: Array
+    time: Array
+    position: Array
+    source: NDArray[np.int64]
+    rows: tuple[slice, ...]
+
+    @classmethod
+    def of(cls, motion: Motion, cycles: tuple[Cycle, ...], stride: int = 1) -> "Windows":
+        """Gather the windows of the given cycles, taking every ``stride``-th sample."""
+        table, epoch, firm, source, rows, total = [], [], [], [], [], 0
+        for k, cycle in enumerate(cycles):
+            begin = total
+            for riding, (first, end) in ((1, cycle.stick), (0, cycle.slip)):
+                if end > first:
+                    taken = np.arange(first, end, stride)
+                    table.append((k, riding, total, taken.size, cycle.overtakes))
+                    epoch.append(cycle.onset)
+                    firm.append(0.5 * (float(motion.time[first]) + cycle.landing))
+                    source.append(taken)
+                    total += taken.size
+            rows.append(slice(begin, total))
+        index = np.concatenate(source)
+        return cls(
+            np.array(table, np.int64),
+            np.array(epoch),
+            np.array(firm),
+            motion.time[index],
+            motion.measured[index],
+            index,
+            tuple(rows),
+        )
+
+    def first_locals(self, motion: Motion) -> Array:
+        """Return starting values of the cycles' own unknowns, from the smoothed motion; shape (cycles, 6)."""
+        local = np.zeros((len(self.rows), LOCALS))
+        for k, riding, first, _, _ in self.table:
+            at = self.source[first]
+            column = 4 if riding else 0
+            local[k, column] = motion.position[at]
+            local[k, column + 1] = motion.velocity[at]
+        return local
+
+
+def evaluator(
+    curve: int, ramp: bool, windows: Windows, full: Array, active: list[int], scale: Array, local_scale: Array
+) -> Callable[[Array, Array, bool], tuple[Array, Array] | None]:
+    """Return ``evaluate(u, local, derivatives)`` for one law; u holds the active unknowns only."""
+    columns = np.array(active, np.int64)
+    steps, local_steps = STEP * scale, STEP * local_scale
+    n = windows.time.size
+    whole = full.copy()
+    compiled = _compiled()
+    room = np.empty((3, n))
+    work = new_work(WORK_STEPS, compiled=True)
+
+    def evaluate(u: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
+        whole[active] = u
+        model = np.empty(n)
+        jacobian = np.zeros((n if derivatives else 0, columns.size + LOCALS))
+        status = compiled(
+            curve,
+            int(ramp),
+            whole,
+            np.ascontiguousarray(local),
+            windows.table,
+            windows.epoch,
+            windows.firm,
+            windows.time,
+            columns,
+            steps,
+            local_steps,
+            model,
+            jacobian,
+            room,
+            work,
+        )
+        if status != 0:
+            return None
+        return model - windows.position, jacobian
+
+    return evaluate
+
+
+def window_positions(
+    curve: int,
+    ramp: int,
+    u: Array,
+    local: Array,
+    table: NDArray[np.int64],
+    epoch: Array,
+    firm: Array,
+    time: Array,
+    columns: NDArray[np.int64],
+    steps: Array,
+    local_steps: Array,
+    model: Array,
+    jacobian: Array,
+    room: Array,
+    work: Work,
+) -> int:
+    """Fill ``model`` (N,) with the positions of all windows and ``jacobian`` (N, p + 6) with forward differences.
+
+    Compiled as it stands.  ``jacobian`` of no rows: positions only.  Returns 0, or the outcome that ended the flow.
+    """
+    own = u.copy()
+    derivatives = jacobian.shape[0] > 0
+    p = columns.size
+    for row in range(table.shape[0]):
+        k = table[row, 0]
+        riding = table[row, 1]
+        first = table[row, 2]
+        end = first + table[row, 3]
+        part = local[k].copy()
+        times = time[first:end]
+        base = model[first:end]
+        bad = follow(curve, ramp, own, part, riding, table[row, 4], epoch[row], firm[row], times, base, room, work)
+        if bad != 0:
+            return bad
+        if not derivatives:
+            continue
+        near = room[2, : end - first]
+        for j in range(p + LOCALS):
+            # A jump's stick is a straight line: it knows its start and the belt's speed, nothing else.
+            line = riding == 1 and ramp == 0
+            if line and j != p + 4 and (j >= p or columns[j] != 2):
+                continue
+            if j < p:
+                h = steps[columns[j]]
+                own[columns[j]] += h
+            else:
+                i = j - p
+                if (riding == 1 and (i < 2 or i == 3)) or (riding == 0 and i > 3):
+                    continue
+                h = local_steps[i]
+                part[i] += h
+            bad = follow(curve, ramp, own, part, riding, table[row, 4], epoch[row], firm[row], times, near, room, work)
+            if bad != 0:
+                return bad
+            for m in range(end - first):
+                jacobian[first + m, j] = (near[m] - base[m]) / h
+            if j < p:
+                own[columns[j]] = u[columns[j]]
+            else:
+                part[j - p] = local[k, j - p]
+    return 0
+
+
+def follow(
+    curve: int,
+    ramp: int,
+    u: Array,
+    part: Array,
+    riding: int,
+    overtakes: int,
+    epoch: float,
+    firm: float,
+    times: Array,
+    out: Array,
+    room: Array,
+    work: Work,
+) -> int:
+    """Follow one window from its own start and store the position at ``times``; return 0 or an outcome.
+
+    The level is the cycle's own until the landing and the next one from there on, less what wear has taken.  A touch
+    of the belt before ``firm`` is no landing: the mass slips on as soon as the load exceeds its level, so the motion
+    depends continuously on where the window starts.  After the landing a jump's stick holds whatever the load: its
+    break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on forwards under the new
+    level, until that stops it.
+    """
+    K, F, v_dr, shape, d = u[0], math.exp(u[1]), u[2], u[3], u[4]
+    n = times.size
+    at = 4 if riding == 1 else 0
+    x, v = part[at], part[at + 1]
+    level, following = math.exp(part[2]), math.exp(part[3])
+    w = v - v_dr
+    static = 1.0
+    if ramp == 1 and abs(w) <= d:
+        mode = RAMP
+    elif ramp == 0 and riding == 1:
+        mode = STICK
+        static = HOLDS
+        w = 0.0
+    else:
+        mode = NEGATIVE if w <= 0.0 else POSITIVE
+    work[5][STEPS] = 0.0
+    wear = u[7]
+    t = times[0]
+    last = times[n - 1]
+    i = 0
+    landed = riding == 1
+    base = level
+    while i < n:
+        # Wear lowers the level steadily; the flow's is constant, so it is lowered in small steps.
+        steady = wear == 0.0 or mode == STICK
+        end = last if steady else min(t + WEAR_STEP_S, last)
+        factor = base * (1.0 - wear * (0.5 * (t + end) - epoch))
+        if not factor > 0.0:
+            return NOT_FINITE
+        # per unit mass; the curve reads the one shape parameter that it has
+        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, shape * F, shape, d, 0.0, 0.0, 0.0)
+        before = mode
+        kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
+        if kind >= FORCE_REVERSAL:
+            return kind
+        if not landed and before == NEGATIVE and kind != 0 and t >= firm:
+            landed = True
+            base = following
+            if ramp == 0:
+                static = HOLDS
+                w = 0.0
+                mode = POSITIVE if overtakes == 1 else STICK
+    return 0
+
+
+@cache
+def _compiled() -> Callable[..., int]:
+    """Compile `window_positions` on first use."""
+    from numba.extending import register_jitable
+
+    register_jitable(follow)
+    return compile_entry(window_positions)

@@ -1,0 +1,139 @@
+"""The report: one static page with its pictures inside, nothing fetched from anywhere, made to be printed."""
+
+import html
+import math
+import os
+import tempfile
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from daq.errors import InputError
+from daq.version import VERSION
+from fitting import plot
+from fitting.result import Parameter, Ranking
+from fitting.verdict import length
+from processing.kinematics import Kinematics
+
+TEMPLATES = Path(__file__).with_name("templates")
+MARK = '<meta name="generator" content="stickslip fit-friction'
+
+
+def default_path(run: Path) -> Path:
+    """Return where the report of a run goes: RUN.report.html beside it."""
+    return run.with_name(run.stem + ".report.html")
+
+
+def refuse_stranger(path: Path) -> None:
+    """Raise InputError when ``path`` holds something that is not a report of ours, or cannot be written."""
+    if path.is_dir():
+        raise InputError("is a folder", str(path), "give a file name with --report")
+    if not path.absolute().parent.is_dir():
+        raise InputError("its folder does not exist", str(path), f"make {path.absolute().parent} first")
+    if path.exists() and MARK not in path.read_text(errors="replace")[:2000]:
+        raise InputError("exists and is no report", str(path), "give another name with --report")
+
+
+def write(ranking: Ranking, kinematics: Kinematics, path: Path, alpha: float) -> None:
+    """Write the report of a ranking.
+
+    Parameters
+    ----------
+    ranking : Ranking
+    kinematics : Kinematics
+        What was fitted.
+    path : Path
+        The page; an older report there is replaced, any other file is not.
+    alpha : float
+        1 - confidence of the intervals.
+
+    Raises
+    ------
+    InputError
+        When ``path`` holds something that is not a report.
+    """
+    refuse_stranger(path)
+    page = render(ranking, kinematics, alpha)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.absolute().parent)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(page)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
+    """Return the report as HTML."""
+    import jinja2
+    from markupsafe import Markup
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    recording = kinematics.recording
+    cut, motion = ranking.cut, ranking.motion
+    return environment.get_template("report.html").render(
+        mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
+        title=recording.title or recording.source.name,
+        file=recording.source.name,
+        started=recording.started,
+        now=datetime.now().astimezone().isoformat(timespec="minutes"),
+        version=VERSION,
+        digest=recording.digest,
+        verdict=ranking.verdict,
+        alone=len(ranking.laws_in_set) == 1,
+        rows=[_row(row, ranking) for row in ranking.rows],
+        best=ranking.best,
+        parameters=[(name, *_interval(item)) for name, item in ranking.best.parameters.items()],
+        confidence=f"{100 * (1 - alpha):g} %",
+        events=[_event(event) for event in ranking.events],
+        warnings=ranking.warnings,
+        pictures={name: Markup(text) for name, text in plot.draw(ranking).items()},
+        facts=[
+            ("record", f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples"),
+            ("break-aways", f"{len(cut.cycles)} found, {len(cut.used)} fitted"),
+            ("riding on the belt", f"{100 * cut.plateau_fraction:.0f} % of the record"),
+            ("one position", f"known to {length(motion.resolution)}"),
+            ("smoothing", f"{kinematics.method}, window {kinematics.window}, order {kinematics.order} (starts only)"),
+            ("run time", f"{ranking.cpu_s:.2f} s CPU for {len(ranking.rows)} laws"),
+        ],
+    )
+
+
+def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
+    mean, half = row.behind
+    return {
+        "law": row.law,
+        "name": row.name,
+        "in_set": row.in_set,
+        "rms": length(row.rms_m),
+        "score": f"{row.score:.1f}",
+        "weight": f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01",
+        "behind": "best" if row.score == 0 else f"{mean:.2f} ± {half:.2f}",
+        "cpu": f"{row.cpu_s:.2f} s",
+        "colour": plot.COLOURS[row.law],
+    }
+
+
+def _event(event: Any) -> tuple[str, str, str, str, str]:
+    def shown(value: float) -> str:
+        return "–" if math.isnan(value) else f"{value:.4f}"
+
+    return str(event.number), f"{event.t:.3f}", shown(event.static_level), shown(event.kinetic_scale), event.flag
+
+
+def _interval(item: Parameter) -> tuple[str, str, str, str]:
+    """Return value, standard error and interval with as many digits as the error deserves, and the unit."""
+    digits = max(0, 1 - math.floor(math.log10(item.stderr))) if item.stderr > 0 else 6
+    digits = min(digits, 12)
+    value = f"{item.value:.{digits}f}"
+    return value, f"{item.stderr:.2g}", f"{item.lo:.{digits}f} … {item.hi:.{digits}f}", _pretty(item.unit)
+
+
+def _pretty(unit: str) -> str:
+    for plain, raised in (("^-1", "⁻¹"), ("^-2", "⁻²"), ("^2", "²")):
+        unit = unit.replace(plain, raised)
+    return unit

@@ -1,0 +1,158 @@
+"""What a fit says: parameters with intervals, one row per law, one row per break-away, and the ranking of them all."""
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fitting.motion import Motion
+    from fitting.trajectory import Fit
+    from fitting.windows import Cut
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A value with its standard error and confidence interval, in the unit named."""
+
+    value: float
+    stderr: float
+    lo: float
+    hi: float
+    unit: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document's form."""
+        return vars(self)
+
+
+@dataclass(frozen=True)
+class LawResult:
+    """One row of the ranking.
+
+    Attributes
+    ----------
+    law : int
+    name : str
+    score : float
+        Penalised log error of the record (smaller is better), minus the best law's.
+    weight : float
+        exp(-score/2), normalised over the laws fitted.
+    in_set : bool
+        Whether the record cannot tell this law from the best one.
+    rms_m : float
+        m, all windows together.
+    cycles : int
+        Cycles judged.
+    parameters : dict
+        By name; per unit mass, and in newtons when the mass or the spring's stiffness is known.
+    cpu_s : float
+    behind : (float, float)
+        Mean paired difference of log error to the best law, penalty included, and half its t-interval.
+    fit : Fit
+        The fit itself, for pictures.
+    """
+
+    law: int
+    name: str
+    score: float
+    weight: float
+    in_set: bool
+    rms_m: float
+    cycles: int
+    parameters: dict[str, Parameter]
+    cpu_s: float
+    behind: tuple[float, float]
+    fit: "Fit" = field(repr=False, compare=False)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document's form."""
+        return {
+            "law": self.law,
+            "name": self.name,
+            "score": self.score,
+            "weight": self.weight,
+            "in_set": self.in_set,
+            "rms_m": self.rms_m,
+            "cycles": self.cycles,
+            "parameters": {name: item.as_json() for name, item in self.parameters.items()},
+            "cpu_s": self.cpu_s,
+        }
+
+
+@dataclass(frozen=True)
+class Event:
+    """One break-away.
+
+    Attributes
+    ----------
+    number : int
+    t : float
+        s, when the mass leaves the belt.
+    static_level : float
+        Load at the break-away over Fs; NaN for a cycle that was not fitted.
+    kinetic_scale : float
+        This cycle's kinetic level over Fs; NaN for a cycle that was not fitted.
+    flag : str
+        "" for a cycle that counted, "rough" for one that fits far worse than the others, else why it was left out.
+    """
+
+    number: int
+    t: float
+    static_level: float
+    kinetic_scale: float
+    flag: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document's form."""
+        return vars(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """The laws in order, and what is to be said about them.
+
+    Attributes
+    ----------
+    verdict : str
+        A sentence; the laws it names are `laws_in_set`.
+    laws_in_set : tuple of int
+        Laws that the record cannot tell apart, best first.
+    rows : tuple of LawResult
+        Best first, those in the set before all others.
+    events : tuple of Event
+    warnings : tuple of str
+    motion, cut
+        What was fitted, in the fit's frame.
+    cpu_s : float
+    """
+
+    verdict: str
+    laws_in_set: tuple[int, ...]
+    rows: tuple[LawResult, ...]
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+    motion: "Motion" = field(repr=False)
+    cut: "Cut" = field(repr=False)
+    cpu_s: float = 0.0
+
+    @property
+    def best(self) -> LawResult:
+        """The first row."""
+        return self.rows[0]
+
+    def row(self, law: int) -> LawResult:
+        """Return the row of one law; KeyError when it was not fitted."""
+        for row in self.rows:
+            if row.law == law:
+                return row
+        raise KeyError(law)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the command's JSON document."""
+        return {
+            "verdict": self.verdict,
+            "set": list(self.laws_in_set),
+            "ranking": [row.as_json() for row in self.rows],
+            "cycles": [event.as_json() for event in self.events],
+            "warnings": list(self.warnings),
+            "cpu_s": self.cpu_s,
+        }

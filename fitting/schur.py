@@ -1,0 +1,204 @@
+"""Levenberg-Marquardt for shared and per-cycle unknowns; the per-cycle ones are eliminated (Schur complement).
+
+Minimises  1/2 sum_c w_c |r_c(u, l_c)|^2 + 1/2 sum ((u - u0)/sd)^2 + 1/2 sum_c sum ((l_c - l0_c)/sd)^2
+over the shared unknowns u (p of them, within bounds) and the q unknowns l_c of each cycle c.  Each cycle's
+normal equations are q x q, so the cost grows with the number of cycles, not with its cube.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fitting.motion import Array
+
+START_DAMPING, EASE, TIGHTEN = 1e-4, 30.0, 10.0
+
+# Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
+Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is minimised.
+
+    Attributes
+    ----------
+    evaluate : callable
+        ``evaluate(u, l, derivatives)`` with u (p,), l (cycles, q).
+    rows : tuple of slice
+        Which residuals belong to which cycle.
+    weights : (cycles,) f8
+        1/variance of each cycle's residuals, 1/m^2.
+    lower, upper : (p,) f8
+        Bounds of u.
+    prior, precision : (p,) f8
+        Prior means of u and 1/sd^2; 0 where nothing is known.
+    local_prior, local_precision : (cycles, q) f8
+        The same for the cycles' own unknowns.
+    """
+
+    evaluate: Evaluate
+    rows: tuple[slice, ...]
+    weights: Array
+    lower: Array
+    upper: Array
+    prior: Array
+    precision: Array
+    local_prior: Array
+    local_precision: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Normal equations: gradient and Hessian in blocks; shapes (p,), (p, p), (c, q), (c, q, q), (c, p, q)."""
+
+    g: Array
+    H: Array
+    gl: Array
+    Hl: Array
+    cross: Array
+    cycle_g: Array  # (c, p): each cycle's share of g, without the priors of u
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the minimiser stopped.
+
+    Attributes
+    ----------
+    u, local : (p,), (cycles, q) f8
+    cost : float
+    residual : (N,) f8
+    blocks : Blocks
+        At the solution.
+    outcome : str
+        "converged", "step limit", "no progress", or "no flow": the start could not be followed.
+    steps : int
+        Derivatives taken.
+    """
+
+    u: Array
+    local: Array
+    cost: float
+    residual: Array
+    blocks: Blocks
+    outcome: str
+    steps: int
+
+
+def cost(problem: Problem, u: Array, local: Array, residual: Array) -> float:
+    """Return the objective."""
+    total = float(np.sum(problem.precision * (u - problem.prior) ** 2))
+    total += float(np.sum(problem.local_precision * (local - problem.local_prior) ** 2))
+    for weight, rows in zip(problem.weights, problem.rows, strict=True):
+        r = residual[rows]
+        total += weight * float(r @ r)
+    return 0.5 * total
+
+
+def normal_equations(problem: Problem, u: Array, local: Array, residual: Array, jacobian: Array) -> Blocks:
+    """Return gradient and Gauss-Newton Hessian, cycle by cycle."""
+    p, (c, q) = u.size, local.shape
+    cycle_g = np.zeros((c, p))
+    H = np.diag(problem.precision)
+    gl = problem.local_precision * (local - problem.local_prior)
+    Hl = np.zeros((c, q, q))
+    cross = np.zeros((c, p, q))
+    for k, (weight, rows) in enumerate(zip(problem.weights, problem.rows, strict=True)):
+        J = jacobian[rows]
+        square = weight * (J.T @ J)
+        push = weight * (J.T @ residual[rows])
+        cycle_g[k] = push[:p]
+        H += square[:p, :p]
+        gl[k] += push[p:]
+        Hl[k] = square[p:, p:] + np.diag(problem.local_precision[k])
+        cross[k] = square[:p, p:]
+    g = cycle_g.sum(axis=0) + problem.precision * (u - problem.prior)
+    return Blocks(g, H, gl, Hl, cross, cycle_g)
+
+
+def reduced(blocks: Blocks, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
+    """Eliminate the cycles' unknowns: return the reduced (gradient, Hessian), inv(Hl) gl and inv(Hl) cross^T.
+
+    The reduced Hessian is the information on the shared unknowns with every cycle's own unknowns fitted along.
+    """
+    q = blocks.gl.shape[1]
+    diagonal = np.einsum("cii->ci", blocks.Hl)
+    Hl = blocks.Hl + damping * diagonal[:, :, None] * np.eye(q)
+    pull = np.linalg.solve(Hl, blocks.gl[:, :, None])[:, :, 0]
+    spread = np.linalg.solve(Hl, np.swapaxes(blocks.cross, 1, 2))
+    g = blocks.g - np.einsum("cpq,cq->p", blocks.cross, pull)
+    H = blocks.H + damping * np.diag(np.diag(blocks.H)) - np.einsum("cpq,cqr->pr", blocks.cross, spread)
+    return g, H, pull, spread
+
+
+def minimise(
+    problem: Problem, u: Array, local: Array, *, max_steps: int = 40, tolerance: float = 1e-5
+) -> Solution | None:
+    """Minimise from (u, local); None when not even the start can be followed.
+
+    Parameters
+    ----------
+    problem : Problem
+    u : (p,) f8
+    local : (cycles, q) f8
+    max_steps : int
+        Derivatives to take at most.
+    tolerance : float
+        Stop when a step lowers the cost by less than this fraction (twice in a row), or by less than this at all.
+    """
+    u = np.clip(u, problem.lower, problem.upper)
+    first = problem.evaluate(u, local, True)
+    if first is None:
+        return None
+    residual, jacobian = first
+    value = cost(problem, u, local, residual)
+    damping, calm, outcome, steps = START_DAMPING, 0, "step limit", 1
+    blocks = normal_equations(problem, u, local, residual, jacobian)
+    while steps < max_steps:
+        moved = False
+        while damping < 1e10:
+            step, local_step = _step(problem, u, blocks, damping)
+            trial, local_trial = np.clip(u + step, problem.lower, problem.upper), local + local_step
+            found = problem.evaluate(trial, local_trial, False)
+            trial_value = math.inf if found is None else cost(problem, trial, local_trial, found[0])
+            if trial_value < value:
+                moved = True
+                break
+            if found is not None and trial_value - value < 1e-12 * value:
+                break
+            damping *= TIGHTEN
+        if not moved:
+            outcome = "converged" if damping < 1e10 else "no progress"
+            break
+        gain, value = value - trial_value, trial_value
+        u, local = trial, local_trial
+        damping = max(damping / EASE, 1e-12)
+        again = problem.evaluate(u, local, True)
+        steps += 1
+        if again is None:  # the point itself can be followed, one of its neighbours cannot
+            outcome = "no progress"
+            break
+        residual, jacobian = again
+        blocks = normal_equations(problem, u, local, residual, jacobian)
+        calm = calm + 1 if gain < tolerance * value or gain < tolerance else 0
+        if calm >= 2:
+            outcome = "converged"
+            break
+    return Solution(u, local, value, residual, blocks, outcome, steps)
+
+
+def _step(problem: Problem, u: Array, blocks: Blocks, damping: float) -> tuple[Array, Array]:
+    """Return the damped step; an unknown on its bound that is pushed outward stays."""
+    g, H, pull, spread = reduced(blocks, damping)
+    free = ~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0))
+    step = np.zeros_like(u)
+    index = np.flatnonzero(free)
+    if index.size:
+        scale = 1 / np.sqrt(np.maximum(np.diag(H)[index], 1e-300))
+        scaled = H[np.ix_(index, index)] * scale[:, None] * scale
+        step[index] = -scale * np.linalg.lstsq(scaled, scale * g[index], rcond=1e-13)[0]
+    step = np.clip(u + step, problem.lower, problem.upper) - u
+    return step, -pull - np.einsum("cqp,p->cq", spread, step)

@@ -1,0 +1,121 @@
+"""The fitted stage of a run file: /entry/fit and /entry/fit_law1 ... fit_law6, beside the untouched raw data.
+
+::
+
+    fit               NXprocess   @default=ranking; program, version, date, sequence_index
+      parameters      NXparameters  verdict, warnings, cpu_time
+      ranking         NXdata      one row a law: score, weight, in_set, rms, cycles; law_name beside it
+      cycles          NXdata      one row a break-away: t, static_level, kinetic_scale
+    fit_law1 ...      NXprocess   @default=friction_curve
+      parameters      NXparameters  law_name, formula; value, value_errors and units of each parameter
+      friction_curve  NXdata      friction against relative velocity
+"""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from daq import nexus, runfile
+from daq.version import VERSION
+from fitting.curves import curve, speeds, unit
+from fitting.result import LawResult, Ranking
+
+FORMULAS = {
+    "constant": "Fs",
+    "linear": "Fs - G_slip s",
+    "hyperbolic": "Fs/(1 + gamma s)",
+}
+
+
+def save(ranking: Ranking, path: Path) -> None:
+    """Write the stage into the run file, replacing an earlier one.
+
+    Raises
+    ------
+    InputError
+        For a file that is no run.
+    """
+    names = ["fit", *(f"fit_law{law}" for law in range(1, 7))]
+    runfile.extend(path, names, lambda entry: _write(entry, ranking), default="fit")
+
+
+def _write(entry: h5py.Group, ranking: Ranking) -> None:
+    date = datetime.now(UTC).isoformat(timespec="seconds")
+    fit = nexus.group(entry, "fit", "NXprocess", default="ranking")
+    nexus.field(fit, "program", "fit-friction")
+    nexus.field(fit, "version", VERSION)
+    nexus.field(fit, "date", date)
+    nexus.field(fit, "sequence_index", np.int64(2))
+    said = nexus.group(fit, "parameters", "NXparameters")
+    nexus.field(said, "verdict", ranking.verdict)
+    nexus.field(said, "cpu_time", np.float64(ranking.cpu_s), "s")
+    if ranking.warnings:
+        nexus.field(said, "warnings", list(ranking.warnings))
+    rows = sorted(ranking.rows, key=lambda row: row.law)
+    table = nexus.table(
+        fit,
+        "ranking",
+        {
+            "law": (np.array([row.law for row in rows], np.uint8), ""),
+            "score": (np.array([row.score for row in rows]), ""),
+            "weight": (np.array([row.weight for row in rows]), ""),
+            "in_set": (np.array([row.in_set for row in rows], np.uint8), ""),
+            "rms": (np.array([row.rms_m for row in rows]), "m"),
+            "cycles": (np.array([row.cycles for row in rows], np.uint32), ""),
+        },
+        axis="law",
+        signal="score",
+        title="log error of each law above the best one's, penalised",
+    )
+    nexus.field(table, "law_name", [row.name for row in rows])
+    nexus.table(
+        fit,
+        "cycles",
+        {
+            "t": (np.array([event.t for event in ranking.events]), "s"),
+            "static_level": (np.array([event.static_level for event in ranking.events]), ""),
+            "kinetic_scale": (np.array([event.kinetic_scale for event in ranking.events]), ""),
+            "used": (np.array([event.flag in ("", "rough") for event in ranking.events], np.uint8), ""),
+        },
+        axis="t",
+        signal="static_level",
+        auxiliary=("kinetic_scale",),
+        title="levels of each break-away over Fs",
+    )
+    for row in rows:
+        _law(entry, row, ranking, date)
+
+
+def _law(entry: h5py.Group, row: LawResult, ranking: Ranking, date: str) -> None:
+    group = nexus.group(entry, f"fit_law{row.law}", "NXprocess", default="friction_curve")
+    nexus.field(group, "program", "fit-friction")
+    nexus.field(group, "version", VERSION)
+    nexus.field(group, "date", date)
+    nexus.field(group, "sequence_index", np.int64(2))
+    parameters = nexus.group(group, "parameters", "NXparameters")
+    nexus.field(parameters, "law_name", row.name)
+    nexus.field(parameters, "formula", _formula(row.law))
+    for name, item in row.parameters.items():
+        key = name.replace("/", "_over_")
+        nexus.field(parameters, key, np.float64(item.value), item.unit)
+        nexus.field(parameters, f"{key}_errors", np.float64(item.stderr), item.unit)
+    w = speeds(ranking.motion)
+    nexus.table(
+        group,
+        "friction_curve",
+        {"relative_velocity": (w, "m/s"), "friction": (curve(row, ranking.motion, w), unit(ranking.motion))},
+        axis="relative_velocity",
+        signal="friction",
+        title=f"law {row.law}: {row.name}",
+    )
+
+
+def _formula(law: int) -> str:
+    from rig_sim.friction.law import LAWS
+
+    kind = LAWS[law]
+    if kind.ramp:
+        return f"F = -Fs w/d for |w| <= d, else -sign(w) ({FORMULAS[kind.curve]}) with s = |w| - d"
+    return f"F = -sign(w) ({FORMULAS[kind.curve]}) with s = |w|"

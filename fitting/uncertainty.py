@@ -1,0 +1,114 @@
+"""Intervals: a sandwich over cycles, calibrations as priors, t quantile.
+
+Residuals of a wrong-by-a-little model are alike within a cycle and independent between cycles, so the spread of the
+cycles' own gradients says how far the estimate would move with other cycles.  With few cycles the sandwich can come out
+too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from daq.rig import Measured
+from fitting.motion import Array, Motion
+from fitting.result import Parameter
+from fitting.schur import reduced
+from fitting.trajectory import DAMPING, DATUM, LOG_F, SHAPE, V_DR, WEAR, D, Fit, K
+from rig_sim.friction.law import LAWS
+
+
+def covariance(fit: Fit, precision: Array) -> Array:
+    """Return the covariance of the active shared unknowns, shape (p, p).
+
+    Parameters
+    ----------
+    fit : Fit
+    precision : (p,) f8
+        1/sd^2 of the calibrations, 0 where there is none: a prior's own error is one more independent source.
+    """
+    blocks = fit.solution.blocks
+    _, H, pull, _ = reduced(blocks)
+    own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, pull)
+    cycles = own.shape[0]
+    # A weak direction must not make the inverse fail: invert in units of the curvatures, through the singular values.
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    bread = scale[:, None] * np.linalg.pinv(H * scale[:, None] * scale, rcond=1e-12, hermitian=True) * scale
+    meat = own.T @ own * (cycles / max(cycles - 1, 1)) + np.diag(precision)
+    sandwich = bread @ meat @ bread
+    floor = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
+    return np.asarray(sandwich * floor[:, None] * floor)
+
+
+def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict[str, Parameter]:
+    """Return a law's parameters with their intervals, in the record's own signs.
+
+    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second.
+
+    Parameters
+    ----------
+    fit : Fit
+    precision : (p,) f8
+        Of the calibrations, as for `covariance`.
+    motion : Motion
+        Its mass or stiffness, when known, turns accelerations into newtons.
+    alpha : float
+        1 - confidence.
+    """
+    from scipy.stats import t as student
+
+    active = list(fit.active)
+    spread = covariance(fit, precision)
+    quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
+    found: dict[str, Parameter] = {}
+
+    def add(name: str, unit: str, formula: Callable[[Array], float], scale: Measured | None = None) -> None:
+        value = formula(fit.u)
+        slope = np.array([_slope(formula, fit.u, index) for index in active])
+        variance = float(slope @ spread @ slope)
+        if scale is not None:
+            variance = variance * scale.value**2 + (value * scale.sd) ** 2
+            value *= scale.value
+        error = float(np.sqrt(max(variance, 0.0)))
+        lo, hi = value - quantile * error, value + quantile * error
+        if name not in ("v_dr", "x0", "wear"):
+            lo = max(lo, 0.0)
+        found[name] = Parameter(value, error, lo, hi, unit)
+
+    law = LAWS[fit.law]
+    add("k/m", "s^-2", lambda u: float(u[K]))
+    add("Fs/m", "m s^-2", lambda u: float(np.exp(u[LOG_F])))
+    add("Fs/k", "m", lambda u: float(np.exp(u[LOG_F]) / u[K]))
+    add("v_dr", "m/s", lambda u: motion.sign * float(u[V_DR]))
+    if law.curve == "hyperbolic":
+        add("gamma", "s/m", lambda u: float(u[SHAPE]))
+    elif law.curve == "linear":
+        add("G_slip/m", "s^-1", lambda u: float(u[SHAPE] * np.exp(u[LOG_F])))
+    if law.contact == "ramp":
+        add("d", "m/s", lambda u: float(u[D]))
+    add("x0", "m", lambda u: motion.sign * float(u[DATUM]))
+    add("c/m", "s^-1", lambda u: float(u[DAMPING]))
+    if WEAR in active:
+        add("wear", "s^-1", lambda u: float(u[WEAR]))
+    if motion.mass is not None:
+        mass = motion.mass
+        add("k", "N/m", lambda u: float(u[K]), mass)
+        add("Fs", "N", lambda u: float(np.exp(u[LOG_F])), mass)
+        if law.curve == "linear":
+            add("G_slip", "N s/m", lambda u: float(u[SHAPE] * np.exp(u[LOG_F])), mass)
+        add("c", "N s/m", lambda u: float(u[DAMPING]), mass)
+    elif motion.stiffness is not None:
+        stiffness = motion.stiffness
+        add("m", "kg", lambda u: 1 / float(u[K]), stiffness)
+        add("Fs", "N", lambda u: float(np.exp(u[LOG_F]) / u[K]), stiffness)
+        if law.curve == "linear":
+            add("G_slip", "N s/m", lambda u: float(u[SHAPE] * np.exp(u[LOG_F]) / u[K]), stiffness)
+        add("c", "N s/m", lambda u: float(u[DAMPING] / u[K]), stiffness)
+    return found
+
+
+def _slope(formula: Callable[[Array], float], u: Array, index: int) -> float:
+    step = 1e-6 * max(abs(float(u[index])), 1e-6)
+    up, down = u.copy(), u.copy()
+    up[index] += step
+    down[index] -= step
+    return (formula(up) - formula(down)) / (2 * step)

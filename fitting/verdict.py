@@ -1,0 +1,132 @@
+"""The verdict and its warnings in words."""
+
+import math
+from collections.abc import Sequence
+
+from fitting.motion import Motion
+from fitting.result import LawResult
+from fitting.trajectory import DATUM, NO_RAMP, D
+from fitting.windows import Cut
+from processing.kinematics import Kinematics
+from rig_sim.friction.law import LAWS
+
+SPLITS = {
+    frozenset((1, 2)): "a start-up recorded from rest",
+    frozenset((3, 4)): "a belt tachometer, or runs at other belt speeds",
+    frozenset((5, 6)): "a belt tachometer, or runs at other belt speeds",
+    frozenset((3, 5)): "a faster belt or a weaker spring, so that the slip spans more speed",
+    frozenset((4, 6)): "a faster belt or a weaker spring, so that the slip spans more speed",
+}
+
+
+def sentence(rows: Sequence[LawResult], members: Sequence[int], *, sustained: bool) -> str:
+    """Return the verdict: the law, or the laws that the record cannot tell apart, and why.
+
+    Parameters
+    ----------
+    rows : sequence of LawResult
+        Best first.
+    members : sequence of int
+        The set, best first.
+    sustained : bool
+        Whether the record has sustained sticks; without them friction is constant.
+    """
+    best = rows[0]
+    named = f"law {best.law} ({best.name})"
+    if not sustained:
+        head = "no sustained stick: constant friction, "
+        if len(members) == 1:
+            return head + f"{named} by the start-up drag"
+        if len(rows) == 1:
+            return head + f"{named}, the only law fitted"
+        return head + "law 1 or law 2: the start-up drag does not tell a jump from a ramp"
+    if len(members) > 1:
+        others = " or ".join(f"law {law} ({LAWS[law].name})" for law in members[1:])
+        split = SPLITS.get(frozenset(members[:2]), "more cycles, or runs at other belt speeds")
+        row = next(row for row in rows if row.law == members[1])
+        gap = abs(row.behind[0] - best.behind[0])
+        return (
+            f"{named} or {others}: {best.cycles} cycles cannot tell them apart (their errors differ by "
+            f"{100 * math.expm1(gap):.0f} %, within the scatter between cycles); {split} would"
+        )
+    fit = f"its {best.cycles} cycles fit to {length(best.rms_m)}"
+    rest = [row for row in rows if row.law not in members]
+    if not rest:
+        return f"{named}, the only law fitted: {fit}"
+    rival = min(rest, key=lambda row: row.score)
+    ratio = rival.rms_m / best.rms_m
+    if ratio > 1.2:
+        return f"{named}: {fit}; the next best, law {rival.law}, errs {ratio:.3g} times as much"
+    return f"{named}: {fit}; law {rival.law} fits no better for all its freedom"
+
+
+def warnings(
+    rows: Sequence[LawResult],
+    members: Sequence[int],
+    motion: Motion,
+    cut: Cut,
+    kinematics: Kinematics,
+    *,
+    sustained: bool,
+) -> tuple[str, ...]:
+    """Return what a reader must know beside the verdict."""
+    best = rows[0]
+    said = []
+    if sustained and any(LAWS[law].ramp for law in members) and kinematics.recording.belt_velocity is None:
+        said.append(
+            "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
+            "may be laws 1, 3, 5 on a belt that droops"
+        )
+    if motion.datum_prior is None:
+        said.append(
+            "no datum: the spring's rest position was fitted along; laws 1 and 3 then know only datum + Fs/k "
+            "(give --datum and --datum-sd)"
+        )
+    if motion.damping_prior is None or (motion.mass is None and motion.stiffness is None):
+        said.append(
+            "no damping calibration: c taken as 0 give or take 1 % of critical; laws 3 and 4 know only G_slip - c "
+            "(give --damping and --damping-sd with --mass)"
+        )
+    if motion.mass is None and motion.stiffness is None:
+        said.append("no mass: forces are given per kilogram (give --mass or --stiffness for newtons)")
+    said += _strained(best, motion)
+    left = [cycle for cycle in cut.cycles if cycle.flag and cycle.flag != "excluded"]
+    if left:
+        reasons = ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
+        said.append(f"cycles left out: {reasons}")
+    if kinematics.lost_counts:
+        said.append(f"counts seem lost at {kinematics.lost_counts} sample(s): cycles with a step fit badly")
+    stuck = [row.law for row in rows if row.fit.outcome not in ("converged", "step limit")]
+    if stuck:
+        said.append(f"the fit of law {', '.join(map(str, stuck))} stopped early: its error is an upper bound")
+    row = next((row for row in rows if row.law == best.law + 1), None)
+    if sustained and not LAWS[best.law].ramp and row is not None and row.in_set is False and "d" in row.parameters:
+        width = row.parameters["d"]
+        if row.rms_m < 1.05 * best.rms_m and row.fit.u[D] > 10 * NO_RAMP * motion.belt_speed:
+            said.append(f"a ramp narrower than {width.hi:.2g} m/s cannot be excluded")
+    return tuple(said)
+
+
+def _strained(best: LawResult, motion: Motion) -> list[str]:
+    """Name the calibrations that the best law contradicts by more than three standard deviations."""
+    u, said = best.fit.u, []
+    for name, index, prior, unit in (
+        ("datum", DATUM, motion.datum_prior, "m"),
+        ("belt speed", 2, motion.belt_prior, "m/s"),
+    ):
+        if prior is None or prior.sd <= 0:
+            continue
+        z = (float(u[index]) - prior.value) / prior.sd
+        if abs(z) > 3:
+            said.append(
+                f"{name} contradicts its calibration by {abs(z):.1f} standard deviations "
+                f"({u[index]:.4g} against {prior.value:.4g} {unit})"
+            )
+    return said
+
+
+def length(metres: float) -> str:
+    """Return a length in a readable unit."""
+    if metres < 1e-3:
+        return f"{metres * 1e6:.3g} um"
+    return f"{metres * 1e3:.3g} mm" if metres < 1 else f"{metres:.3g} m"

@@ -1,0 +1,193 @@
+r"""Cuts a record into cycles: window A from slip onset to the middle of the next stick, window B on to the next onset.
+
+::
+
+    v  ____                ________________            belt speed
+           \              /        |       \
+            \            /         |        \
+             \__________/          |         \___
+          |<------- A ------------>|<-- B -->|50 ms|<-- A of the next cycle
+
+The break-away is random and falls into no window: window B ends 50 ms before it and window A starts once the mass has
+left the belt by a twentieth of its speed.  A *cycle* is a break-away with the B before it and the A after it; both
+share one kinetic level, because the level is drawn anew at each landing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.motion import REST_FRACTION, Array, Motion
+
+BEFORE_ONSET_S = 0.05
+SHORTEST_S = 0.03
+LEFT_THE_BELT = 0.05  # of the belt's speed
+SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
+OVERTAKING = 0.02  # of the belt's speed, above the plateau
+STILL = 0.05  # of the slip's acceleration: less than this, the mass rides (or crosses the top of a sine)
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One break-away and what surrounds it; sample ranges are half open, and empty where a window is missing.
+
+    Attributes
+    ----------
+    number : int
+        1, 2, 3 ... in order of time.
+    onset, landing : float
+        Break-away and return to the belt, s, as the smoothed motion shows them.
+    stick, slip : (first, end)
+        Samples of window B (before the break-away) and window A (after it).
+    overtakes : bool
+        Whether the mass overtakes the belt after landing: a slip that returns with more load than the belt can hold.
+    flag : str
+        "" or why the cycle is not used: "gap", "excluded", "short".
+    """
+
+    number: int
+    onset: float
+    landing: float
+    stick: tuple[int, int]
+    slip: tuple[int, int]
+    overtakes: bool = False
+    flag: str = ""
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A record cut into cycles.
+
+    Attributes
+    ----------
+    cycles : tuple of Cycle
+        In order of time, used or not.
+    plateau_fraction : float
+        Share of the record spent riding on the belt, the drag of the start-up left out.
+    starts_at_rest : bool
+        Whether the record begins before the belt does.
+    drag : (first, end)
+        Samples of the start-up drag, from shortly after the first landing to 50 ms before the first break-away; empty
+        when the record does not begin at rest.
+    """
+
+    cycles: tuple[Cycle, ...]
+    plateau_fraction: float
+    starts_at_rest: bool
+    drag: tuple[int, int]
+
+    @property
+    def used(self) -> tuple[Cycle, ...]:
+        """The cycles without a flag."""
+        return tuple(cycle for cycle in self.cycles if not cycle.flag)
+
+
+def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the half-open index ranges over which ``mask`` is true."""
+    edges = np.diff(np.r_[0, mask.astype(np.int8), 0])
+    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
+
+
+def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:
+    """Cut a record into cycles.
+
+    Parameters
+    ----------
+    motion : Motion
+        In the fit's frame.
+    excluded : set of int
+        Numbers of cycles to leave out; they keep their place in the list, flagged.
+
+    Returns
+    -------
+    Cut
+        With no cycles when the mass never falls below half the belt's speed.
+    """
+    time, v, a = motion.time, motion.velocity, motion.acceleration
+    n = time.size
+    shortest = max(3, round(SHORTEST_S / float(np.median(np.diff(time)))))
+    slow = [(i, j) for i, j in runs(v < SLIPPING * motion.belt_speed) if j - i >= shortest]
+    if not slow:
+        return Cut((), 0.0, False, (0, 0))
+    strongest = float(np.percentile(np.abs(a[np.concatenate([np.arange(i, j) for i, j in slow])]), 95))
+    still = STILL * strongest
+    at_rest = np.abs(v) < REST_FRACTION * motion.belt_speed
+    starts_at_rest = slow[0][0] == 0 and bool(at_rest[: min(shortest, n)].all())
+
+    onsets = [_onset(a, i, still) for i, _ in slow]
+    landings = [_landing(a, j, still) for _, j in slow]
+    sticks = list(zip(landings, [*onsets[1:], n], strict=True))
+    middles = [(i + j) // 2 for i, j in sticks]
+
+    cycles: list[Cycle] = []
+    drag = (0, 0)
+    for k, (begin, end) in enumerate(slow):
+        if k == 0 and begin == 0:
+            continue  # the start-up, or a slip whose beginning was not recorded
+        onset = onsets[k]
+        last = int(np.searchsorted(time, time[onset] - BEFORE_ONSET_S))
+        if k == 0:
+            first = _calm(motion, onset, still)
+        elif k == 1 and starts_at_rest:
+            settle = max(SHORTEST_S, motion.half_window)
+            first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
+            drag = (first, last) if last - first >= shortest else (0, 0)
+        else:
+            first = middles[k - 1]
+        stick = (first, last) if last - first >= shortest else (onset, onset)
+        left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_THE_BELT * motion.belt_speed))
+        slip = (left, min(middles[k], n))
+        if end >= n or landings[k] >= n:
+            continue  # the record ends inside this slip
+        flag = ""
+        if motion.broken[slip[0] + 1 : slip[1]].any():
+            flag = "gap"
+        elif slip[1] - slip[0] < 2 * shortest:
+            flag = "short"
+        if motion.broken[stick[0] + 1 : stick[1]].any():
+            stick = (onset, onset)
+        number = len(cycles) + 1
+        if number in excluded:
+            flag = "excluded"
+        overtakes = _overtakes(motion, landings[k], sticks[k][1])
+        cycles.append(Cycle(number, float(time[onset]), float(time[landings[k]]), stick, slip, overtakes, flag))
+
+    riding = sum(
+        float(time[min(j, n - 1)] - time[min(i, n - 1)])
+        for k, (i, j) in enumerate(sticks)
+        if not (k == 0 and starts_at_rest)
+    )
+    began = time[min(sticks[0][1], n - 1)] if starts_at_rest else time[0]
+    span = float(time[-1] - began)
+    return Cut(tuple(cycles), riding / span if span > 0 else 0.0, starts_at_rest, drag)
+
+
+def _calm(motion: Motion, onset: int, still: float) -> int:
+    """Return the first sample of the plateau that a record begins in; a start-up too short to be a slip is left out."""
+    restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > still)
+    if not restless.size:
+        return 0
+    return int(np.searchsorted(motion.time, motion.time[restless[-1]] + motion.half_window))
+
+
+def _overtakes(motion: Motion, landing: int, end: int) -> bool:
+    """Tell whether the velocity peaks above the plateau after the landing, by more than smoothing would make it."""
+    early = int(np.searchsorted(motion.time, motion.time[landing] + 2 * motion.half_window))
+    settled = motion.velocity[(early + end) // 2 : end]
+    if settled.size < 3 or early >= end:
+        return False
+    peak = float(motion.velocity[early : (early + end) // 2].max(initial=-np.inf))
+    return peak - float(np.median(settled)) > OVERTAKING * motion.belt_speed
+
+
+def _onset(a: Array, begin: int, still: float) -> int:
+    """Return the last sample before ``begin`` at which the mass was not yet being slowed down."""
+    before = np.flatnonzero(a[: begin + 1] > -still)
+    return int(before[-1]) if before.size else 0
+
+
+def _landing(a: Array, end: int, still: float) -> int:
+    """Return the first sample after ``end`` at which the mass is no longer being sped up, or the record's length."""
+    after = np.flatnonzero(a[end:] < still)
+    return end + int(after[0]) if after.size else a.size

@@ -1,0 +1,91 @@
+"""The report in a real browser: it draws, and asks nothing of the network."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    path = shutil.which("chromium")
+    if path is None:
+        assert "STICKSLIP_REQUIRE_TOOLS" not in os.environ, "chromium is not installed"
+        pytest.skip("chromium is not installed")
+    return path
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    shutil.copy(SAMPLES / "law5.h5", folder / "run.h5")
+    line = [sys.executable, "-m", "fitting.cli", "run.h5", "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
+    assert done.returncode in (0, 5), done.stdout + done.stderr
+    return folder / "run.report.html"
+
+
+def test_the_report_has_no_outside_reference(report):
+    text = report.read_text()
+    assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!#|data:)""", text)
+    assert "@import" not in text
+    assert "<script src" not in text
+
+
+def test_the_report_draws_in_a_browser(report, chromium):
+    picture = report.with_suffix(".png")
+    profile = report.parent / "profile"
+    subprocess.run(
+        [
+            chromium,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-sync",
+            "--disable-background-networking",
+            "--disable-component-update",
+            f"--user-data-dir={profile}",
+            "--window-size=1100,2400",
+            f"--screenshot={picture}",
+            report.as_uri(),
+        ],
+        check=True,
+        capture_output=True,
+        timeout=120,
+    )
+    pixels = matplotlib.image.imread(picture)
+    assert pixels.shape[:2] == (2400, 1100)
+    dark = (pixels[..., :3].mean(axis=2) < 0.6).mean()
+    assert dark > 0.005  # text and curves, not an empty page
+
+
+def test_the_report_names_the_law_in_words(report, chromium):
+    done = subprocess.run(
+        [
+            chromium,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-sync",
+            "--disable-background-networking",
+            "--disable-component-update",
+            f"--user-data-dir={report.parent / 'profile2'}",
+            "--dump-dom",
+            report.as_uri(),
+        ],
+        check=True,
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert "law 5" in done.stdout
+    assert done.stdout.count("<svg") >= 3

@@ -1,0 +1,47 @@
+"""Rankings of synthetic runs, made once and shared by the tests of the fit."""
+
+import importlib.util
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from fitting.ranking import rank
+from processing.kinematics import smooth
+
+# Tests have no packages: the generator beside this file is loaded by its path.
+_spec = importlib.util.spec_from_file_location("fitting_synthetic", Path(__file__).with_name("synthetic.py"))
+synthetic_rig = importlib.util.module_from_spec(_spec)
+sys.modules["fitting_synthetic"] = synthetic_rig
+_spec.loader.exec_module(synthetic_rig)
+
+
+@pytest.fixture(scope="session")
+def synthetic():
+    """Give the generator's module."""
+    return synthetic_rig
+
+
+@pytest.fixture(scope="session")
+def ranked():
+    """Give a function that ranks a synthetic run and remembers it: ``ranked(law=5, seed=1, ...)``."""
+
+    @cache
+    def of(**changes):
+        return rank(smooth(synthetic_rig.recording(**changes)))
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def motion_of(synthetic):
+    """Give a function that smooths a synthetic run and brings it into the fit's frame."""
+    from fitting import motion
+
+    @cache
+    def of(**changes):
+        recording = synthetic.recording(**changes)
+        return motion.of(smooth(recording), recording.rig, None)
+
+    return of

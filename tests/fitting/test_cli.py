@@ -1,0 +1,138 @@
+"""`fit-friction`: flags, JSON, exit codes, and what it leaves in the run file."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import h5py
+import pytest
+
+from daq import runfile, terminal
+from daq.errors import InputError
+from fitting import cli
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, synthetic):
+    recording = synthetic.recording(law=5, duration=10.0)
+    path = tmp_path_factory.mktemp("run") / "run.h5"
+    runfile.write(
+        path,
+        runfile.RunData(
+            title="synthetic",
+            started=recording.started,
+            ended=recording.ended,
+            rate_hz=recording.rate_hz,
+            rig=recording.rig,
+            time=recording.time,
+            position=recording.position,
+        ),
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def fitted(run):
+    path = run.with_name("fitted.h5")
+    shutil.copy(run, path)
+    answer = cli.fit(path, laws="3,5")
+    return path, answer
+
+
+def test_numbers_and_ranges_are_read():
+    assert cli.numbers("1-3,6", "--laws") == [1, 2, 3, 6]
+    assert cli.numbers("", "--exclude-cycles") == []
+
+
+@pytest.mark.parametrize("text", ["a", "3-1", "0", "1-", "-3"])
+def test_what_is_no_range_is_refused(text):
+    with pytest.raises(InputError):
+        cli.numbers(text, "--laws")
+
+
+def test_the_document_has_the_promised_keys(fitted):
+    _, answer = fitted
+    document = json.loads(json.dumps(terminal.plain(answer.data)))
+    assert document["set"] == [5]
+    assert document["verdict"].startswith("law 5 ")
+    row = document["ranking"][0]
+    assert {"law", "name", "score", "weight", "in_set", "rms_m", "cycles", "parameters", "cpu_s"} <= set(row)
+    assert row["law"] == 5
+    for item in row["parameters"].values():
+        assert set(item) == {"value", "stderr", "lo", "hi", "unit"}
+    assert {"t", "static_level", "kinetic_scale", "flag"} <= set(document["cycles"][0])
+    assert document["warnings"] == []
+    assert answer.exit_code == 0
+
+
+def test_the_last_line_is_the_verdict(fitted):
+    _, answer = fitted
+    assert answer.text[-1].startswith("verdict: law 5 ")
+
+
+def test_results_stand_beside_untouched_raw_data(fitted, run):
+    path, _ = fitted
+    with h5py.File(path) as file, h5py.File(run) as before:
+        entry = file["entry"]
+        assert entry.attrs["default"] == "fit"
+        assert list(entry["fit/ranking/law"]) == [3, 5]
+        assert entry["fit_law5/parameters/gamma"].attrs["units"] == "s/m"
+        assert "fit_law6" not in entry
+        value = "entry/instrument/encoder/value_log/value"
+        assert (file[value][:] == before[value][:]).all()
+
+
+def test_the_report_goes_beside_the_run(fitted):
+    path, answer = fitted
+    assert answer.data["report"] == path.with_name("fitted.report.html")
+    assert answer.data["report"].exists()
+
+
+def test_damping_without_a_mass_is_refused(run, tmp_path):
+    path = tmp_path / "bare.h5"
+    data = runfile.load(run)
+    runfile.write(
+        path,
+        runfile.RunData(
+            title="",
+            started=data.started,
+            ended=data.ended,
+            rate_hz=1000.0,
+            rig=type(data.rig)(),
+            time=data.time,
+            position=data.position,
+        ),
+    )
+    with pytest.raises(InputError, match="without a mass"):
+        cli.fit(path, damping=0.01)
+
+
+@pytest.mark.parametrize(
+    ("flags", "what"),
+    [({"mass": "0 kg"}, "mass"), ({"damping": -1.0}, "damping"), ({"datum_sd": "-1 mm"}, "deviation")],
+)
+def test_impossible_calibrations_are_refused(run, flags, what):
+    with pytest.raises(InputError, match=what):
+        cli.fit(run, **flags)
+
+
+def test_a_foreign_report_is_refused_before_anything_is_fitted(run):
+    page = run.with_name("mine.html")
+    page.write_text("mine")
+    with pytest.raises(InputError, match="no report"):
+        cli.fit(run, report=page)
+    assert page.read_text() == "mine"
+
+
+def test_help_loads_nothing_numerical():
+    source = (
+        "import sys\nfrom daq import terminal\nfrom fitting.cli import app\n"
+        "code = terminal.run(app, ['--help'])\n"
+        "heavy = {'numpy', 'h5py', 'scipy', 'numba', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
+        "sys.exit(code or (1 if heavy else 0))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Example: fit-friction" in done.stdout
+    assert "--jobs" not in done.stdout

@@ -1,0 +1,90 @@
+"""Predicted positions: exact in closed form, and continuous where a window's start touches the belt."""
+
+import numpy as np
+import pytest
+
+from fitting.prediction import LOCALS, Windows, evaluator
+
+K, F, V = 35.184, 4.598, 0.22
+OMEGA = K**0.5
+
+
+def one_window(time, riding=0, overtakes=0, firm=0.0):
+    return Windows(
+        table=np.array([[0, riding, 0, time.size, overtakes]], np.int64),
+        epoch=np.array([time[0]]),
+        firm=np.array([firm]),
+        time=time,
+        position=np.zeros(time.size),
+        source=np.zeros(time.size, np.int64),
+        rows=(slice(0, time.size),),
+    )
+
+
+def predicted(windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, wear=0.0):
+    u = np.array([K, np.log(F), V, shape, d, datum, c, wear])
+    evaluate = evaluator(curve, ramp, windows, u, list(range(8)), np.ones(8), np.ones(LOCALS))
+    return evaluate(u, local[None], False)[0]
+
+
+def start(x, v, riding=False, level=1.0, following=1.0):
+    local = np.zeros(LOCALS)
+    local[2:4] = np.log(level), np.log(following)
+    local[4 if riding else 0], local[5 if riding else 1] = x, v
+    return local
+
+
+def test_constant_slip_is_a_sine_about_its_level():
+    time = 3.0 + np.linspace(0, 0.6, 101)
+    x = predicted(one_window(time, firm=9.0), start(0.1, 0.1, level=1.1), datum=0.002)
+    centre = 0.002 + 1.1 * F / K
+    t = time - 3.0
+    exact = centre + (0.1 - centre) * np.cos(OMEGA * t) + 0.1 / OMEGA * np.sin(OMEGA * t)
+    velocity = -OMEGA * (0.1 - centre) * np.sin(OMEGA * t) + 0.1 * np.cos(OMEGA * t)
+    before_landing = np.maximum.accumulate(velocity) < V
+    assert before_landing.sum() > 10
+    assert x[before_landing] == pytest.approx(exact[before_landing], abs=1e-13)
+
+
+def test_a_jumps_stick_is_a_straight_line_whatever_the_load():
+    time = np.linspace(1.0, 2.5, 37)
+    x = predicted(one_window(time, riding=1), start(-0.1, 0.3, riding=True))
+    assert x == pytest.approx(-0.1 + V * (time - 1.0), abs=1e-14)
+
+
+def test_touching_the_belt_at_the_start_changes_the_motion_continuously():
+    time = np.linspace(0.0, 0.5, 51)
+    place = F / K - 1e-4  # just short of the slip point: friction still wins, the belt is touched first
+    ends = [predicted(one_window(time, firm=0.4), start(place, V - gap))[-1] for gap in (1e-9, 1e-6, 1e-5)]
+    assert ends == pytest.approx([ends[0]] * 3, abs=1e-5)
+
+
+def test_wear_lowers_the_level_as_a_smaller_level_would():
+    time = np.linspace(0.0, 0.4, 41)
+    worn = predicted(one_window(time, firm=9.0), start(0.12, 0.1), wear=0.02)
+    fine = np.linspace(0.0, 0.4, 40_001)
+    h = fine[1]
+    x, v, path = 0.12, 0.1, [0.12]
+    for t in fine[:-1]:  # leap-frog with a level that falls at every step
+        v += 0.5 * h * (F * (1 - 0.02 * t) - K * x)
+        x += h * v
+        v += 0.5 * h * (F * (1 - 0.02 * (t + h)) - K * x)
+        path.append(x)
+    assert worn == pytest.approx(np.array(path)[::1000], abs=6e-6)  # at four times the nominal wear
+
+
+def test_derivatives_are_those_of_the_positions():
+    rng = np.random.default_rng(3)
+    time = np.linspace(0.0, 0.9, 91)
+    windows = one_window(time, firm=0.3)
+    u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001])
+    scale, local_scale = np.ones(8), np.ones(LOCALS)
+    local = start(0.12, 0.15)[None]
+    evaluate = evaluator(2, True, windows, u, list(range(8)), scale, local_scale)
+    _, jacobian = evaluate(u, local, True)
+    direction, own = rng.standard_normal(8), np.r_[rng.standard_normal(4), 0, 0]
+    h = 1e-5
+    up = evaluate(u + h * direction, local + h * own, False)[0]
+    down = evaluate(u - h * direction, local - h * own, False)[0]
+    slope = jacobian @ np.r_[direction, own]
+    assert (up - down) / (2 * h) == pytest.approx(slope, abs=1e-4 * np.abs(slope).max())

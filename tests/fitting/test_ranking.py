@@ -1,0 +1,164 @@
+"""The verdict: right on clean and on disturbed runs, silent where there is nothing to rank."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq.errors import DataError, InputError
+from fitting.ranking import Evidence, choose, rank
+from processing.kinematics import smooth
+
+
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
+def test_the_true_law_stands_alone_on_the_rig_scene(ranked, law):
+    ranking = ranked(law=law)
+    assert ranking.laws_in_set == (law,)
+    assert ranking.best.law == law
+    assert ranking.verdict.startswith(f"law {law} ")
+    assert sum(row.weight for row in ranking.rows) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("law", [1, 2])
+def test_constant_friction_is_told_apart_by_the_start_up_drag(ranked, law):
+    ranking = ranked(law=law)
+    assert ranking.laws_in_set == (law,)
+    assert ranking.verdict.startswith("no sustained stick: constant friction")
+
+
+@pytest.mark.parametrize("law", [3, 5, 6])
+def test_nominal_disturbances_leave_the_verdict_right(synthetic, law):
+    ranking = rank(smooth(synthetic.recording(synthetic.nominal(law, 4))))
+    assert law in ranking.laws_in_set
+    assert ranking.best.law == law
+
+
+def test_parameters_come_back_and_their_intervals_hold_them(ranked):
+    found = ranked(law=6).row(6).parameters
+    truth = {"k/m": 35.184, "v_dr": 0.22, "gamma": 9.618, "d": 0.03, "Fs/m": 35.184 * 0.13068}
+    for name, value in truth.items():
+        assert found[name].lo <= value <= found[name].hi, name
+    assert found["k/m"].value == pytest.approx(35.184, rel=1e-5)
+    assert found["d"].value == pytest.approx(0.03, rel=1e-3)
+    assert found["Fs"].unit == "N"
+
+
+def test_a_noise_free_run_is_fitted_to_its_counts(ranked):
+    row = ranked(law=5, scatter=0.0, jitter=0.0).row(5)
+    assert row.rms_m <= 1.1 * 7.67e-6 / np.sqrt(12)
+    assert row.parameters["gamma"].value == pytest.approx(9.618, rel=2e-3)
+    assert row.parameters["Fs/m"].value == pytest.approx(35.184 * 0.13068, rel=2e-3)
+    assert row.parameters["k/m"].value == pytest.approx(35.184, rel=3e-5)
+    assert row.parameters["v_dr"].value == pytest.approx(0.22, rel=3e-5)
+
+
+def test_static_and_kinetic_levels_are_separate(ranked):
+    events = [event for event in ranked(law=5, static=1.3).events if not event.flag]
+    ratio = [event.static_level / event.kinetic_scale for event in events]
+    assert ratio == pytest.approx([1.3] * len(events), rel=5e-3)
+    assert ranked(law=5, static=1.3).laws_in_set == (5,)
+
+
+def test_a_backward_belt_gives_the_mirrored_answer(ranked):
+    forward, backward = ranked(law=6), ranked(law=6, belt=-0.22)
+    assert backward.laws_in_set == forward.laws_in_set
+    assert backward.best.parameters["v_dr"].value == pytest.approx(-0.22, rel=1e-3)
+    assert backward.best.parameters["gamma"].value == pytest.approx(9.618, rel=1e-2)
+
+
+def test_a_bare_track_without_any_calibration_still_finds_its_law(synthetic):
+    recording = synthetic.recording(law=5)
+    bare = replace(recording.rig, belt_speed=None, datum=None, damping=None, mass=None)
+    ranking = rank(smooth(replace(recording, rig=bare)), laws=(3, 5, 6))
+    assert ranking.laws_in_set[0] == 5
+    assert "Fs" not in ranking.best.parameters
+    assert any("no datum" in warning for warning in ranking.warnings)
+    assert any("no mass" in warning for warning in ranking.warnings)
+
+
+def test_a_ramp_carries_the_warning_about_a_drooping_belt(ranked):
+    assert any("slows under load" in warning for warning in ranked(law=6).warnings)
+    assert not any("slows under load" in warning for warning in ranked(law=5).warnings)
+
+
+def changed(synthetic, position):
+    recording = synthetic.recording(law=5)
+    return smooth(replace(recording, position=np.floor(position(recording.time) / 7.67e-6) * 7.67e-6))
+
+
+@pytest.mark.parametrize(
+    "position",
+    [
+        lambda t: 0.22 * t,
+        lambda t: np.full(t.size, 0.01),
+        lambda t: 1e-3 * np.random.default_rng(1).standard_normal(t.size),
+        lambda t: np.cumsum(1e-4 * np.random.default_rng(2).standard_normal(t.size)),
+        lambda t: 0.05 * np.sin(3 * t + 0.5 * t**2),
+    ],
+    ids=["ramp", "constant", "noise", "walk", "chirp"],
+)
+def test_what_is_no_stick_slip_is_never_ranked(synthetic, position):
+    with pytest.raises(DataError, match="no belt stick-slip in this record"):
+        rank(changed(synthetic, position))
+
+
+def test_a_sine_without_a_start_up_may_be_constant_friction(synthetic):
+    kinematics = changed(synthetic, lambda t: 0.1307 + 0.22 / 5.93 * np.sin(5.93 * t))
+    with pytest.raises(DataError, match="constant friction is possible"):
+        rank(kinematics)
+
+
+def test_too_few_cycles_are_refused_with_their_number(synthetic):
+    with pytest.raises(DataError, match="2 complete stick-slip cycles; a verdict needs 4"):
+        rank(smooth(synthetic.recording(law=5, duration=5.0)))
+
+
+def test_excluding_too_many_cycles_is_refused(synthetic):
+    kinematics = smooth(synthetic.recording(law=5))
+    with pytest.raises(DataError, match="8 more left out"):
+        rank(kinematics, excluded=range(1, 9))
+
+
+def test_a_gap_costs_its_cycle_and_no_more(synthetic):
+    recording = synthetic.recording(law=5)
+    kept = (recording.time < 4.0) | (recording.time > 4.3)
+    gapped = replace(
+        recording, time=recording.time[kept], position=recording.position[kept], segment=recording.segment[kept]
+    )
+    ranking = rank(smooth(gapped), laws=(3, 5))
+    assert ranking.laws_in_set == (5,)
+    assert [event.flag for event in ranking.events if event.flag] == ["gap"]
+    assert any("left out: 2 (gap)" in warning for warning in ranking.warnings)
+
+
+@pytest.mark.parametrize(
+    ("flags", "what"), [({"laws": ()}, "laws"), ({"laws": (7,)}, "laws"), ({"alpha": 0.0}, "alpha")]
+)
+def test_impossible_requests_are_refused(synthetic, flags, what):
+    with pytest.raises(InputError, match=what):
+        rank(smooth(synthetic.recording(law=5, duration=3.0)), **flags)
+
+
+def evidence(laws, *errors):
+    return Evidence(laws, np.array(errors))
+
+
+def test_a_law_within_the_scatter_joins_the_set_and_one_beyond_does_not():
+    noise = 0.1 * np.random.default_rng(4).standard_normal(12)
+    chosen = choose(evidence((3, 5, 6), noise * 0, 0.01 + noise - noise.mean(), 2 + noise), 0.05)
+    assert chosen.members == (3, 5)
+    assert chosen.order == (3, 5, 6)
+
+
+def test_a_nested_law_in_the_set_is_named_first():
+    noise = 0.1 * np.random.default_rng(4).standard_normal(12)
+    noise -= noise.mean()
+    chosen = choose(evidence((3, 4, 5), 0.01 + noise, noise * 0, 3 + noise), 0.05)
+    assert chosen.members == (3, 4)
+
+
+def test_a_law_that_is_not_nested_is_not_preferred():
+    noise = 0.1 * np.random.default_rng(4).standard_normal(12)
+    noise -= noise.mean()
+    chosen = choose(evidence((3, 5), 0.01 + noise, noise * 0), 0.05)
+    assert chosen.members == (5, 3)

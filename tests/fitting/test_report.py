@@ -1,0 +1,46 @@
+"""The page stands alone, says the verdict, and never replaces a file that is not a report."""
+
+import re
+
+import pytest
+
+from daq.errors import InputError
+from fitting import report
+from processing.kinematics import smooth
+
+
+@pytest.fixture(scope="module")
+def page(ranked, synthetic):
+    return report.render(ranked(law=5), smooth(synthetic.recording(law=5)), 0.05)
+
+
+def test_the_page_asks_nothing_of_the_network(page):
+    assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!#|data:)""", page)
+    assert "@import" not in page
+    assert "<script" not in page
+
+
+def test_the_page_holds_verdict_pictures_and_every_law(page, ranked):
+    assert ranked(law=5).verdict in page
+    assert page.count("<svg") == 5
+    for law in range(1, 7):
+        assert f"</span>{law}</td>" in page
+
+
+def test_a_strangers_file_is_not_replaced(tmp_path):
+    path = tmp_path / "run.report.html"
+    path.write_text("<html>mine</html>")
+    with pytest.raises(InputError, match="is no report"):
+        report.refuse_stranger(path)
+    assert path.read_text() == "<html>mine</html>"
+
+
+def test_an_older_report_is_replaced(tmp_path, page):
+    path = tmp_path / "run.report.html"
+    path.write_text(page)
+    report.refuse_stranger(path)
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(InputError, match="folder does not exist"):
+        report.refuse_stranger(tmp_path / "none" / "run.html")

@@ -1,0 +1,126 @@
+"""The minimiser with eliminated per-cycle unknowns finds what the full problem's closed form says."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fitting import schur
+
+CYCLES, SAMPLES, SHARED, LOCAL = 7, 11, 3, 2
+
+
+@pytest.fixture
+def linear():
+    """Give a linear least-squares problem with its full matrix (N, p + c q) and data."""
+    rng = np.random.default_rng(5)
+    n = CYCLES * SAMPLES
+    shared = rng.standard_normal((n, SHARED))
+    own = rng.standard_normal((n, LOCAL))
+    data = rng.standard_normal(n)
+    rows = tuple(slice(k * SAMPLES, (k + 1) * SAMPLES) for k in range(CYCLES))
+
+    def evaluate(u, local, derivatives):
+        value = shared @ u - data
+        for k, part in enumerate(rows):
+            value[part] += own[part] @ local[k]
+        return value, np.hstack([shared, own]) if derivatives else np.empty((0, 0))
+
+    full = np.zeros((n, SHARED + CYCLES * LOCAL))
+    full[:, :SHARED] = shared
+    for k, part in enumerate(rows):
+        full[part, SHARED + k * LOCAL : SHARED + (k + 1) * LOCAL] = own[part]
+    return evaluate, rows, full, data
+
+
+def problem(evaluate, rows, **changes):
+    values = {
+        "evaluate": evaluate,
+        "rows": rows,
+        "weights": np.ones(CYCLES),
+        "lower": np.full(SHARED, -np.inf),
+        "upper": np.full(SHARED, np.inf),
+        "prior": np.zeros(SHARED),
+        "precision": np.zeros(SHARED),
+        "local_prior": np.zeros((CYCLES, LOCAL)),
+        "local_precision": np.full((CYCLES, LOCAL), 1e-12),
+    }
+    return schur.Problem(**(values | changes))
+
+
+def test_a_linear_problem_is_solved_as_by_the_full_matrix(linear):
+    evaluate, rows, full, data = linear
+    found = schur.minimise(problem(evaluate, rows), np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), tolerance=1e-14)
+    expected = np.linalg.lstsq(full, data, rcond=None)[0]
+    assert found.outcome == "converged"
+    assert found.u == pytest.approx(expected[:SHARED], abs=1e-7)
+    assert found.local.ravel() == pytest.approx(expected[SHARED:], abs=1e-7)
+
+
+def test_the_reduced_hessian_is_the_inverse_of_the_marginal_covariance(linear):
+    evaluate, rows, full, _ = linear
+    u, local = np.zeros(SHARED), np.zeros((CYCLES, LOCAL))
+    task = problem(evaluate, rows)
+    blocks = schur.normal_equations(task, u, local, *evaluate(u, local, True))
+    _, H, _, _ = schur.reduced(blocks)
+    covariance = np.linalg.inv(full.T @ full + 1e-12 * np.eye(full.shape[1]))[:SHARED, :SHARED]
+    assert np.linalg.inv(H) == pytest.approx(covariance, rel=1e-6)
+
+
+def test_a_bound_holds_and_the_others_settle_given_it(linear):
+    evaluate, rows, full, data = linear
+    free = np.linalg.lstsq(full, data, rcond=None)[0]
+    lower = np.full(SHARED, -np.inf)
+    lower[1] = free[1] + 0.5
+    task = problem(evaluate, rows, lower=lower)
+    found = schur.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), tolerance=1e-14)
+    kept = np.delete(np.arange(full.shape[1]), 1)
+    rest = np.linalg.lstsq(full[:, kept], data - full[:, 1] * lower[1], rcond=None)[0]
+    assert found.u[1] == lower[1]
+    assert found.u[[0, 2]] == pytest.approx(rest[:2], abs=1e-6)
+
+
+def test_a_prior_pulls_with_its_precision():
+    def evaluate(u, local, derivatives):
+        return np.array([u[0] - 1.0 + local[0, 0]]), np.array([[1.0, 1.0]])
+
+    task = schur.Problem(
+        evaluate,
+        (slice(0, 1),),
+        np.array([4.0]),
+        np.array([-np.inf]),
+        np.array([np.inf]),
+        np.array([3.0]),
+        np.array([4.0]),
+        np.zeros((1, 1)),
+        np.array([[1e12]]),
+    )
+    found = schur.minimise(task, np.array([10.0]), np.zeros((1, 1)), tolerance=1e-14)
+    assert found.u[0] == pytest.approx(2.0, abs=1e-6)
+
+
+def test_a_start_that_cannot_be_followed_gives_none():
+    task = problem(lambda *_: None, (slice(0, 1),) * CYCLES)
+    assert schur.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL))) is None
+
+
+def test_steps_into_what_cannot_be_followed_are_refused():
+    def evaluate(u, local, derivatives):
+        if u[0] < 0.5:
+            return None
+        return np.array([u[0]]), np.array([[1.0, 0.0]])
+
+    task = schur.Problem(
+        evaluate,
+        (slice(0, 1),),
+        np.ones(1),
+        np.array([-np.inf]),
+        np.array([np.inf]),
+        np.zeros(1),
+        np.zeros(1),
+        np.zeros((1, 1)),
+        np.ones((1, 1)),
+    )
+    found = schur.minimise(task, np.array([2.0]), np.zeros((1, 1)))
+    assert 0.5 <= found.u[0] < 0.7
+    assert math.isfinite(found.cost)

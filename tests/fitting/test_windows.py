@@ -1,0 +1,67 @@
+"""A record is cut where the mass leaves the belt, and the random break-away falls into no window."""
+
+import numpy as np
+import pytest
+
+from fitting import windows
+from fitting.windows import BEFORE_ONSET_S
+
+
+@pytest.fixture(scope="module")
+def law5(motion_of):
+    motion = motion_of(law=5)
+    return motion, windows.cut(motion)
+
+
+def test_runs_are_half_open_ranges():
+    assert windows.runs(np.array([True, True, False, True, False])) == [(0, 2), (3, 4)]
+    assert windows.runs(np.zeros(7, bool)) == []
+
+
+def test_every_complete_cycle_is_found(law5, synthetic):
+    _, cut = law5
+    _, events = synthetic.motion(synthetic.Scene(law=5))
+    breaks = [t for t, _, kind in events if kind == "break" and t < 19]
+    assert len(cut.used) == len(breaks)
+    assert [cycle.onset for cycle in cut.cycles] == pytest.approx(breaks, abs=0.04)
+
+
+def test_no_window_holds_a_break_away(law5, synthetic):
+    motion, cut = law5
+    _, events = synthetic.motion(synthetic.Scene(law=5))
+    breaks = np.array([t for t, _, kind in events if kind == "break"])
+    for cycle in cut.used:
+        for first, end in (cycle.stick, cycle.slip):
+            if end > first:
+                inside = (breaks > motion.time[first]) & (breaks < motion.time[end - 1])
+                assert not inside.any()
+
+
+def test_stick_windows_end_before_the_onset(law5):
+    motion, cut = law5
+    for cycle in cut.used:
+        first, end = cycle.stick
+        if end > first:
+            assert motion.time[end - 1] <= cycle.onset - BEFORE_ONSET_S + 2e-3
+
+
+def test_the_start_up_drag_is_found(law5):
+    motion, cut = law5
+    assert cut.starts_at_rest
+    first, end = cut.drag
+    assert 0.55 < motion.time[first] < 0.75
+    assert 1.0 < motion.time[end] < 1.16
+
+
+def test_plateau_fraction_tells_sustained_stick_from_grazing(motion_of):
+    assert windows.cut(motion_of(law=5)).plateau_fraction > 0.5
+    assert windows.cut(motion_of(law=3)).plateau_fraction > 0.24
+    assert windows.cut(motion_of(law=1)).plateau_fraction < 0.09
+
+
+def test_excluded_cycles_keep_their_place(law5):
+    motion, cut = law5
+    without = windows.cut(motion, frozenset((2, 3)))
+    assert [cycle.number for cycle in without.cycles] == [cycle.number for cycle in cut.cycles]
+    assert [cycle.number for cycle in without.cycles if cycle.flag == "excluded"] == [2, 3]
+    assert len(without.used) == len(cut.used) - 2

@@ -1,0 +1,101 @@
+"""The whole pipe as a user types it: record, smooth, fit; the verdict that the simulated contact deserves."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+
+MODULES = {"daq": "daq.cli", "process": "processing.cli", "fit-friction": "fitting.cli", "rig-sim": "rig_sim.cli"}
+
+
+def typed(folder, command, *arguments, codes=(0,)):
+    """Run a command with --json in a folder, check its exit code and return its document."""
+    line = [sys.executable, "-m", MODULES[command], *map(str, arguments), "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
+    assert done.returncode in codes, done.stdout + done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module", params=[1, 2, 3, 4, 5, 6])
+def pipe(request, tmp_path_factory):
+    """Record, smooth and fit 20 s of the rig with one law; give what each command said."""
+    folder = tmp_path_factory.mktemp(f"law{request.param}")
+    changes = ["--set", f"friction.law={request.param}", "--set", "seed=2"]
+    recorded = typed(folder, "daq", "record", "--rate", 1000, "-o", "run.h5", *changes)
+    smoothed = typed(folder, "process", "smooth", "run.h5")
+    fitted = typed(folder, "fit-friction", "run.h5", codes=(0, 5))
+    return request.param, folder, recorded, smoothed, fitted
+
+
+def test_every_sample_is_recorded(pipe):
+    _, _, recorded, _, _ = pipe
+    assert recorded["samples"] == 20_000
+    assert recorded["duration_s"] == pytest.approx(20.0, abs=1e-3)
+    for key in ("lost", "crc_errors", "illegal", "phase_errors"):
+        assert recorded[key] == 0
+    assert recorded["segments"] == 1
+    assert recorded["warnings"] == []
+
+
+def test_sticks_and_slips_are_found(pipe):
+    law, _, _, smoothed, _ = pipe
+    if law in (3, 4, 5, 6):
+        assert smoothed["sticks"] >= 8
+        assert abs(smoothed["belt_speed"] - 0.22) < (0.001 if law in (3, 5) else 0.03)
+    assert smoothed["lost_counts"] == 0
+    assert smoothed["window"] % 2 == 1
+
+
+def test_the_true_law_is_in_the_set_and_first_where_it_can_be_told(pipe):
+    law, _, _, _, fitted = pipe
+    assert law in fitted["set"], fitted["verdict"]
+    if law in (1, 2):
+        assert set(fitted["set"]) <= {1, 2}
+        assert "no sustained stick: constant friction" in fitted["verdict"]
+    if law in (3, 5, 6):
+        assert fitted["set"][0] == law, fitted["verdict"]
+        assert fitted["ranking"][0]["law"] == law
+
+
+def test_the_parameters_of_the_true_law_come_back(pipe):
+    law, _, _, _, fitted = pipe
+    if law in (1, 2):
+        return
+    row = next(row for row in fitted["ranking"] if row["law"] == law)
+    for parameter in row["parameters"].values():
+        assert parameter["lo"] <= parameter["value"] <= parameter["hi"]
+        assert parameter["stderr"] > 0
+        assert "unit" in parameter
+
+
+def test_the_run_file_opens_on_a_plot_for_nexus_h5py_and_xarray(pipe):
+    _, folder, _, _, _ = pipe
+    with h5py.File(folder / "run.h5") as file:
+        node = file
+        while node.attrs.get("NX_class") != "NXdata":
+            node = node[node.attrs["default"]]
+        assert node.attrs["signal"] in node
+        raw = file["entry/raw"]
+        assert np.all(np.diff(raw["sample"][:].astype(int)) == 1)
+    with xarray.open_dataset(folder / "run.h5", engine="h5netcdf", group="entry/smooth/kinematics") as kinematics:
+        assert kinematics["velocity"].dims == ("time",)
+        assert kinematics["time"].size == 20_000
+
+
+def test_the_validator_finds_nothing_to_say(pipe):
+    _, folder, _, _, _ = pipe
+    done = subprocess.run(
+        [Path(sys.executable).parent / "nxcheck", "run.h5"],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        check=False,
+    )
+    text = done.stdout + done.stderr
+    assert "Total number of errors: 0" in text, text[-3000:]
+    assert "Total number of warnings: 0" in text, text[-3000:]
