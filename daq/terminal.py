@@ -12,11 +12,14 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import cyclopts
 
 from daq.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 Json = Annotated[
     bool,
@@ -145,6 +148,17 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
 def main(app: cyclopts.App) -> NoReturn:
     """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
     sys.exit(run(app, sys.argv[1:]))
+
+
+def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
+    """Return an empty table for 80 columns: the first ``left`` columns hold words, the others numbers."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+
+    made = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    for place, heading in enumerate(headings):
+        made.add_column(heading, justify="left" if place < left else "right", no_wrap=place > 0)
+    return made
 
 
 @contextmanager

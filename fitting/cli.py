@@ -10,6 +10,8 @@ from daq.errors import EXIT_DONE, EXIT_UNDECIDED, InputError
 from daq.terminal import Answer, Json
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from daq.rig import Rig
     from fitting.result import Ranking
 
@@ -86,7 +88,7 @@ def fit(
     pages.write(ranking, motion, page, alpha)
     data = ranking.as_json() | {"report": page}
     code = EXIT_DONE if len(ranking.laws_in_set) == 1 else EXIT_UNDECIDED
-    return Answer(data, _text(ranking, page), code)
+    return Answer(data, _text(ranking, page, alpha), code)
 
 
 def numbers(text: str, flag: str) -> list[int]:
@@ -140,29 +142,36 @@ def _rig(rig: "Rig", changes: dict[str, Any]) -> "Rig":
     return changed
 
 
-def _text(ranking: "Ranking", page: Path) -> list[Any]:
-    from rich.table import Table
-
-    from fitting.verdict import length
-
-    table = Table(title="friction laws, best first", title_justify="left")
-    table.add_column("law")
-    for heading in ("error", "behind", "weight"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for row in ranking.rows:
-        behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
-        weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
-        style = "bold" if row.in_set else None
-        table.add_row(f"{row.law} {row.name}", length(row.rms_m), behind, weight, style=style)
-    lines: list[Any] = [table]
-    shown = ", ".join(
-        f"{name} {item.value:.5g} ± {item.stderr:.1g} {item.unit}" for name, item in ranking.best.parameters.items()
-    )
-    lines.append(f"law {ranking.best.law}: {shown}")
+def _text(ranking: "Ranking", page: Path, alpha: float) -> list[Any]:
+    lines: list[Any] = [_laws(ranking), _parameters(ranking, alpha)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines.append(f"{ranking.best.cycles} cycles, {ranking.cpu_s:.1f} s of CPU time; report: {page}")
     lines.append(f"verdict: {ranking.verdict}")
     return lines
+
+
+def _laws(ranking: "Ranking") -> "Table":
+    """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
+    from fitting.verdict import length
+
+    table = terminal.table("friction laws, best first", ("law", "error", "behind", "weight", "in set"))
+    for row in ranking.rows:
+        behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
+        weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
+        style = "bold" if row.in_set else None
+        told = "yes" if row.in_set else "-"
+        table.add_row(f"{row.law} {row.name}", length(row.rms_m), behind, weight, told, style=style)
+    return table
+
+
+def _parameters(ranking: "Ranking", alpha: float) -> "Table":
+    """Return the best law's parameters."""
+    sure = f"{100 * (1 - alpha):g} % interval"
+    table = terminal.table(f"law {ranking.best.law}", ("parameter", "value", "std. error", sure, "unit"))
+    for name, item in ranking.best.parameters.items():
+        interval = f"{item.lo:.5g} ... {item.hi:.5g}"
+        table.add_row(name, f"{item.value:.6g}", f"{item.stderr:.2g}", interval, item.unit)
+    return table
 
 
 def main() -> NoReturn:

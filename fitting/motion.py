@@ -42,6 +42,8 @@ class Motion:
         Standard error of one measured position, m.
     half_window : float
         Half of the smoothing window, s: how far a corner is blurred.
+    length_error : float
+        Relative standard error of every length: that of the metres per count.
     """
 
     time: Array
@@ -59,6 +61,7 @@ class Motion:
     sign: float
     resolution: float
     half_window: float
+    length_error: float = 0.0
 
     @property
     def span(self) -> float:
@@ -128,7 +131,13 @@ def of(kinematics: Kinematics, rig: Rig, belt_speed: float | None) -> Motion:
         sign=sign,
         resolution=resolution,
         half_window=kinematics.window * usual / 2,
+        length_error=_length_error(recording.rig),
     )
+
+
+def _length_error(rig: Rig) -> float:
+    count = rig.metres_per_count
+    return 0.0 if count is None else abs(count.sd / count.value)
 
 
 def _resolution(kinematics: Kinematics) -> float:

@@ -42,7 +42,8 @@ def covariance(fit: Fit, precision: Array) -> Array:
 def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict[str, Parameter]:
     """Return a law's parameters with their intervals, in the record's own signs.
 
-    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second.
+    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second.  The
+    error of the metres per count enters every parameter that has a length in its unit.
 
     Parameters
     ----------
@@ -61,10 +62,13 @@ def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict
     quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
     found: dict[str, Parameter] = {}
 
-    def add(name: str, unit: str, formula: Callable[[Array], float], scale: Measured | None = None) -> None:
+    def add(
+        name: str, unit: str, formula: Callable[[Array], float], scale: Measured | None = None, *, lengths: int = 0
+    ) -> None:
+        """Add one parameter; ``lengths`` is the power of the metre in it, for the error of the metres per count."""
         value = formula(fit.u)
         slope = np.array([_slope(formula, fit.u, index) for index in active])
-        variance = float(slope @ spread @ slope)
+        variance = float(slope @ spread @ slope) + (lengths * value * motion.length_error) ** 2
         if scale is not None:
             variance = variance * scale.value**2 + (value * scale.sd) ** 2
             value *= scale.value
@@ -76,30 +80,30 @@ def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict
 
     law = LAWS[fit.law]
     add("k/m", "s^-2", lambda u: float(u[K]))
-    add("Fs/m", "m s^-2", lambda u: float(np.exp(u[LOG_F])))
-    add("Fs/k", "m", lambda u: float(np.exp(u[LOG_F]) / u[K]))
-    add("v_dr", "m/s", lambda u: motion.sign * float(u[V_DR]))
+    add("Fs/m", "m s^-2", lambda u: float(np.exp(u[LOG_F])), lengths=1)
+    add("Fs/k", "m", lambda u: float(np.exp(u[LOG_F]) / u[K]), lengths=1)
+    add("v_dr", "m/s", lambda u: motion.sign * float(u[V_DR]), lengths=1)
     if law.curve == "hyperbolic":
-        add("gamma", "s/m", lambda u: float(u[SHAPE]))
+        add("gamma", "s/m", lambda u: float(u[SHAPE]), lengths=-1)
     elif law.curve == "linear":
         add("G_slip/m", "s^-1", lambda u: float(u[SHAPE] * np.exp(u[LOG_F])))
     if law.contact == "ramp":
-        add("d", "m/s", lambda u: float(u[D]))
-    add("x0", "m", lambda u: motion.sign * float(u[DATUM]))
+        add("d", "m/s", lambda u: float(u[D]), lengths=1)
+    add("x0", "m", lambda u: motion.sign * float(u[DATUM]), lengths=1)
     add("c/m", "s^-1", lambda u: float(u[DAMPING]))
     if WEAR in active:
         add("wear", "s^-1", lambda u: float(u[WEAR]))
     if motion.mass is not None:
         mass = motion.mass
         add("k", "N/m", lambda u: float(u[K]), mass)
-        add("Fs", "N", lambda u: float(np.exp(u[LOG_F])), mass)
+        add("Fs", "N", lambda u: float(np.exp(u[LOG_F])), mass, lengths=1)
         if law.curve == "linear":
             add("G_slip", "N s/m", lambda u: float(u[SHAPE] * np.exp(u[LOG_F])), mass)
         add("c", "N s/m", lambda u: float(u[DAMPING]), mass)
     elif motion.stiffness is not None:
         stiffness = motion.stiffness
         add("m", "kg", lambda u: 1 / float(u[K]), stiffness)
-        add("Fs", "N", lambda u: float(np.exp(u[LOG_F]) / u[K]), stiffness)
+        add("Fs", "N", lambda u: float(np.exp(u[LOG_F]) / u[K]), stiffness, lengths=1)
         if law.curve == "linear":
             add("G_slip", "N s/m", lambda u: float(u[SHAPE] * np.exp(u[LOG_F]) / u[K]), stiffness)
         add("c", "N s/m", lambda u: float(u[DAMPING] / u[K]), stiffness)

@@ -198,14 +198,9 @@ def _sentences(motion: "Kinematics", data: dict[str, Any], chosen: bool) -> list
 
 
 def _table(rows: "list[Row]", file: Path, unit: str, told: bool) -> Any:
-    from rich.table import Table
-
     factor, name = (1e3, "mm/s") if unit == "m" else (1.0, f"{unit}/s")
-    table = Table(title=f"{file}: errors of the velocity, {name}", title_justify="left")
-    for heading in ("method", "setting"):
-        table.add_column(heading, no_wrap=True)
-    for heading in ("CPU ms", "stated", "true rms", "true max"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    headings = ("method", "setting", "CPU ms", "stated", "true rms", "true max")
+    table = terminal.table(f"{file}: errors of the velocity, {name}", headings, left=2)
     for row in rows:
         errors = (row.sigma_v, row.rms_error, row.max_error)
         shown = ["-" if value is None else f"{factor * value:.3g}" for value in errors]
