@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 
 RESULTS = Path(__file__).resolve().parent / "results"
-TRUE = {"k/m": 35.184, "v_belt": 0.22, "gamma": 9.618, "G_slip/m": 0.6 / 0.3, "Fs/m": 0.13068 * 35.184, "d": 0.03}
+TRUE = {"k/m": 35.184, "v_dr": 0.22, "gamma": 9.618, "G_slip/m": 0.6 / 0.3, "Fs/m": 0.13068 * 35.184, "d": 0.03}
 
 
 def cpu(line: list[str], folder: str) -> tuple[float, str]:
