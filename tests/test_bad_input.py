@@ -9,17 +9,10 @@ import h5py
 import numpy as np
 import pytest
 
-MODULES = {
-    "daq": "daq.cli",
-    "process": "processing.cli",
-    "fit-friction": "fitting.cli",
-    "rig-sim": "rig_sim.cli",
-}
-
 
 def run(command: str, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a command in a folder."""
-    line = [sys.executable, "-m", MODULES[command], *map(str, arguments)]
+    line = [Path(sys.executable).parent / command, *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, cwd=cwd, check=False)
 
 

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 import xarray
 
-MODULES = {"daq": "daq.cli", "process": "processing.cli", "fit-friction": "fitting.cli", "rig-sim": "rig_sim.cli"}
-
 
 def typed(folder, command, *arguments, codes=(0,)):
     """Run a command with --json in a folder, check its exit code and return its document."""
-    line = [sys.executable, "-m", MODULES[command], *map(str, arguments), "--json"]
+    line = [Path(sys.executable).parent / command, *map(str, arguments), "--json"]
     done = subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
     assert done.returncode in codes, done.stdout + done.stderr
     return json.loads(done.stdout)
