@@ -65,7 +65,7 @@ def import_table(
     from daq import runfile, table_import
 
     target = output or file.with_suffix(".h5")
-    runfile.refuse_existing(target, force)
+    runfile.refuse_existing(target, force, file)
     wishes = table_import.Wishes(
         time=time,
         position=position,
@@ -120,9 +120,7 @@ def replay(
 
     kind = again.kind_of(source)
     target = output or _default_output(source, kind)
-    if target.exists() and target.samefile(source):
-        raise InputError("would replace its own source", str(source), "give another -o")
-    runfile.refuse_existing(target, force)
+    runfile.refuse_existing(target, force, source)
     calibration = _rig(rig)
     if kind == "capture":
         return _replay_capture(source, target, (channels, step, direction, decoder), rate, capture_rate, rig, force)
@@ -208,7 +206,7 @@ def export(
     if not targets:
         raise InputError("nothing to write", "command line", "give --csv FILE or --parquet FILE")
     for target in targets.values():
-        runfile.refuse_existing(target, force)
+        runfile.refuse_existing(target, force, file)
     recording = runfile.load(file)
     rows = 0
     for form, target in targets.items():

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SCENE = "rig"
 
-Rate = Annotated[int, cyclopts.Parameter(name="--rate", help="Samples per second.")]
+Rate = Annotated[int, terminal.Whole, cyclopts.Parameter(name="--rate", help="Samples per second.")]
 Duration = Annotated[float, cyclopts.Parameter(name="--duration", help="Seconds to record.")]
 PortName = Annotated[
     str | None,
@@ -34,7 +34,7 @@ Realtime = Annotated[
     bool,
     cyclopts.Parameter(name="--realtime", negative=(), help="The simulated rig keeps the pace of the wall clock."),
 ]
-Baud = Annotated[int, cyclopts.Parameter(name="--baud", help="Bits per second of a serial line.")]
+Baud = Annotated[int, terminal.Whole, cyclopts.Parameter(name="--baud", help="Bits per second of a serial line.")]
 Force = Annotated[bool, cyclopts.Parameter(name="--force", negative=(), help="Replace an existing file.")]
 
 
@@ -82,6 +82,10 @@ def recover(
     journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal that a recording left.")],
     /,
     *,
+    output: Annotated[
+        Path | None,
+        cyclopts.Parameter(name=["--output", "-o"], help="The run file; default the journal's name without .part."),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
@@ -93,7 +97,7 @@ def recover(
 
     if journal.suffix != ".part":
         raise InputError("is no journal", str(journal), "give the RUN.h5.part that the recording left")
-    found = finalise(journal, journal.with_suffix(""), finished_by="daq recover", force=force)
+    found = finalise(journal, output or journal.with_suffix(""), finished_by="daq recover", force=force)
     return Answer(found.as_json(), _text("recovered", found))
 
 
@@ -123,7 +127,7 @@ def _text(done: str, found: "Summary") -> str:
 
 @contextlib.contextmanager
 def _stop_on_interrupt() -> Iterator[threading.Event]:
-    """Yield an event that the first Ctrl-C sets; the second raises KeyboardInterrupt."""
+    """Yield an event that the first Ctrl-C (or end of the session) sets; the second raises KeyboardInterrupt."""
     stop = threading.Event()
 
     def on_interrupt(number: int, frame: FrameType | None) -> None:
@@ -132,8 +136,10 @@ def _stop_on_interrupt() -> Iterator[threading.Event]:
         stop.set()
         terminal.note("stopping, the data are kept; Ctrl-C again leaves at once")
 
-    before = signal.signal(signal.SIGINT, on_interrupt)
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
+    before = {name: signal.signal(getattr(signal, name), on_interrupt) for name in names}
     try:
         yield stop
     finally:
-        signal.signal(signal.SIGINT, before)
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)

@@ -46,7 +46,11 @@ def find(cells: Table, time: str | None, position: str | None, rate_known: bool)
             if t_column is None:
                 t_column = next((i for i in free if plain[i] in FRAME_NAMES), None)
         if x_column is None:
-            x_column = next((i for i in free if plain[i] in POSITION_NAMES and i != t_column), None)
+            called = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
+            if len(called) > 1 and plain[called[0]] == plain[called[1]]:
+                both = " and ".join(f"{cells.names[i]!r} (column {i + 1})" for i in called[:2])
+                raise InputError(f"which column is the position: {both}?", str(cells.path), "give --position NUMBER")
+            x_column = called[0] if called else None
         frames = t_column is not None and plain[t_column] in FRAME_NAMES
     free = [i for i in free if i not in (t_column, x_column)]
     listed = ", ".join(cells.names) or f"1 to {cells.width}"

@@ -15,6 +15,8 @@ from daq.assemble import Samples
 from daq.quadrature import EDGES_PER_COUNT
 from daq.rig import Rig
 
+PEAK_OVER_S = 1e-3  # over less, one count more or less would look like a fast motion
+
 
 @dataclass(frozen=True)
 class Checked:
@@ -33,7 +35,7 @@ class Checked:
     illegal : int
         Illegal transitions the board counted during this run.
     peak_count_rate : float
-        Fastest counting between two neighbouring samples, counts/s.
+        Fastest counting over `PEAK_OVER_S` (over a sample where that is longer), counts/s.
     starts : (s,) int64
         First sample of each segment.
     why : tuple of str
@@ -69,8 +71,7 @@ def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) 
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
     gap = interval > 1.5 / rate_hz
     moved = np.maximum(counter.increments(samples.up, bits), counter.increments(samples.down, bits))
-    seen = np.where(gap | fresh, 0, np.concatenate(([0], moved)))[1:] / interval[1:]
-    peak = float(seen.max()) if len(seen) else 0.0
+    peak = _peak_rate(samples.time, moved, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
     safe = counter.longest_gap_s(capability.peak_edge_rate_hz(ident, rig, peak * edges), edges, bits)
     invalid = gap & (interval > safe) & ~fresh
     starts = np.flatnonzero(fresh | invalid)
@@ -103,3 +104,14 @@ def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) 
         why,
         starts,
     )
+
+
+def _peak_rate(time: NDArray[np.float64], moved: NDArray[np.int64], broken: NDArray[np.bool_], stride: int) -> float:
+    """Return the fastest counting (counts/s) over ``stride`` samples in a row that no gap breaks; 0 without any."""
+    if len(time) <= stride:
+        return 0.0
+    total = np.concatenate(([0], np.cumsum(moved)))
+    breaks = np.cumsum(broken)
+    whole = breaks[stride:] == breaks[:-stride]
+    rate = (total[stride:] - total[:-stride]) / (time[stride:] - time[:-stride])
+    return float(rate[whole].max()) if whole.any() else 0.0

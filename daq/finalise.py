@@ -24,7 +24,7 @@ from daq.summary import Summary
 
 
 def finalise(part: Path, output: Path, *, finished_by: str, force: bool = False) -> Summary:
-    """Build the run file of a journal; then remove the journal and its markers.
+    """Build the run file of a journal; then remove the journal and its markers, unless the journal was damaged.
 
     Parameters
     ----------
@@ -42,10 +42,12 @@ def finalise(part: Path, output: Path, *, finished_by: str, force: bool = False)
     """
     runfile.refuse_existing(output, force)
     markers = journal.markers_path(part)
-    data, summary = run_data(journal.read(part), journal.read_markers(markers), finished_by)
+    taken = journal.read(part)
+    data, summary = run_data(taken, journal.read_markers(markers), finished_by)
     runfile.write(output, data, force=force)
-    part.unlink()
-    markers.unlink(missing_ok=True)
+    if not taken.damaged:
+        part.unlink()
+        markers.unlink(missing_ok=True)
     return replace(summary, file=output)
 
 
@@ -205,7 +207,9 @@ def _summary(
     )
     warnings = [*taken.header["warnings"], *warnings, *_findings(summary, samples, checked, rig, said)]
     if taken.lost_tail:
-        warnings.append(f"the last {taken.lost_tail} bytes of the journal were cut off or damaged")
+        warnings.append(f"the last {taken.lost_tail} bytes of the journal were cut short: its last record")
+    if taken.damaged:
+        warnings.append(f"{taken.damaged} bytes of the journal are in damaged records; it is kept: {taken.path.name}")
     return replace(summary, warnings=tuple(warnings))
 
 
@@ -234,6 +238,15 @@ def _findings(found: Summary, samples: Samples, checked: Checked, rig: Rig, said
         ),
     ]
     lines += [(1, f"the board stopped: {text}") for connection in said for _, text in connection.notices]
+    half = 2 ** (rig.counter_bits - 1)
+    moved = round(checked.peak_count_rate / found.rate_hz)
+    lines.append(
+        (
+            moved > half,
+            f"the counters moved by {moved} of {2 * half} within one sample: they may have rolled over unseen, and "
+            "positions mean nothing then; record at a higher --rate",
+        )
+    )
     if rig.decoder in ("jk", "jk-latched"):
         lines.append((1, f"a {rig.decoder} counter adds a line ({edges} edges) at each dither: expect drift"))
         lines.append((found.both_moved, f"both counters moved within one sample, {found.both_moved} times"))

@@ -1,8 +1,10 @@
-"""The journal: what a recording writes while it runs; append-only, so that a crash costs at most its last second.
+"""The journal: what a recording writes while it runs; append-only, so that a power cut costs at most its last second.
 
 File: the magic line, then records.  A record is ``kind u8, length u32, stamp i64`` (host's monotonic clock, ns), its
-bytes, and a CRC-32 over all of that; little endian.  A reader stops at the first record that is cut short or does not
-hold: whatever the tail looks like after a crash, the records before it are whole.
+bytes, and a CRC-32 over all of that; little endian.  After a record that does not hold a reader goes on at the next
+place where a whole record holds, and counts what it passed over; a last record that is cut short is a crash's mark.
+Bytes received are kept even when their record does not hold but ends where it says: the frames in it have their own
+CRCs.
 
 ::
 
@@ -19,12 +21,13 @@ A marker comes from another process: one line ``<monotonic ns> <text>`` appended
 
 import json
 import os
+import re
 import struct
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 from zlib import crc32
 
 from daq.errors import InputError
@@ -33,6 +36,7 @@ MAGIC = b"stickslip journal 1\n"
 SYNC_EVERY_S = 1.0
 HEADER, RECEIVED, LOST, REOPENED, DROPPED, CONFIGURATION, END = b"HRLODCE"
 _KINDS = frozenset(b"HRLODCE")
+_KIND = re.compile(b"[HRLODCE]")
 _HEAD = struct.Struct("<BIq")
 _CRC = struct.Struct("<I")
 _LONGEST = 1 << 26  # bytes; no record is longer, so a longer length is damage
@@ -49,12 +53,17 @@ class Record:
 
 @dataclass(frozen=True)
 class Journal:
-    """A journal as read: its header, the records after it, and how many bytes at the end did not hold."""
+    """A journal as read: its header and the records after it.
+
+    ``lost_tail`` is the bytes of a last record that was cut short, ``damaged`` those of everything else that did not
+    hold.
+    """
 
     path: Path
     header: dict[str, Any]
     records: tuple[Record, ...]
     lost_tail: int
+    damaged: int = 0
 
 
 class Writer:
@@ -84,7 +93,8 @@ class Writer:
         self._file.write(_CRC.pack(crc32(data, crc32(head))))
 
     def tick(self) -> None:
-        """Sync when the last time is a second ago: called often, also while nothing comes in."""
+        """Hand what was appended to the system; sync when the last time is a second ago.  Called often."""
+        self._file.flush()
         if time.monotonic() - self._synced >= SYNC_EVERY_S:
             self.sync()
 
@@ -127,25 +137,82 @@ def read(path: Path) -> Journal:
         if MAGIC.startswith(content):
             raise InputError("holds no record: the recording ended at once", str(path), "delete it and record again")
         raise InputError("is no journal of ours", str(path), "give the .part file that the recording left")
-    records = list(scan(content))
-    if not records or records[0].kind != HEADER:
+    found = list(scan(content))
+    if not found or found[0].record.kind != HEADER or found[0].at != len(MAGIC):
         raise InputError("was cut inside its header: it holds no samples", str(path), "delete it and record again")
-    whole = len(MAGIC) + sum(_HEAD.size + len(record.data) + _CRC.size for record in records)
-    return Journal(path, json.loads(records[0].data), tuple(records[1:]), len(content) - whole)
+    whole = len(MAGIC)
+    damaged = 0
+    for place in found:
+        damaged += place.at - whole + (0 if place.holds else _size(place.record))
+        whole = place.at + _size(place.record)
+    tail = len(content) - whole
+    cut = _is_cut_short(content, whole)
+    records = tuple(place.record for place in found)
+    return Journal(path, json.loads(records[0].data), records[1:], tail if cut else 0, damaged + (0 if cut else tail))
 
 
-def scan(content: bytes) -> Iterator[Record]:
-    """Yield the records of a journal's bytes up to the first that is cut short or does not hold."""
+class Place(NamedTuple):
+    """A record in a journal's bytes: where it begins, the record, and whether its CRC holds."""
+
+    at: int
+    record: Record
+    holds: bool
+
+
+def scan(content: bytes) -> Iterator[Place]:
+    """Yield the records in a journal's bytes, passing over what is none."""
     at = len(MAGIC)
     while at + _HEAD.size <= len(content):
-        kind, length, stamp = _HEAD.unpack_from(content, at)
-        end = at + _HEAD.size + length
-        if kind not in _KINDS or length > _LONGEST or end + _CRC.size > len(content):
+        record = _record_at(content, at)
+        holds = record is not None
+        if record is None:
+            record = _received_at(content, at)
+        if record is not None:
+            yield Place(at, record, holds)
+            at += _size(record)
+            continue
+        # A record begins with its kind: look only at bytes that are one.
+        ahead = (place.start() for place in _KIND.finditer(content, at + 1))
+        following = next((place for place in ahead if _record_at(content, place)), None)
+        if following is None:
             return
-        if crc32(content[at:end]) != _CRC.unpack_from(content, end)[0]:
-            return
-        yield Record(kind, stamp, content[at + _HEAD.size : end])
-        at = end + _CRC.size
+        at = following
+
+
+def _received_at(content: bytes, at: int) -> Record | None:
+    """Return a damaged record of received bytes that ends where it says: at the end, or where another one begins."""
+    kind, length, stamp = _HEAD.unpack_from(content, at)
+    end = at + _HEAD.size + length
+    if kind != RECEIVED or length > _LONGEST or end + _CRC.size > len(content):
+        return None
+    if end + _CRC.size < len(content) and _record_at(content, end + _CRC.size) is None:
+        return None
+    return Record(kind, stamp, content[at + _HEAD.size : end])
+
+
+def _record_at(content: bytes, at: int) -> Record | None:
+    """Return the record that begins at a place, or None when none does."""
+    if at + _HEAD.size > len(content):
+        return None
+    kind, length, stamp = _HEAD.unpack_from(content, at)
+    end = at + _HEAD.size + length
+    if kind not in _KINDS or length > _LONGEST or end + _CRC.size > len(content):
+        return None
+    if crc32(content[at:end]) != _CRC.unpack_from(content, end)[0]:
+        return None
+    return Record(kind, stamp, content[at + _HEAD.size : end])
+
+
+def _size(record: Record) -> int:
+    return _HEAD.size + len(record.data) + _CRC.size
+
+
+def _is_cut_short(content: bytes, at: int) -> bool:
+    """Return whether what begins at a place, and holds no record, is a record whose end is missing."""
+    if at + _HEAD.size > len(content):
+        return True
+    kind, length, _ = _HEAD.unpack_from(content, at)
+    return kind in _KINDS and length <= _LONGEST and at + _HEAD.size + length + _CRC.size > len(content)
 
 
 def markers_path(run: Path) -> Path:

@@ -22,6 +22,7 @@ from daq.rig import Rig
 if TYPE_CHECKING:
     from daq.summary import Summary
 
+MOST_SAMPLES = 2_000_000_000  # what the run file numbers its samples with holds twice as many
 WAKE_S = 0.1  # how often the writer looks at the clock while nothing comes
 LEAVE_S = 3.0  # how long a leaving recorder waits for its reader
 
@@ -60,8 +61,9 @@ def check_request(request: Request) -> None:
 
     if request.rate_hz < 1:
         raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")
-    if not 0 < request.duration_s < 1e9 or request.samples < 1:
-        raise InputError(f"the duration is {request.duration_s:g} s", "--duration", "give a time above 0 s")
+    if not 1 <= request.duration_s * request.rate_hz <= MOST_SAMPLES:  # neither is NaN
+        what = f"the duration is {request.duration_s:g} s, {request.duration_s * request.rate_hz:g} samples"
+        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples")
     refuse_existing(request.output, request.force)
     if request.part.exists():
         raise InputError(

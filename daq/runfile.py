@@ -197,8 +197,13 @@ def extend(
                 entry.attrs["default"] = default
 
 
-def refuse_existing(path: Path, force: bool) -> None:
-    """Raise InputError when ``path`` exists and ``force`` was not given, or when it cannot be written to."""
+def refuse_existing(path: Path, force: bool, source: Path | None = None) -> None:
+    """Raise InputError when ``path`` exists and ``force`` was not given, or when it cannot be written to.
+
+    Not even ``force`` lets an output replace the ``source`` it is made from.
+    """
+    if source is not None and path.exists() and source.exists() and path.samefile(source):
+        raise InputError("would replace its own source", str(path), "give another name (-o)")
     if path.is_dir():
         raise InputError("is a folder", str(path), "give a file name")
     if path.exists() and not force:

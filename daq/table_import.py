@@ -19,6 +19,7 @@ from daq.recording import RunData
 from daq.rig import Measured, Rig
 
 FRAME_RATE_TOLERANCE = 1.01
+FARTHEST_M = 1e6  # no rig is larger: a position beyond is a slip of the pen or of the unit
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ def read(path: Path, wishes: Wishes) -> Imported:
     t_column, x_column, frames = find(cells, wishes.time, wishes.position, wishes.frame_rate_hz is not None)
     x_size, x_unit = unit(cells, x_column, wishes.x_unit, "length", "--x-unit", warnings)
     position = np.array(cells.numbers(x_column)) * x_size
+    _plausible(position, cells)
     t_unit = "frames"
     if t_column is None or frames:
         if wishes.frame_rate_hz is None:
@@ -113,6 +115,17 @@ def read(path: Path, wishes: Wishes) -> Imported:
     run = _run(path, wishes, RunData("", "", "", rate, rig, time, position), cells, columns)
     even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
     return Imported(run, columns, cells.delimiter_name, cells.decimal, even, tuple(warnings))
+
+
+def _plausible(position: NDArray[np.float64], cells: table.Table) -> None:
+    wrong = np.flatnonzero(np.abs(position) > FARTHEST_M)
+    if wrong.size:
+        row = int(wrong[0])
+        raise InputError(
+            f"position is {position[row]:.9g} m",
+            f"{cells.path}, line {cells.lines[row]}",
+            "delete or mend that line; if the unit is wrong, give --x-unit",
+        )
 
 
 def _increasing(time: NDArray[np.float64], cells: table.Table) -> None:

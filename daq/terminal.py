@@ -36,6 +36,17 @@ SetChanges = Annotated[
 ]
 
 
+def whole(type_: type, tokens: Sequence[cyclopts.Token]) -> int:
+    """Read a whole number for a flag (`1000`, `1e3`); a cyclopts converter.  ValueError for anything else."""
+    value = float(tokens[0].value)
+    if not value.is_integer():
+        raise ValueError(f"{tokens[0].value} is no whole number")
+    return int(value)
+
+
+Whole = cyclopts.Parameter(converter=whole)
+
+
 @dataclass(frozen=True)
 class Answer:
     """What a command found: its JSON document, its text, its exit code.
@@ -116,33 +127,38 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     name = app.name[0]
     as_json = "--json" in arguments
     try:
-        answer = app(list(arguments), exit_on_error=False, print_error=False)
+        return _shown(app(list(arguments), exit_on_error=False, print_error=False), as_json)
     except StickslipError as error:
         return _fail(name, error.what, error.where, error.do, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
         what = " ".join(str(error).split())
-        return _fail(name, what, "command line", f"see '{name} --help'", EXIT_INPUT, as_json)
+        command = " ".join([name, *(error.command_chain or ())])
+        return _fail(name, what, "command line", f"see '{command} --help'", EXIT_INPUT, as_json)
     except KeyboardInterrupt:
         return _fail(name, "interrupted", "", "", EXIT_INTERRUPTED, as_json)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
     except OSError as error:
-        where = str(error.filename or "")
+        where = str(error.filename or "output")
         do = "check the path, its permissions and the free space on the disk"
-        return _fail(name, error.strerror or str(error), where, do, EXIT_DEVICE, as_json)
+        return _fail(name, error.strerror or str(error), where, do, EXIT_DEVICE, as_json and error.filename is not None)
     except Exception as error:
         if not as_json:
             raise
         what = f"{type(error).__name__}: {error}"
         return _fail(name, what, name, "this is a bug: run it again without --json and report it", EXIT_BUG, as_json)
-    if isinstance(answer, Answer):
-        if as_json:
-            print_json(answer.data)
-        else:
-            _print_text(answer.text)
-        return answer.exit_code
-    return EXIT_DONE
+
+
+def _shown(answer: object, as_json: bool) -> int:
+    """Print what a command returned; return its exit code (help and version return nothing and are done)."""
+    if not isinstance(answer, Answer):
+        return EXIT_DONE
+    if as_json:
+        print_json(answer.data)
+    else:
+        _print_text(answer.text)
+    return answer.exit_code
 
 
 def main(app: cyclopts.App) -> NoReturn:

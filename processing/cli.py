@@ -90,7 +90,7 @@ def inspect(
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
     if plot is not None:
-        runfile.refuse_existing(plot, force)
+        runfile.refuse_existing(plot, force, file)
     motion, now = _motion(file)
     drawing.save(drawing.inspection(motion), target)
     recording = motion.recording
@@ -130,7 +130,7 @@ def export(
 
     if csv is None:
         raise InputError("nothing to write", "command line", "give --csv FILE")
-    runfile.refuse_existing(csv, force)
+    runfile.refuse_existing(csv, force, file)
     motion, now = _motion(file)
     columns = tables.write_csv(motion, csv, force=force)
     rows = int(motion.time.size)
@@ -172,6 +172,11 @@ def _warnings(motion: "Kinematics") -> list[str]:
         found.append(
             f"counts went missing at {motion.lost_counts} sample{'s' if motion.lost_counts > 1 else ''} "
             "(marked, not repaired): look for a bouncing encoder wheel or a slipping coupling"
+        )
+    if motion.phases and not motion.sticks and motion.plateau_speed == motion.plateau_speed:
+        found.append(
+            f"no stick at the belt speed of {motion.belt_speed:g}, but the mass rides at {motion.plateau_speed:.5g}: "
+            "check --belt-speed and its sign, or leave it at auto"
         )
     if not motion.phases:
         found.append("the mass never moves in this record")

@@ -4,6 +4,7 @@
 The rig's scene and its truth are never looked at here.
 """
 
+import math
 import time as clock
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,6 +74,9 @@ class Kinematics:
         Samples at which ten or more counts seem to have gone missing; marked, not repaired.
     cpu_s : float
         CPU time spent, s.
+    plateau_speed : float
+        m/s: the speed most plateaus share, whatever the belt's is said to be; NaN without plateaus, or when the
+        motion was read back from a file.
     """
 
     recording: "Recording"
@@ -92,6 +96,7 @@ class Kinematics:
     phases: tuple[Phase, ...]
     lost_counts: int
     cpu_s: float
+    plateau_speed: float = math.nan
 
     @property
     def sticks(self) -> tuple[Phase, ...]:
@@ -177,6 +182,7 @@ def smooth(
         phases=found.phases,
         lost_counts=len(jumps),
         cpu_s=clock.process_time() - begun,
+        plateau_speed=found.plateau_speed,
     )
 
 

@@ -43,11 +43,12 @@ SAME_SPEED = 0.35  # of the belt's speed: a ramp's creep is allowed for
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Belt speed (m/s, NaN when unknown), stick mask of shape (n,), and the phases in order of time."""
+    """Belt speed (m/s, NaN when unknown), stick mask (n,), phases in order of time, plateaus' own speed (or NaN)."""
 
     belt_speed: float
     stick: NDArray[np.bool_]
     phases: tuple[Phase, ...]
+    plateau_speed: float
 
 
 def find(
@@ -90,14 +91,15 @@ def find(
     plateaus = [
         run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, seen)
     ]
-    level = given if given is not None else _level(seen, plateaus)
+    common = _level(seen, plateaus)
+    level = given if given is not None else common
     sticks = []
     for run in plateaus:
         speed = float(np.median(seen.velocity[run[0] : run[1] + 1]))
         if abs(speed - level) <= SAME_SPEED * abs(level):
             sticks.append(_corners(run, series, size, seen.window, tolerance, moving))
     phases, stick = _phases(series, moving, sticks)
-    return Found(_speed(given, measured, level, bool(sticks)), stick, phases)
+    return Found(_speed(given, measured, level, bool(sticks)), stick, phases, common)
 
 
 def _given(belt_speed: float | str) -> float | None:

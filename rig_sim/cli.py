@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from rig_sim.scenes import Scene
 
 Until = Annotated[float, Parameter(help="Time to end at, in the scene's unit (s for SI scenes).")]
-MaxSteps = Annotated[int, Parameter(help="Phases after which the run ends with the outcome 'step limit'.")]
+MaxSteps = Annotated[
+    int, terminal.Whole, Parameter(help="Phases after which the run ends with the outcome 'step limit'.")
+]
 
 app = terminal.application(
     "rig-sim",

@@ -20,6 +20,7 @@ from rig_sim.motion import DEFAULT_MAX_STEPS, Motion
 from rig_sim.scenes import Scene
 
 SAMPLES_AT_ONCE = 65_536
+MOST_SAMPLES = 100_000_000  # 3.2 GB of HDF5
 _CHUNK = 16_384
 _COLUMNS = {
     "t": ("time", "s"),
@@ -65,6 +66,9 @@ def write(scene: Scene, path: Path, *, until: float, rate: float, max_steps: int
     for name, value in (("--until", until), ("--rate", rate)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"is {value:g}", name, "give a positive number")
+    if until * rate > MOST_SAMPLES:
+        what = f"{until * rate:.3g} samples, more than the {MOST_SAMPLES} a file may hold"
+        raise InputError(what, "--rate", "lower --rate or --until")
     motion = Motion(scene, max_steps=max_steps)
     samples = math.floor(until * rate * (1 + 1e-15)) + 1
     part = path.with_name(path.name + ".part")

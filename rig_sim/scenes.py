@@ -345,6 +345,9 @@ def _checked(content: dict[str, Any], where: str) -> Scene:
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "missing":
             raise InputError(f"{key} is missing", where, f"give it, or --set {_first_key(key)}=...") from None
+        if first["type"] == "model_type":
+            do = f"write --set {key}.KEY=VALUE, or a table [{key}]"
+            raise InputError(f"{key} is {first['input']!r:.60}, but it is a section", where, do) from None
         reason = (first["msg"][0].lower() + first["msg"][1:]).replace("input should", "it should")
         raise InputError(
             f"{key} is {first['input']!r:.60}", where, reason.replace("input should", "it should")

@@ -132,3 +132,75 @@ def test_a_journal_cut_short_gives_what_it_holds_and_one_without_a_header_is_ref
     (folder / "junk.h5.part").write_bytes(b"not a journal")
     assert_refused(folder, 2, ["junk.h5.part"], "daq", "recover", "junk.h5.part")
     assert (folder / "junk.h5.part").read_bytes() == b"not a journal"
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments"),
+    [
+        ("process", ("export", "run.h5", "--csv", "run.h5", "--force")),
+        ("process", ("inspect", "run.h5", "--plot", "run.h5", "--force")),
+        ("daq", ("export", "run.h5", "--csv", "run.h5", "--force")),
+        ("daq", ("replay", "run.h5", "-o", "run.h5", "--force")),
+    ],
+)
+def test_no_output_replaces_its_own_source_even_by_force(folder, command, arguments):
+    before = (folder / "run.h5").read_bytes()
+    assert_refused(folder, 2, ["run.h5", "own source"], command, *arguments)
+    assert (folder / "run.h5").read_bytes() == before
+
+
+def test_an_import_does_not_replace_its_table(folder):
+    (folder / "table.csv").write_text("t,x\n0.0,0.1\n0.1,0.2\n0.2,0.3\n")
+    assert_refused(folder, 2, ["table.csv", "own source"], "daq", "import", "table.csv", "-o", "table.csv", "--force")
+    assert (folder / "table.csv").read_text().startswith("t,x")
+
+
+def test_an_impossible_position_is_refused_by_line(folder):
+    (folder / "far.csv").write_text("t,x\n0.0,0.1\n0.1,1e30\n0.2,0.3\n")
+    assert_refused(folder, 2, ["far.csv", "line 3", "1e+30"], "daq", "import", "far.csv", "-o", "far.h5")
+
+
+def test_two_columns_of_one_name_are_asked_about(folder):
+    (folder / "two.csv").write_text("t,x,x\n0.0,0.1,1\n0.1,0.2,2\n0.2,0.3,3\n")
+    assert_refused(folder, 2, ["two.csv", "column 2", "column 3", "--position"], "daq", "import", "two.csv")
+
+
+def test_a_file_of_ten_thousand_billion_samples_is_refused_at_once(folder):
+    line = ("run", "base", "--until", "10", "--rate", "1e12", "-o", "foo.csv")
+    assert_refused(folder, 2, ["1e+13 samples", "--rate"], "rig-sim", *line)
+
+
+@pytest.mark.parametrize("duration", ["1e12", "inf", "nan", "0.0001", "-1"])
+def test_an_impossible_duration_is_refused_with_its_number_of_samples(folder, duration):
+    assert_refused(folder, 2, ["--duration", "samples"], "daq", "record", "-o", "x.h5", "--duration", duration)
+
+
+def test_a_broken_number_of_samples_per_second_is_not_rounded(folder):
+    assert_refused(folder, 2, ["1000.5"], "daq", "record", "-o", "x.h5", "--rate", "1000.5")
+
+
+def test_a_section_given_as_a_number_is_told_how_to_write(folder):
+    assert_refused(folder, 2, ["friction", "friction.KEY"], "rig-sim", "cycle", "base", "--set", "friction=3")
+
+
+def test_a_full_stdout_is_one_line_and_no_traceback(folder):
+    if not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    with Path("/dev/full").open("w") as full:
+        line = [Path(sys.executable).parent / "rig-sim", "scenes"]
+        done = subprocess.run(line, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=folder)
+    assert done.returncode == 3
+    assert "Traceback" not in done.stderr
+    assert "space" in done.stderr
+
+
+def test_a_belt_speed_that_no_plateau_has_is_warned_about(folder):
+    (folder / "belt.h5").write_bytes((folder / "run.h5").read_bytes())
+    done = run("process", "smooth", "belt.h5", "--belt-speed", "-0.22", "--json", cwd=folder)
+    assert any("0.22" in warning and "sign" in warning for warning in json.loads(done.stdout)["warnings"])
+
+
+def test_counters_that_may_have_rolled_over_are_warned_about(folder):
+    changes = ["--set", "encoder.vibration=1e-3", "--set", "encoder.vibration_hz=1e6"]
+    done = run("daq", "record", "--duration", "0.5", "-o", "fast.h5", "--json", *changes, cwd=folder)
+    assert any("rolled over" in warning for warning in json.loads(done.stdout)["warnings"])

@@ -61,14 +61,30 @@ def test_a_tail_of_another_kind_is_left_out(written, tail):
     written.write_bytes(written.read_bytes() + tail)
     read = journal.read(written)
     assert as_tuples(read) == RECORDS
-    assert read.lost_tail == len(tail)
+    assert read.lost_tail == 0
+    assert read.damaged == len(tail)
 
 
-def test_a_damaged_record_ends_the_journal_there(written):
+@pytest.mark.parametrize("number", range(len(RECORDS)))
+def test_a_damaged_record_costs_itself_alone(written, number):
+    # It used to end the journal there, and with it all that was recorded afterwards.
     content = bytearray(written.read_bytes())
-    content[content.index(b"unplugged")] ^= 1
+    at = len(content) - sum(13 + len(data) + 4 for _, _, data in RECORDS[number:])
+    size = 13 + len(RECORDS[number][2]) + 4
+    content[at + size // 2] ^= 1
     written.write_bytes(content)
-    assert as_tuples(journal.read(written)) == RECORDS[:1]
+    read = journal.read(written)
+    assert [record for record in as_tuples(read) if record in RECORDS] == [*RECORDS[:number], *RECORDS[number + 1 :]]
+    assert read.damaged + read.lost_tail == size
+
+
+def test_received_bytes_of_a_damaged_record_are_kept_for_their_frames(written):
+    content = bytearray(written.read_bytes())
+    content[content.index(bytes(range(256))) + 100] ^= 1
+    written.write_bytes(content)
+    kinds = [record.kind for record in journal.read(written).records]
+    assert kinds == [kind for kind, _, _ in RECORDS]
+    assert journal.read(written).damaged == 13 + 256 + 4
 
 
 def test_a_journal_is_never_overwritten(written):

@@ -619,3 +619,39 @@ def test_a_board_that_stops_with_a_notice_ends_the_run_and_its_words_are_kept(tm
     assert any("force reversal" in warning for warning in found.warnings)
     kinds = dict(zip(runfile.load(output).event_kind, runfile.load(output).event_note, strict=True))
     assert "force reversal" in kinds["notice"]
+
+
+def test_a_damaged_journal_gives_all_but_the_damage_and_is_kept(tmp_path):
+    # It used to be cut at the damage and then removed: what came after was lost for good.
+    whole = tmp_path / "whole.h5"
+    part = tmp_path / "run.h5.part"
+
+    class KeptError(Exception):
+        pass
+
+    def keep(seconds: float) -> None:
+        if seconds >= 2:
+            raise KeptError
+
+    with pytest.raises(KeptError):
+        record(Request("rig://rig", tmp_path / "run.h5", duration_s=3), progress=keep)
+    shutil.copy(part, tmp_path / "whole.h5.part")
+    taken = finalise.finalise(tmp_path / "whole.h5.part", whole, finished_by="test").samples
+    content = bytearray(part.read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 300] = bytes(300)
+    part.write_bytes(content)
+    found = finalise.finalise(part, tmp_path / "run.h5", finished_by="test")
+    assert part.read_bytes() == content
+    assert taken - 2000 < found.samples < taken
+    assert found.samples + found.lost == taken
+    assert any("damaged" in warning and "run.h5.part" in warning for warning in found.warnings)
+
+
+def test_the_peak_edge_rate_is_that_of_the_motion_at_any_sample_rate(tmp_path):
+    # At 20 kHz one count more or less within a sample used to look like 200,000 edges/s.
+    peaks = [
+        record(Request("rig://rig", tmp_path / f"{rate}.h5", rate_hz=rate, duration_s=3)).peak_edge_rate_hz
+        for rate in (1000, 20_000)
+    ]
+    assert peaks[1] == pytest.approx(peaks[0], rel=0.03)

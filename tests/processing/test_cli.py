@@ -72,7 +72,7 @@ def test_settings_are_carried_out(typed, path):
         (["--times", "guessed"], "--times: times is 'guessed'; known: recorded, nominal"),
         (["--belt-speed", "fast"], "--belt-speed: belt speed is 'fast'"),
         (["--order", "0"], "--order: order is 0; give 1 to 20"),
-        (["--order", "two"], "see 'process --help'"),
+        (["--order", "two"], "see 'process smooth --help'"),
         (["--method", "fd", "--window", "41"], "finite differences have no window"),
     ],
 )
