@@ -34,6 +34,7 @@ NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws 
 FEWEST_CYCLES = 4
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
 WORST_FIT = 0.05  # of a slip's length: a best law that errs by more describes something else
+STUCK = 0.9  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
 CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
 DRAG_BLOCKS = 8
 
@@ -159,6 +160,12 @@ def _fit_all(laws: Sequence[int], motion: Motion, cut: Cut, progress: Callable[[
             found[law] = fit
         if progress is not None:
             progress(done + 1.0)
+    for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
+        # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
+        narrow = found[ramp].u[trajectory.D] < trajectory.NARROW * motion.belt_speed
+        if narrow and found[ramp].rms < STUCK * found[ramp - 1].rms:
+            again = trajectory.search(ramp - 1, motion, cut, found[ramp])
+            found[ramp - 1] = again if again is not None else found[ramp - 1]
     nearest = min((fit.rms for fit in found.values()), default=0.0)
     return [trajectory.polish(fit, motion, cut) if fit.rms < CONTENDER * nearest else fit for fit in found.values()]
 

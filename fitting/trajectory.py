@@ -125,7 +125,7 @@ def datum_guess(motion: Motion) -> Measured:
     return Measured(middle, 0.5 * motion.travel)
 
 
-def search(law: int, motion: Motion, cut: Cut, nested: Fit | None = None) -> Fit | None:
+def search(law: int, motion: Motion, cut: Cut, near: Fit | None = None) -> Fit | None:
     """Fit one law to the thinned record.
 
     Parameters
@@ -134,9 +134,9 @@ def search(law: int, motion: Motion, cut: Cut, nested: Fit | None = None) -> Fit
         1 to 6.
     motion, cut : Motion, Cut
         The record in the fit's frame and its cycles; those without a flag are fitted.
-    nested : Fit, optional
-        The jump law of the same curve, searched before: a ramp law also starts from there with a narrow ramp, so that
-        it never ends up worse than the law it contains.
+    near : Fit, optional
+        The law of the same curve with the other contact, searched before: a second start.  A ramp law takes it with a
+        narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
 
     Returns
     -------
@@ -147,10 +147,10 @@ def search(law: int, motion: Motion, cut: Cut, nested: Fit | None = None) -> Fit
     setting = Setting.of(law, motion, cut)
     windows = Windows.of(motion, cut.used, max(1, round(motion.time.size / motion.span / COARSE_HZ)))
     starts = [_begin(setting, windows, cut.used)]
-    if nested is not None:
-        u = nested.u.copy()
-        u[D] = NARROW * motion.belt_speed
-        starts.append(replace(starts[0], u=u, local=nested.local))
+    if near is not None:
+        u = near.u.copy()
+        u[D] = NARROW * motion.belt_speed if setting.ramp else starts[0].u[D]
+        starts.append(replace(starts[0], u=u, local=near.local))
     found = [state for state in (_settle(setting, windows, first) for first in starts) if state is not None]
     if not found:
         return None

@@ -97,3 +97,17 @@ def test_the_validator_finds_nothing_to_say(pipe):
     text = done.stdout + done.stderr
     assert "Total number of errors: 0" in text, text[-3000:]
     assert "Total number of warnings: 0" in text, text[-3000:]
+
+
+def test_a_jump_law_is_not_left_in_a_poor_minimum_that_its_ramp_law_avoids(tmp_path):
+    # Law 3 used to err by 255 um here where law 4 with a ramp of next to no width erred by 83: law 4 was named.
+    changes = (
+        "friction.law=3", "seed=4", "scatter.Fs=0.0979", "wear.rate=0.00251", "joint.kick=-0.0106",
+        "jitter.rms=2.64e-05", "damper.c=0.01329", "encoder.circumference=0.8192",
+    )  # fmt: skip
+    flags = [part for change in changes for part in ("--set", change)]
+    typed(tmp_path, "daq", "record", "--duration", 30, "-o", "run.h5", *flags)
+    fitted = typed(tmp_path, "fit-friction", "run.h5", codes=(0, 5))
+    assert fitted["set"][0] == 3, fitted["verdict"]
+    rms = {row["law"]: row["rms_m"] for row in fitted["ranking"]}
+    assert rms[3] < 1.02 * rms[4]
