@@ -6,8 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
+
+# A shared machine may stall any example; on CI the examples are the same each time.
+hypothesis.settings.register_profile("stickslip", deadline=None, derandomize="CI" in os.environ)
+hypothesis.settings.load_profile("stickslip")
 
 
 @pytest.fixture(scope="session")

@@ -81,7 +81,7 @@ def test_the_format_is_found(csv: Path, head: str, how: dict[str, Any]) -> None:
     assert found.decimal == how.get("decimal", ".")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     rows=st.lists(st.tuples(*[st.floats(-1e6, 1e6).map(lambda v: round(v, 3))] * 3), min_size=2, max_size=30),
     how=st.sampled_from(

@@ -213,7 +213,7 @@ def runs(draw: st.DrawFn) -> RunData:
     )
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=runs())
 def test_what_is_written_reads_back_to_the_last_bit(tmp_path: Path, data: RunData) -> None:
     path = tmp_path / "run.h5"

@@ -28,7 +28,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "capture.sr"
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data(), unitsize=st.integers(1, 4))
 def test_every_probe_reads_back_whatever_the_chunks(
     path: Path, data: st.DataObject, unitsize: int, write_capture: Any

@@ -95,7 +95,7 @@ def test_counts_do_not_depend_on_how_the_motion_is_cut_into_stretches(decoder: s
     np.testing.assert_array_equal(np.concatenate([part.down for part in parts]), whole.down[1:])
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     start=st.floats(-1e-2, 1e-2),
     amplitude=st.floats(0, 1e-2),

@@ -217,7 +217,7 @@ def test_every_transition_has_a_name():
 span = st.floats(-6.0, 6.0).map(lambda exponent: 10.0**exponent)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     law=st.sampled_from(sorted(LAWS)),
     m=span,
