@@ -55,7 +55,8 @@ def fit(
     from fitting import report as pages
     from fitting import store
     from fitting.ranking import rank
-    from processing import kinematics
+    from processing import stage
+    from processing.smoothing import smooth
 
     wanted, excluded = numbers(laws, "--laws"), numbers(exclude_cycles, "--exclude-cycles")
     page = pages.default_path(file) if report is None else report
@@ -79,9 +80,9 @@ def fit(
     if damping is not None or damping_sd is not None:
         changes["damping"] = _changed(recording.rig.damping, damping, damping_sd)
     rig = _rig(recording.rig, changes)
-    motion = kinematics.load(file)
+    motion = stage.load(file)
     if motion is None:
-        motion = kinematics.smooth(recording, belt_speed="auto" if speed is None else speed)
+        motion = smooth(recording, belt_speed="auto" if speed is None else speed)
     with terminal.progress("fitting", float(len(wanted)), "laws") as tell:
         ranking = rank(motion, rig, wanted, belt_speed=speed, excluded=excluded, alpha=alpha, progress=tell)
     store.save(ranking, file)

@@ -99,7 +99,7 @@ def rank(
         raise InputError(f"alpha is {alpha}", "--alpha", "give a number between 0 and 1, such as 0.05")
     recording = kinematics.recording
     if kinematics.method == "fd":
-        from processing.kinematics import smooth
+        from processing.smoothing import smooth
 
         kinematics = smooth(recording, times=kinematics.times)
     rig = recording.rig if rig is None else rig

@@ -4,15 +4,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from processing.kinematics import Kinematics as Kinematics
-    from processing.kinematics import smooth as smooth
+    from processing.smoothing import smooth as smooth
 
 __all__ = ["Kinematics", "smooth"]
+
+_HOME = {"Kinematics": "processing.kinematics", "smooth": "processing.smoothing"}
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is first asked for: ``import processing`` alone loads nothing."""
-    if name in __all__:
-        from processing import kinematics
+    if name in _HOME:
+        from importlib import import_module
 
-        return getattr(kinematics, name)
+        return getattr(import_module(_HOME[name]), name)
     raise AttributeError(f"module 'processing' has no attribute {name!r}")

@@ -40,11 +40,12 @@ def smooth(
     Example: process smooth run.h5 --window 20ms
     """
     from daq import runfile
-    from processing import kinematics
+    from processing import stage
+    from processing.smoothing import smooth as rebuild
 
     recording = runfile.load(file)
-    motion = kinematics.smooth(recording, method, window, order, times, belt_speed)
-    kinematics.save(motion, file)
+    motion = rebuild(recording, method, window, order, times, belt_speed)
+    stage.save(motion, file)
     chosen = window == "auto" and motion.method != "fd"
     data = _summary(motion)
     return Answer(data, [*_sentences(motion, data, chosen), f"written to /entry/smooth of {file}"])
@@ -141,12 +142,13 @@ def export(
 def _motion(file: Path) -> "tuple[Kinematics, bool]":
     """Return the stored motion, or one smoothed in memory and True."""
     from daq import runfile
-    from processing import kinematics
+    from processing import stage
+    from processing.smoothing import smooth as rebuild
 
-    stored = kinematics.load(file)
+    stored = stage.load(file)
     if stored is not None:
         return stored, False
-    return kinematics.smooth(runfile.load(file)), True
+    return rebuild(runfile.load(file)), True
 
 
 def _summary(motion: "Kinematics") -> dict[str, Any]:

@@ -1,13 +1,10 @@
 """The motion behind a run: position, velocity and acceleration with errors, and where the mass stuck and slipped.
 
-`smooth` makes a `Kinematics` of a `daq.load`-ed recording; `load` reads back the one stored in a run file.
-The rig's scene and its truth are never looked at here.
+`processing.smoothing` makes a `Kinematics` of a recording, `processing.stage` keeps it in the run file.
 """
 
 import math
-import time as clock
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -112,95 +109,3 @@ class Kinematics:
     def plateau_fraction(self) -> float:
         """Share of the record's samples spent stuck, 0 to 1."""
         return float(self.stick.mean()) if self.stick.size else 0.0
-
-
-def smooth(
-    recording: "Recording",
-    method: str = "auto",
-    window: int | str = "auto",
-    order: int | None = None,
-    times: str = "recorded",
-    belt_speed: float | str = "auto",
-) -> Kinematics:
-    """Rebuild position, velocity and acceleration from a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        Positions in metres (or counts) at times in seconds.
-    method : {"auto", "sg", "fd"}
-        "auto" takes Savitzky-Golay ("sg"); "fd" is the plain two-point difference, a baseline.
-    window : int, "auto" or a duration such as "20ms"
-        Length of the smoothing window: an odd number of samples above the order, or chosen from the record.
-    order : int, optional
-        Degree of the local polynomial; by default chosen with the window, or 4 beside a window that was given.
-    times : {"recorded", "nominal"}
-        Whether to trust the board's sample times or to assume an even grid.
-    belt_speed : float or "auto"
-        m/s, signed; "auto" finds it in the plateaus of the velocity.
-
-    Returns
-    -------
-    Kinematics
-
-    Raises
-    ------
-    InputError
-        For an unknown method, an even window, an order that the window cannot carry, a record with a number that
-        is not finite or with times that do not increase (naming the sample), or fewer than 5 samples.
-
-    Notes
-    -----
-    Gaps and segments are never smoothed across: each piece ends in one-sided fits, with their larger errors.
-    Lost counts are marked, not repaired.
-    """
-    from processing import faults, methods, phases, series
-    from processing import window as windows
-
-    begun = clock.process_time()
-    data = series.of(recording, times)
-    name = methods.resolve(method)
-    setting = windows.setting(window, order, data)
-    motion = methods.estimate(name, data, setting)
-    jumps = faults.lost_counts(data)
-    found = phases.find(data, motion, recording.rig.belt_speed, belt_speed, jumps)
-    return Kinematics(
-        recording=recording,
-        time=data.time,
-        position=motion.position,
-        velocity=motion.velocity,
-        acceleration=motion.acceleration,
-        position_errors=motion.position_errors,
-        velocity_errors=motion.velocity_errors,
-        acceleration_errors=motion.acceleration_errors,
-        method=name,
-        window=motion.window,
-        order=motion.order,
-        times=times,
-        belt_speed=found.belt_speed,
-        stick=found.stick,
-        phases=found.phases,
-        lost_counts=len(jumps),
-        cpu_s=clock.process_time() - begun,
-        plateau_speed=found.plateau_speed,
-    )
-
-
-def load(path: str | Path) -> Kinematics | None:
-    """Read the smoothed stage of a run file back, or None when the run was never smoothed.
-
-    Raises
-    ------
-    InputError
-        For a file that is not a run of a schema this version reads.
-    """
-    from processing import stage
-
-    return stage.load(Path(path))
-
-
-def save(kinematics: Kinematics, path: str | Path) -> None:
-    """Write the motion into its run file beside the untouched raw data, replacing an earlier smoothing."""
-    from processing import stage
-
-    stage.save(kinematics, Path(path))

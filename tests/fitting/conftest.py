@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fitting.ranking import rank
-from processing.kinematics import smooth
+from processing.smoothing import smooth
 
 # Tests have no packages: the generator beside this file is loaded by its path.
 _spec = importlib.util.spec_from_file_location("fitting_synthetic", Path(__file__).with_name("synthetic.py"))

@@ -7,7 +7,7 @@ import pytest
 
 from daq.errors import DataError, InputError
 from fitting.ranking import Evidence, choose, rank
-from processing.kinematics import smooth
+from processing.smoothing import smooth
 
 
 @pytest.mark.parametrize("law", [3, 4, 5, 6])

@@ -6,7 +6,7 @@ import pytest
 
 from daq.errors import InputError
 from fitting import report
-from processing.kinematics import smooth
+from processing.smoothing import smooth
 
 
 @pytest.fixture(scope="module")

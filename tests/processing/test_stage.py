@@ -12,7 +12,8 @@ import xarray
 import daq
 from daq import runfile
 from daq.errors import InputError
-from processing import kinematics
+from processing import stage
+from processing.smoothing import smooth
 
 
 @pytest.fixture
@@ -35,9 +36,9 @@ def raw_bytes(path):
 
 
 def test_what_was_saved_is_loaded(path):
-    made = kinematics.smooth(daq.load(path))
-    kinematics.save(made, path)
-    found = kinematics.load(path)
+    made = smooth(daq.load(path))
+    stage.save(made, path)
+    found = stage.load(path)
     for name in ("time", "position", "velocity", "acceleration", "stick"):
         assert np.array_equal(getattr(found, name), getattr(made, name))
     for name in ("position_errors", "velocity_errors", "acceleration_errors"):
@@ -48,30 +49,30 @@ def test_what_was_saved_is_loaded(path):
 
 
 def test_a_run_that_was_not_smoothed_has_no_stage(path):
-    assert kinematics.load(path) is None
+    assert stage.load(path) is None
 
 
 def test_raw_data_are_untouched_and_smoothing_again_replaces(path):
     before = raw_bytes(path)
-    kinematics.save(kinematics.smooth(daq.load(path)), path)
-    kinematics.save(kinematics.smooth(daq.load(path), "fd"), path)
+    stage.save(smooth(daq.load(path)), path)
+    stage.save(smooth(daq.load(path), "fd"), path)
     assert raw_bytes(path) == before
-    assert kinematics.load(path).method == "fd"
+    assert stage.load(path).method == "fd"
 
 
 def test_unknown_numbers_survive_the_file(tmp_path, imported, path, run_data, motion):
     still = motion(5, 0.4, start=0.5)  # the belt has not started yet
     target = tmp_path / "still.h5"
     runfile.write(target, run_data(still))
-    kinematics.save(kinematics.smooth(daq.load(target)), target)
-    found = kinematics.load(target)
+    stage.save(smooth(daq.load(target)), target)
+    found = stage.load(target)
     assert np.isnan(found.belt_speed)
     assert found.phases == ()
 
 
 def test_xarray_reads_kinematics_with_a_time_coordinate(path):
-    made = kinematics.smooth(daq.load(path))
-    kinematics.save(made, path)
+    made = smooth(daq.load(path))
+    stage.save(made, path)
     with xarray.open_dataset(path, engine="h5netcdf", group="entry/smooth/kinematics") as table:
         assert table["velocity"].dims == ("time",)
         assert np.array_equal(table["time"].values, made.time)
@@ -81,7 +82,7 @@ def test_xarray_reads_kinematics_with_a_time_coordinate(path):
 
 
 def test_the_default_plot_is_the_phase_portrait_by_hard_links(path):
-    kinematics.save(kinematics.smooth(daq.load(path)), path)
+    stage.save(smooth(daq.load(path)), path)
     with h5py.File(path) as file:
         entry = file["entry"]
         portrait = entry[entry.attrs["default"]][entry["smooth"].attrs["default"]]
@@ -90,7 +91,7 @@ def test_the_default_plot_is_the_phase_portrait_by_hard_links(path):
 
 
 def test_the_validator_finds_nothing_to_say(path):
-    kinematics.save(kinematics.smooth(daq.load(path)), path)
+    stage.save(smooth(daq.load(path)), path)
     command = [str(Path(sys.executable).parent / "nxcheck"), path.name]
     done = subprocess.run(command, capture_output=True, text=True, cwd=path.parent, check=False)
     said = done.stdout + done.stderr
@@ -99,9 +100,9 @@ def test_the_validator_finds_nothing_to_say(path):
 
 
 def test_a_stage_made_from_other_raw_data_is_refused(path):
-    kinematics.save(kinematics.smooth(daq.load(path)), path)
+    stage.save(smooth(daq.load(path)), path)
     with h5py.File(path, "r+") as file:
         del file["entry/smooth/parameters/sha256_input"]
         file["entry/smooth/parameters/sha256_input"] = "0" * 64
     with pytest.raises(InputError, match=r"made from other raw data; run: process smooth run\.h5"):
-        kinematics.load(path)
+        stage.load(path)
