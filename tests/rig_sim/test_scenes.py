@@ -94,7 +94,9 @@ def test_a_file_is_a_scene(tmp_path: Path) -> None:
     [
         ("frction.law=3", ["frction", "did you mean 'friction'"]),
         ("friction.gama=3", ["friction.gama", "did you mean 'gamma'"]),
-        ("gaps.rate=1", ["unknown section 'gaps'"]),
+        ("slip_loss.rate=1", ["slip_loss.counts is missing"]),
+        ("gaps={rate=1, duration=1}", ["gaps without an encoder"]),
+        ("gaps={rate=0, duration=1}", ["gaps.rate", "0"]),
         ("coupling.a=1", ["unknown section 'coupling'"]),
         ("belt.ripple=1", ["belt.ripple", "known: speed, start, length"]),
         ("sed=1", ["sed", "did you mean 'seed'"]),
