@@ -119,16 +119,22 @@ class Motion:
 
     def __init__(self, scene: Scene, *, max_steps: float = math.inf) -> None:
         self.scene = scene
-        self.t, self.x, self.v = 0.0, float(scene.start.x), float(scene.start.v)
+        self.t, self.x = 0.0, float(scene.start.x)
         self.outcome: Outcome = OUTCOMES[COMPLETED]
         self.events: list[Event] | None = None
         self.flow: Flow = scene.flow(belt_running=not (scene.belt and scene.belt.start > 0))
+        self._w = float(scene.start.v) - self.flow.v_belt  # kept, not v: on a ramp's edge it is d to the last bit
         self._belt_waits = scene.belt is not None and scene.belt.start > 0
         self._kicks = 0
         self._draw = random.Random(f"{scene.seed}/scatter")
         self._landings_matter = scene.wear is not None or scene.scatter is not None
         self._work = new_work(max_steps)  # type: ignore[arg-type]  # infinity is no int
         self._mode = initial_mode(self.flow, self.x, self.v, self.t)
+
+    @property
+    def v(self) -> float:
+        """Velocity of the mass, m/s."""
+        return self._w + self.flow.v_belt
 
     @property
     def steps(self) -> int:
@@ -185,11 +191,10 @@ class Motion:
         served = 0
         while self.outcome.name == OUTCOMES[COMPLETED].name:
             end = min(times[-1], self._next_change())
-            first, was, w = served, self._mode, self.v - self.flow.v_belt
-            kind, self._mode, self.x, w, self.t, served = sample_phase(
-                self.flow, was, self.x, w, self.t, times, served, n, end, x, v, modes, self._work
+            first, was = served, self._mode
+            kind, self._mode, self.x, self._w, self.t, served = sample_phase(
+                self.flow, was, self.x, self._w, self.t, times, served, n, end, x, v, modes, self._work
             )
-            self.v = w + self.flow.v_belt
             if forces:
                 for i in range(first, served):
                     F[i] = force(self.flow, was, x[i], v[i] - self.flow.v_belt, times[i])
@@ -223,10 +228,12 @@ class Motion:
         was = self._mode
         if self._belt_waits:
             self._belt_waits = False
+            v = self.v
             self.flow = self.scene.flow(factor=self.flow.factor)
+            self._w = v - self.flow.v_belt
         elif self.scene.joint is not None:
             self._kicks += 1
-            self.v += self.scene.joint.kick
+            self._w += self.scene.joint.kick
             corners.append((served, self.t, self.x, self.v))
             self._note("kick")
         self._mode = initial_mode(self.flow, self.x, self.v, self.t)
