@@ -11,7 +11,7 @@ The integrator runs one phase at a time.  Between phases this driver changes its
 Random numbers come from one stream per effect, seeded by the scene's ``seed`` and the effect's name, so that adding an
 effect does not change what another one draws.
 
-Not modelled: ripple and droop of the belt's speed, creep in stick.
+Droop of the belt is part of the flow (`rig_sim.integrate.modes`).  Not modelled: ripple of its speed, creep in stick.
 """
 
 import math

@@ -14,6 +14,7 @@ drive     u0, omega                             the force u0 cos(omega t)
 wear      rate                                  fraction of Fs lost per second
 scatter   Fs                                    standard deviation of Fs from stick to stick, a fraction
 joint     kick                                  velocity step of the mass once per ``belt.length``
+droop     fraction                              of the belt's speed, lost where the mass loads it with Fs
 slip_loss rate, counts, samples = 1             the encoder loses x4 counts: how often per second, how many, over
                                                 how many samples
 gaps      rate, duration                        stretches of samples never sent: how often per second, s
@@ -37,11 +38,12 @@ from pydantic import Field, ValidationError
 
 from daq.errors import InputError, nearest
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.modes import Flow
+from rig_sim.integrate.modes import Flow, validate
 from rig_sim.sections import (
     Belt,
     Damper,
     Drive,
+    Droop,
     Encoder,
     Friction,
     Gaps,
@@ -59,7 +61,7 @@ from rig_sim.sections import (
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive")
-EFFECTS = ("wear", "scatter", "joint", "slip_loss", "gaps", "encoder", "jitter", "tell")
+EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "tell")
 SECTIONS = TERMS + EFFECTS
 
 
@@ -79,6 +81,7 @@ class Scene(Section):
     wear: Wear | None = None
     scatter: Scatter | None = None
     joint: Joint | None = None
+    droop: Droop | None = None
     slip_loss: SlipLoss | None = None
     gaps: Gaps | None = None
     encoder: Encoder | None = None
@@ -118,6 +121,7 @@ class Scene(Section):
             u0=float(self.drive.u0) if self.drive else 0.0,
             omega=float(self.drive.omega) if self.drive else 0.0,
             phase=0.0,
+            droop=self.droop.fraction * abs(self.belt.speed) if self.droop and self.belt and belt_running else 0.0,
         )
 
 
@@ -287,6 +291,13 @@ def _check_together(found: Scene, where: str) -> None:
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
     if found.joint is not None and (found.belt is None or found.belt.length is None):
         raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
+    if found.droop is not None:
+        if found.belt is None or friction is None:
+            raise InputError("droop without belt and friction", where, "add them or drop droop")
+        try:
+            validate(found.flow())
+        except ValueError as error:
+            raise InputError(str(error), where, "lower droop.fraction, or drop droop") from None
     for effect in ("slip_loss", "gaps"):
         if getattr(found, effect) is not None and found.encoder is None:
             raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")

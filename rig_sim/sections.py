@@ -138,6 +138,12 @@ class Tell(Section):
     truth: bool = False
 
 
+class Droop(Section):
+    """``fraction`` of the belt's speed lost when it carries the load Fs of the moment; in proportion at other loads."""
+
+    fraction: Annotated[float, Field(ge=0, lt=1)]
+
+
 class SlipLoss(Section):
     """The cog slips ``rate`` times per second: ``counts`` x4 counts missed over ``samples`` sampling periods."""
 
