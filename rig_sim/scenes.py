@@ -5,7 +5,8 @@ section   keys                                  meaning
 ========= ===================================== ========================================================================
 mass      m                                     required
 spring    k, x0 = 0                             required; x0: the spring's rest position
-belt      speed, start = 0, length              at rest before ``start``, then at ``speed``; one turn is ``length``
+belt      speed, start = 0, length, ripple,    at rest before ``start``, then at ``speed``, which swings by ``ripple``;
+          ripple_hz                             one turn is ``length``
 friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
           static = 1
 start     x = 0, v = 0                          the mass at t = 0
@@ -95,6 +96,8 @@ class Scene(Section):
     def flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
         """Return the equation of motion as the integrator takes it.
 
+        A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.
+
         Parameters
         ----------
         belt_running : bool
@@ -104,7 +107,7 @@ class Scene(Section):
         """
         law = LAWS[self.friction.law if self.friction else 1]
         values = self.friction.parameters() if self.friction else {}
-        return Flow(
+        flow = Flow(
             m=float(self.mass.m),
             k=float(self.spring.k),
             x0=float(self.spring.x0),
@@ -123,6 +126,11 @@ class Scene(Section):
             phase=0.0,
             droop=self.droop.fraction * abs(self.belt.speed) if self.droop and self.belt and belt_running else 0.0,
         )
+        if self.belt and self.belt.ripple and belt_running:
+            from rig_sim.effects.ripple import SwingingBelt
+
+            return SwingingBelt(self.belt).driven(flow)
+        return flow
 
 
 def builtin_names() -> list[str]:
@@ -291,6 +299,11 @@ def _check_together(found: Scene, where: str) -> None:
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
     if found.joint is not None and (found.belt is None or found.belt.length is None):
         raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
+    if found.belt is not None and found.belt.ripple:
+        if found.belt.ripple_hz is None:
+            raise InputError("belt.ripple_hz is missing", where, "give the ripple's frequency in Hz")
+        if found.drive is not None:
+            raise InputError("belt.ripple beside a drive", where, "drop one: the integrator knows one harmonic")
     if found.droop is not None:
         if found.belt is None or friction is None:
             raise InputError("droop without belt and friction", where, "add them or drop droop")

@@ -32,11 +32,16 @@ class Spring(Section):
 
 
 class Belt(Section):
-    """The driving belt: ``speed`` in m/s (signed), ``start`` in s, ``length`` of one turn in m."""
+    """The driving belt: ``speed`` in m/s (signed), ``start`` in s, ``length`` of one turn in m.
+
+    From its start its speed swings by ``ripple`` (amplitude, m/s) ``ripple_hz`` times per second.
+    """
 
     speed: float
     start: NotNegative = 0.0
     length: Positive | None = None
+    ripple: NotNegative | None = None
+    ripple_hz: Positive | None = None
 
 
 class Friction(Section):

@@ -3,7 +3,9 @@
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from daq.wire import FrameReader, SampleBlock, Truth
 from rig_sim.board import Board
 from rig_sim.effects.gaps import SilentStretches
 from rig_sim.encoder import Nodes
+from rig_sim.motion_file import write
 from rig_sim.scenes import scene
 from rig_sim.sections import Gaps, SlipLoss
 
@@ -162,8 +165,10 @@ def test_effects_draw_from_streams_of_their_own() -> None:
         ({}, []),
         (LOSSES, ["rig_sim.effects.slip_loss"]),
         (GAPS, ["rig_sim.effects.gaps"]),
+        ({"belt.ripple": 0.004, "belt.ripple_hz": 3.0}, ["rig_sim.effects.ripple"]),
+        ({"droop.fraction": 0.01}, []),  # part of the equation of motion
     ],
-    ids=["none", "slip_loss", "gaps"],
+    ids=["none", "slip_loss", "gaps", "ripple", "droop"],
 )
 def test_only_the_effects_a_scene_names_are_imported(changes: dict[str, object], modules: list[str]) -> None:
     code = (
@@ -173,3 +178,17 @@ def test_only_the_effects_a_scene_names_are_imported(changes: dict[str, object],
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == modules
+
+
+def test_a_file_says_nothing_of_effects_the_scene_does_not_name(tmp_path: Path) -> None:
+    plain, rippling = tmp_path / "plain.h5", tmp_path / "rippling.h5"
+    write(scene("rig"), plain, until=1.0, rate=100.0)
+    write(scene("rig", **{"belt.ripple": 0.004, "belt.ripple_hz": 3.0}), rippling, until=1.0, rate=100.0)
+    told = []
+    for path in (plain, rippling):
+        with h5py.File(path) as file:
+            told.append(file["entry/simulation/scene"][()].decode())
+            assert sorted(file["entry/motion"]) == ["F", "t", "v", "x"]
+    for word in ("ripple", "droop", "slip_loss", "gaps", "wear", "joint"):
+        assert word not in told[0]
+    assert "ripple" in told[1]
