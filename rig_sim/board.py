@@ -78,7 +78,11 @@ class Board:
             from rig_sim.effects.gaps import SilentStretches
 
             self._silence = SilentStretches(scene.gaps, scene.seed)
-        self._jitter = random.Random(f"{scene.seed}/jitter")
+        self._jitter = None
+        if scene.jitter is not None:
+            from rig_sim.effects.jitter import JitteringClock
+
+            self._jitter = JitteringClock(scene.jitter, scene.seed)
         self._sample = 0  # samples since S
         self._started = 0.0  # time of the sample 0 of this S
         self._queued = 0  # samples up to and with the last one that waits for its frame
@@ -183,15 +187,10 @@ class Board:
         return b""
 
     def _instants(self, count: int) -> NDArray[np.float64]:
-        """Return the true times of the next samples: the grid plus jitter, held within 0.45 of a period either way."""
-        period = 1 / self.rate_hz
+        """Return the true times of the next samples: the grid plus jitter."""
         instants = self._started + (self._sample + np.arange(count)) / self.rate_hz
-        if self.scene.jitter is not None:
-            rms = self.scene.jitter.rms
-            noise = np.array([self._jitter.gauss(0.0, rms) for _ in range(count)])
-            if self._clock is None:
-                noise[0] = 0.0  # the clock starts with the first sample
-            instants += np.clip(noise, -0.45 * period, 0.45 * period)
+        if self._jitter is not None:
+            instants += self._jitter.offsets(count, 1 / self.rate_hz, first=self._clock is None)
         self._sample += count
         self._clock = float(instants[-1])
         return instants

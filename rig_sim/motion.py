@@ -16,7 +16,6 @@ the belt (`rig_sim.effects.ripple`).  Not modelled: creep in stick; the joint co
 """
 
 import math
-import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -129,7 +128,11 @@ class Motion:
         self._swing: SwingingBelt | None = None
         self._enter(float(scene.start.x), float(scene.start.v))
         self._kicks = 0
-        self._draw = random.Random(f"{scene.seed}/scatter")
+        self._scatter = None
+        if scene.scatter is not None:
+            from rig_sim.effects.scatter import ScatteredLevel
+
+            self._scatter = ScatteredLevel(scene.scatter, scene.seed)
         self._landings_matter = scene.wear is not None or scene.scatter is not None
         self._work = new_work(max_steps)  # type: ignore[arg-type]  # infinity is no int
         self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
@@ -244,9 +247,11 @@ class Motion:
             return math.inf
         if self._belt_waits:
             return belt.start
-        if self.scene.joint is None or belt.length is None or belt.speed == 0:
+        if self.scene.joint is None:
             return math.inf
-        return belt.start + (self._kicks + 1) * belt.length / abs(belt.speed)
+        from rig_sim.effects.joint import passing
+
+        return passing(belt, self._kicks + 1)
 
     def _change(self, served: int, corners: list[tuple[int, float, float, float]]) -> None:
         """Start the belt, or kick the mass."""
@@ -270,9 +275,11 @@ class Motion:
         """Return the factor on the friction curve from this landing on."""
         factor = 1.0
         if self.scene.wear is not None:
-            factor -= self.scene.wear.rate * self.t
-        if self.scene.scatter is not None:
-            factor *= 1.0 + self._draw.gauss(0.0, self.scene.scatter.Fs)
+            from rig_sim.effects.wear import level_left
+
+            factor = level_left(self.scene.wear, self.t)
+        if self._scatter is not None:
+            factor *= self._scatter.factor()
         return max(LEAST_FACTOR, factor)
 
     def _note(self, kind: str) -> None:

@@ -1,5 +1,6 @@
 """Effects: each is there when the scene names it, alone, the same again from the same seed, and nothing when absent."""
 
+import json
 import subprocess
 import sys
 from itertools import pairwise
@@ -163,21 +164,37 @@ def test_effects_draw_from_streams_of_their_own() -> None:
     ("changes", "modules"),
     [
         ({}, []),
-        (LOSSES, ["rig_sim.effects.slip_loss"]),
-        (GAPS, ["rig_sim.effects.gaps"]),
-        ({"belt.ripple": 0.004, "belt.ripple_hz": 3.0}, ["rig_sim.effects.ripple"]),
+        (LOSSES, ["slip_loss"]),
+        (GAPS, ["gaps"]),
+        ({"belt.ripple": 0.004, "belt.ripple_hz": 3.0}, ["ripple"]),
+        ({"wear.rate": 0.01}, ["wear"]),
+        ({"scatter.Fs": 0.03}, ["scatter"]),
+        ({"joint.kick": 0.01}, ["joint"]),
+        ({"jitter.rms": 1e-5}, ["jitter"]),
         ({"droop.fraction": 0.01}, []),  # part of the equation of motion
+        ({"wear.rate": 0.01, "scatter.Fs": 0.03, **GAPS}, ["gaps", "scatter", "wear"]),
     ],
-    ids=["none", "slip_loss", "gaps", "ripple", "droop"],
+    ids=lambda value: "+".join(value) if isinstance(value, list) else "",
 )
-def test_only_the_effects_a_scene_names_are_imported(changes: dict[str, object], modules: list[str]) -> None:
+def test_only_the_effects_a_scene_names_are_imported(
+    changes: dict[str, object], modules: list[str], tmp_path: Path
+) -> None:
+    kept = ("mass", "spring", "belt", "friction", "encoder")
+    whole = scene("rig").model_dump(exclude_none=True)
+    path = tmp_path / "bare.toml"
+    path.write_text(
+        "\n".join(
+            f"[{section}]\n" + "\n".join(f"{key} = {json.dumps(value)}" for key, value in whole[section].items())
+            for section in kept
+        )
+    )
     code = (
         "import sys; from rig_sim.board import Board; from rig_sim.scenes import scene;"
-        f"board = Board(scene('rig', **{changes!r})); board.write(b'S\\n'); board.samples(2000);"
+        f"board = Board(scene({str(path)!r}, **{changes!r})); board.write(b'S\\n'); board.samples(3000);"
         "print(*sorted(name for name in sys.modules if name.startswith('rig_sim.effects.')))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == modules
+    assert done.stdout.split() == [f"rig_sim.effects.{name}" for name in modules]
 
 
 def test_a_file_says_nothing_of_effects_the_scene_does_not_name(tmp_path: Path) -> None:
