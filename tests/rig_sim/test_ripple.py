@@ -64,10 +64,10 @@ def test_the_slip_of_law_5_is_an_independent_solvers() -> None:
         return float(y[1] - 0.5 - 0.05 * math.sin(OMEGA * t))
 
     lands.terminal = True  # type: ignore[attr-defined]
-    expected = solve_ivp(motion, (0.0, 20.0), (1.5, 0.1), "DOP853", events=lands, rtol=1e-12, atol=1e-13)
+    expected = solve_ivp(motion, (0.0, 20.0), (1.5, 0.1), "DOP853", events=lands, rtol=2.3e-14, atol=1e-15)
     assert first.kind == "N>S"
-    assert first.t == pytest.approx(expected.t_events[0][0], abs=1e-9)
-    assert first.x == pytest.approx(expected.y_events[0][0][0], abs=1e-9)
+    assert first.t == pytest.approx(expected.t_events[0][0], abs=1e-12)
+    assert first.x == pytest.approx(expected.y_events[0][0][0], abs=1e-12)
 
 
 def test_two_per_cent_of_ripple_shows_at_slip_onset_as_the_inertia_it_costs() -> None:
