@@ -97,3 +97,13 @@ def test_the_validator_finds_nothing_to_say(pipe):
     text = done.stdout + done.stderr
     assert "Total number of errors: 0" in text, text[-3000:]
     assert "Total number of warnings: 0" in text, text[-3000:]
+
+
+def test_one_per_cent_of_droop_turns_law_5_into_law_6_with_a_warning(tmp_path):
+    changes = ["--set", "droop.fraction=0.01", "--set", "seed=2"]
+    typed(tmp_path, "daq", "record", "--rate", 1000, "-o", "run.h5", *changes)
+    fitted = typed(tmp_path, "fit-friction", "run.h5")
+    assert fitted["set"] == [6]
+    assert fitted["ranking"][0]["rms_m"] < 3e-6  # the encoder's counts, and nothing else
+    assert fitted["ranking"][0]["parameters"]["d"]["value"] == pytest.approx(0.01 * 0.22, rel=0.02)
+    assert any("slows under load" in warning for warning in fitted["warnings"])
