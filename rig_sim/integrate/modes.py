@@ -42,6 +42,9 @@ that falls faster than the belt gives way (droop curve'(0) >= Fs) has no single 
 
 Kernels work in a frame where nothing cancels: mirrored so that the belt moves forwards, with p = x - x_slip, the
 displacement from the slip point k (x_slip - x0) = B - c v_belt.  There L = B + k p - drive.
+
+Longer than most files: the table, the frame it is worked in and every rule that reads it stand together, to be checked
+against each other.
 """
 
 import math
