@@ -254,7 +254,7 @@ def follow(
         if not factor > 0.0:
             return NOT_FINITE
         # per unit mass; the curve reads the one shape parameter that it has
-        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, shape * F, shape, d, 0.0, 0.0, 0.0)
+        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, shape * F, shape, d, 0.0, 0.0, 0.0, 0.0)
         before = mode
         kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
         if kind >= FORCE_REVERSAL:

@@ -10,11 +10,13 @@ start, ``X`` stop (flushes the partial block); a command that is unknown or impo
 changes nothing.  CONFIG is what a careful lab would have measured of this rig: each value drawn about the true one with
 the standard deviation it states.
 
-Not modelled: baud rate, a board that resets or misses samples, drift of the device clock.
+An encoder that loses counts and gaps in what is sent are effects (`rig_sim.effects`), there when the scene names them.
+
+Not modelled: baud rate, a board that resets, drift of the device clock.
 """
 
 import random
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,8 @@ from daq.errors import InputError
 from daq.quadrature import EDGES_PER_COUNT
 from rig_sim.encoder import QuadratureEncoder
 from rig_sim.motion import Motion, Path
-from rig_sim.scenes import Encoder, Scene
+from rig_sim.scenes import Scene
+from rig_sim.sections import Encoder
 
 FIRMWARE = (0, 1, 0)
 COUNTER_BITS = 16
@@ -66,9 +69,23 @@ class Board:
         self._section: Encoder = scene.encoder
         self._motion = Motion(scene)
         self._encoder = QuadratureEncoder(scene.encoder, scene.start.x)
-        self._jitter = random.Random(f"{scene.seed}/jitter")
+        self._cog = self._silence = None
+        if scene.slip_loss is not None:
+            from rig_sim.effects.slip_loss import LosingCog
+
+            self._cog = LosingCog(scene.slip_loss, scene.seed, scene.encoder.metres_per_count)
+        if scene.gaps is not None:
+            from rig_sim.effects.gaps import SilentStretches
+
+            self._silence = SilentStretches(scene.gaps, scene.seed)
+        self._jitter = None
+        if scene.jitter is not None:
+            from rig_sim.effects.jitter import JitteringClock
+
+            self._jitter = JitteringClock(scene.jitter, scene.seed)
         self._sample = 0  # samples since S
         self._started = 0.0  # time of the sample 0 of this S
+        self._queued = 0  # samples up to and with the last one that waits for its frame
         self._clock: float | None = None  # true instant of the last sample, s
         self._pending: list[tuple[int, ...]] = []
         self._told: list[tuple[float, float, float, float]] = []
@@ -92,23 +109,23 @@ class Board:
             return b""
         instants = self._instants(count)
         path = self._motion.follow(instants, forces=self._tells)
-        counts = self._encoder.read(path.nodes, path.samples)
+        nodes = path.nodes if self._cog is None else self._cog.seen(path.nodes, path.samples, 1 / self.rate_hz)
+        counts = self._encoder.read(nodes, path.samples)
         taken = len(path.samples)
         ticks = _ticks(instants[:taken])
         status = counts.levels
         rows = zip(
             ticks.tolist(), (counts.up & 0xFFFF).tolist(), (counts.down & 0xFFFF).tolist(), status.tolist(), strict=True
         )
-        self._pending.extend(rows)
-        if self._tells:
-            self._told.extend(_truth_rows(path))
-        if taken == count:
-            return b"".join(self._full_frames())
+        told = _truth_rows(path) if self._tells else []
         self._sample -= count - taken
+        frames = self._sent(list(rows), told, instants[:taken].tolist())
+        if taken == count:
+            return b"".join(frames)
         self.running = False
         ended = self._motion.outcome
         notice = f"the motion ended at {self._motion.t:.6g} s: {ended.name}; {ended.advice}"
-        return b"".join(self._full_frames(flush=True)) + wire.encode_notice(notice)
+        return b"".join(frames + self._full_frames(flush=True)) + wire.encode_notice(notice)
 
     @property
     def _tells(self) -> bool:
@@ -170,18 +187,32 @@ class Board:
         return b""
 
     def _instants(self, count: int) -> NDArray[np.float64]:
-        """Return the true times of the next samples: the grid plus jitter, held within 0.45 of a period either way."""
-        period = 1 / self.rate_hz
+        """Return the true times of the next samples: the grid plus jitter."""
         instants = self._started + (self._sample + np.arange(count)) / self.rate_hz
-        if self.scene.jitter is not None:
-            rms = self.scene.jitter.rms
-            noise = np.array([self._jitter.gauss(0.0, rms) for _ in range(count)])
-            if self._clock is None:
-                noise[0] = 0.0  # the clock starts with the first sample
-            instants += np.clip(noise, -0.45 * period, 0.45 * period)
+        if self._jitter is not None:
+            instants += self._jitter.offsets(count, 1 / self.rate_hz, first=self._clock is None)
         self._sample += count
         self._clock = float(instants[-1])
         return instants
+
+    def _sent(
+        self, rows: list[tuple[int, ...]], told: list[tuple[float, float, float, float]], instants: list[float]
+    ) -> list[bytes]:
+        """Queue the samples that no gap swallows and return the frames they fill; a gap ends its block."""
+        frames: list[bytes] = []
+        first = 0
+        sequence = self._sample - len(rows)
+        silence = self._silence
+        runs = [(True, len(rows))] if silence is None else _runs(silence.sent(instants))
+        for sent, length in runs:
+            last = first + length
+            if sent:
+                self._pending += rows[first:last]
+                self._told += told[first:last]
+                self._queued = sequence + last
+            frames += self._full_frames(flush=not sent)
+            first = last
+        return frames
 
     def _full_frames(self, flush: bool = False) -> list[bytes]:
         """Return the frames of the samples waiting; ``flush`` sends a last block that is not full."""
@@ -190,7 +221,7 @@ class Board:
         sent = 0
         while waiting - sent >= self.block or (flush and waiting > sent):
             rows = self._pending[sent : sent + self.block]
-            seq = self._sample - waiting + sent & 0xFFFF
+            seq = self._queued - waiting + sent & 0xFFFF
             ticks, up, down, status = zip(*rows, strict=True)
             dt = [0, *(later - earlier for earlier, later in pairwise(ticks))]
             frames.append(wire.encode_samples(wire.SampleBlock(seq, ticks[0] & 0xFFFFFFFF, 0, dt, up, down, status)))
@@ -256,6 +287,11 @@ def calibration(scene: Scene, encoder: QuadratureEncoder) -> str:
 
 def _measured(key: str, value: float, sd: float) -> list[str]:
     return [f"{key} = {float(value)!r}", f"{key}_sd = {float(sd)!r}"]
+
+
+def _runs(sent: list[bool]) -> list[tuple[bool, int]]:
+    """Return stretches of samples that are sent, and that are not, with their lengths."""
+    return [(value, len(list(same))) for value, same in groupby(sent)]
 
 
 def _truth_rows(path: Path) -> list[tuple[float, float, float, float]]:

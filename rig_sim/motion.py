@@ -11,11 +11,11 @@ The integrator runs one phase at a time.  Between phases this driver changes its
 Random numbers come from one stream per effect, seeded by the scene's ``seed`` and the effect's name, so that adding an
 effect does not change what another one draws.
 
-Not modelled: ripple and droop of the belt's speed, creep in stick.
+Droop of the belt is part of the flow (`rig_sim.integrate.modes`), and so is its ripple, in coordinates that swing with
+the belt (`rig_sim.effects.ripple`).  Not modelled: creep in stick; the joint comes by as on a belt without ripple.
 """
 
 import math
-import random
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from rig_sim.effects.ripple import SwingingBelt
     from rig_sim.encoder import Nodes
 
 DEFAULT_MAX_STEPS = 1_000_000
@@ -119,16 +120,46 @@ class Motion:
 
     def __init__(self, scene: Scene, *, max_steps: float = math.inf) -> None:
         self.scene = scene
-        self.t, self.x, self.v = 0.0, float(scene.start.x), float(scene.start.v)
+        self.t = 0.0
         self.outcome: Outcome = OUTCOMES[COMPLETED]
         self.events: list[Event] | None = None
         self.flow: Flow = scene.flow(belt_running=not (scene.belt and scene.belt.start > 0))
         self._belt_waits = scene.belt is not None and scene.belt.start > 0
+        self._swing: SwingingBelt | None = None
+        self._enter(float(scene.start.x), float(scene.start.v))
         self._kicks = 0
-        self._draw = random.Random(f"{scene.seed}/scatter")
+        self._scatter = None
+        if scene.scatter is not None:
+            from rig_sim.effects.scatter import ScatteredLevel
+
+            self._scatter = ScatteredLevel(scene.scatter, scene.seed)
         self._landings_matter = scene.wear is not None or scene.scatter is not None
         self._work = new_work(max_steps)  # type: ignore[arg-type]  # infinity is no int
-        self._mode = initial_mode(self.flow, self.x, self.v, self.t)
+        self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
+
+    @property
+    def x(self) -> float:
+        """Position of the mass, m."""
+        return self._xi if self._swing is None else self._xi + self._swing.position(self.t)
+
+    @property
+    def v(self) -> float:
+        """Velocity of the mass, m/s."""
+        v = self._w + self.flow.v_belt
+        return v if self._swing is None else v + self._swing.speed(self.t)
+
+    def _enter(self, x: float, v: float) -> None:
+        """Take the state as the flow of this moment sees it: on a belt that ripples, from coordinates that swing along.
+
+        The relative velocity w is kept, not v: on a ramp's edge it is d to the last bit.
+        """
+        belt = self.scene.belt
+        if belt is not None and belt.ripple and not self._belt_waits:
+            from rig_sim.effects.ripple import SwingingBelt
+
+            self._swing = SwingingBelt(belt)
+            x, v = x - self._swing.position(self.t), v - self._swing.speed(self.t)
+        self._xi, self._w = x, v - self.flow.v_belt
 
     @property
     def steps(self) -> int:
@@ -185,14 +216,17 @@ class Motion:
         served = 0
         while self.outcome.name == OUTCOMES[COMPLETED].name:
             end = min(times[-1], self._next_change())
-            first, was, w = served, self._mode, self.v - self.flow.v_belt
-            kind, self._mode, self.x, w, self.t, served = sample_phase(
-                self.flow, was, self.x, w, self.t, times, served, n, end, x, v, modes, self._work
+            first, was = served, self._mode
+            kind, self._mode, self._xi, self._w, self.t, served = sample_phase(
+                self.flow, was, self._xi, self._w, self.t, times, served, n, end, x, v, modes, self._work
             )
-            self.v = w + self.flow.v_belt
             if forces:
                 for i in range(first, served):
                     F[i] = force(self.flow, was, x[i], v[i] - self.flow.v_belt, times[i])
+            if self._swing is not None:
+                for i in range(first, served):
+                    x[i] += self._swing.position(times[i])
+                    v[i] += self._swing.speed(times[i])
             if kind >= FORCE_REVERSAL:
                 self.outcome = OUTCOMES[kind]
             elif kind != COMPLETED:
@@ -213,9 +247,11 @@ class Motion:
             return math.inf
         if self._belt_waits:
             return belt.start
-        if self.scene.joint is None or belt.length is None or belt.speed == 0:
+        if self.scene.joint is None:
             return math.inf
-        return belt.start + (self._kicks + 1) * belt.length / abs(belt.speed)
+        from rig_sim.effects.joint import passing
+
+        return passing(belt, self._kicks + 1)
 
     def _change(self, served: int, corners: list[tuple[int, float, float, float]]) -> None:
         """Start the belt, or kick the mass."""
@@ -223,13 +259,15 @@ class Motion:
         was = self._mode
         if self._belt_waits:
             self._belt_waits = False
+            x, v = self.x, self.v
             self.flow = self.scene.flow(factor=self.flow.factor)
+            self._enter(x, v)
         elif self.scene.joint is not None:
             self._kicks += 1
-            self.v += self.scene.joint.kick
+            self._w += self.scene.joint.kick
             corners.append((served, self.t, self.x, self.v))
             self._note("kick")
-        self._mode = initial_mode(self.flow, self.x, self.v, self.t)
+        self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
         if LETTERS[self._mode] != LETTERS[was]:
             self._note(f"{LETTERS[was]}>{LETTERS[self._mode]}")
 
@@ -237,9 +275,11 @@ class Motion:
         """Return the factor on the friction curve from this landing on."""
         factor = 1.0
         if self.scene.wear is not None:
-            factor -= self.scene.wear.rate * self.t
-        if self.scene.scatter is not None:
-            factor *= 1.0 + self._draw.gauss(0.0, self.scene.scatter.Fs)
+            from rig_sim.effects.wear import level_left
+
+            factor = level_left(self.scene.wear, self.t)
+        if self._scatter is not None:
+            factor *= self._scatter.factor()
         return max(LEAST_FACTOR, factor)
 
     def _note(self, kind: str) -> None:
@@ -251,6 +291,8 @@ class Motion:
         if self.scene.encoder is None:
             return math.inf
         rate = math.sqrt(self.flow.k / self.flow.m) + (self.flow.gamma * self.flow.Fs + self.flow.G_slip) / self.flow.m
+        if self._swing is not None:
+            rate += self.flow.omega
         return 0.05 / rate
 
 
@@ -302,4 +344,5 @@ def events(scene: Scene, until: float, *, max_steps: int = DEFAULT_MAX_STEPS) ->
 def _flow_never_changes(scene: Scene) -> bool:
     """Tell whether one call of the integrator, which sums time with compensation, does for the whole run."""
     effects = (scene.wear, scene.scatter, scene.joint)
-    return all(effect is None for effect in effects) and not (scene.belt and scene.belt.start > 0)
+    belt_changes = scene.belt is not None and (scene.belt.start > 0 or bool(scene.belt.ripple))
+    return all(effect is None for effect in effects) and not belt_changes

@@ -29,6 +29,7 @@ from rig_sim.integrate.modes import (
     Work,
     acceleration,
     classify,
+    drop,
     edges,
     frame,
     landing,
@@ -36,6 +37,7 @@ from rig_sim.integrate.modes import (
     mirrored,
     new_work,
     position,
+    slip_speed,
     validate,
 )
 from rig_sim.integrate.taylor import first_root, value
@@ -321,8 +323,8 @@ def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
     room = fr.v - fr.d
     slope = 0.0
     if fr.curve == HYPERBOLIC:
-        q = 1.0 + fr.gamma * room
-        slope = fr.A * fr.gamma / (q * q)
+        q = 1.0 + fr.gamma * (slip_speed(fr, room) if fr.lag != 0.0 else room)
+        slope = fr.A * fr.gamma / (q * q - fr.lag)
         room = min(room, q / fr.gamma)
     if not C > slope:
         return False
@@ -336,8 +338,7 @@ def rest(fr: Frame, mode: int, p: float) -> float:
     C, e = line(fr, mode)
     fall = 0.0
     if fr.curve == HYPERBOLIC and mode == NEGATIVE:
-        s = fr.v - fr.d
-        fall = -fr.A * fr.gamma * s / (1.0 + fr.gamma * s)
+        fall = drop(fr, mode, -fr.v)
     return (C * fr.v + e + fall) / fr.k
 
 

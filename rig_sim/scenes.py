@@ -1,25 +1,30 @@
 """Scenes: a TOML file, or a built-in name, says what exists on the rig; what it does not name does not exist.
 
-======== ===================================== =========================================================================
-section  keys                                  meaning
-======== ===================================== =========================================================================
-mass     m                                     required
-spring   k, x0 = 0                             required; x0: the spring's rest position
-belt     speed, start = 0, length              at rest before ``start``, then at ``speed``; one turn is ``length``
-friction law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
-         static = 1
-start    x = 0, v = 0                          the mass at t = 0
-damper   c
-drive    u0, omega                             the force u0 cos(omega t)
-wear     rate                                  fraction of Fs lost per second
-scatter  Fs                                    standard deviation of Fs from stick to stick, a fraction
-joint    kick                                  velocity step of the mass once per ``belt.length``
-encoder  lines_per_rev, circumference,         vibration is added to the encoder's position only
-         decoder = "x4", vibration,
-         vibration_hz = 50
-jitter   rms                                   of the sampling instants, s
-tell     truth                                 the board also sends the exact motion
-======== ===================================== =========================================================================
+========= ===================================== ========================================================================
+section   keys                                  meaning
+========= ===================================== ========================================================================
+mass      m                                     required
+spring    k, x0 = 0                             required; x0: the spring's rest position
+belt      speed, start = 0, length, ripple,    at rest before ``start``, then at ``speed``, which swings by ``ripple``;
+          ripple_hz                             one turn is ``length``
+friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
+          static = 1
+start     x = 0, v = 0                          the mass at t = 0
+damper    c
+drive     u0, omega                             the force u0 cos(omega t)
+wear      rate                                  fraction of Fs lost per second
+scatter   Fs                                    standard deviation of Fs from stick to stick, a fraction
+joint     kick                                  velocity step of the mass once per ``belt.length``
+droop     fraction                              of the belt's speed, lost where the mass loads it with Fs
+slip_loss rate, counts, samples = 1             the encoder loses x4 counts: how often per second, how many, over
+                                                how many samples
+gaps      rate, duration                        stretches of samples never sent: how often per second, s
+encoder   lines_per_rev, circumference,         vibration is added to the encoder's position only
+          decoder = "x4", vibration,
+          vibration_hz = 50
+jitter    rms                                   of the sampling instants, s
+tell      truth                                 the board also sends the exact motion
+========= ===================================== ========================================================================
 
 Top-level keys: name, title, seed (default 0).  SI units, or dimensionless throughout.  ``G_stick = -Fs/d``: naming one
 of the two in a change removes the other.
@@ -28,148 +33,37 @@ of the two in a change removes the other.
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from daq.errors import InputError, nearest
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.modes import Flow
+from rig_sim.integrate.modes import Flow, validate
+from rig_sim.sections import (
+    Belt,
+    Damper,
+    Drive,
+    Droop,
+    Encoder,
+    Friction,
+    Gaps,
+    Jitter,
+    Joint,
+    Mass,
+    Scatter,
+    Section,
+    SlipLoss,
+    Spring,
+    Start,
+    Tell,
+    Wear,
+)
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive")
-EFFECTS = ("wear", "scatter", "joint", "encoder", "jitter", "tell")
+EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "tell")
 SECTIONS = TERMS + EFFECTS
-
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
-Negative = Annotated[float, Field(lt=0)]
-
-
-class Section(BaseModel):
-    """A scene's section: frozen, no unknown key, no NaN or infinity, no string where a number belongs."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
-
-
-class Mass(Section):
-    """The sliding mass; ``m`` in kg."""
-
-    m: Positive
-
-
-class Spring(Section):
-    """The spring between mass and wall: ``k`` in N/m, rest position ``x0`` in m."""
-
-    k: Positive
-    x0: float = 0.0
-
-
-class Belt(Section):
-    """The driving belt: ``speed`` in m/s (signed), ``start`` in s, ``length`` of one turn in m."""
-
-    speed: float
-    start: NotNegative = 0.0
-    length: Positive | None = None
-
-
-class Friction(Section):
-    """Law 1 to 6 and every parameter the scene knows; the law takes the ones it needs.
-
-    Attributes
-    ----------
-    Fs : float
-        Largest static force, N.
-    G_slip, gamma : float, optional
-        Slope of the linear curve, N s/m; rate of the hyperbolic curve, s/m.
-    G_stick, d : float, optional
-        The ramp's slope (negative, N s/m), or its half-width (m/s): one of the two.
-    static : float
-        Break-away level over Fs; at least 1.
-    """
-
-    law: Literal[1, 2, 3, 4, 5, 6]
-    Fs: NotNegative
-    G_slip: NotNegative | None = None
-    gamma: NotNegative | None = None
-    G_stick: Negative | None = None
-    d: Positive | None = None
-    static: Annotated[float, Field(ge=1)] = 1.0
-
-    def ramp(self) -> float:
-        """Return the ramp's half-width (m/s); 0 when the scene names no ramp."""
-        if self.d is not None:
-            return self.d
-        return self.Fs / -self.G_stick if self.G_stick is not None else 0.0
-
-    def parameters(self) -> dict[str, float]:
-        """Return Fs and the parameters that this law needs, by name."""
-        return {key: self.ramp() if key == "d" else float(getattr(self, key)) for key in LAWS[self.law].parameters}
-
-
-class Start(Section):
-    """Position (m) and velocity (m/s) of the mass at t = 0."""
-
-    x: float = 0.0
-    v: float = 0.0
-
-
-class Damper(Section):
-    """Viscous damper to the wall; ``c`` in N s/m."""
-
-    c: NotNegative
-
-
-class Drive(Section):
-    """The force u0 cos(omega t) on the mass; N and rad/s."""
-
-    u0: float
-    omega: NotNegative
-
-
-class Wear(Section):
-    """``rate``: fraction of Fs lost per second (negative: the contact runs in and Fs grows)."""
-
-    rate: float
-
-
-class Scatter(Section):
-    """``Fs``: standard deviation of the factor drawn at each stick, a fraction of Fs."""
-
-    Fs: NotNegative
-
-
-class Joint(Section):
-    """``kick``: step of the mass's velocity (m/s) each time the belt's joint comes by."""
-
-    kick: float
-
-
-class Encoder(Section):
-    """The rotary encoder on its cog: x4 count n = floor((x + vibration)/(circumference/lines_per_rev/4))."""
-
-    lines_per_rev: Annotated[int, Field(gt=0)]
-    circumference: Positive
-    decoder: Literal["x4", "x1", "jk", "jk-latched"] = "x4"
-    vibration: NotNegative = 0.0
-    vibration_hz: NotNegative = 50.0
-
-    @property
-    def metres_per_count(self) -> float:
-        """The x4 count in metres; a line is four of them."""
-        return self.circumference / self.lines_per_rev / 4
-
-
-class Jitter(Section):
-    """``rms`` of the sampling instants about the commanded grid, s."""
-
-    rms: NotNegative
-
-
-class Tell(Section):
-    """``truth``: the board also sends the exact time, x, v and F of every sample."""
-
-    truth: bool = False
 
 
 class Scene(Section):
@@ -188,6 +82,9 @@ class Scene(Section):
     wear: Wear | None = None
     scatter: Scatter | None = None
     joint: Joint | None = None
+    droop: Droop | None = None
+    slip_loss: SlipLoss | None = None
+    gaps: Gaps | None = None
     encoder: Encoder | None = None
     jitter: Jitter | None = None
     tell: Tell | None = None
@@ -199,6 +96,8 @@ class Scene(Section):
     def flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
         """Return the equation of motion as the integrator takes it.
 
+        A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.
+
         Parameters
         ----------
         belt_running : bool
@@ -208,7 +107,7 @@ class Scene(Section):
         """
         law = LAWS[self.friction.law if self.friction else 1]
         values = self.friction.parameters() if self.friction else {}
-        return Flow(
+        flow = Flow(
             m=float(self.mass.m),
             k=float(self.spring.k),
             x0=float(self.spring.x0),
@@ -225,7 +124,13 @@ class Scene(Section):
             u0=float(self.drive.u0) if self.drive else 0.0,
             omega=float(self.drive.omega) if self.drive else 0.0,
             phase=0.0,
+            droop=self.droop.fraction * abs(self.belt.speed) if self.droop and self.belt and belt_running else 0.0,
         )
+        if self.belt and self.belt.ripple and belt_running:
+            from rig_sim.effects.ripple import SwingingBelt
+
+            return SwingingBelt(self.belt).driven(flow)
+        return flow
 
 
 def builtin_names() -> list[str]:
@@ -397,5 +302,20 @@ def _check_together(found: Scene, where: str) -> None:
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
     if found.joint is not None and (found.belt is None or found.belt.length is None):
         raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
+    if found.belt is not None and found.belt.ripple:
+        if found.belt.ripple_hz is None:
+            raise InputError("belt.ripple_hz is missing", where, "give the ripple's frequency in Hz")
+        if found.drive is not None:
+            raise InputError("belt.ripple beside a drive", where, "drop one: the integrator knows one harmonic")
+    if found.droop is not None:
+        if found.belt is None or friction is None:
+            raise InputError("droop without belt and friction", where, "add them or drop droop")
+        try:
+            validate(found.flow())
+        except ValueError as error:
+            raise InputError(str(error), where, "lower droop.fraction, or drop droop") from None
+    for effect in ("slip_loss", "gaps"):
+        if getattr(found, effect) is not None and found.encoder is None:
+            raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")
     if not math.isfinite(found.spring.k / found.mass.m):
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")

@@ -111,3 +111,13 @@ def test_a_jump_law_is_not_left_in_a_poor_minimum_that_its_ramp_law_avoids(tmp_p
     assert fitted["set"][0] == 3, fitted["verdict"]
     rms = {row["law"]: row["rms_m"] for row in fitted["ranking"]}
     assert rms[3] < 1.02 * rms[4]
+
+
+def test_one_per_cent_of_droop_turns_law_5_into_law_6_with_a_warning(tmp_path):
+    changes = ["--set", "droop.fraction=0.01", "--set", "seed=2"]
+    typed(tmp_path, "daq", "record", "--rate", 1000, "-o", "run.h5", *changes)
+    fitted = typed(tmp_path, "fit-friction", "run.h5")
+    assert fitted["set"] == [6]
+    assert fitted["ranking"][0]["rms_m"] < 3e-6  # the encoder's counts, and nothing else
+    assert fitted["ranking"][0]["parameters"]["d"]["value"] == pytest.approx(0.01 * 0.22, rel=0.02)
+    assert any("slows under load" in warning for warning in fitted["warnings"])

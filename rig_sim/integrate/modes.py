@@ -27,8 +27,24 @@ Fs the level of the curve at rest (factor applied), B = static Fs the break-away
 A mode is authoritative at its edge: on the edge with the wrong rounding of the acceleration, the acceleration counts
 as zero (slip that has just begun never falls back by an ulp).  A ramp of zero width is a jump.
 
+Droop.  A belt that slows in proportion to the load it carries runs at v_belt - droop F/Fs (Fs with its factor: at the
+level of the moment it has lost ``droop``).  With u = x' - v_belt and the true relative velocity w = u + droop F/Fs,
+friction is a function of u alone, and again one of the six laws, to the letter for laws 1 to 4:
+
+    jump      stick, w = 0         u = -droop F/Fs: the ramp of half-width ``droop``
+    ramp      w = -d F/Fs          the ramp of half-width d + droop
+    slip      abs(u) = s + d + droop curve(s)/Fs, so beyond the ramp's edge r = s - droop (1 - curve(s)/Fs)
+              linear               r = s (1 - droop G_slip/Fs): linear, G_slip/(1 - droop G_slip/Fs)
+              hyperbolic           `slip_speed` gives s from r: no hyperbola in r, the same recurrence one term longer
+
+So w means u here and the frame holds the laws so changed; events are those of stick and slip all the same.  Friction
+that falls faster than the belt gives way (droop curve'(0) >= Fs) has no single force at a speed: `validate` refuses.
+
 Kernels work in a frame where nothing cancels: mirrored so that the belt moves forwards, with p = x - x_slip, the
 displacement from the slip point k (x_slip - x0) = B - c v_belt.  There L = B + k p - drive.
+
+Longer than most files: the table, the frame it is worked in and every rule that reads it stand together, to be checked
+against each other.
 """
 
 import math
@@ -108,6 +124,8 @@ class Flow(NamedTuple):
         N s/m, s/m, m/s; those the law does not use are ignored.
     u0, omega, phase : float
         Drive u0 cos(omega t + phase): N, rad/s, rad.
+    droop : float
+        How much slower the belt runs when it carries the load Fs, m/s (>= 0).
 
     Notes
     -----
@@ -132,10 +150,11 @@ class Flow(NamedTuple):
     u0: float = 0.0
     omega: float = 0.0
     phase: float = 0.0
+    droop: float = 0.0
 
 
 POSITIVE_FIELDS = ("m", "k")
-NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d")
+NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d", "droop")
 
 
 def validate(flow: Flow) -> None:
@@ -144,7 +163,8 @@ def validate(flow: Flow) -> None:
     Raises
     ------
     ValueError
-        Naming the field: not finite; m or k not above 0; Fs, factor, gamma or d below 0; static below 1.
+        Naming the field: not finite; m or k not above 0; Fs, factor, gamma, d or droop below 0; static below 1; droop
+        with static above 1, without friction, or with friction that falls faster than the belt gives way.
     """
     for name, number in flow._asdict().items():
         if not math.isfinite(number):
@@ -155,6 +175,17 @@ def validate(flow: Flow) -> None:
             raise ValueError(f"{name} is {number}; need 0 or more")
     if flow.static < 1.0:
         raise ValueError(f"static is {flow.static}; friction at rest is not below friction in slip: need 1 or more")
+    if flow.droop > 0.0:
+        if flow.static != 1.0:
+            raise ValueError(f"droop with static {flow.static} is not modelled; need static 1")
+        if flow.Fs == 0.0:
+            raise ValueError("droop is a share of the load Fs, which is 0; need Fs above 0")
+        fall = flow.gamma if flow.curve == HYPERBOLIC else flow.G_slip / flow.Fs if flow.curve == LINEAR else 0.0
+        if flow.droop * fall >= 1.0:
+            raise ValueError(
+                f"droop is {flow.droop:g} m/s: friction falls faster than the belt gives way, so the force is not one; "
+                f"need less than {1.0 / fall:g}"
+            )
 
 
 class Frame(NamedTuple):
@@ -162,7 +193,8 @@ class Frame(NamedTuple):
 
     ``mirror`` is -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1; ``A`` and ``B``
     are the kinetic and the break-away level; ``d`` is 0 for a jump; ``G`` the linear curve's slope with the scatter;
-    ``s_max`` the relative speed of force reversal; ``omega2`` = k/m; ``slip`` = x_slip - x0 (mirrored).
+    ``s_max`` the relative speed of force reversal; ``omega2`` = k/m; ``slip`` = x_slip - x0 (mirrored); ``lag`` = droop
+    gamma on the hyperbola, else 0.
     """
 
     mirror: float
@@ -183,6 +215,7 @@ class Frame(NamedTuple):
     omega: float
     phase: float
     omega2: float
+    lag: float
 
 
 def frame(flow: Flow) -> Frame:
@@ -198,6 +231,13 @@ def frame(flow: Flow) -> Frame:
         curve = CONSTANT
     elif curve == HYPERBOLIC and (A == 0.0 or flow.gamma == 0.0):
         curve = CONSTANT
+    lag = 0.0
+    if flow.droop > 0.0:
+        d += flow.droop
+        if curve == LINEAR:
+            G /= 1.0 - flow.droop * flow.G_slip / flow.Fs
+        elif curve == HYPERBOLIC:
+            lag = flow.droop * flow.gamma
     return Frame(
         mirror,
         flow.x0,
@@ -217,6 +257,7 @@ def frame(flow: Flow) -> Frame:
         flow.omega,
         flow.phase,
         flow.k / flow.m,
+        lag,
     )
 
 
@@ -258,11 +299,21 @@ def line(fr: Frame, mode: int) -> tuple[float, float]:
     return fr.c, e
 
 
+def slip_speed(fr: Frame, r: float) -> float:
+    """Return the slip speed s on a drooping belt from r = s - lag s/(1 + gamma s), the speed beyond the edge (m/s)."""
+    # gamma s^2 + (1 - lag - gamma r) s - r = 0, by the root formula that does not cancel
+    linear = 1.0 - fr.lag - fr.gamma * r
+    root = math.sqrt(linear * linear + 4.0 * fr.gamma * r)
+    return 2.0 * r / (root + linear) if linear > 0.0 else (root - linear) / (2.0 * fr.gamma)
+
+
 def drop(fr: Frame, mode: int, w: float) -> float:
     """Return D, how far the hyperbola has fallen below its level at rest, signed as a force in slip (N)."""
     if fr.curve != HYPERBOLIC or mode == RAMP:
         return 0.0
     s = -w - fr.d if mode == NEGATIVE else w - fr.d
+    if fr.lag != 0.0:
+        s = slip_speed(fr, s)
     fall = -fr.A * fr.gamma * s / (1.0 + fr.gamma * s)
     return fall if mode == NEGATIVE else -fall
 

@@ -4,6 +4,9 @@ With the slip speed beyond the contact s and q = 1 + gamma s, the hyperbola A/q 
 gives its coefficients one after another.  Time is scaled by the phase's fastest local rate, so that no coefficient
 overflows whatever gamma is; the step is where the last terms fall below rounding of the leading ones.
 
+Where the belt droops, s is not linear in w: q - lag D/A_ is (A_ the level as an acceleration, lag = droop gamma), which
+takes the term D_n of q_n to the left: D_n (1 - lag/q0^2) = -(sum + bend w_n level).
+
 An event is the first root of w - level on the step.  Leading zero coefficients (a phase begins on its edge, often with
 w' = 0) are divided out, so that the start is never found again.  Most steps stray too little from their first term to
 reach the level.  Otherwise the step is searched with a bound on the second derivative: a piece is passed only when the
@@ -27,6 +30,7 @@ from rig_sim.integrate.modes import (
     drive,
     drop,
     line,
+    slip_speed,
 )
 
 INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))
@@ -54,8 +58,10 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> fl
     slope = 0.0
     if curved:
         s = max(-sign * w - fr.d, 0.0)
+        if fr.lag != 0.0:
+            s = slip_speed(fr, s)
         q0 = 1.0 + fr.gamma * s
-        slope = fr.A * fr.gamma / (q0 * q0)
+        slope = fr.A * fr.gamma / (q0 * q0 - fr.lag)
         rate += slope / fr.m + (fr.gamma * abs(a) + math.sqrt(fr.gamma * fr.omega2 * abs(u))) / q0
     if driven:
         rate += abs(fr.omega)
@@ -83,7 +89,9 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> fl
         cf[1] = -inertia * fr.u0 * math.sin(fr.omega * t + fr.phase) * turn
         for j in range(2, ORDER):
             cf[j] = -turn * turn * cf[j - 2] * (INVERSE[j] * INVERSE[j - 1])
-    if curved:
+    if curved and fr.lag != 0.0:
+        expand_drooping(fr, mode, w, q0, damping, stiffness, inertia, T, driven, work)
+    elif curved:
         # cq: q_j/q0 for j > 0; cd: D_j as an acceleration; only cq[n] -> cd[n] -> cq[n + 1] is one long chain
         bend = -sign * fr.gamma / q0
         cd[0] = inertia * drop(fr, mode, w)
@@ -115,6 +123,41 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> fl
             cw[n + 1] = rest * INVERSE[n + 1]
             cp[n + 1] = T * cw[n] * INVERSE[n + 1]
     return reach(cw, w, a * T)
+
+
+def expand_drooping(
+    fr: Frame,
+    mode: int,
+    w: float,
+    q0: float,
+    damping: float,
+    stiffness: float,
+    inertia: float,
+    T: float,
+    driven: bool,
+    work: Work,
+) -> None:
+    """Fill in the coefficients of hyperbolic slip from the second on, for a belt that droops."""
+    cw, cp, cq, cd, cf, _ = work
+    sign = 1.0 if mode == NEGATIVE else -1.0
+    bend = -sign * fr.gamma / q0
+    cd[0] = inertia * drop(fr, mode, w)
+    level = sign * inertia * fr.A + cd[0]
+    hold = fr.lag / (q0 * sign * inertia * fr.A)
+    gain = 1.0 / (1.0 - hold * level)
+    for n in range(1, ORDER):
+        straight = bend * cw[n]
+        total = straight * level
+        for j in range(1, n):
+            total += cq[j] * cd[n - j]
+        pull = -total * gain
+        cd[n] = pull
+        cq[n] = straight - hold * pull
+        rest = -damping * cw[n] - stiffness * cp[n] + pull
+        if driven:
+            rest += cf[n]
+        cw[n + 1] = rest * INVERSE[n + 1]
+        cp[n + 1] = T * cw[n] * INVERSE[n + 1]
 
 
 def reach(cw: Buffer, c0: float, c1: float) -> float:

@@ -191,6 +191,16 @@ def test_a_kick_ends_the_stick_it_falls_into() -> None:
     assert any(found[i + 1].kind == "S>P" and found[i + 1].t == found[i].t for i in at)
 
 
+@pytest.mark.parametrize("d", [0.0044, 0.0066, 0.03])
+def test_a_ramp_of_any_width_is_left_once(d: float) -> None:
+    # Taking w from v again after each event put it an ulp inside the edge: d = 0.0044 went to and fro until the
+    # event-rate limit.
+    for speed in np.linspace(0.1, 0.4, 31).tolist():
+        found = events(scene("rig", **{"friction.law": 6, "friction.d": d, "belt.speed": speed, "scatter.Fs": 0}), 6.0)
+        assert found.outcome == "completed"
+        assert len(found.events) < 30
+
+
 def test_the_step_limit_is_a_named_outcome() -> None:
     found = events(scene("base"), 1000.0, max_steps=50)
     assert (found.outcome, found.steps) == ("step limit", 50)

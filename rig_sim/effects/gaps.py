@@ -1,0 +1,39 @@
+"""Gaps: stretches of samples that the board takes and never sends; their sequence numbers are missing on the wire.
+
+A gap begins at random, ``rate`` times per second of device time that is no gap, and lasts ``duration`` seconds.  The
+counters go on counting meanwhile: nothing of the motion is lost that the host cannot make out, as long as a 16-bit
+counter has not gone round more than half.
+
+Not modelled: samples that the line damages (a CRC error), a board that starts again.
+"""
+
+import random
+from collections.abc import Iterable
+
+from rig_sim.sections import Gaps
+
+
+class SilentStretches:
+    """Says of each sampling instant, in order, whether its sample is sent.
+
+    Parameters
+    ----------
+    section : Gaps
+        The scene's gaps section.
+    seed : int
+        The scene's; gaps have a stream of random numbers of their own.
+    """
+
+    def __init__(self, section: Gaps, seed: int) -> None:
+        self.section = section
+        self._draw = random.Random(f"{seed}/gaps")
+        self._begin = self._draw.expovariate(section.rate)
+
+    def sent(self, instants: Iterable[float]) -> list[bool]:
+        """Return for increasing times (s) whether each lies outside all gaps."""
+        outside = []
+        for t in instants:
+            while t >= self._begin + self.section.duration:
+                self._begin += self.section.duration + self._draw.expovariate(self.section.rate)
+            outside.append(t < self._begin)
+        return outside

@@ -1,0 +1,34 @@
+"""Jitter: sampling instants that miss their grid; the board records the true instant, to its tick."""
+
+import random
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig_sim.sections import Jitter
+
+LARGEST = 0.45  # of a period, either way: samples stay in order
+
+
+class JitteringClock:
+    """Draws how far each sampling instant is off its grid.
+
+    Parameters
+    ----------
+    section : Jitter
+        The scene's jitter section.
+    seed : int
+        The scene's; jitter has a stream of random numbers of its own.
+    """
+
+    def __init__(self, section: Jitter, seed: int) -> None:
+        self._rms = section.rms
+        self._draw = random.Random(f"{seed}/jitter")
+
+    def offsets(self, count: int, period: float, *, first: bool) -> NDArray[np.float64]:
+        """Return ``count`` offsets (s), normal and cut off; the very ``first`` is 0, for it starts the clock."""
+        noise = np.array([self._draw.gauss(0.0, self._rms) for _ in range(count)])
+        if first:
+            noise[0] = 0.0
+        offsets: NDArray[np.float64] = np.clip(noise, -LARGEST * period, LARGEST * period)
+        return offsets

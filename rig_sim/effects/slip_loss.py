@@ -1,0 +1,78 @@
+"""Slip loss: now and then the encoder's cog slips on the beam and its counters miss some of the motion, for good.
+
+The encoder then reads x minus what was lost.  Losses begin at random, ``rate`` per second of device time; each is
+``counts`` x4 counts, spread over ``samples`` sampling periods from the first sample after its beginning, along a cubic
+3 s^2 - 2 s^3 (a cog neither grips nor slips at once, and a cubic in time is just what the encoder follows).  It goes
+against the motion of that first sample: what is lost is part of a movement.  A mass at rest loses nothing.
+
+Not modelled: a slip that the mass's acceleration brings about, a cog that jumps by whole teeth.
+"""
+
+import random
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig_sim.encoder import Nodes
+from rig_sim.sections import SlipLoss
+
+Floats = NDArray[np.float64]
+
+
+class LosingCog:
+    """The cog at work: what it has lost so far and is losing now.
+
+    Parameters
+    ----------
+    section : SlipLoss
+        The scene's slip_loss section.
+    seed : int
+        The scene's; losses have a stream of random numbers of their own.
+    metres_per_count : float
+        The x4 count, m.
+
+    Attributes
+    ----------
+    losses : list of (float, float)
+        Beginning (s) and size (m, signed: taken off the reading) of each loss that is not over yet.
+    lost : float
+        Sum of those that are, m.
+    """
+
+    def __init__(self, section: SlipLoss, seed: int, metres_per_count: float) -> None:
+        self.section = section
+        self.losses: list[tuple[float, float]] = []
+        self.lost = 0.0
+        self._size = section.counts * metres_per_count
+        self._draw = random.Random(f"{seed}/slip_loss")
+        self._next = self._wait()
+
+    def seen(self, nodes: Nodes, samples: NDArray[np.int64], period: float) -> Nodes:
+        """Return the motion as the encoder sees it.
+
+        Parameters
+        ----------
+        nodes : Nodes
+            The motion since the last call.
+        samples : (s,) int64
+            The nodes at which the board samples, one ``period`` (s) apart.
+        """
+        for at in samples:
+            t, v = float(nodes.t[at]), float(nodes.v[at])
+            if self._next <= t:  # at most one loss a sample: the cog slips or it grips
+                self._next = t + self._wait()
+                if v != 0.0:
+                    self.losses.append((t, self._size if v > 0.0 else -self._size))
+        duration = self.section.samples * period
+        taken, rate = np.full_like(nodes.x, self.lost), np.zeros_like(nodes.v)
+        for begin, size in self.losses:
+            s = np.clip((nodes.t - begin) / duration, 0.0, 1.0)
+            taken += size * s * s * (3.0 - 2.0 * s)
+            rate += size * 6.0 * s * (1.0 - s) / duration
+        end = float(nodes.t[-1])
+        self.lost += sum(size for begin, size in self.losses if begin + duration < end)
+        self.losses = [loss for loss in self.losses if loss[0] + duration >= end]
+        return Nodes(nodes.t, nodes.x - taken, nodes.v - rate)
+
+    def _wait(self) -> float:
+        return self._draw.expovariate(self.section.rate)

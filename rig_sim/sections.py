@@ -1,0 +1,164 @@
+"""The sections of a scene: one frozen model each, with the keys, units and ranges that `rig_sim.scenes` checks."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from rig_sim.friction.law import LAWS
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Negative = Annotated[float, Field(lt=0)]
+EventRate = Annotated[float, Field(gt=0, le=1000)]  # per second: an effect that happens now and then
+
+
+class Section(BaseModel):
+    """A scene's section: frozen, no unknown key, no NaN or infinity, no string where a number belongs."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class Mass(Section):
+    """The sliding mass; ``m`` in kg."""
+
+    m: Positive
+
+
+class Spring(Section):
+    """The spring between mass and wall: ``k`` in N/m, rest position ``x0`` in m."""
+
+    k: Positive
+    x0: float = 0.0
+
+
+class Belt(Section):
+    """The driving belt: ``speed`` in m/s (signed), ``start`` in s, ``length`` of one turn in m.
+
+    From its start its speed swings by ``ripple`` (amplitude, m/s) ``ripple_hz`` times per second.
+    """
+
+    speed: float
+    start: NotNegative = 0.0
+    length: Positive | None = None
+    ripple: NotNegative | None = None
+    ripple_hz: Positive | None = None
+
+
+class Friction(Section):
+    """Law 1 to 6 and every parameter the scene knows; the law takes the ones it needs.
+
+    Attributes
+    ----------
+    Fs : float
+        Largest static force, N.
+    G_slip, gamma : float, optional
+        Slope of the linear curve, N s/m; rate of the hyperbolic curve, s/m.
+    G_stick, d : float, optional
+        The ramp's slope (negative, N s/m), or its half-width (m/s): one of the two.
+    static : float
+        Break-away level over Fs; at least 1.
+    """
+
+    law: Literal[1, 2, 3, 4, 5, 6]
+    Fs: NotNegative
+    G_slip: NotNegative | None = None
+    gamma: NotNegative | None = None
+    G_stick: Negative | None = None
+    d: Positive | None = None
+    static: Annotated[float, Field(ge=1)] = 1.0
+
+    def ramp(self) -> float:
+        """Return the ramp's half-width (m/s); 0 when the scene names no ramp."""
+        if self.d is not None:
+            return self.d
+        return self.Fs / -self.G_stick if self.G_stick is not None else 0.0
+
+    def parameters(self) -> dict[str, float]:
+        """Return Fs and the parameters that this law needs, by name."""
+        return {key: self.ramp() if key == "d" else float(getattr(self, key)) for key in LAWS[self.law].parameters}
+
+
+class Start(Section):
+    """Position (m) and velocity (m/s) of the mass at t = 0."""
+
+    x: float = 0.0
+    v: float = 0.0
+
+
+class Damper(Section):
+    """Viscous damper to the wall; ``c`` in N s/m."""
+
+    c: NotNegative
+
+
+class Drive(Section):
+    """The force u0 cos(omega t) on the mass; N and rad/s."""
+
+    u0: float
+    omega: NotNegative
+
+
+class Wear(Section):
+    """``rate``: fraction of Fs lost per second (negative: the contact runs in and Fs grows)."""
+
+    rate: float
+
+
+class Scatter(Section):
+    """``Fs``: standard deviation of the factor drawn at each stick, a fraction of Fs."""
+
+    Fs: NotNegative
+
+
+class Joint(Section):
+    """``kick``: step of the mass's velocity (m/s) each time the belt's joint comes by."""
+
+    kick: float
+
+
+class Encoder(Section):
+    """The rotary encoder on its cog: x4 count n = floor((x + vibration)/(circumference/lines_per_rev/4))."""
+
+    lines_per_rev: Annotated[int, Field(gt=0)]
+    circumference: Positive
+    decoder: Literal["x4", "x1", "jk", "jk-latched"] = "x4"
+    vibration: NotNegative = 0.0
+    vibration_hz: NotNegative = 50.0
+
+    @property
+    def metres_per_count(self) -> float:
+        """The x4 count in metres; a line is four of them."""
+        return self.circumference / self.lines_per_rev / 4
+
+
+class Jitter(Section):
+    """``rms`` of the sampling instants about the commanded grid, s."""
+
+    rms: NotNegative
+
+
+class Tell(Section):
+    """``truth``: the board also sends the exact time, x, v and F of every sample."""
+
+    truth: bool = False
+
+
+class Droop(Section):
+    """``fraction`` of the belt's speed lost when it carries the load Fs of the moment; in proportion at other loads."""
+
+    fraction: Annotated[float, Field(ge=0, lt=1)]
+
+
+class SlipLoss(Section):
+    """The cog slips ``rate`` times per second: ``counts`` x4 counts missed over ``samples`` sampling periods."""
+
+    rate: EventRate
+    counts: Annotated[int, Field(gt=0, le=1_000_000)]
+    samples: Annotated[int, Field(gt=0, le=1_000_000)] = 1
+
+
+class Gaps(Section):
+    """``rate`` times per second the board sends nothing for ``duration`` s."""
+
+    rate: EventRate
+    duration: Annotated[float, Field(gt=0, le=600)]

@@ -1,0 +1,211 @@
+"""Effects: each is there when the scene names it, alone, the same again from the same seed, and nothing when absent."""
+
+import json
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from daq.quadrature import PHASE
+from daq.wire import FrameReader, SampleBlock, Truth
+from rig_sim.board import Board
+from rig_sim.effects.gaps import SilentStretches
+from rig_sim.encoder import Nodes
+from rig_sim.motion_file import write
+from rig_sim.scenes import scene
+from rig_sim.sections import Gaps, SlipLoss
+
+DELTA = 0.12566 / 4096 / 4
+LOSSES: dict[str, object] = {"slip_loss.rate": 0.8, "slip_loss.counts": 60, "slip_loss.samples": 4}
+GAPS: dict[str, object] = {"gaps.rate": 0.5, "gaps.duration": 0.05}
+
+
+def frames_of(board: Board, samples: int, at_once: int = 1000) -> list:  # type: ignore[type-arg]
+    data = board.write(b"S\n")
+    for first in range(0, samples, at_once):
+        data += board.samples(min(at_once, samples - first))
+    return FrameReader().feed(data + board.write(b"X\n"))
+
+
+def blocks_of(frames: list) -> list[SampleBlock]:  # type: ignore[type-arg]
+    return [frame for frame in frames if isinstance(frame, SampleBlock)]
+
+
+def column(blocks: list[SampleBlock], name: str) -> np.ndarray:
+    return np.concatenate([np.asarray(getattr(block, name), dtype=np.int64) for block in blocks])
+
+
+def numbers(blocks: list[SampleBlock]) -> np.ndarray:
+    return np.concatenate([block.seq + np.arange(len(block.up)) for block in blocks])
+
+
+def ticks(blocks: list[SampleBlock]) -> np.ndarray:
+    return np.concatenate([block.time + np.cumsum(block.dt) for block in blocks])
+
+
+def net(blocks: list[SampleBlock]) -> np.ndarray:
+    difference = column(blocks, "up") - column(blocks, "down")
+    steps = (np.diff(difference, prepend=difference[0]) + 0x8000 & 0xFFFF) - 0x8000
+    total: np.ndarray = difference[0] + np.cumsum(steps)
+    return total
+
+
+# Counts lost ---------------------------------------------------------------------------------------------------------
+
+
+def test_lost_counts_are_missing_for_good_and_against_the_motion() -> None:
+    whole, losing = (blocks_of(frames_of(Board(scene("rig", **also)), 20_000)) for also in ({}, LOSSES))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(ticks(whole), ticks(losing))
+    missing = net(whole) - net(losing)
+    assert abs(missing[0]) == 0
+    plateaus = [value for value, following in pairwise(missing) if abs(following - value) > 5]
+    steps = np.diff(missing)
+    begun = np.flatnonzero((np.abs(steps) > 5) & (np.abs(np.roll(steps, 1)) <= 5))
+    assert 8 <= len(begun) <= 26  # 0.8 a second for 20 s
+    assert len(plateaus) >= len(begun)
+    motion = net(whole)
+    for at in begun:
+        lost = missing[at + 5] - missing[at]
+        assert abs(lost) == pytest.approx(60, abs=2)
+        assert np.sign(lost) == np.sign(motion[at + 1] - motion[at - 1])
+    # the board sees nothing odd: levels and counters of the slipping cog agree
+    np.testing.assert_array_equal(net(losing) % 4, PHASE[column(losing, "status")])
+
+
+def test_a_loss_follows_the_cubic_over_its_samples() -> None:
+    from rig_sim.effects.slip_loss import LosingCog
+
+    cog = LosingCog(SlipLoss(rate=1000.0, counts=100, samples=10), 0, DELTA)
+    t = np.arange(41) / 1000
+    seen = cog.seen(Nodes(t, 2.0 * t, np.full(41, 2.0)), np.array([5]), 1e-3)
+    s = np.clip((t - 0.005) / 0.01, 0, 1)
+    np.testing.assert_allclose(2.0 * t - seen.x, 100 * DELTA * (3 * s**2 - 2 * s**3), atol=1e-15)
+    np.testing.assert_allclose(
+        2.0 - seen.v, np.gradient(2.0 * t - seen.x, t, edge_order=2), atol=0.15 * 100 * DELTA / 0.01
+    )
+    assert cog.lost == pytest.approx(100 * DELTA)
+    assert cog.losses == []
+
+
+def test_a_mass_at_rest_loses_nothing() -> None:
+    still: dict[str, object] = {"belt.start": 100, **LOSSES, "slip_loss.rate": 50}
+    assert np.ptp(net(blocks_of(frames_of(Board(scene("rig", **still)), 3000)))) == 0
+
+
+def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
+    told = [
+        np.array(
+            [
+                row
+                for frame in frames_of(Board(scene("rig", **also)), 3000)
+                if isinstance(frame, Truth)
+                for row in frame.rows
+            ]
+        )
+        for also in ({"tell.truth": True}, {"tell.truth": True, **LOSSES})
+    ]
+    np.testing.assert_array_equal(*told)
+
+
+# Gaps ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at_once", [1000, 7])
+def test_samples_in_a_gap_are_missing_and_all_others_unchanged(at_once: int) -> None:
+    told = {"tell.truth": True}
+    whole = frames_of(Board(scene("rig", **told)), 20_000)
+    gappy = frames_of(Board(scene("rig", **told, **GAPS)), 20_000, at_once)
+    all_blocks, blocks = blocks_of(whole), blocks_of(gappy)
+    sent = numbers(blocks)
+    np.testing.assert_array_equal(column(blocks, "up"), column(all_blocks, "up")[sent])
+    np.testing.assert_array_equal(ticks(blocks), ticks(all_blocks)[sent])
+    jumps = np.diff(sent)
+    lengths = jumps[jumps > 1] - 1
+    assert 4 <= len(lengths) <= 20  # 0.5 a second for 20 s
+    assert np.all(np.abs(lengths - 50) <= 1)
+    rows = [row for frame in gappy if isinstance(frame, Truth) for row in frame.rows]
+    every = [row for frame in whole if isinstance(frame, Truth) for row in frame.rows]
+    np.testing.assert_allclose(rows, np.array(every)[sent], atol=1e-12)
+
+
+def test_gaps_come_at_their_rate() -> None:
+    silence = SilentStretches(Gaps(rate=2.0, duration=0.1), 3)
+    sent = silence.sent(np.arange(0.0, 1000.0, 0.01).tolist())
+    begun = sum(before and not after for before, after in pairwise(sent))
+    assert begun == pytest.approx(1000 / 0.6, rel=0.1)
+    assert 1 - np.mean(sent) == pytest.approx(0.1 / 0.6, rel=0.1)
+
+
+# All of them ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("effect", [LOSSES, GAPS], ids=["slip_loss", "gaps"])
+def test_the_seed_makes_an_effect_again_and_another_seed_another_one(effect: dict[str, object]) -> None:
+    steady = {**effect, "scatter.Fs": 0, "jitter.rms": 0}
+    first, again, other = (
+        blocks_of(frames_of(Board(scene("rig", seed=seed, **steady)), 10_000))
+        for seed in (3, 3, 4)  # type: ignore[arg-type]
+    )
+    assert first == again
+    assert first != other
+
+
+def test_effects_draw_from_streams_of_their_own() -> None:
+    both = blocks_of(frames_of(Board(scene("rig", **LOSSES, **GAPS)), 10_000))
+    losing = blocks_of(frames_of(Board(scene("rig", **LOSSES)), 10_000))
+    np.testing.assert_array_equal(column(both, "up"), column(losing, "up")[numbers(both)])
+
+
+@pytest.mark.parametrize(
+    ("changes", "modules"),
+    [
+        ({}, []),
+        (LOSSES, ["slip_loss"]),
+        (GAPS, ["gaps"]),
+        ({"belt.ripple": 0.004, "belt.ripple_hz": 3.0}, ["ripple"]),
+        ({"wear.rate": 0.01}, ["wear"]),
+        ({"scatter.Fs": 0.03}, ["scatter"]),
+        ({"joint.kick": 0.01}, ["joint"]),
+        ({"jitter.rms": 1e-5}, ["jitter"]),
+        ({"droop.fraction": 0.01}, []),  # part of the equation of motion
+        ({"wear.rate": 0.01, "scatter.Fs": 0.03, **GAPS}, ["gaps", "scatter", "wear"]),
+    ],
+    ids=lambda value: "+".join(value) if isinstance(value, list) else "",
+)
+def test_only_the_effects_a_scene_names_are_imported(
+    changes: dict[str, object], modules: list[str], tmp_path: Path
+) -> None:
+    kept = ("mass", "spring", "belt", "friction", "encoder")
+    whole = scene("rig").model_dump(exclude_none=True)
+    path = tmp_path / "bare.toml"
+    path.write_text(
+        "\n".join(
+            f"[{section}]\n" + "\n".join(f"{key} = {json.dumps(value)}" for key, value in whole[section].items())
+            for section in kept
+        )
+    )
+    code = (
+        "import sys; from rig_sim.board import Board; from rig_sim.scenes import scene;"
+        f"board = Board(scene({str(path)!r}, **{changes!r})); board.write(b'S\\n'); board.samples(3000);"
+        "print(*sorted(name for name in sys.modules if name.startswith('rig_sim.effects.')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [f"rig_sim.effects.{name}" for name in modules]
+
+
+def test_a_file_says_nothing_of_effects_the_scene_does_not_name(tmp_path: Path) -> None:
+    plain, rippling = tmp_path / "plain.h5", tmp_path / "rippling.h5"
+    write(scene("rig"), plain, until=1.0, rate=100.0)
+    write(scene("rig", **{"belt.ripple": 0.004, "belt.ripple_hz": 3.0}), rippling, until=1.0, rate=100.0)
+    told = []
+    for path in (plain, rippling):
+        with h5py.File(path) as file:
+            told.append(file["entry/simulation/scene"][()].decode())
+            assert sorted(file["entry/motion"]) == ["F", "t", "v", "x"]
+    for word in ("ripple", "droop", "slip_loss", "gaps", "wear", "joint"):
+        assert word not in told[0]
+    assert "ripple" in told[1]
