@@ -60,11 +60,14 @@ def events(
     /,
     *,
     until: Until,
+    since: Annotated[float, Parameter(help="List only events at or after this time.")] = 0.0,
     set_: SetChanges = None,
     max_steps: MaxSteps = 10**6,
     json: Json = False,
 ) -> Answer:
     """List when the mass sticks and slips: N slip slower than the belt, P faster, S stick or ramp.
+
+    A motion that repeats itself bit for bit is integrated once; a list ends at 10^6 events ('event limit'): --since.
 
     Example: rig-sim events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3
 
@@ -75,7 +78,7 @@ def events(
     """
     from rig_sim.motion import events as play
 
-    found = play(_scene(scene, set_), until, max_steps=max_steps)
+    found = play(_scene(scene, set_), until, since=since, max_steps=max_steps)
     rows = [{"t": event.t, "x": event.x, "kind": event.kind} for event in found.events]
     lines = [f"{'t':>22} {'x':>24}  kind"]
     lines += [f"{event.t:22.15g} {event.x:24.16g}  {event.kind}" for event in found.events]

@@ -192,7 +192,7 @@ def test_a_kick_ends_the_stick_it_falls_into() -> None:
 
 
 def test_the_step_limit_is_a_named_outcome() -> None:
-    found = events(scene("base"), 1000.0, max_steps=50)
+    found = events(scene("forced"), 1000.0, max_steps=50)
     assert (found.outcome, found.steps) == ("step limit", 50)
     assert found.advice
     motion = Motion(scene("rig"), max_steps=20)
