@@ -297,7 +297,7 @@ def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = D
         raise InputError(f"is {since:g}", "--since", "give a number")
     if max_steps < 1:
         raise InputError(f"is {max_steps}", "--max-steps", "give a positive number")
-    if _flow_never_changes(scene):
+    if flow_never_changes(scene):
         x, v = float(scene.start.x), float(scene.start.v)
         found = list_events(scene.flow(), x, v, until, since=since, max_steps=max_steps, max_events=MOST_EVENTS)
         listed = (Event(*event) for event in zip(found.t, found.x, found.kinds, strict=True))
@@ -309,7 +309,7 @@ def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = D
     return Events(late, motion.outcome.name, motion.outcome.advice, motion.steps)
 
 
-def _flow_never_changes(scene: Scene) -> bool:
+def flow_never_changes(scene: Scene) -> bool:
     """Tell whether one call of the integrator, which sums time with compensation, does for the whole run."""
     effects = (scene.wear, scene.scatter, scene.joint)
     return all(effect is None for effect in effects) and not (scene.belt and scene.belt.start > 0)

@@ -101,7 +101,7 @@ def list_events(
         outcome, count, first, mode, x, w, t = step(
             flow, mode, x, w, t, t_max, ROOM, *buffers, 0 if every_cycle else 1, work
         )
-        whole, rest, places, codes = ([float(number) for number in buffer[:count]] for buffer in buffers)
+        whole, rest, places, codes = (listed(buffer, count) for buffer in buffers)
         kinds = [KINDS[int(code)] for code in codes]
         stepped = zip(map(add, whole, rest), places, kinds, strict=True)
         found.extend(event for event in stepped if event[0] >= since)
@@ -142,6 +142,12 @@ def repeated(
             if t >= since:
                 yield t, x, kind
         turn += 1
+
+
+def listed(buffer: Any, count: int) -> list[float]:
+    """Return the first ``count`` numbers of a list or an array as a list of floats."""
+    part = buffer[:count]
+    return part if isinstance(part, list) else part.tolist()
 
 
 def new_lists(length: int, number: int, *, compiled: bool) -> list[list[float]]:
