@@ -138,7 +138,7 @@ def _reference(scene: Scene, until: float) -> tuple[list[tuple[Any, str]], str]:
         found = reference.events(scene.flow(), float(scene.start.x), float(scene.start.v), until)
     except reference.Uncovered as why:
         return [], f"the tightest other method, as the multi-precision reference does not cover {why}"
-    return found, f"Taylor series in {reference.DIGITS}-digit arithmetic (mpmath)"
+    return [(t, kind) for t, kind, _ in found], f"Taylor series in {reference.DIGITS}-digit arithmetic (mpmath)"
 
 
 def _tightest(lists: dict[tuple[str, str], EventList], method: str) -> list[tuple[Any, str]]:

@@ -25,7 +25,7 @@ STEEP = 60.0
 STEPS_ALLOWED = 200_000
 
 Number = Any  # mpmath.mpf, whose package is not typed
-Event = tuple[Number, str]
+Event = tuple[Number, str, Number]
 
 
 class Uncovered(Exception):  # noqa: N818  # an answer, not an error
@@ -33,7 +33,13 @@ class Uncovered(Exception):  # noqa: N818  # an answer, not an error
 
 
 def events(flow: Flow, x: float, v: float, t_max: float) -> list[Event]:
-    """Return (time, kind) of the events from t = 0 up to t_max, each time to more than 30 digits of t_max."""
+    """Return (time, kind, position) of the events from t = 0 up to t_max, to more than 30 digits of t_max.
+
+    Raises
+    ------
+    Uncovered
+        For a driven ramp that is steep, or a run of too many steps.
+    """
     with mpmath.workdps(DIGITS):
         return _Rig(flow, x, v).run(mpmath.mpf(t_max))
 
@@ -52,7 +58,8 @@ class _Rig:
         self.gamma = mpf(flow.gamma) if flow.curve == HYPERBOLIC else mpf(0)
         self.u0, self.omega, self.phase = self.sign * mpf(flow.u0), mpf(flow.omega), mpf(flow.phase)
         self.t = mpf(0)
-        self.y = self.sign * (mpf(x) - mpf(flow.x0))
+        self.x0 = mpf(flow.x0)
+        self.y = self.sign * (mpf(x) - self.x0)
         self.w = self.sign * (mpf(v) - mpf(flow.v_belt))
         self.mode = self.first_mode()
 
@@ -83,7 +90,7 @@ class _Rig:
             if self.t > t_max:
                 return found
             was, self.mode = self.mode, self.landing(side)
-            found.append((self.t, self.named(was) + ">" + self.named(self.mode)))
+            found.append((self.t, self.named(was) + ">" + self.named(self.mode), self.x0 + self.sign * self.y))
             if self.u0 == 0 and was == "S" and side > 0 and (self.t > stayed or abs(self.load()) < TOUCH):
                 self.y, self.w = (self.B - self.c * self.V) / self.k, mpmath.mpf(0)
                 if begun >= 0 and self.t > found[begun][0]:
@@ -96,7 +103,7 @@ class _Rig:
         cycle = found[begun + 1 :]
         period = cycle[-1][0] - found[begun][0]
         for turn in range(1, int((t_max - found[begun][0]) / period) + 1):
-            found += [(t + turn * period, kind) for t, kind in cycle if t + turn * period <= t_max]
+            found += [(t + turn * period, kind, x) for t, kind, x in cycle if t + turn * period <= t_max]
         return found
 
     def named(self, mode: str) -> str:
