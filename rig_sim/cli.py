@@ -62,11 +62,14 @@ def events(
     /,
     *,
     until: Until,
+    since: Annotated[float, Parameter(help="List only events at or after this time.")] = 0.0,
     set_: SetChanges = None,
     max_steps: MaxSteps = 10**6,
     json: Json = False,
 ) -> Answer:
     """List when the mass sticks and slips: N slip slower than the belt, P faster, S stick or ramp.
+
+    A motion that repeats itself bit for bit is integrated once; a list ends at 10^6 events ('event limit'): --since.
 
     Example: rig-sim events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3
 
@@ -77,7 +80,7 @@ def events(
     """
     from rig_sim.motion import events as play
 
-    found = play(_scene(scene, set_), until, max_steps=max_steps)
+    found = play(_scene(scene, set_), until, since=since, max_steps=max_steps)
     rows = [{"t": event.t, "x": event.x, "kind": event.kind} for event in found.events]
     lines = [f"{'t':>22} {'x':>24}  kind"]
     lines += [f"{event.t:22.15g} {event.x:24.16g}  {event.kind}" for event in found.events]
@@ -115,6 +118,34 @@ def run(
     data = {"file": output, "samples": found.samples, "outcome": found.outcome, "steps": found.steps}
     ended = _outcome(found.outcome, found.advice)
     return Answer(data, f"{output}: {found.samples} samples of t, x, v, F; outcome: {ended}")
+
+
+@app.command
+def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json = False) -> Answer:
+    """Tabulate error against run time of every method: largest error of an event time, CPU time, and that per cycle.
+
+    Example: rig-sim compare base --until 100 --set friction.law=6
+
+    The exact method steps through every cycle, interpreted and compiled; compiling is stated apart.
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from rig_sim.compare import compare as measure
+
+    found = measure(_scene(scene, set_), until)
+    data = asdict(found)
+    table = terminal.table("", ["method", "setting", "error", "CPU s", "us per cycle"], left=2)
+    for row in found.rows:
+        error = row.note if row.error is None else f"{row.error:.1e}"
+        per_cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
+        table.add_row(row.method, row.setting, error, f"{row.cpu_s:.2g}", per_cycle)
+    told = f"error: largest of an event time, against {found.reference}; {found.cycles} cycles"
+    return Answer(
+        data, [table, told, f"compiling or loading compiled code: {found.compile_s:.1f} s of CPU, not counted"]
+    )
 
 
 def _scene(name: str, changes: list[str] | None) -> "Scene":

@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from rig_sim.encoder import Nodes
 
 DEFAULT_MAX_STEPS = 1_000_000
+MOST_EVENTS = 1_000_000  # in a list, which repeats without steps
 LEAST_FACTOR = 0.05  # of Fs: friction that wear and scatter never go below
 
 
@@ -310,8 +311,11 @@ def _refined(times: "NDArray[np.float64]", spacing: float) -> "tuple[NDArray[np.
     return np.append(fine, times[-1]), asked
 
 
-def events(scene: Scene, until: float, *, max_steps: int = DEFAULT_MAX_STEPS) -> Events:
+def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = DEFAULT_MAX_STEPS) -> Events:
     """Return when and where the mass sticks and slips, from t = 0 to ``until`` (s).
+
+    A motion that repeats bit for bit is integrated once and listed as often as it repeats: at most `MOST_EVENTS`
+    events, then the outcome is 'event limit'.
 
     Parameters
     ----------
@@ -319,29 +323,35 @@ def events(scene: Scene, until: float, *, max_steps: int = DEFAULT_MAX_STEPS) ->
         From `rig_sim.scene`.
     until : float
         Time to end at.
+    since : float
+        List only events at or after this time.
     max_steps : int
         Integrator steps after which the run ends with the outcome 'step limit'.
 
     Raises
     ------
     InputError
-        ``until`` is not a positive number, or ``max_steps`` is below 1.
+        ``until`` is not a positive number, ``since`` is none, or ``max_steps`` is below 1.
     """
     if not (math.isfinite(until) and until > 0):
         raise InputError(f"is {until:g}", "--until", "give a positive number")
+    if not math.isfinite(since):
+        raise InputError(f"is {since:g}", "--since", "give a number")
     if max_steps < 1:
         raise InputError(f"is {max_steps}", "--max-steps", "give a positive number")
-    if _flow_never_changes(scene):
-        found = list_events(scene.flow(), float(scene.start.x), float(scene.start.v), until, max_steps=max_steps)
+    if flow_never_changes(scene):
+        x, v = float(scene.start.x), float(scene.start.v)
+        found = list_events(scene.flow(), x, v, until, since=since, max_steps=max_steps, max_events=MOST_EVENTS)
         listed = (Event(*event) for event in zip(found.t, found.x, found.kinds, strict=True))
         return Events(tuple(listed), found.outcome, found.advice, found.steps)
     motion = Motion(scene, max_steps=max_steps)
     motion.events = []
     motion.advance(until)
-    return Events(tuple(motion.events), motion.outcome.name, motion.outcome.advice, motion.steps)
+    late = tuple(event for event in motion.events if event.t >= since)
+    return Events(late, motion.outcome.name, motion.outcome.advice, motion.steps)
 
 
-def _flow_never_changes(scene: Scene) -> bool:
+def flow_never_changes(scene: Scene) -> bool:
     """Tell whether one call of the integrator, which sums time with compensation, does for the whole run."""
     effects = (scene.wear, scene.scatter, scene.joint)
     belt_changes = scene.belt is not None and (scene.belt.start > 0 or bool(scene.belt.ripple))

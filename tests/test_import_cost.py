@@ -22,7 +22,7 @@ HELP = [
     *[("process", [name]) for name in ("smooth", "compare", "inspect", "export")],
     ("fit-friction", []),
     ("rig-sim", []),
-    *[("rig-sim", [name]) for name in ("scenes", "cycle", "events", "run")],
+    *[("rig-sim", [name]) for name in ("scenes", "cycle", "events", "run", "compare")],
 ]
 LOADER = """
 import json, sys

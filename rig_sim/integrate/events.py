@@ -1,15 +1,20 @@
 """List the events of a flow: the Python face of `rig_sim.integrate.hybrid.run`, interpreted or compiled."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from fractions import Fraction
+from operator import add
 from typing import Any
 
 from rig_sim.integrate.hybrid import run
 from rig_sim.integrate.modes import (
+    COMPLETED,
+    EVENT_LIMIT,
     KINDS,
     LIST_FULL,
     OUTCOMES,
+    RECURRED,
     STEPS,
     Flow,
     initial_mode,
@@ -45,11 +50,33 @@ class EventList:
 
 
 def list_events(
-    flow: Flow, x: float, v: float, t_max: float, *, t: float = 0.0, max_steps: int = 1_000_000, compiled: bool = False
+    flow: Flow,
+    x: float,
+    v: float,
+    t_max: float,
+    *,
+    t: float = 0.0,
+    since: float = -math.inf,
+    max_steps: int = 1_000_000,
+    max_events: int = 1_000_000,
+    every_cycle: bool = False,
+    compiled: bool = False,
 ) -> EventList:
     """Return the events between t and t_max (s) of a motion that starts at x (m) with velocity v (m/s).
 
-    ``compiled`` uses numba: worth its start-up above some 10^4 events.
+    Parameters
+    ----------
+    flow, x, v, t_max, t
+        What moves, from where, and until when.
+    since : float
+        List only events at or after this time (s).
+    max_steps, max_events : int
+        Integrator steps, and listed events, after which the run ends with the outcome 'step limit', 'event limit'.
+    every_cycle : bool
+        Step through every cycle.  Otherwise an undriven motion is stepped until a beginning of slip recurs bit for bit,
+        and the cycle between is listed again and again: to the same events, without the steps.
+    compiled : bool
+        Use numba: worth its start-up above some 10^4 stepped events.
 
     Raises
     ------
@@ -65,20 +92,62 @@ def list_events(
 
         step = compile_kernel("run")
     work = new_work(max_steps, compiled=compiled)
-    buffers = new_lists(ROOM, 3, compiled=compiled)
+    buffers = new_lists(ROOM, 4, compiled=compiled)
     mode = initial_mode(flow, x, v, t)
     w = v - flow.v_belt
-    found_t: list[float] = []
-    found_x: list[float] = []
-    kinds: list[str] = []
+    found: list[tuple[float, float, str]] = []
     outcome = LIST_FULL
     while outcome == LIST_FULL:
-        outcome, count, mode, x, w, t = step(flow, mode, x, w, t, t_max, ROOM, *buffers, work)
-        found_t.extend(float(value) for value in buffers[0][:count])
-        found_x.extend(float(value) for value in buffers[1][:count])
-        kinds.extend(KINDS[int(value)] for value in buffers[2][:count])
+        outcome, count, first, mode, x, w, t = step(
+            flow, mode, x, w, t, t_max, ROOM, *buffers, 0 if every_cycle else 1, work
+        )
+        whole, rest, places, codes = (listed(buffer, count) for buffer in buffers)
+        kinds = [KINDS[int(code)] for code in codes]
+        stepped = zip(map(add, whole, rest), places, kinds, strict=True)
+        found.extend(event for event in stepped if event[0] >= since)
+        if outcome == RECURRED:
+            outcome = COMPLETED
+            for event in repeated(whole[first:], rest[first:], places[first:], kinds[first:], since, t_max):
+                found.append(event)
+                if len(found) > max_events:
+                    break
+        if len(found) > max_events:
+            outcome = EVENT_LIMIT
+            del found[max_events:]
     name, advice = OUTCOMES[outcome]
-    return EventList(tuple(found_t), tuple(found_x), tuple(kinds), name, advice, int(work[5][STEPS]))
+    t_found, x_found, kinds_found = zip(*found, strict=True) if found else ((), (), ())
+    return EventList(t_found, x_found, kinds_found, name, advice, int(work[5][STEPS]))
+
+
+def repeated(
+    whole: list[float], rest: list[float], places: list[float], kinds: list[str], since: float, t_max: float
+) -> Iterator[tuple[float, float, str]]:
+    """Yield the cycle after the first event up to the last again and again, from its second time on, up to t_max.
+
+    Times are ``whole + rest``; they are added as whole numbers of a unit that divides them all, so that any number of
+    cycles later each is the nearest float to what the cycle's own times say.
+    """
+    times = [Fraction(t) + Fraction(carry) for t, carry in zip(whole, rest, strict=True)]
+    unit = max(time.denominator for time in times)  # powers of 2: the largest is a multiple of the others
+    ticks = [int(time * unit) for time in times]
+    period = ticks[-1] - ticks[0]
+    turn = 1
+    if math.isfinite(since):
+        turn = max(1, (math.floor(Fraction(since) * unit) - ticks[-1]) // period)
+    while True:
+        for tick, x, kind in zip(ticks[1:], places[1:], kinds[1:], strict=True):
+            t = (tick + turn * period) / unit
+            if t > t_max:
+                return
+            if t >= since:
+                yield t, x, kind
+        turn += 1
+
+
+def listed(buffer: Any, count: int) -> list[float]:
+    """Return the first ``count`` numbers of a list or an array as a list of floats."""
+    part = buffer[:count]
+    return part if isinstance(part, list) else part.tolist()
 
 
 def new_lists(length: int, number: int, *, compiled: bool) -> list[list[float]]:

@@ -27,9 +27,11 @@ from rig_sim.integrate.modes import (
     EVENT_RATE,
     FORCE_REVERSAL,
     LIST_FULL,
+    NEGATIVE,
     NOT_FINITE,
     RAMP,
     RAPID,
+    RECURRED,
     STEP_LIMIT,
     STEPS,
     STEPS_ALLOWED,
@@ -333,14 +335,40 @@ def run(
     t_max: float,
     room: int,
     out_t: Buffer,
+    out_carry: Buffer,
     out_x: Buffer,
     out_kind: Buffer,
+    recur: int,
     work: Work,
-) -> tuple[int, int, int, float, float, float]:
-    """List the events up to t_max; return (outcome, count, mode, x, w, t).
+) -> tuple[int, int, int, int, float, float, float]:
+    """List the events up to t_max; return (outcome, count, first, mode, x, w, t).
 
-    ``out_t``, ``out_x``, ``out_kind`` hold ``room`` entries.  Outcome LIST_FULL: store them and call again with the
-    returned state and the same ``work``, whose last buffer carries what t itself cannot hold.
+    Parameters
+    ----------
+    flow, mode, x, w, t
+        The flow and the state to start from.
+    t_max : float
+        Where to stop, s.
+    room : int
+        Entries that the four lists hold: ``out_t + out_carry`` is the time of an event, the second what the first
+        cannot hold; then its position and its kind.
+    recur : int
+        1 to stop, with the outcome RECURRED, as soon as the motion is known to repeat; 0 to step every cycle.
+    work : Work
+        From `new_work`; its last buffer carries from call to call what t itself cannot hold.
+
+    Returns
+    -------
+    outcome, count, first, mode, x, w, t
+        LIST_FULL: store the ``count`` events and call again with the returned state.  RECURRED: the events after
+        ``first`` up to the last are one cycle, and follow again and again with the time between these two added.
+
+    Notes
+    -----
+    Without a drive the future of a state does not depend on the time: a state that slip began from, met again bit for
+    bit, repeats for ever what followed it.  A jump law begins every slip in the same state, its first two do; a ramp
+    law's return map contracts until rounding closes it, perhaps over several turns, hence Brent's search for the
+    period: the state to compare with is renewed after 1, 2, 4 ... beginnings of slip.
     """
     fr = frame(flow)
     own = mirrored(fr, mode)
@@ -350,15 +378,32 @@ def run(
     carry = float(counters[CARRY])
     idle = work[0]
     count = 0
+    first = -1
+    p_first = 0.0
+    turns = 0
+    patience = 1
     outcome = LIST_FULL
     while count < room:
         kind, own, p, w, t, carry, _ = phase(fr, own, p, w, t, carry, t_max, idle, 0, 0, idle, idle, idle, work)
         if kind == COMPLETED or kind >= FORCE_REVERSAL:
             outcome = kind
             break
-        out_t[count] = t + carry
+        out_t[count] = t
+        out_carry[count] = carry
         out_x[count] = position(fr, p)
         out_kind[count] = float(seen(fr, kind))
         count += 1
+        if recur == 0 or fr.u0 != 0.0 or (kind != 4 * STICK + NEGATIVE and kind != 4 * RAMP + NEGATIVE):
+            continue
+        # w is the edge of stick or ramp, exactly: p alone is the state
+        if first >= 0 and p == p_first and t - out_t[first] > RAPID_ALLOWED * RAPID_TIME / math.sqrt(fr.omega2):
+            outcome = RECURRED
+            break
+        turns += 1
+        if first < 0 or turns == patience:
+            first = count - 1
+            p_first = p
+            turns = 0
+            patience *= 2
     counters[CARRY] = carry
-    return outcome, count, mirrored(fr, own), position(fr, p), fr.mirror * w, t
+    return outcome, count, first, mirrored(fr, own), position(fr, p), fr.mirror * w, t

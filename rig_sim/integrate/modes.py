@@ -66,6 +66,8 @@ STEP_LIMIT = 21
 EVENT_RATE = 22
 NOT_FINITE = 23
 LIST_FULL = 24
+RECURRED = 25
+EVENT_LIMIT = 26
 
 
 class Outcome(NamedTuple):
@@ -88,6 +90,8 @@ OUTCOMES = {
     ),
     NOT_FINITE: Outcome("not finite", "a number overflowed or was not a number: check the scene's magnitudes"),
     LIST_FULL: Outcome("list full", "take the events found so far and call again"),
+    RECURRED: Outcome("recurred", "the last events repeat for ever: `rig_sim.integrate.events` lists them"),
+    EVENT_LIMIT: Outcome("event limit", "raise the number of events allowed, shorten the time, or list a later part"),
 }
 
 KINDS = {

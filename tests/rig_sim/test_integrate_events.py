@@ -1,6 +1,7 @@
 """Events of the exact motion: closed forms first, then symmetries, then the cases that broke prototypes."""
 
 import math
+from fractions import Fraction
 
 import pytest
 from hypothesis import given, settings
@@ -173,8 +174,8 @@ def test_tiny_belt_speed_over_huge_time_keeps_its_stick_times():
 
 @pytest.mark.parametrize("G_stick", [5.0, 5e2, 5e4, 5e6, 5e8, 1e16])
 def test_steep_ramps_cost_nothing_extra(G_stick):
-    mild = list_events(flow_of(6), 1.0, 0.0, 300.0)
-    steep = list_events(flow_of(6, d=1.0 / G_stick), 1.0, 0.0, 300.0)
+    mild = list_events(flow_of(6), 1.0, 0.0, 300.0, every_cycle=True)
+    steep = list_events(flow_of(6, d=1.0 / G_stick), 1.0, 0.0, 300.0, every_cycle=True)
     assert steep.steps <= 1.15 * mild.steps
 
 
@@ -189,9 +190,59 @@ def test_driven_stick_can_end_at_the_lower_edge_and_slip_can_change_sign():
 
 
 def test_step_limit_is_an_outcome_with_advice():
-    found = list_events(flow_of(5), 0.0, 0.0, 1e9, max_steps=1000)
+    found = list_events(flow_of(5), 0.0, 0.0, 1e9, max_steps=1000, every_cycle=True)
     assert (found.outcome, found.steps) == ("step limit", 1000)
     assert "steps" in found.advice
+
+
+@pytest.mark.parametrize("law", [1, 3, 5])
+@pytest.mark.parametrize("changes", [{}, {"v_belt": -0.5}, {"static": 1.2, "c": 0.01, "x0": 0.3}], ids=str)
+def test_a_million_time_units_of_a_jump_law_are_the_work_of_a_transient_and_one_cycle(law, changes):
+    flow = flow_of(law, **changes)
+    once = list_events(flow, 0.0, 0.0, 60.0, every_cycle=True)
+    slips = [t for t, kind in zip(once.t, once.kinds, strict=True) if kind[:2] == "S>"]
+    short = list_events(flow, 0.0, 0.0, slips[2], every_cycle=True)
+    long = list_events(flow, 0.0, 0.0, 1e6, max_steps=short.steps)
+    assert long.outcome == "completed"
+    assert long.steps <= short.steps
+    assert long.t[-1] > 1e6 - 20.0
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_repeated_cycles_are_the_stepped_ones(law):
+    short = list_events(flow_of(law), 0.0, 0.0, 1000.0)
+    stepped = list_events(flow_of(law), 0.0, 0.0, 1000.0, every_cycle=True)
+    assert short.kinds == stepped.kinds
+    assert max(abs(a - b) for a, b in zip(short.t, stepped.t, strict=True)) <= 1.2e-13  # an ulp of 1000
+    assert short.x == stepped.x
+
+
+@pytest.mark.parametrize("law", [3, 5])
+def test_event_times_are_whole_periods_apart_after_a_thousand_time_units(law):
+    period = {3: Fraction("6.33848094122856082"), 5: Fraction("8.28274352267811740")}[law]
+    found = list_events(flow_of(law), 1.0, 0.5, 1000.0)
+    slips = [t for t, kind in zip(found.t, found.kinds, strict=True) if kind == "S>N"]
+    assert max(abs(float(t - n * period)) for n, t in enumerate(slips)) <= 2.3e-13
+
+
+@pytest.mark.parametrize("law", [1, 3, 4, 5, 6])
+def test_the_end_of_a_thousand_million_time_units_is_listed(law):
+    found = list_events(flow_of(law), 0.0, 0.0, 1e9, since=1e9 - 20.0, max_steps=500)
+    assert found.outcome == "completed"
+    assert 4 <= len(found.t) <= 8
+    assert 1e9 - 20.0 <= found.t[0]
+    assert found.t[-1] <= 1e9
+
+
+def test_a_list_without_end_ends_at_the_event_limit():
+    found = list_events(flow_of(5), 0.0, 0.0, 1e9, max_events=1001)
+    assert (found.outcome, len(found.t)) == ("event limit", 1001)
+    assert found.t == list_events(flow_of(5), 0.0, 0.0, 1e9, max_events=5000).t[:1001]
+
+
+def test_constant_friction_with_a_ramp_never_quite_repeats_and_is_stepped_to_its_limit():
+    found = list_events(flow_of(2), 0.0, 0.0, 1e9, max_steps=2000)
+    assert (found.outcome, found.steps) == ("step limit", 2000)
 
 
 def test_numbers_that_are_not_end_in_an_outcome():

@@ -202,7 +202,7 @@ def test_a_ramp_of_any_width_is_left_once(d: float) -> None:
 
 
 def test_the_step_limit_is_a_named_outcome() -> None:
-    found = events(scene("base"), 1000.0, max_steps=50)
+    found = events(scene("forced"), 1000.0, max_steps=50)
     assert (found.outcome, found.steps) == ("step limit", 50)
     assert found.advice
     motion = Motion(scene("rig"), max_steps=20)

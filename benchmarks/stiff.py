@@ -1,0 +1,105 @@
+"""Steep ramps: what slopes from -5 to -5e8 cost, and how right the position is where slip begins, for law 6.
+
+``python benchmarks/stiff.py [UNTIL]`` (default 40 time units).  Beside the exact method stand scipy's Radau and LSODA
+at rtol 1e-9 and DOP853 at rtol 1e-12, phase by phase; one that needs more than `EVALUATIONS` of the right-hand side
+is stopped and has no error.  The reference is 40-digit arithmetic.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+from rig_sim.integrate import reference
+from rig_sim.integrate.events import EventList, list_events
+from rig_sim.integrate.peers import list_events as peer
+from rig_sim.scenes import scene
+
+RESULTS = Path(__file__).resolve().parent / "results"
+SLOPES = (-5.0, -5e2, -5e4, -5e6, -5e8)
+EVALUATIONS = 300_000
+LONG = 1000.0  # time units over which the exact method's cost is taken
+REPEATS = 7
+PEERS = (("radau", 1e-9), ("lsoda", 1e-9), ("dop853", 1e-12))
+
+
+def errors(found: EventList, expected: list[reference.Event]) -> tuple[float | None, float | None]:
+    """Return the largest errors of x where slip begins and of any event time; None when the events are others."""
+    if found.outcome != "completed" or list(found.kinds) != [kind for _, kind, _ in expected]:
+        return None, None
+    pairs = list(zip(found.t, found.x, expected, strict=True))
+    slips = [abs(float(x - x_ref)) for _, x, (_, kind, x_ref) in pairs if kind.startswith("S>")]
+    return max(slips), max(abs(float(t - t_ref)) for t, _, (t_ref, _, _) in pairs)
+
+
+def cost(compiled: bool, slope: float) -> tuple[float, float]:
+    """Return (least CPU s per cycle, steps per cycle) of the exact method with every cycle stepped."""
+    flow = scene("base", **{"friction.law": 6, "friction.G_stick": slope}).flow()
+    least = float("inf")
+    for _i in range(REPEATS):
+        begun = time.process_time()
+        found = list_events(flow, 0.0, 0.0, LONG, every_cycle=True, compiled=compiled)
+        least = min(least, time.process_time() - begun)
+    cycles = sum(kind.startswith("S>") for kind in found.kinds)
+    return least / cycles, found.steps / cycles
+
+
+def main(until: float) -> None:
+    """Print the table, write the picture and the JSON."""
+    rows = []
+    for slope in SLOPES:
+        flow = scene("base", **{"friction.law": 6, "friction.G_stick": slope}).flow()
+        expected = reference.events(flow, 0.0, 0.0, until)
+        compiled_s, steps = cost(True, slope)
+        exact = list_events(flow, 0.0, 0.0, until, every_cycle=True)
+        row = {"G_stick": slope, "steps_per_cycle": steps, "compiled_s": compiled_s}
+        row["interpreted_s"] = cost(False, slope)[0]
+        row["exact_error"], row["exact_t_error"] = errors(exact, expected)
+        cycles = sum(kind.startswith("S>") for _, kind, _ in expected)
+        for method, rtol in PEERS:
+            begun = time.process_time()
+            found = peer(flow, 0.0, 0.0, until, method=method, rtol=rtol, max_evaluations=EVALUATIONS)
+            row[f"{method}_s"] = (time.process_time() - begun) / cycles
+            row[f"{method}_error"], row[f"{method}_t_error"] = errors(found, expected)
+            row[f"{method}_outcome"] = found.outcome
+        rows.append(row)
+    mildest = rows[0]
+    print(f"{'G_stick':>8} {'method':8} {'steps':>6} {'compiled':>8} {'interpr.':>8} {'x error':>8} {'t error':>8}")
+    for row in rows:
+        ratios = [row[name] / mildest[name] for name in ("steps_per_cycle", "compiled_s", "interpreted_s")]
+        told = f"{ratios[0]:6.3f} {ratios[1]:8.3f} {ratios[2]:8.3f}"
+        print(f"{row['G_stick']:8.0e} exact    {told} {row['exact_error']:8.1e} {row['exact_t_error']:8.1e}")
+        for method, _ in PEERS:
+            x_error, t_error = row[f"{method}_error"], row[f"{method}_t_error"]
+            told = f"{row[f'{method}_outcome']:>8}" if x_error is None else f"{x_error:8.1e} {t_error:8.1e}"
+            print(f"{'':8} {method:8} {'':6} {row[f'{method}_s'] / row['compiled_s']:8.0f} {'':8} {told}")
+    print("exact: cost per cycle over that at G_stick = -5; the others: CPU over the exact method's, compiled")
+    figure, (above, below) = plt.subplots(2, 1, figsize=(6, 6.5), sharex=True, layout="constrained")
+    steepness = [-row["G_stick"] for row in rows]
+    for name in ("compiled", "interpreted", *(method for method, _ in PEERS)):
+        done = [row.get(f"{name}_outcome", "completed") == "completed" for row in rows]
+        (curve,) = above.loglog(steepness, [1e6 * row[f"{name}_s"] for row in rows], "o-", label=name)
+        stopped = [(g, 1e6 * row[f"{name}_s"]) for g, row, ok in zip(steepness, rows, done, strict=True) if not ok]
+        if stopped:
+            above.plot(*zip(*stopped, strict=True), "x", color=curve.get_color(), ms=11, label=f"{name}, stopped there")
+        if name == "interpreted":
+            continue
+        key = "exact_t_error" if name == "compiled" else f"{name}_t_error"
+        known = [(g, row[key]) for g, row in zip(steepness, rows, strict=True) if row[key]]
+        if known:
+            below.loglog(*zip(*known, strict=True), "o-", color=curve.get_color())
+    above.set_ylabel("CPU per cycle, us")
+    above.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    below.set(xlabel="slope of the ramp, |G_stick|", ylabel="largest error of an event time")
+    RESULTS.mkdir(exist_ok=True)
+    figure.savefig(RESULTS / "stiff.png", dpi=110)
+    (RESULTS / "stiff.json").write_text(json.dumps({"until": until, "rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 40.0)

@@ -1,0 +1,169 @@
+"""Error against run time: every method on one scene, measured against a reference that is none of them.
+
+The error of a method is the largest difference of an event time.  CPU time is the process's own, the least of several
+runs where one is short; compiling is stated apart.  The event list of the exact method is stepped through every cycle.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+from daq.errors import InputError
+from rig_sim.integrate.events import EventList, list_events
+from rig_sim.motion import flow_never_changes
+from rig_sim.scenes import Scene
+
+METHODS = ("exact", "rk4-henon", "dop853", "radau", "lsoda")
+RK4_STEPS = (0.1, 0.03, 0.01, 0.003)  # of sqrt(m/k)
+DOP853_RTOL = (1e-6, 1e-9, 1e-12, 2.3e-14)
+STIFF_RTOL = (1e-6, 1e-9)
+SHORT_S = 0.3  # runs below this much CPU are repeated
+REPEATS = 3
+LAST = 1e-6  # of the time span: an event this near its end may be missing from a list
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method at one setting.
+
+    ``error`` is in the scene's unit of time, None when the list of events is another one (``note`` says how);
+    ``us_per_cycle`` is per beginning of slip out of stick or ramp in the reference.
+    """
+
+    method: str
+    setting: str
+    error: float | None
+    cpu_s: float
+    us_per_cycle: float | None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The rows, what they are measured against, and what compiling cost (s; loading, when it was cached)."""
+
+    rows: tuple[Row, ...]
+    reference: str
+    compile_s: float
+    cycles: int
+
+
+Run = Callable[[], EventList]
+
+
+def compare(scene: Scene, until: float, *, methods: Sequence[str] = METHODS) -> Comparison:
+    """Run every method on a scene from t = 0 to ``until`` and return errors and CPU times.
+
+    Raises
+    ------
+    InputError
+        ``until`` is not positive; an unknown method; a scene whose flow changes between events (belt start, joint,
+        wear, scatter ...), which only the exact method plays; a scene without events.
+    """
+    if not (math.isfinite(until) and until > 0):
+        raise InputError(f"is {until:g}", "--until", "give a positive number")
+    for method in methods:
+        if method not in METHODS:
+            raise InputError(f"unknown method {method!r}", "--methods", f"take some of {', '.join(METHODS)}")
+    if scene.droop is not None:
+        what = "the reference and its peers know no belt that slows under load"
+        raise InputError(what, "droop", "drop the section; --set friction.d=... is the ramp it looks like")
+    if not flow_never_changes(scene):
+        raise InputError(
+            "the flow changes between events",
+            f"scene {scene.name}",
+            "compare a scene without belt.start, joint, wear and scatter",
+        )
+    runs, compile_s = _runs(scene, until, methods)
+    measured = [(method, setting, *_timed(run)) for method, setting, run in runs]
+    expected, told = _reference(scene, until)
+    lists = {(method, setting): found for method, setting, found, _ in measured}
+    if not (expected or next(iter(lists.values())).t):
+        raise InputError("no event", "--until", "give a longer time")
+    rows = []
+    cycles = 0
+    for method, setting, found, cpu_s in measured:
+        against = expected or _tightest(lists, method)
+        cycles = sum(kind[:2] == "S>" for _, kind in against)
+        error, note = difference(found, against, until)
+        rows.append(Row(method, setting, error, cpu_s, 1e6 * cpu_s / cycles if cycles else None, note))
+    return Comparison(tuple(rows), told, compile_s, cycles)
+
+
+def _runs(scene: Scene, until: float, methods: Sequence[str]) -> tuple[list[tuple[str, str, Run]], float]:
+    flow, x, v = scene.flow(), float(scene.start.x), float(scene.start.v)
+    runs: list[tuple[str, str, Run]] = []
+    compile_s = 0.0
+    if "exact" in methods:
+        exact = partial(list_events, flow, x, v, until, every_cycle=True, max_steps=10**8)
+        begun = time.process_time()
+        list_events(flow, x, v, min(until, 1e-9), compiled=True)
+        compile_s = time.process_time() - begun
+        runs += [("exact", "interpreted", exact), ("exact", "compiled", partial(exact, compiled=True))]
+    if "rk4-henon" in methods:
+        from rig_sim.integrate.rk4_henon import list_events as rk4
+
+        unit = math.sqrt(flow.m / flow.k)
+        runs += [("rk4-henon", f"h {h:g}", partial(rk4, flow, x, v, until, step=h * unit)) for h in RK4_STEPS]
+    for method in methods:
+        if method in ("exact", "rk4-henon"):
+            continue
+        from rig_sim.integrate.peers import list_events as peer
+
+        for rtol in DOP853_RTOL if method == "dop853" else STIFF_RTOL:
+            runs.append((method, f"rtol {rtol:g}", partial(peer, flow, x, v, until, method=method, rtol=rtol)))
+    return runs, compile_s
+
+
+def _timed(run: Run) -> tuple[EventList, float]:
+    """Return what a run found, and its CPU seconds: the least of `REPEATS` when it is short."""
+    least = math.inf
+    for _i in range(REPEATS):
+        begun = time.process_time()
+        found = run()
+        least = min(least, time.process_time() - begun)
+        if least > SHORT_S:
+            break
+    return found, least
+
+
+def _reference(scene: Scene, until: float) -> tuple[list[tuple[Any, str]], str]:
+    """Return the reference's events, and what it is; no events where there is none for this scene."""
+    try:
+        reference = import_module("rig_sim.integrate.reference")
+    except ModuleNotFoundError:
+        return [], "the tightest other method, as mpmath is not installed"
+    try:
+        found = reference.events(scene.flow(), float(scene.start.x), float(scene.start.v), until)
+    except reference.Uncovered as why:
+        return [], f"the tightest other method, as the multi-precision reference does not cover {why}"
+    return [(t, kind) for t, kind, _ in found], f"Taylor series in {reference.DIGITS}-digit arithmetic (mpmath)"
+
+
+def _tightest(lists: dict[tuple[str, str], EventList], method: str) -> list[tuple[Any, str]]:
+    """Return the list of the tightest method that is not ``method``."""
+    order = ("exact", "dop853", "lsoda", "radau", "rk4-henon")
+    for other in order:
+        mine = [found for (name, _), found in lists.items() if name == other != method]
+        if mine:
+            return list(zip(mine[-1].t, mine[-1].kinds, strict=True))
+    raise InputError("nothing to compare with", "--methods", "name two methods, or install mpmath")
+
+
+def difference(found: EventList, expected: Sequence[tuple[Any, str]], until: float) -> tuple[float | None, str]:
+    """Return the largest difference of an event time; or None, and where the lists part."""
+    if found.outcome != "completed":
+        return None, found.outcome
+    kinds = [kind for _, kind in expected]
+    both = min(len(found.t), len(kinds))
+    for i in range(both):
+        if found.kinds[i] != kinds[i]:
+            return None, f"other events from t = {float(expected[i][0]):.6g}"
+    late = [float(t) for t, _ in expected[both:]] + list(found.t[both:])
+    if late and min(late) < until * (1.0 - LAST):
+        return None, f"other events from t = {min(late):.6g}"
+    return max((abs(float(t - t_ref)) for t, (t_ref, _) in zip(found.t, expected, strict=False)), default=0.0), ""

@@ -1,0 +1,138 @@
+"""The reference against closed forms and the kernel; the peers; and ``rig-sim compare``."""
+
+import json
+import math
+import sys
+
+import mpmath
+import pytest
+
+from daq import terminal
+from daq.errors import InputError
+from rig_sim.cli import app
+from rig_sim.compare import compare, difference
+from rig_sim.friction.law import LAWS
+from rig_sim.integrate.events import list_events
+from rig_sim.integrate.modes import Flow
+from rig_sim.integrate.peers import SOLVERS
+from rig_sim.integrate.peers import list_events as peer_events
+from rig_sim.integrate.reference import Uncovered, events
+from rig_sim.scenes import scene
+
+SCENES = [
+    *({"law": law} for law in LAWS),
+    {"law": 5, "v_belt": -0.5, "c": 0.02, "x0": 0.1, "static": 1.1},
+    {"law": 3, "u0": 0.2, "omega": 0.7},
+    {"law": 4, "u0": 0.2, "omega": 0.7},
+    {"law": 5, "u0": 0.2, "omega": 0.7},
+    {"law": 6, "d": 2e-9},
+]
+
+
+def flow_of(law, **changes):
+    return Flow(curve=LAWS[law].curve_code, ramp=LAWS[law].ramp, **changes)
+
+
+def test_reference_has_the_first_stick_of_law_1_to_30_digits():
+    found = events(flow_of(1), 0.0, 0.0, 3.0)
+    with mpmath.workdps(40):
+        expected = [mpmath.pi / 6, mpmath.pi / 6 + mpmath.sqrt(3)]
+        assert [kind for _, kind, _ in found] == ["N>S", "S>N"]
+        assert max(abs(t - at) for (t, _, _), at in zip(found, expected, strict=True)) < mpmath.mpf(10) ** -31
+
+
+def test_reference_has_the_period_of_law_5_to_18_digits():
+    found = [t for t, kind, _ in events(flow_of(5), 1.0, 0.5, 20.0) if kind == "S>N"]
+    with mpmath.workdps(40):
+        assert abs(found[-1] - found[-2] - mpmath.mpf("8.28274352267811740")) < mpmath.mpf(10) ** -17
+
+
+@pytest.mark.parametrize("case", SCENES, ids=str)
+def test_kernel_and_reference_agree(case):
+    flow = flow_of(**case)
+    expected = events(flow, 0.0, 0.0, 25.0)
+    found = list_events(flow, 0.0, 0.0, 25.0)
+    error, note = difference(found, [(t, kind) for t, kind, _ in expected], 25.0)
+    assert max(abs(a - x) for a, (_, _, x) in zip(found.x, expected, strict=True)) <= 2e-14
+    assert len(expected) >= 2
+    assert note == ""
+    assert error <= 2e-14
+
+
+def test_reference_says_what_it_does_not_cover():
+    with pytest.raises(Uncovered, match="driven ramp"):
+        events(flow_of(6, d=1e-6, u0=0.1, omega=1.0), 0.0, 0.0, 10.0)
+
+
+@pytest.mark.parametrize("method", SOLVERS)
+@pytest.mark.parametrize("law", [4, 5])
+def test_peers_find_the_same_events(method, law):
+    exact = list_events(flow_of(law), 0.0, 0.0, 15.0)
+    found = peer_events(flow_of(law), 0.0, 0.0, 15.0, method=method, rtol=1e-8)
+    assert found.kinds == exact.kinds
+    assert found.t == pytest.approx(exact.t, abs=1e-4)
+
+
+def test_an_explicit_method_in_a_steep_ramp_ends_at_its_limit():
+    found = peer_events(flow_of(6, d=1e-6), 0.0, 0.0, 15.0, method="dop853", rtol=1e-6, max_evaluations=5000)
+    assert found.outcome == "step limit"
+
+
+def test_lists_that_part_have_no_error_but_say_where():
+    exact = list_events(flow_of(5), 0.0, 0.0, 30.0)
+    expected = list(zip(exact.t, exact.kinds, strict=True))
+    assert difference(exact, expected, 30.0) == (0.0, "")
+    assert difference(exact, [*expected[:2], (9.0, "N>P")], 30.0)[1].startswith("other events from t = 9")
+    assert difference(exact, expected[:-1], 30.0)[0] is None
+
+
+def test_compare_ranks_the_methods_of_the_contract(capsys):
+    assert terminal.run(app, ["compare", "base", "--until", "10", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    rows = {(row["method"], row["setting"]): row for row in found["rows"]}
+    assert {method for method, _ in rows} == {"exact", "rk4-henon", "dop853", "radau", "lsoda"}
+    for rtol in ("1e-06", "1e-09", "1e-12", "2.3e-14"):
+        assert ("dop853", f"rtol {rtol}") in rows
+    for setting in ("interpreted", "compiled"):
+        assert rows["exact", setting]["error"] <= 1e-14
+    assert all({"method", "setting", "error", "cpu_s", "us_per_cycle"} <= set(row) for row in found["rows"])
+    assert "mpmath" in found["reference"]
+    assert rows["exact", "compiled"]["error"] < rows["dop853", "rtol 2.3e-14"]["error"]
+
+
+def test_compare_prints_a_table_of_80_columns(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert terminal.run(app, ["compare", "base", "--until", "5"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any("rk4-henon" in line for line in lines)
+    assert all(len(line) <= 80 for line in lines if "rtol" in line or "h 0" in line)
+
+
+def test_without_mpmath_it_measures_against_the_tightest_other_method(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rig_sim.integrate.reference", None)
+    found = compare(scene("base"), 10.0, methods=("exact", "dop853"))
+    assert "mpmath is not installed" in found.reference
+    assert all(row.error is not None and row.error < 1e-2 for row in found.rows)
+    assert all(row.error > 0.0 for row in found.rows)
+
+
+@pytest.mark.parametrize(
+    ("name", "until", "where"), [("rig", 1.0, "scene rig"), ("base", math.nan, "--until"), ("base", -1.0, "--until")]
+)
+def test_what_cannot_be_compared_is_refused(name, until, where):
+    with pytest.raises(InputError) as caught:
+        compare(scene(name), until, methods=("rk4-henon",))
+    assert caught.value.where == where
+
+
+def test_exact_needs_neither_scipy_nor_mpmath_at_import():
+    import subprocess
+
+    code = "import sys, rig_sim.integrate.events; print({'scipy', 'mpmath', 'numpy'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_a_belt_that_droops_is_refused_for_the_reference_does_not_know_it():
+    with pytest.raises(InputError, match="slows under load"):
+        compare(scene("base", droop={"fraction": 0.01}), 10.0)
