@@ -4,6 +4,8 @@ All kernels take and return the state as (mode, x, w, t): x in m, w = x' - v_bel
 stand, with ``work = new_work()``, or compiled (`rig_sim.integrate.compiled`) with ``new_work(compiled=True)``; arrays
 of times and results are then float64 (modes too), one-dimensional and contiguous.
 
+Longer than 400 lines because the four loops share one dispatch on the mode and must stay alike.
+
 A driver that changes the Flow between events (belt start, wear, scatter, kicks) asks for one phase at a time with
 `next_event` or `sample_phase`, and classifies anew with `initial_mode` only when it moved the state or the load:
 
