@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rig_sim.friction.curve import HYPERBOLIC
+from rig_sim.integrate.bracket import EPS
 from rig_sim.integrate.hybrid import after, is_series, leave
-from rig_sim.integrate.linear import EPS, first_extreme
+from rig_sim.integrate.linear import first_extreme
 from rig_sim.integrate.modes import (
     FORCE_REVERSAL,
     LETTERS,

@@ -16,6 +16,7 @@ from typing import Any
 
 KERNEL_MODULES = (
     "rig_sim.friction.curve",
+    "rig_sim.integrate.bracket",
     "rig_sim.integrate.modes",
     "rig_sim.integrate.linear",
     "rig_sim.integrate.taylor",

@@ -8,7 +8,8 @@ that falls as the fast root dies.
 
 import math
 
-from rig_sim.integrate.linear import EPS, LARGEST_EXPONENT, fundamental, roots
+from rig_sim.integrate.bracket import EPS, newton_step
+from rig_sim.integrate.linear import LARGEST_EXPONENT, fundamental, roots
 from rig_sim.integrate.modes import RAMP, Frame, acceleration, line
 
 PIECES = 500  # searched in one step of a driven ramp; the caller goes on from there
@@ -114,12 +115,9 @@ def ramp_root(fr: Frame, p: float, w: float, t: float, level: float, side: int, 
             outside = tau
         else:
             inside = tau
-        following = tau - error / slope if slope != 0.0 else inside
-        if not inside < following < outside:
-            following = 0.5 * (inside + outside)
-        if abs(following - tau) <= 2.0 * EPS * following or not inside < following < outside:
-            return following
-        tau = following
+        tau, settled = newton_step(tau, error, slope, inside, outside)
+        if settled:
+            return tau
     return tau
 
 
@@ -150,12 +148,9 @@ def margin_root(
         else:
             inside = tau
         slope = fr.k * fr.v + size * omega * math.sin(theta + omega * tau)
-        following = tau - error / slope if slope != 0.0 else inside
-        if not inside < following < outside:
-            following = 0.5 * (inside + outside)
-        if abs(following - tau) <= 2.0 * EPS * following or not inside < following < outside:
-            return following
-        tau = following
+        tau, settled = newton_step(tau, error, slope, inside, outside)
+        if settled:
+            return tau
     return tau
 
 

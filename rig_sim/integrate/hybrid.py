@@ -21,8 +21,9 @@ A driver that changes the Flow between events (belt start, wear, scatter, kicks)
 import math
 
 from rig_sim.friction.curve import HYPERBOLIC
+from rig_sim.integrate.bracket import EPS
 from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ramp_state
-from rig_sim.integrate.linear import EPS, linear_exit, state, stick_exit
+from rig_sim.integrate.linear import linear_exit, state, stick_exit
 from rig_sim.integrate.modes import (
     CARRY,
     COMPLETED,

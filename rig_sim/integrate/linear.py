@@ -13,9 +13,9 @@ taken to the right extreme by a logarithm: no loop depends on how long the phase
 
 import math
 
+from rig_sim.integrate.bracket import newton_step
 from rig_sim.integrate.modes import Frame
 
-EPS = 2.220446049250313e-16
 LARGEST_EXPONENT = 700.0  # exp stays finite; growth that far is beyond every edge
 
 
@@ -95,12 +95,9 @@ def root(
         else:
             inside = tau
         slope = a * (1.0 - E - 2.0 * zeta * S) - omega2 * u * S
-        following = tau - error / slope if slope != 0.0 else inside
-        if not inside < following < outside:
-            following = 0.5 * (inside + outside)
-        if abs(following - tau) <= 2.0 * EPS * following or not inside < following < outside:
-            return following
-        tau = following
+        tau, settled = newton_step(tau, error, slope, inside, outside)
+        if settled:
+            return tau
     return tau
 
 

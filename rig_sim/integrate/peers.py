@@ -9,10 +9,8 @@ from typing import Any
 
 from scipy.integrate import solve_ivp
 
-from rig_sim.integrate.driven import driven_stick_exit
 from rig_sim.integrate.events import EventList
 from rig_sim.integrate.hybrid import RAPID_ALLOWED, RAPID_TIME, seen
-from rig_sim.integrate.linear import stick_exit
 from rig_sim.integrate.modes import (
     COMPLETED,
     EVENT_RATE,
@@ -32,7 +30,7 @@ from rig_sim.integrate.modes import (
     position,
     validate,
 )
-from rig_sim.integrate.rk4_henon import right_hand_side
+from rig_sim.integrate.rk4_henon import right_hand_side, through_stick
 
 SOLVERS = {"dop853": "DOP853", "radau": "Radau", "lsoda": "LSODA"}
 
@@ -110,9 +108,7 @@ def _pass(
 ) -> tuple[int, float, float, float]:
     """Return (side, t, p, w) at the end of a phase, or at t_max with side 0."""
     if mode == STICK:
-        rest = t_max - t
-        side, tau = driven_stick_exit(fr, p, t, rest) if fr.u0 != 0.0 else stick_exit(fr, p, rest)
-        return side, t + tau, p + fr.v * tau, 0.0
+        return through_stick(fr, t, p, t_max)
     slopes = right_hand_side(fr, mode)
 
     def rates(tau: float, y: Any) -> tuple[float, float]:

@@ -156,6 +156,11 @@ def advance(
     """Return (side, t, p, w) after one step h of a slip or ramp, or at the end of the whole stick."""
     if mode != STICK:
         return slide(fr, mode, t, p, w, h)
+    return through_stick(fr, t, p, t_max)
+
+
+def through_stick(fr: Frame, t: float, p: float, t_max: float) -> tuple[int, float, float, float]:
+    """Return (side, t, p, w) at the end of a stick, or at t_max with side 0: closed form, as for the exact method."""
     rest = t_max - t
     side, tau = driven_stick_exit(fr, p, t, rest) if fr.u0 != 0.0 else stick_exit(fr, p, rest)
     return side, t + tau, p + fr.v * tau, 0.0

@@ -17,7 +17,8 @@ one of the two holds.
 import math
 
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate.linear import EPS, LARGEST_EXPONENT
+from rig_sim.integrate.bracket import EPS, newton_step
+from rig_sim.integrate.linear import LARGEST_EXPONENT
 from rig_sim.integrate.modes import (
     NEGATIVE,
     ORDER,
@@ -279,12 +280,9 @@ def polish(c: Buffer, zeros: int, level: float, side: int, inside: float, outsid
             outside = xi
         else:
             inside = xi
-        following = xi - total / slope if slope != 0.0 else inside
-        if not inside < following < outside:
-            following = 0.5 * (inside + outside)
-        if abs(following - xi) <= 2.0 * EPS * following or not inside < following < outside:
-            return following
-        xi = following
+        xi, settled = newton_step(xi, total, slope, inside, outside)
+        if settled:
+            return xi
     return xi
 
 

@@ -1,0 +1,15 @@
+"""One step of Newton's method kept in a bracket: the rule every event's root is polished with."""
+
+EPS = 2.0**-52
+
+
+def newton_step(tau: float, error: float, slope: float, inside: float, outside: float) -> tuple[float, bool]:
+    """Return the next iterate, and whether it is the last: the root to two ulp, or a bracket with nothing left in it.
+
+    ``error`` and ``slope`` are the function and its derivative at ``tau``; the root lies between ``inside`` and
+    ``outside`` (the larger), one of which is ``tau`` already.  A step that would leave the bracket goes to its middle.
+    """
+    following = tau - error / slope if slope != 0.0 else inside
+    if not inside < following < outside:
+        following = 0.5 * (inside + outside)
+    return following, abs(following - tau) <= 2.0 * EPS * following or not inside < following < outside
