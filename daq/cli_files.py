@@ -207,13 +207,12 @@ def export(
         raise InputError("nothing to write", "command line", "give --csv FILE or --parquet FILE")
     for target in targets.values():
         runfile.refuse_existing(target, force, file)
-    recording = runfile.load(file)
-    rows = 0
+    rows = tables.frame(runfile.load(file))
     for form, target in targets.items():
-        rows = tables.write(recording, target, form, force=force)
+        tables.write(rows, target, form, force=force)
     names = [str(target) for target in targets.values()]
-    columns = list(tables.frame(recording).columns)
-    return Answer({"rows": rows, "columns": columns, "files": names}, f"{', '.join(names)}: {rows} rows")
+    data = {"rows": len(rows), "columns": list(rows.columns), "files": names}
+    return Answer(data, f"{', '.join(names)}: {len(rows)} rows")
 
 
 def _replay_capture(

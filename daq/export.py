@@ -43,13 +43,13 @@ def frame(recording: "Recording") -> "pd.DataFrame":
     return pd.DataFrame(columns)
 
 
-def write(recording: "Recording", target: Path, form: str, *, force: bool = False) -> int:
-    """Write a run as a table; return the number of rows.
+def write(rows: "pd.DataFrame", target: Path, form: str, *, force: bool = False) -> None:
+    """Write a run's table.
 
     Parameters
     ----------
-    recording : Recording
-        The run.
+    rows : DataFrame
+        As `frame` makes it.
     target : Path
         The file.
     form : str
@@ -63,7 +63,6 @@ def write(recording: "Recording", target: Path, form: str, *, force: bool = Fals
         When the file exists, or Parquet was asked for and pyarrow is not installed.
     """
     runfile.refuse_existing(target, force)
-    rows = frame(recording)
     with runfile.replacing(target, force) as temporary:
         if form == "csv":
             rows.to_csv(temporary, index=False, lineterminator="\n")
@@ -72,4 +71,3 @@ def write(recording: "Recording", target: Path, form: str, *, force: bool = Fals
                 rows.to_parquet(temporary, index=False)
             except ImportError as error:
                 raise InputError("Parquet needs pyarrow", "--parquet", "pip install pyarrow, or use --csv") from error
-    return len(rows)

@@ -127,7 +127,7 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     name = app.name[0]
     as_json = "--json" in arguments
     try:
-        return _shown(app(list(arguments), exit_on_error=False, print_error=False), as_json)
+        answer = app(list(arguments), exit_on_error=False, print_error=False)
     except StickslipError as error:
         return _fail(name, error.what, error.where, error.do, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
@@ -137,17 +137,28 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         return _fail(name, "interrupted", "", "", EXIT_INTERRUPTED, as_json)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_DONE
+        return _closed()
     except OSError as error:
-        where = str(error.filename or "output")
         do = "check the path, its permissions and the free space on the disk"
-        return _fail(name, error.strerror or str(error), where, do, EXIT_DEVICE, as_json and error.filename is not None)
+        return _fail(name, error.strerror or str(error), str(error.filename or name), do, EXIT_DEVICE, as_json)
     except Exception as error:
         if not as_json:
             raise
         what = f"{type(error).__name__}: {error}"
         return _fail(name, what, name, "this is a bug: run it again without --json and report it", EXIT_BUG, as_json)
+    try:
+        return _shown(answer, as_json)
+    except BrokenPipeError:
+        return _closed()
+    except OSError as error:  # not even an error in JSON could be written there
+        do = "check the free space where stdout goes"
+        return _fail(name, error.strerror or str(error), "stdout", do, EXIT_DEVICE, as_json=False)
+
+
+def _closed() -> int:
+    """Let nothing complain at exit about a stdout whose reader has gone, as `| head` does."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return EXIT_DONE
 
 
 def _shown(answer: object, as_json: bool) -> int:

@@ -61,7 +61,8 @@ def fit(
     wanted, excluded = numbers(laws, "--laws"), numbers(exclude_cycles, "--exclude-cycles")
     page = pages.default_path(file) if report is None else report
     speed = None if belt_speed is None else quantity(belt_speed, "speed", "--belt-speed")
-    recording = runfile.load(file)
+    motion = stage.load(file)
+    recording = runfile.load(file) if motion is None else motion.recording
     pages.refuse_stranger(page)
     changes: dict[str, Any] = {}
     if mass is not None:
@@ -80,7 +81,6 @@ def fit(
     if damping is not None or damping_sd is not None:
         changes["damping"] = _changed(recording.rig.damping, damping, damping_sd)
     rig = _rig(recording.rig, changes)
-    motion = stage.load(file)
     if motion is None:
         motion = smooth(recording, belt_speed="auto" if speed is None else speed)
     with terminal.progress("fitting", float(len(wanted)), "laws") as tell:
