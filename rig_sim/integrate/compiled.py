@@ -45,14 +45,22 @@ def compiled(name: str) -> Callable[..., Any]:
     """
     if name not in ENTRIES:
         raise ValueError(f"{name!r} is no kernel; known: {', '.join(ENTRIES)}")
-    return compile_entry(getattr(import_module(ENTRIES[name]), name))
+    return compile_entry(getattr(import_module(ENTRIES[name]), name), allocates=False)
 
 
 @cache
-def compile_entry(function: Callable[..., Any]) -> Callable[..., Any]:
+def compile_entry(function: Callable[..., Any], *, allocates: bool = True) -> Callable[..., Any]:
     """Return ``function`` compiled; it may call any kernel, and helpers registered by numba's register_jitable.
 
     The first call of a function whose machine code is not yet cached says on stderr that it compiles.
+
+    Parameters
+    ----------
+    function : callable
+        Python source that numba can compile.
+    allocates : bool
+        False for a function that makes no array: its arrays are then not counted at each call from kernel to kernel,
+        which is half of what a kernel costs.
     """
     register_kernels()
     import numba
@@ -63,7 +71,7 @@ def compile_entry(function: Callable[..., Any]) -> Callable[..., Any]:
     before = settings["CACHE_DIR"]
     try:
         settings["CACHE_DIR"] = str(folder) if folder else before
-        entry = numba.njit(function, cache=folder is not None)
+        entry = numba.njit(function, cache=folder is not None, _nrt=allocates)
     finally:
         settings["CACHE_DIR"] = before
     if folder is None or not any(folder.rglob(f"*{function.__name__}*.nbi")):
@@ -86,7 +94,7 @@ def register_kernels() -> None:
 def cache_folder(function: Callable[..., Any]) -> Path | None:
     """Return the writable folder for the machine code of ``function``, or None when there is none to be had."""
     digest = hashlib.sha256()
-    for name in (*KERNEL_MODULES, function.__module__):
+    for name in (*KERNEL_MODULES, __name__, function.__module__):
         digest.update(Path(str(import_module(name).__file__)).read_bytes())
     folder = cache_root() / f"kernels-{digest.hexdigest()[:16]}"
     try:
