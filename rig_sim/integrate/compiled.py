@@ -24,6 +24,19 @@ KERNEL_MODULES = (
     "rig_sim.integrate.hybrid",
 )
 
+# Long functions, worth a call; all others become part of their caller, so that a frame of twenty numbers is not copied
+# from one to the next.
+CALLED = (
+    "driven_stick_exit",
+    "expand_drooping",
+    "first_root",
+    "linear_exit",
+    "polish",
+    "ramp_exit",
+    "ramp_state",
+    "state",
+)
+
 ENTRIES = {
     "initial_mode": "rig_sim.integrate.modes",
     "force": "rig_sim.integrate.modes",
@@ -71,7 +84,8 @@ def compile_entry(function: Callable[..., Any], *, allocates: bool = True) -> Ca
     before = settings["CACHE_DIR"]
     try:
         settings["CACHE_DIR"] = str(folder) if folder else before
-        entry = numba.njit(function, cache=folder is not None, _nrt=allocates)
+        options: dict[str, Any] = {"cache": folder is not None, "_nrt": allocates}  # _nrt: numba's counting
+        entry = numba.njit(function, **options)
     finally:
         settings["CACHE_DIR"] = before
     if folder is None or not any(folder.rglob(f"*{function.__name__}*.nbi")):
@@ -88,7 +102,7 @@ def register_kernels() -> None:
         module = import_module(name)
         for function in vars(module).values():
             if inspect.isfunction(function) and function.__module__ == name:
-                register_jitable(function)
+                register_jitable(forceinline=function.__name__ not in CALLED)(function)
 
 
 def cache_folder(function: Callable[..., Any]) -> Path | None:
