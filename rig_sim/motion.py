@@ -16,9 +16,9 @@ the belt (`rig_sim.effects.ripple`).  Not modelled: creep in stick; the joint co
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq.errors import InputError
 from rig_sim.integrate.events import list_events
@@ -108,6 +108,8 @@ class Motion:
         What to play, from t = 0.
     max_steps : float
         Integrator steps after which the motion ends with the outcome 'step limit'; infinite for a board.
+    phases : callable, optional
+        What plays one phase; another than the exact method's comes from `rig_sim.methods.phases_by`.
 
     Attributes
     ----------
@@ -119,8 +121,9 @@ class Motion:
         Set to a list to collect the events in it; None collects nothing.
     """
 
-    def __init__(self, scene: Scene, *, max_steps: float = math.inf) -> None:
+    def __init__(self, scene: Scene, *, max_steps: float = math.inf, phases: Callable[..., Any] = sample_phase) -> None:
         self.scene = scene
+        self._phases = phases
         self.t = 0.0
         self.outcome: Outcome = OUTCOMES[COMPLETED]
         self.events: list[Event] | None = None
@@ -218,7 +221,7 @@ class Motion:
         while self.outcome.name == OUTCOMES[COMPLETED].name:
             end = min(times[-1], self._next_change())
             first, was = served, self._mode
-            kind, self._mode, self._xi, self._w, self.t, served = sample_phase(
+            kind, self._mode, self._xi, self._w, self.t, served = self._phases(
                 self.flow, was, self._xi, self._w, self.t, times, served, n, end, x, v, modes, self._work
             )
             if forces:

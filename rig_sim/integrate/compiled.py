@@ -24,8 +24,8 @@ KERNEL_MODULES = (
     "rig_sim.integrate.hybrid",
 )
 
-# Division by zero gives an infinity, which ends a run as `not finite`.  No kernel makes an array, so references to arrays
-# are not counted: at every call from kernel to kernel that costs as much as the arithmetic.
+# Division by zero gives an infinity, which ends a run as `not finite`.  No kernel makes an array, so numba need not count
+# references to them (_nrt): at every call from kernel to kernel that costs as much as the arithmetic.
 JIT_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 ENTRIES = {
@@ -54,7 +54,7 @@ def compiled(name: str) -> Callable[..., Any]:
 
 @cache
 def compile_entry(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return ``function`` compiled; it may call any kernel and helpers registered with `JIT_OPTIONS`, and make no array.
+    """Return ``function`` compiled; it may call any kernel, helpers registered with `JIT_OPTIONS`, and make no array.
 
     The first call of a function whose machine code is not yet cached says on stderr that it compiles.
     """
