@@ -24,8 +24,8 @@ KERNEL_MODULES = (
     "rig_sim.integrate.hybrid",
 )
 
-# Division by zero gives an infinity, which ends a run as `not finite`.  No kernel makes an array, so numba need not count
-# references to them (_nrt): at every call from kernel to kernel that costs as much as the arithmetic.
+# Division by zero gives an infinity, which ends a run as `not finite`.  No kernel makes an array, so numba need not
+# count references to them (_nrt): at every call from kernel to kernel that costs as much as the arithmetic.
 JIT_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 ENTRIES = {
