@@ -168,7 +168,7 @@ class Motion:
     @property
     def steps(self) -> int:
         """Integrator steps taken so far."""
-        return int(self._work[5][STEPS])
+        return int(self._work[STEPS])
 
     def advance(self, until: float) -> bool:
         """Play up to a time (s) and return whether the motion still goes on there."""

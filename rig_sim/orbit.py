@@ -25,9 +25,11 @@ from rig_sim.integrate.modes import (
     STEPS_ALLOWED,
     STICK,
     TIME_SCALE,
+    Buffer,
     Flow,
     Frame,
-    Work,
+    U,
+    W,
     acceleration,
     classify,
     drop,
@@ -176,7 +178,7 @@ def grazing(fr: Frame) -> Orbit:
     )
 
 
-def converge(fr: Frame, work: Work) -> Turn:
+def converge(fr: Frame, work: Buffer) -> Turn:
     """Return the turn of a ramp law that ends where it began: iteration, hastened by secant steps."""
     turn = follow(fr, classify(fr, 0.0, 0.0, 0.0), 0.0, 0.0, work)
     p_before = g_before = math.nan
@@ -209,7 +211,7 @@ def converge(fr: Frame, work: Work) -> Turn:
     return Turn("no cycle", f"the return map did not settle within {TURNS} turns", turn.p)
 
 
-def follow(fr: Frame, mode: int, p: float, w: float, work: Work) -> Turn:
+def follow(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
     """Follow the motion to the next beginning of (backward) slip out of stick or ramp, noting its extremes.
 
     From within stick or ramp that is the way to its end.
@@ -241,7 +243,7 @@ def follow(fr: Frame, mode: int, p: float, w: float, work: Work) -> Turn:
 
 
 def pass_phase(
-    fr: Frame, mode: int, p: float, w: float, p_seen: list[float], w_seen: list[float], work: Work
+    fr: Frame, mode: int, p: float, w: float, p_seen: list[float], w_seen: list[float], work: Buffer
 ) -> tuple[int, float, float, float]:
     """Return (side, duration, p, w) at the end of a phase; (0, inf, p, w) when it settles, (0, tau, ...) when unclear.
 
@@ -249,9 +251,8 @@ def pass_phase(
     """
     lo, hi = edges(fr, mode)
     durations: list[float] = []
-    counters = work[5]
-    while counters[STEPS] < counters[STEPS_ALLOWED]:
-        counters[STEPS] += 1.0
+    while work[STEPS] < work[STEPS_ALLOWED]:
+        work[STEPS] += 1.0
         side, tau = leave(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
         if math.isinf(tau):
             return 0, tau, p, w
@@ -277,22 +278,21 @@ def pass_phase(
     return 0, math.fsum(durations), p, w
 
 
-def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Work) -> list[float]:
+def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Buffer) -> list[float]:
     """Return the local times within tau at which w = -v or w' = 0: where x and v may be extreme."""
     if mode == STICK:
         return []
     level = -fr.v
     if is_series(fr, mode):
-        scale = work[5][TIME_SCALE]
-        slopes = work[4]
+        scale = work[TIME_SCALE]
         for j in range(ORDER):
-            slopes[j] = (j + 1) * work[0][j + 1]
-        slopes[ORDER] = 0.0
+            work[U + j] = (j + 1) * work[W + j + 1]
+        work[U + ORDER] = 0.0
         found = []
-        for series, target in ((work[0], level), (slopes, 0.0)):
-            before, behind = series[0] - target, value(series, tau / scale) - target
+        for series, target in ((W, level), (U, 0.0)):
+            before, behind = work[series] - target, value(work, series, tau / scale) - target
             if before * behind < 0.0:
-                found.append(scale * first_root(series, target, -1 if before > 0.0 else 1, tau / scale))
+                found.append(scale * first_root(work, series, target, -1 if before > 0.0 else 1, tau / scale))
         return found
     C, _ = line(fr, mode)
     zeta = 0.5 * C / fr.m

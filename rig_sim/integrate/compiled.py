@@ -24,18 +24,9 @@ KERNEL_MODULES = (
     "rig_sim.integrate.hybrid",
 )
 
-# Long functions, worth a call; all others become part of their caller, so that a frame of twenty numbers is not copied
-# from one to the next.
-CALLED = (
-    "driven_stick_exit",
-    "expand_drooping",
-    "first_root",
-    "linear_exit",
-    "polish",
-    "ramp_exit",
-    "ramp_state",
-    "state",
-)
+# Division by zero gives an infinity, which ends a run as `not finite`.  No kernel makes an array, so numba need not
+# count references to them (_nrt): at every call from kernel to kernel that costs as much as the arithmetic.
+JIT_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 ENTRIES = {
     "initial_mode": "rig_sim.integrate.modes",
@@ -58,22 +49,14 @@ def compiled(name: str) -> Callable[..., Any]:
     """
     if name not in ENTRIES:
         raise ValueError(f"{name!r} is no kernel; known: {', '.join(ENTRIES)}")
-    return compile_entry(getattr(import_module(ENTRIES[name]), name), allocates=False)
+    return compile_entry(getattr(import_module(ENTRIES[name]), name))
 
 
 @cache
-def compile_entry(function: Callable[..., Any], *, allocates: bool = True) -> Callable[..., Any]:
-    """Return ``function`` compiled; it may call any kernel, and helpers registered by numba's register_jitable.
+def compile_entry(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return ``function`` compiled; it may call any kernel, helpers registered with `JIT_OPTIONS`, and make no array.
 
     The first call of a function whose machine code is not yet cached says on stderr that it compiles.
-
-    Parameters
-    ----------
-    function : callable
-        Python source that numba can compile.
-    allocates : bool
-        False for a function that makes no array: its arrays are then not counted at each call from kernel to kernel,
-        which is half of what a kernel costs.
     """
     register_kernels()
     import numba
@@ -84,8 +67,7 @@ def compile_entry(function: Callable[..., Any], *, allocates: bool = True) -> Ca
     before = settings["CACHE_DIR"]
     try:
         settings["CACHE_DIR"] = str(folder) if folder else before
-        options: dict[str, Any] = {"cache": folder is not None, "_nrt": allocates}  # _nrt: numba's counting
-        entry = numba.njit(function, **options)
+        entry = numba.njit(function, cache=folder is not None, **JIT_OPTIONS)
     finally:
         settings["CACHE_DIR"] = before
     if folder is None or not any(folder.rglob(f"*{function.__name__}*.nbi")):
@@ -102,13 +84,13 @@ def register_kernels() -> None:
         module = import_module(name)
         for function in vars(module).values():
             if inspect.isfunction(function) and function.__module__ == name:
-                register_jitable(forceinline=function.__name__ not in CALLED)(function)
+                register_jitable(forceinline=True, **JIT_OPTIONS)(function)
 
 
 def cache_folder(function: Callable[..., Any]) -> Path | None:
     """Return the writable folder for the machine code of ``function``, or None when there is none to be had."""
     digest = hashlib.sha256()
-    for name in (*KERNEL_MODULES, __name__, function.__module__):
+    for name in (*KERNEL_MODULES, function.__module__, __name__):
         digest.update(Path(str(import_module(name).__file__)).read_bytes())
     folder = cache_root() / f"kernels-{digest.hexdigest()[:16]}"
     try:

@@ -23,11 +23,14 @@ import math
 from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate.bracket import EPS
 from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ramp_state
-from rig_sim.integrate.linear import linear_exit, state, stick_exit
+from rig_sim.integrate.linear import fundamental, linear_exit, state, stick_exit
 from rig_sim.integrate.modes import (
     CARRY,
     COMPLETED,
     EVENT_RATE,
+    EXIT,
+    EXIT_E,
+    EXIT_S,
     FORCE_REVERSAL,
     LIST_FULL,
     NEGATIVE,
@@ -43,7 +46,6 @@ from rig_sim.integrate.modes import (
     Buffer,
     Flow,
     Frame,
-    Work,
     acceleration,
     displacement,
     edges,
@@ -53,7 +55,7 @@ from rig_sim.integrate.modes import (
     mirrored,
     position,
 )
-from rig_sim.integrate.taylor import series_exit, value
+from rig_sim.integrate.taylor import series_exit, values
 
 RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit
 RAPID_TIME = 1e-12  # x sqrt(m/k)
@@ -69,7 +71,7 @@ def is_series(fr: Frame, mode: int) -> bool:
 
 
 def leave(
-    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Work
+    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Buffer
 ) -> tuple[int, float]:
     """Return (side, tau): w leaves [lo, hi] after tau at its lower (-1) or upper (+1) end, or (0, tau) passed inside.
 
@@ -89,25 +91,27 @@ def leave(
     disc = (zeta - omega0) * (zeta + omega0)
     a = acceleration(fr, mode, p, w, t)
     touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
-    return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch)
+    return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch, work)
 
 
-def after(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Work) -> tuple[float, float]:
-    """Return (p, w) at tau into the phase; in a series phase ``work`` must hold the step that contains tau."""
+def after(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> tuple[float, float]:
+    """Return (p, w) at tau into the phase, whose own `leave` must have filled ``work`` last."""
     if mode == STICK:
         return p + fr.v * tau, 0.0
     if is_series(fr, mode):
-        xi = tau / work[5][TIME_SCALE]
-        return value(work[1], xi), value(work[0], xi)
+        return values(work, tau / work[TIME_SCALE])
     if fr.u0 != 0.0:
         p_end, w_end, _ = ramp_state(fr, p, w, t, tau)
         return p_end, w_end
     C, _ = line(fr, mode)
     zeta = 0.5 * C / fr.m
-    omega0 = math.sqrt(fr.omega2)
-    disc = (zeta - omega0) * (zeta + omega0)
     a = acceleration(fr, mode, p, w, t)
-    return state(p, w, a, w + fr.v, zeta, fr.omega2, disc, tau)
+    if tau == work[EXIT]:
+        S, E = work[EXIT_S], work[EXIT_E]
+    else:
+        omega0 = math.sqrt(fr.omega2)
+        S, E, _ = fundamental(zeta, fr.omega2, (zeta - omega0) * (zeta + omega0), tau)
+    return state(p, w, a, w + fr.v, zeta, fr.omega2, S, E)
 
 
 def phase(
@@ -124,13 +128,12 @@ def phase(
     out_x: Buffer,
     out_v: Buffer,
     out_mode: Buffer,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, float, float, float, float, int]:
     """Go to the next event or to t_max within the frame; return (kind, mode, p, w, t, carry, i).
 
     Results are stored for times[i], times[i + 1] ... up to there.  Time is t + carry, summed by Neumaier's rule.
     """
-    counters = work[5]
     lo, hi = edges(fr, mode)
     begun = t
     if not (math.isfinite(p) and math.isfinite(w) and math.isfinite(t_max - t)):
@@ -140,9 +143,9 @@ def phase(
         side = 0
         tau = 0.0
         if rest > 0.0:
-            if counters[STEPS] >= counters[STEPS_ALLOWED]:
+            if work[STEPS] >= work[STEPS_ALLOWED]:
                 return STEP_LIMIT, mode, p, w, t, carry, i
-            counters[STEPS] += 1.0
+            work[STEPS] += 1.0
             side, tau = leave(fr, mode, p, w, t, lo, hi, rest, work)
         if not math.isfinite(rest + tau):
             return NOT_FINITE, mode, p, w, t, carry, i
@@ -160,7 +163,7 @@ def phase(
             if not (math.isfinite(p) and math.isfinite(w)):
                 return NOT_FINITE, mode, p, w, t, carry, i
         if side == 0 and tau >= rest:
-            counters[RAPID] = 0.0
+            work[RAPID] = 0.0
             return COMPLETED, mode, p, w, t_max, 0.0, i
         total = t + tau
         carry += (t - total) + tau if abs(t) >= abs(tau) else (tau - total) + t
@@ -177,11 +180,11 @@ def phase(
         if entered == FORCE_REVERSAL:
             return FORCE_REVERSAL, mode, p, w, t, carry, i
         if t - begun <= RAPID_TIME / math.sqrt(fr.omega2):
-            counters[RAPID] += 1.0
-            if counters[RAPID] > RAPID_ALLOWED:
+            work[RAPID] += 1.0
+            if work[RAPID] > RAPID_ALLOWED:
                 return EVENT_RATE, entered, p, w, t, carry, i
         else:
-            counters[RAPID] = 0.0
+            work[RAPID] = 0.0
         return 4 * mode + entered, entered, p, w, t, carry, i
 
 
@@ -205,7 +208,7 @@ def sample_phase(
     out_x: Buffer,
     out_v: Buffer,
     out_mode: Buffer,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, float, float, float, int]:
     """Go to the next event, or to t_max, storing the motion at times[i:n] on the way.
 
@@ -219,7 +222,7 @@ def sample_phase(
         Where to stop when no event comes first, s; finite.
     out_x, out_v, out_mode
         Buffers of at least n: x (m), absolute velocity (m/s), mode.
-    work : Work
+    work : list or array
         From `new_work`.
 
     Returns
@@ -248,10 +251,10 @@ def sample_phase(
 
 
 def next_event(
-    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Work
+    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Buffer
 ) -> tuple[int, int, float, float, float]:
     """Return (kind, mode, x, w, t) at the next event, or at t_max with kind COMPLETED."""
-    idle = work[0]
+    idle = work
     kind, mode, x, w, t, _ = sample_phase(flow, mode, x, w, t, idle, 0, 0, t_max, idle, idle, idle, work)
     return kind, mode, x, w, t
 
@@ -267,7 +270,7 @@ def sample(
     out_x: Buffer,
     out_v: Buffer,
     out_mode: Buffer,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, float, float, float]:
     """Run through all events from t0 to times[n - 1] and store the motion at times[0:n]; the flow stays the same.
 
@@ -293,7 +296,7 @@ def sample(
 
 
 def next_turn(
-    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Work
+    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Buffer
 ) -> tuple[bool, float, float, float]:
     """Return (found, x, w, t) at the next turning point of x (w = -v_belt) after t, staying in the given mode.
 
@@ -304,14 +307,13 @@ def next_turn(
     own = mirrored(fr, mode)
     p = displacement(fr, x)
     w = fr.mirror * w
-    counters = work[5]
     if own == STICK:
         return False, position(fr, p + fr.v * (t_max - t)), 0.0, t_max
     while True:
         rest = t_max - t
-        if rest <= 0.0 or counters[STEPS] >= counters[STEPS_ALLOWED]:
+        if rest <= 0.0 or work[STEPS] >= work[STEPS_ALLOWED]:
             return False, position(fr, p), fr.mirror * w, t
-        counters[STEPS] += 1.0
+        work[STEPS] += 1.0
         lo = -math.inf
         hi = math.inf
         level = -fr.v
@@ -342,7 +344,7 @@ def run(
     out_x: Buffer,
     out_kind: Buffer,
     recur: int,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, int, int, float, float, float]:
     """List the events up to t_max; return (outcome, count, first, mode, x, w, t).
 
@@ -353,11 +355,11 @@ def run(
     t_max : float
         Where to stop, s.
     room : int
-        Entries that the four lists hold: ``out_t + out_carry`` is the time of an event, the second what the first
-        cannot hold; then its position and its kind.
+        Entries that the four lists hold: ``out_t`` is the time of an event, ``out_carry`` what that cannot hold of it;
+        then its position and its kind.
     recur : int
         1 to stop, with the outcome RECURRED, as soon as the motion is known to repeat; 0 to step every cycle.
-    work : Work
+    work : list or array
         From `new_work`; its last buffer carries from call to call what t itself cannot hold.
 
     Returns
@@ -377,9 +379,8 @@ def run(
     own = mirrored(fr, mode)
     p = displacement(fr, x)
     w = fr.mirror * w
-    counters = work[5]
-    carry = float(counters[CARRY])
-    idle = work[0]
+    carry = float(work[CARRY])
+    idle = work
     count = 0
     first = -1
     p_first = 0.0
@@ -391,15 +392,16 @@ def run(
         if kind == COMPLETED or kind >= FORCE_REVERSAL:
             outcome = kind
             break
-        out_t[count] = t
-        out_carry[count] = carry
+        total = t + carry
+        out_t[count] = total
+        out_carry[count] = (t - total) + carry
         out_x[count] = position(fr, p)
         out_kind[count] = float(seen(fr, kind))
         count += 1
         if recur == 0 or fr.u0 != 0.0 or (kind != 4 * STICK + NEGATIVE and kind != 4 * RAMP + NEGATIVE):
             continue
         # w is the edge of stick or ramp, exactly: p alone is the state
-        if first >= 0 and p == p_first and t - out_t[first] > RAPID_ALLOWED * RAPID_TIME / math.sqrt(fr.omega2):
+        if first >= 0 and p == p_first and total - out_t[first] > RAPID_ALLOWED * RAPID_TIME / math.sqrt(fr.omega2):
             outcome = RECURRED
             break
         turns += 1
@@ -408,5 +410,5 @@ def run(
             p_first = p
             turns = 0
             patience *= 2
-    counters[CARRY] = carry
+    work[CARRY] = carry
     return outcome, count, first, mirrored(fr, own), position(fr, p), fr.mirror * w, t

@@ -412,26 +412,33 @@ def force(flow: Flow, mode: int, x: float, w: float, t: float) -> float:
 
 
 Buffer = Any  # list of floats (interpreted) or one-dimensional float64 array (compiled)
-Work = tuple[Buffer, ...]
 
 ORDER = 28  # of the Taylor series: 24 to 32 cost about the same per unit of time
-STEPS = 0  # places in the last work buffer: steps taken,
-STEPS_ALLOWED = 1  # steps allowed,
-RAPID = 2  # events in a row without time passing,
-TIME_SCALE = 3  # unit of time of the last Taylor step,
-CARRY = 4  # what compensated summation holds below the last digit of t
+# The working buffer, one and flat (compiled code counts the references of every array it hands on): five series ...
+W = 0  # w
+P = ORDER + 2  # p
+Q = 2 * P  # 1/q0 of the hyperbola's denominator
+D = 3 * P  # the hyperbola's fall
+U = 4 * P  # the drive
+# ... and single numbers: steps taken and allowed, events in a row without time passing, the unit of time of the last
+# Taylor step, what compensated summation holds below the last digit of t, and the closed form at its last exit
+STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, CARRY, EXIT, EXIT_S, EXIT_E = range(5 * P, 5 * P + 8)
+WORK = 5 * P + 8
 
 
-def new_work(max_steps: int = 1_000_000, *, compiled: bool = False) -> Work:
-    """Return the kernels' buffers: lists for interpreted calls, float64 arrays for compiled ones.
+def new_work(max_steps: int = 1_000_000, *, compiled: bool = False) -> Buffer:
+    """Return the kernels' working buffer: a list for interpreted calls, a float64 array for compiled ones.
 
-    A step is one closed-form phase or one Taylor step; they are counted over the buffers' life, and a kernel that would
+    A step is one closed-form phase or one Taylor step; they are counted over the buffer's life, and a kernel that would
     exceed ``max_steps`` ends in the outcome `step limit`.
     """
-    counters = [0.0, float(max_steps), 0.0, 1.0, 0.0]
-    buffers = (*([0.0] * (ORDER + 2) for _ in range(5)), counters)
-    if not compiled:
-        return buffers
-    import numpy
+    work: Buffer
+    if compiled:
+        import numpy
 
-    return tuple(numpy.array(buffer) for buffer in buffers)
+        work = numpy.zeros(WORK)
+    else:
+        work = [0.0] * WORK
+    work[STEPS_ALLOWED] = float(max_steps)
+    work[TIME_SCALE] = 1.0
+    return work

@@ -33,15 +33,15 @@ def through(
     p: float,
     w: float,
     t_max: float,
-    counters: Buffer,
+    work: Buffer,
 ) -> Leg:
     """Return the way through a slip or ramp: one call of the solver; STEPS counts evaluations."""
     slopes = right_hand_side(fr, mode)
 
     def rates(tau: float, y: Any) -> tuple[float, float]:
-        if counters[STEPS] >= counters[STEPS_ALLOWED]:
+        if work[STEPS] >= work[STEPS_ALLOWED]:
             raise _TooManyEvaluations
-        counters[STEPS] += 1.0
+        work[STEPS] += 1.0
         return slopes(t + tau, float(y[0]), float(y[1]))
 
     def distance(edge: float, direction: float) -> Any:

@@ -72,7 +72,7 @@ def slide(
     return side, t_edge, p_edge, edge
 
 
-def through(step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, counters: Buffer) -> Leg:
+def through(step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Buffer) -> Leg:
     """Return the way through a slip or ramp by steps of ``step`` (s)."""
     slopes = right_hand_side(fr, mode)
     lo, hi = edges(fr, mode)
@@ -87,12 +87,12 @@ def through(step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_m
         h = t_max - t
         last = h <= step
         side, t, p, w = slide(slopes, lo, hi, t, p, w, h if last else step)
-        counters[STEPS] += 1.0
+        work[STEPS] += 1.0
         if side == 0 and last and t >= t_max * (1.0 - 1e-15):
             t = t_max
         if side != 0 or t >= t_max or not math.isfinite(t + p + w):
             return Leg(COMPLETED, side, t, p, w, at)
-        if counters[STEPS] >= counters[STEPS_ALLOWED]:
+        if work[STEPS] >= work[STEPS_ALLOWED]:
             return Leg(STEP_LIMIT, 0, t, p, w, at)
         grid.append(t)
         states.append((p, w))

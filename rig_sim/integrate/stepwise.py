@@ -28,7 +28,6 @@ from rig_sim.integrate.modes import (
     Buffer,
     Flow,
     Frame,
-    Work,
     displacement,
     drive,
     drop,
@@ -60,7 +59,7 @@ class Leg(NamedTuple):
     at: Callable[[float], tuple[float, float]]
 
 
-Way = Callable[[Frame, int, float, float, float, float, Buffer], Leg]  # of frame, mode, t, p, w, t_max, counters
+Way = Callable[[Frame, int, float, float, float, float, Buffer], Leg]  # of frame, mode, t, p, w, t_max, work
 
 
 def right_hand_side(fr: Frame, mode: int) -> Slopes:
@@ -73,9 +72,9 @@ def right_hand_side(fr: Frame, mode: int) -> Slopes:
     return slopes
 
 
-def through_stick(fr: Frame, t: float, p: float, t_max: float, counters: Buffer) -> Leg:
+def through_stick(fr: Frame, t: float, p: float, t_max: float, work: Buffer) -> Leg:
     """Return the way through a stick: closed form, as for the exact method."""
-    counters[STEPS] += 1.0
+    work[STEPS] += 1.0
     rest = t_max - t
     side, tau = driven_stick_exit(fr, p, t, rest) if fr.u0 != 0.0 else stick_exit(fr, p, rest)
     t_end = t_max if side == 0 and tau >= rest else t + tau
@@ -96,21 +95,20 @@ def phase(
     out_x: Buffer,
     out_v: Buffer,
     out_mode: Buffer,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, float, float, float, int]:
     """Go to the next event or to t_max within the frame; return (kind, mode, p, w, t, i).
 
     Results are stored for times[i], times[i + 1] ... up to there.
     """
-    counters = work[5]
     begun = t
     while True:
         if not math.isfinite(p + w + t_max - t):
             return NOT_FINITE, mode, p, w, t, i
         if t < t_max:
-            if counters[STEPS] >= counters[STEPS_ALLOWED]:
+            if work[STEPS] >= work[STEPS_ALLOWED]:
                 return STEP_LIMIT, mode, p, w, t, i
-            go = through_stick(fr, t, p, t_max, counters) if mode == STICK else way(fr, mode, t, p, w, t_max, counters)
+            go = through_stick(fr, t, p, t_max, work) if mode == STICK else way(fr, mode, t, p, w, t_max, work)
             if not math.isfinite(go.t + go.p + go.w):
                 return NOT_FINITE, mode, p, w, t, i
         else:
@@ -126,14 +124,14 @@ def phase(
             return go.end, mode, p, w, t, i
         if go.side == 0:
             if t >= t_max:
-                counters[RAPID] = 0.0
+                work[RAPID] = 0.0
                 return COMPLETED, mode, p, w, t, i
             continue
         entered = landing(fr, mode, go.side, p, t)
         if entered == FORCE_REVERSAL:
             return FORCE_REVERSAL, mode, p, w, t, i
-        counters[RAPID] = counters[RAPID] + 1.0 if t - begun <= RAPID_TIME / math.sqrt(fr.omega2) else 0.0
-        if counters[RAPID] > RAPID_ALLOWED:
+        work[RAPID] = work[RAPID] + 1.0 if t - begun <= RAPID_TIME / math.sqrt(fr.omega2) else 0.0
+        if work[RAPID] > RAPID_ALLOWED:
             return EVENT_RATE, entered, p, w, t, i
         return 4 * mode + entered, entered, p, w, t, i
 
@@ -152,7 +150,7 @@ def sample_phase(
     out_x: Buffer,
     out_v: Buffer,
     out_mode: Buffer,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, float, float, float, int]:
     """Go to the next event, or to t_max, storing the motion at times[i:n]: as `rig_sim.integrate.hybrid.sample_phase`.
 
@@ -210,7 +208,7 @@ def list_events(
     validate(flow)
     fr = frame(flow)
     work = new_work(max_steps)
-    idle = work[0]
+    idle = work
     p, w = displacement(fr, x), fr.mirror * (v - flow.v_belt)
     mode = mirrored(fr, initial_mode(flow, x, v, t))
     found: list[tuple[float, float, str]] = []
@@ -223,4 +221,4 @@ def list_events(
             found.append((t, position(fr, p), KINDS[seen(fr, kind)]))
     name, advice = OUTCOMES[outcome]
     times, places, kinds = zip(*found, strict=True) if found else ((), (), ())
-    return EventList(times, places, kinds, name, advice, int(work[5][STEPS]))
+    return EventList(times, places, kinds, name, advice, int(work[STEPS]))
