@@ -61,6 +61,7 @@ from rig_sim.sections import (
 )
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
+SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0
 TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive")
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "tell")
 SECTIONS = TERMS + EFFECTS
@@ -154,7 +155,8 @@ def scene(name_or_path: "str | Path", **changes: object) -> Scene:
     ------
     InputError
         No such scene, a file that is no TOML, an unknown section or key (with its nearest neighbour), a value that is
-        no finite number or out of its range: each names the file and the key.
+        no finite number or out of its range (of any number: 0, or from `SMALLEST` to `LARGEST` in size): each names the
+        file and the key.
     """
     where, content = _read(name_or_path)
     for key, value in changes.items():
@@ -257,6 +259,7 @@ def _checked(content: dict[str, Any], where: str) -> Scene:
         raise InputError(
             f"{key} is {first['input']!r:.60}", where, reason.replace("input should", "it should")
         ) from None
+    _check_magnitudes(found, where)
     _check_together(found, where)
     return found
 
@@ -284,6 +287,15 @@ def _keys(section: str) -> list[str]:
         if isinstance(model, type) and issubclass(model, Section):
             return list(model.model_fields)
     return []
+
+
+def _check_magnitudes(found: Scene, where: str) -> None:
+    """Refuse numbers whose products and ratios leave the range of floating-point arithmetic."""
+    for section, keys in found.model_dump(exclude_none=True).items():
+        for key, value in keys.items() if isinstance(keys, dict) else ():
+            if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
+                what = f"{section}.{key} is {value:g}"
+                raise InputError(what, where, f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}: choose other units")
 
 
 def _check_together(found: Scene, where: str) -> None:
