@@ -7,6 +7,7 @@ The integrator runs one phase at a time.  Between phases this driver changes its
     wear, scatter       one factor on the whole friction curve, evaluated at each landing on the belt (entering stick or
                         the ramp; a stick of zero length is a landing too): (1 - rate t)(1 + Fs g), g drawn from the
                         normal distribution; never below `LEAST_FACTOR`; 1 until the first landing
+    shaker              tuned again to friction's slope at each such landing; off before belt.start
 
 Random numbers come from one stream per effect, seeded by the scene's ``seed`` and the effect's name, so that adding an
 effect does not change what another one draws.
@@ -234,7 +235,7 @@ class Motion:
                 corners.append((served, self.t, self.x, self.v))
                 self._note(KINDS[kind])
                 if self._landings_matter and self._mode in (STICK, RAMP):
-                    self.flow = self.flow._replace(factor=self._factor())
+                    self._refactor(self._factor())
             elif self.t >= self._next_change():
                 self._change(served, corners)
             elif served == n:
@@ -271,6 +272,16 @@ class Motion:
         self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
         if LETTERS[self._mode] != LETTERS[was]:
             self._note(f"{LETTERS[was]}>{LETTERS[self._mode]}")
+
+    def _refactor(self, factor: float) -> None:
+        """Put another factor on the friction curve; a shaker is tuned again to what is left, or ends the motion."""
+        if self.scene.shaker is None:
+            self.flow = self.flow._replace(factor=factor)
+            return
+        try:
+            self.flow = self.scene.flow(belt_running=not self._belt_waits, factor=factor)
+        except ValueError as error:
+            self.outcome = Outcome("shaker out of tune", f"{error}: lower shaker.a, wear or scatter")
 
     def _factor(self) -> float:
         """Return the factor on the friction curve from this landing on."""

@@ -98,6 +98,13 @@ class Drive(Section):
     omega: NotNegative
 
 
+class Shaker(Section):
+    """A force a e^{-i phi} x' on the mass: ``a`` times its velocity (N s/m), ahead of it by the phase ``phi`` (rad)."""
+
+    a: NotNegative
+    phi: float
+
+
 class Wear(Section):
     """``rate``: fraction of Fs lost per second (negative: the contact runs in and Fs grows)."""
 
