@@ -1,8 +1,8 @@
 """Counts unwrapped, segments cut, and every sample held against what came with it.
 
-A new segment begins where the port came back, where the board restarted, and after a gap across which the counters may
-have rolled over unseen.  In each the count starts at the counters' own difference: nothing is carried over, nothing is
-filled in.
+A new segment begins where the port came back, where the board restarted, and after a gap across which the counters (the
+belt's, too) may have rolled over unseen.  In each the count starts at the counters' own difference: nothing is carried
+over, nothing is filled in.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import capability, counter, wire
+from daq import belt, capability, counter, wire
 from daq.assemble import Samples
 from daq.quadrature import EDGES_PER_COUNT
 from daq.rig import Rig
@@ -38,6 +38,8 @@ class Checked:
         Fastest counting over `PEAK_OVER_S` (over a sample where that is longer), counts/s.
     starts : (s,) int64
         First sample of each segment.
+    belt : (n,) int64 or None
+        The belt encoder's count, unwrapped; None when the board does not send it.
     why : tuple of str
         What began each segment: "reopened", "restarted" or "invalid"; of the first it says nothing.
     """
@@ -50,6 +52,7 @@ class Checked:
     peak_count_rate: float
     why: tuple[str, ...]
     starts: NDArray[np.int64]
+    belt: NDArray[np.int64] | None = None
 
 
 def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) -> Checked:
@@ -73,6 +76,10 @@ def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) 
     moved = np.maximum(counter.increments(samples.up, bits), counter.increments(samples.down, bits))
     peak = _peak_rate(samples.time, moved, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
     safe = counter.longest_gap_s(capability.peak_edge_rate_hz(ident, rig, peak * edges), edges, bits)
+    if samples.belt is not None:
+        moved_belt = np.abs(counter.moves(samples.belt, bits))
+        belt_peak = _peak_rate(samples.time, moved_belt, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
+        safe = min(safe, counter.longest_gap_s(2 * belt_peak, 1, bits - 1))
     invalid = gap & (interval > safe) & ~fresh
     starts = np.flatnonzero(fresh | invalid)
     segment = np.cumsum(fresh | invalid) - 1
@@ -103,6 +110,7 @@ def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) 
         peak,
         why,
         starts,
+        None if samples.belt is None else belt.unwrapped(samples.belt, bits, starts),
     )
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import assemble, clock, counter, journal, runfile, stream, wire
+from daq import assemble, belt, clock, counter, journal, runfile, stream, wire
 from daq.assemble import Samples, TruthRows
 from daq.consistency import Checked, check
 from daq.errors import DataError, InputError
@@ -82,6 +82,9 @@ def run_data(
     wall_ns = header["wall_ns"] + int(samples.stamp_ns[0]) - header["monotonic_ns"]
     started = datetime.fromtimestamp(wall_ns / 1e9, zone)
     ended = started + timedelta(seconds=float(samples.time[-1]))
+    belt_count, belt_velocity = _belt(samples, checked, rig, rate_hz)
+    if samples.belt is not None and belt_velocity is None:
+        warnings.append("no metres per belt count are known, so the belt's counts give no speed")
     clocks = _clocks(samples)
     events = events_of(samples, checked, said, markers, rate_hz)
     data = RunData(
@@ -101,6 +104,8 @@ def run_data(
         event_sample=np.array([event[0] for event in events], dtype=np.uint32),
         event_kind=np.array([event[1] for event in events], dtype=np.uint8),
         event_note=tuple(event[2] for event in events),
+        belt_velocity=belt_velocity,
+        belt_count=belt_count,
         truth=_truth(samples, truth_rows, tick_ns, header["port"]),
         operator=header["operator"],
         provenance=header["provenance"] | {"finished_by": finished_by},
@@ -121,6 +126,16 @@ def _raw(samples: Samples, checked: Checked, tick_ns: int) -> Raw:
         belt_count=samples.belt,
         edge_time=None if samples.edge is None else _edge_us(samples.edge, tick_ns),
     )
+
+
+def _belt(
+    samples: Samples, checked: Checked, rig: Rig, rate_hz: float
+) -> tuple[NDArray[np.int64] | None, NDArray[np.float64] | None]:
+    """Return the belt's count and velocity, where the board sends the one and the rig's calibration gives the other."""
+    pitch = rig.belt_metres_per_count
+    if checked.belt is None or pitch is None:
+        return None, None
+    return checked.belt, belt.velocity(checked.belt, samples.time, checked.starts, rate_hz, pitch.value)
 
 
 def _edge_us(edge: NDArray[np.uint16], tick_ns: int) -> NDArray[np.uint16]:

@@ -93,11 +93,14 @@ class Path:
         Which nodes are the times asked for; fewer than asked for when the motion ended early.
     F : (s,) float64
         Friction force on the mass at these times, N; empty unless it was asked for.
+    flows : tuple of (int, Flow)
+        From which node on each flow held; the first from node 0.
     """
 
     nodes: "Nodes"
     samples: "NDArray[np.int64]"
     F: "NDArray[np.float64]"
+    flows: tuple[tuple[int, Flow], ...]
 
 
 class Motion:
@@ -129,6 +132,7 @@ class Motion:
         self._belt_waits = scene.belt is not None and scene.belt.start > 0
         self._swing: SwingingBelt | None = None
         self._enter(float(scene.start.x), float(scene.start.v))
+        self._flows: list[tuple[int, Flow]] = []  # of this stretch: after how many corners each begins
         self._kicks = 0
         self._scatter = None
         if scene.scatter is not None:
@@ -190,6 +194,7 @@ class Motion:
         times, asked = _refined(np.concatenate(([self.t], instants)), self._spacing())
         wanted: list[float] = times.tolist()
         corners: list[tuple[int, float, float, float]] = []
+        self._flows = [(0, self.flow)]
         x, v, F, served = self._play(wanted, corners, forces=forces)
         before = np.array([corner[0] for corner in corners], dtype=np.int64)
         t_corner, x_corner, v_corner = np.array([corner[1:] for corner in corners], dtype=np.float64).reshape(-1, 3).T
@@ -200,7 +205,8 @@ class Motion:
         )
         at = asked[1:][asked[1:] < served]
         friction = np.array(F)[at] if forces else np.empty(0)
-        return Path(nodes, at + np.searchsorted(before, at, side="right"), friction)
+        flows = tuple((int(before[corner - 1]) + corner - 1 if corner else 0, flow) for corner, flow in self._flows)
+        return Path(nodes, at + np.searchsorted(before, at, side="right"), friction, flows)
 
     def _play(
         self,
@@ -236,6 +242,7 @@ class Motion:
                 self._note(KINDS[kind])
                 if self._landings_matter and self._mode in (STICK, RAMP):
                     self._refactor(self._factor())
+                    self._flows.append((len(corners), self.flow))
             elif self.t >= self._next_change():
                 self._change(served, corners)
             elif served == n:
@@ -263,6 +270,7 @@ class Motion:
             self._belt_waits = False
             x, v = self.x, self.v
             self.flow = self.scene.flow(factor=self.flow.factor)
+            self._flows.append((len(corners), self.flow))
             self._enter(x, v)
         elif self.scene.joint is not None:
             self._kicks += 1

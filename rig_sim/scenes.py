@@ -6,7 +6,7 @@ section   keys                                  meaning
 mass      m                                     required
 spring    k, x0 = 0                             required; x0: the spring's rest position
 belt      speed, start = 0, length, ripple,    at rest before ``start``, then at ``speed``, which swings by ``ripple``;
-          ripple_hz                             one turn is ``length``
+          ripple_hz, channel                    one turn is ``length``; channel = true: the board sends its counts too
 friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
           static = 1
 start     x = 0, v = 0                          the mass at t = 0
@@ -331,5 +331,7 @@ def _check_together(found: Scene, where: str) -> None:
     for effect in ("slip_loss", "gaps"):
         if getattr(found, effect) is not None and found.encoder is None:
             raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")
+    if found.belt is not None and found.belt.channel and found.encoder is None:
+        raise InputError("belt.channel without an encoder", where, "add an encoder section or drop belt.channel")
     if not math.isfinite(found.spring.k / found.mass.m):
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")

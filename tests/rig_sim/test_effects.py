@@ -172,6 +172,7 @@ def test_effects_draw_from_streams_of_their_own() -> None:
         ({"joint.kick": 0.01}, ["joint"]),
         ({"jitter.rms": 1e-5}, ["jitter"]),
         ({"shaker.a": 0.3, "shaker.phi": 2.8}, ["shaker"]),
+        ({"belt.channel": True}, ["belt_channel"]),
         ({"droop.fraction": 0.01}, []),  # part of the equation of motion
         ({"wear.rate": 0.01, "scatter.Fs": 0.03, **GAPS}, ["gaps", "scatter", "wear"]),
     ],
