@@ -13,8 +13,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import counter
+from daq.rig import Rig
 
 SPAN_S = 0.02  # of the difference: a 7.7 um count then reads to 0.3 mm/s, and a corner is blurred by 10 ms
+
+
+def decoded(
+    values: NDArray[np.integer] | None,
+    time: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    rate_hz: float,
+    rig: Rig,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
+    """Return the belt's count and speed, as `unwrapped` and `velocity` do.
+
+    Both are None where the board sends no belt counts, or nobody knows the metres of one: what was sent stays in the
+    raw columns.
+    """
+    pitch = rig.belt_metres_per_count
+    if values is None or pitch is None:
+        return None, None
+    count = unwrapped(values, rig.counter_bits, starts)
+    return count, velocity(count, time, starts, rate_hz, pitch.value)
 
 
 def unwrapped(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64]) -> NDArray[np.int64]:

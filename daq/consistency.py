@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import belt, capability, counter, wire
+from daq import capability, counter, wire
 from daq.assemble import Samples
 from daq.quadrature import EDGES_PER_COUNT
 from daq.rig import Rig
@@ -38,8 +38,6 @@ class Checked:
         Fastest counting over `PEAK_OVER_S` (over a sample where that is longer), counts/s.
     starts : (s,) int64
         First sample of each segment.
-    belt : (n,) int64 or None
-        The belt encoder's count, unwrapped; None when the board does not send it.
     why : tuple of str
         What began each segment: "reopened", "restarted" or "invalid"; of the first it says nothing.
     """
@@ -52,7 +50,6 @@ class Checked:
     peak_count_rate: float
     why: tuple[str, ...]
     starts: NDArray[np.int64]
-    belt: NDArray[np.int64] | None = None
 
 
 def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) -> Checked:
@@ -110,7 +107,6 @@ def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) 
         peak,
         why,
         starts,
-        None if samples.belt is None else belt.unwrapped(samples.belt, bits, starts),
     )
 
 

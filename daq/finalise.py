@@ -82,7 +82,7 @@ def run_data(
     wall_ns = header["wall_ns"] + int(samples.stamp_ns[0]) - header["monotonic_ns"]
     started = datetime.fromtimestamp(wall_ns / 1e9, zone)
     ended = started + timedelta(seconds=float(samples.time[-1]))
-    belt_count, belt_velocity = _belt(samples, checked, rig, rate_hz)
+    belt_count, belt_velocity = belt.decoded(samples.belt, samples.time, checked.starts, rate_hz, rig)
     if samples.belt is not None and belt_velocity is None:
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
     clocks = _clocks(samples)
@@ -126,16 +126,6 @@ def _raw(samples: Samples, checked: Checked, tick_ns: int) -> Raw:
         belt_count=samples.belt,
         edge_time=None if samples.edge is None else _edge_us(samples.edge, tick_ns),
     )
-
-
-def _belt(
-    samples: Samples, checked: Checked, rig: Rig, rate_hz: float
-) -> tuple[NDArray[np.int64] | None, NDArray[np.float64] | None]:
-    """Return the belt's count and velocity, where the board sends the one and the rig's calibration gives the other."""
-    pitch = rig.belt_metres_per_count
-    if checked.belt is None or pitch is None:
-        return None, None
-    return checked.belt, belt.velocity(checked.belt, samples.time, checked.starts, rate_hz, pitch.value)
 
 
 def _edge_us(edge: NDArray[np.uint16], tick_ns: int) -> NDArray[np.uint16]:

@@ -241,7 +241,7 @@ class Motion:
                 corners.append((served, self.t, self.x, self.v))
                 self._note(KINDS[kind])
                 if self._landings_matter and self._mode in (STICK, RAMP):
-                    self._refactor(self._factor())
+                    self._set_factor(self._factor())
                     self._flows.append((len(corners), self.flow))
             elif self.t >= self._next_change():
                 self._change(served, corners)
@@ -281,7 +281,7 @@ class Motion:
         if LETTERS[self._mode] != LETTERS[was]:
             self._note(f"{LETTERS[was]}>{LETTERS[self._mode]}")
 
-    def _refactor(self, factor: float) -> None:
+    def _set_factor(self, factor: float) -> None:
         """Put another factor on the friction curve; a shaker is tuned again to what is left, or ends the motion."""
         if self.scene.shaker is None:
             self.flow = self.flow._replace(factor=factor)

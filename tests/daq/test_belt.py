@@ -75,8 +75,9 @@ def test_a_gap_the_belts_counter_may_have_gone_round_in_is_not_joined() -> None:
     assert len(check(samples(None, 0.8), None, Rig(), 1000.0).starts) == 1
     short, long = (check(samples(run, gap), None, Rig(), 1000.0) for gap in (0.3, 0.8))
     assert short.starts.tolist() == [0]
-    assert short.belt is not None
-    assert short.belt[-1] == 29 * 698
+    sent = samples(run, 0.3).belt
+    assert sent is not None
+    assert belt.unwrapped(sent, 16, short.starts)[-1] == 29 * 698
     assert long.starts.tolist() == [0, 200]
     assert long.why[1] == "invalid"
 
@@ -195,3 +196,21 @@ def test_an_export_carries_the_belts_speed(tmp_path: Path) -> None:
     app(["export", str(tmp_path / "run.h5"), "--csv", str(tmp_path / "run.csv"), "--json"])
     table = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True)
     np.testing.assert_array_equal(table["belt_velocity_m_per_s"], run.belt_velocity)
+
+
+def test_a_replayed_run_has_its_belt_and_another_calibration_gives_it_another_speed(tmp_path: Path) -> None:
+    from daq import replay
+
+    first = recorded(tmp_path / "run.h5", "belt.channel=true", "gaps.rate=0.4", "gaps.duration=0.7")
+    assert len(set(first.segment.tolist())) > 1
+    again = replay.from_run(tmp_path / "run.h5")
+    np.testing.assert_array_equal(again.belt_count, first.belt_count)
+    np.testing.assert_array_equal(again.belt_velocity, first.belt_velocity)
+    halved = replay.recalibrated(again, Rig(belt_metres_per_count=Measured(-DELTA / 2)))
+    assert first.belt_velocity is not None
+    assert first.rig.belt_metres_per_count is not None
+    scale = -DELTA / 2 / first.rig.belt_metres_per_count.value
+    np.testing.assert_allclose(halved.belt_velocity, scale * first.belt_velocity, rtol=1e-12)
+    unknown = replay.recalibrated(again, Rig())
+    assert unknown.belt_velocity is None
+    assert unknown.raw is again.raw
