@@ -269,7 +269,7 @@ class Motion:
         if self._belt_waits:
             self._belt_waits = False
             x, v = self.x, self.v
-            self.flow = self.scene.flow(factor=self.flow.factor)
+            self._set_flow(self.flow.factor)
             self._flows.append((len(corners), self.flow))
             self._enter(x, v)
         elif self.scene.joint is not None:
@@ -282,10 +282,14 @@ class Motion:
             self._note(f"{LETTERS[was]}>{LETTERS[self._mode]}")
 
     def _set_factor(self, factor: float) -> None:
-        """Put another factor on the friction curve; a shaker is tuned again to what is left, or ends the motion."""
+        """Put another factor on the friction curve; a shaker is tuned again to what is left."""
         if self.scene.shaker is None:
             self.flow = self.flow._replace(factor=factor)
-            return
+        else:
+            self._set_flow(factor)
+
+    def _set_flow(self, factor: float) -> None:
+        """Take the scene's flow of this moment; a shaker that cannot be tuned to it ends the motion."""
         try:
             self.flow = self.scene.flow(belt_running=not self._belt_waits, factor=factor)
         except ValueError as error:

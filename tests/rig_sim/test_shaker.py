@@ -202,6 +202,14 @@ def test_friction_that_leaves_nothing_to_tune_to_ends_the_run_by_name() -> None:
     assert len(found.events) > 2
 
 
+def test_a_belt_that_starts_under_friction_with_nothing_to_tune_to_ends_the_run_by_name() -> None:
+    # Landings on the resting belt have run the contact in before the shaker is switched on.
+    late = shaken(0.1, 3.0, **{"belt.speed": 0.1, "belt.start": 30.0, "wear.rate": -0.1, "start.x": 3.0})
+    found = events(late, 100.0)
+    assert found.outcome == "shaker out of tune"
+    assert found.events[-1].t < 30.0
+
+
 def test_a_mass_without_friction_is_shaken_all_the_same() -> None:
     bare = Flow(Fs=0.0, c=0.1)
     assert fixed_point_friction(bare) == (0.0, 0.0)
