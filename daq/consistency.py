@@ -1,8 +1,8 @@
 """Counts unwrapped, segments cut, and every sample held against what came with it.
 
-A new segment begins where the port came back, where the board restarted, and after a gap across which the counters may
-have rolled over unseen.  In each the count starts at the counters' own difference: nothing is carried over, nothing is
-filled in.
+A new segment begins where the port came back, where the board restarted, and after a gap across which the counters (the
+belt's, too) may have rolled over unseen.  In each the count starts at the counters' own difference: nothing is carried
+over, nothing is filled in.
 """
 
 from dataclasses import dataclass
@@ -73,6 +73,10 @@ def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) 
     moved = np.maximum(counter.increments(samples.up, bits), counter.increments(samples.down, bits))
     peak = _peak_rate(samples.time, moved, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
     safe = counter.longest_gap_s(capability.peak_edge_rate_hz(ident, rig, peak * edges), edges, bits)
+    if samples.belt is not None:
+        moved_belt = np.abs(counter.moves(samples.belt, bits))
+        belt_peak = _peak_rate(samples.time, moved_belt, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
+        safe = min(safe, counter.longest_gap_s(2 * belt_peak, 1, bits - 1))
     invalid = gap & (interval > safe) & ~fresh
     starts = np.flatnonzero(fresh | invalid)
     segment = np.cumsum(fresh | invalid) - 1

@@ -32,6 +32,13 @@ def increments(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
     return np.asarray(whole[1:] - whole[:-1] & (1 << bits) - 1, dtype=np.int64)
 
 
+def moves(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
+    """Return how far an up-and-down counter moved between neighbouring readings, (n - 1,): the shorter way round."""
+    half = 1 << (bits - 1)
+    whole = values.astype(np.int64)
+    return np.asarray((whole[1:] - whole[:-1] + half & (1 << bits) - 1) - half, dtype=np.int64)
+
+
 def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
     """Return an up-counter's readings without roll-over, starting at its first reading."""
     out = np.empty(len(values), dtype=np.int64)

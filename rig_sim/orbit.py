@@ -224,6 +224,8 @@ def follow(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
         side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work)
         if side == 0:
             if math.isinf(tau):
+                if mode != STICK and line(fr, mode)[0] < 0.0:
+                    return Turn("no cycle", "damping is negative: the motion grows without end", p)
                 return Turn(
                     "fixed point", "the mass comes to rest: less damping or another speed may stick", rest(fr, mode, p)
                 )

@@ -6,12 +6,13 @@ section   keys                                  meaning
 mass      m                                     required
 spring    k, x0 = 0                             required; x0: the spring's rest position
 belt      speed, start = 0, length, ripple,    at rest before ``start``, then at ``speed``, which swings by ``ripple``;
-          ripple_hz                             one turn is ``length``
+          ripple_hz, channel                    one turn is ``length``; channel = true: the board sends its counts too
 friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
           static = 1
 start     x = 0, v = 0                          the mass at t = 0
 damper    c
 drive     u0, omega                             the force u0 cos(omega t)
+shaker    a, phi                                a force on the mass: ``a`` times its velocity, ahead of it by ``phi``
 wear      rate                                  fraction of Fs lost per second
 scatter   Fs                                    standard deviation of Fs from stick to stick, a fraction
 joint     kick                                  velocity step of the mass once per ``belt.length``
@@ -53,6 +54,7 @@ from rig_sim.sections import (
     Mass,
     Scatter,
     Section,
+    Shaker,
     SlipLoss,
     Spring,
     Start,
@@ -62,7 +64,7 @@ from rig_sim.sections import (
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0
-TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive")
+TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive", "shaker")
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "tell")
 SECTIONS = TERMS + EFFECTS
 
@@ -80,6 +82,7 @@ class Scene(Section):
     start: Start = Start()
     damper: Damper | None = None
     drive: Drive | None = None
+    shaker: Shaker | None = None
     wear: Wear | None = None
     scatter: Scatter | None = None
     joint: Joint | None = None
@@ -97,7 +100,8 @@ class Scene(Section):
     def flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
         """Return the equation of motion as the integrator takes it.
 
-        A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.
+        A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.  A
+        shaker is there as another damper, spring and rest position: see `rig_sim.effects.shaker`.
 
         Parameters
         ----------
@@ -127,6 +131,10 @@ class Scene(Section):
             phase=0.0,
             droop=self.droop.fraction * abs(self.belt.speed) if self.droop and self.belt and belt_running else 0.0,
         )
+        if self.shaker and belt_running:
+            from rig_sim.effects.shaker import controlled
+
+            flow = controlled(flow, self.shaker)
         if self.belt and self.belt.ripple and belt_running:
             from rig_sim.effects.ripple import SwingingBelt
 
@@ -323,11 +331,19 @@ def _check_together(found: Scene, where: str) -> None:
         if found.belt is None or friction is None:
             raise InputError("droop without belt and friction", where, "add them or drop droop")
         try:
-            validate(found.flow())
+            validate(found.model_copy(update={"shaker": None}).flow())
         except ValueError as error:
             raise InputError(str(error), where, "lower droop.fraction, or drop droop") from None
+    if found.shaker is not None:
+        try:
+            validate(found.flow())
+        except (ValueError, OverflowError) as error:
+            what = f"shaker.a = {found.shaker.a:g}, shaker.phi = {found.shaker.phi:g}: {error}"
+            raise InputError(what, where, "set belt.speed, a smaller shaker.a, or shaker.phi = 3.14159") from None
     for effect in ("slip_loss", "gaps"):
         if getattr(found, effect) is not None and found.encoder is None:
             raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")
+    if found.belt is not None and found.belt.channel and found.encoder is None:
+        raise InputError("belt.channel without an encoder", where, "add an encoder section or drop belt.channel")
     if not math.isfinite(found.spring.k / found.mass.m):
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")

@@ -333,6 +333,8 @@ def series_exit(
     """Return (side, tau) of one Taylor step: the first exit of w from [lo, hi] on it, or (0, its length)."""
     step = expand(fr, mode, p, w, t, work)
     scale = float(work[TIME_SCALE])
+    if not scale > 0.0:  # the rate overflowed: `phase` calls that not finite
+        return 0, math.inf
     xi_end = min(step, tau_max / scale)
     if math.isinf(step):
         return 0, tau_max
