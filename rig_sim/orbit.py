@@ -11,7 +11,7 @@ from typing import Protocol
 
 from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate.bracket import EPS
-from rig_sim.integrate.hybrid import after, is_series, leave
+from rig_sim.integrate.hybrid import is_series, leave, moved
 from rig_sim.integrate.linear import first_extreme
 from rig_sim.integrate.modes import (
     FORCE_REVERSAL,
@@ -259,10 +259,12 @@ def pass_phase(
         if math.isinf(tau):
             return 0, tau, p, w
         for at in turning_times(fr, mode, p, w, tau, work):
-            p_at, w_at = after(fr, mode, p, w, 0.0, at, work)
-            p_seen.append(p_at)
-            w_seen.append(w_at)
-        p, w = after(fr, mode, p, w, 0.0, tau, work)
+            dp, dw = moved(fr, mode, p, w, 0.0, at, work)
+            p_seen.append(p + dp)
+            w_seen.append(w + dw)
+        dp, dw = moved(fr, mode, p, w, 0.0, tau, work)
+        p += dp
+        w += dw
         durations.append(tau)
         if not math.isfinite(p + w):
             break

@@ -23,7 +23,7 @@ import math
 from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate.bracket import EPS
 from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ramp_state
-from rig_sim.integrate.linear import fundamental, linear_exit, state, stick_exit
+from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_exit, stick_lateness
 from rig_sim.integrate.modes import (
     CARRY,
     COMPLETED,
@@ -32,9 +32,11 @@ from rig_sim.integrate.modes import (
     EXIT_E,
     EXIT_S,
     FORCE_REVERSAL,
+    LATE,
     LIST_FULL,
     NEGATIVE,
     NOT_FINITE,
+    P_REST,
     RAMP,
     RAPID,
     RECURRED,
@@ -43,6 +45,7 @@ from rig_sim.integrate.modes import (
     STEPS_ALLOWED,
     STICK,
     TIME_SCALE,
+    W_REST,
     Buffer,
     Flow,
     Frame,
@@ -55,7 +58,7 @@ from rig_sim.integrate.modes import (
     mirrored,
     position,
 )
-from rig_sim.integrate.taylor import series_exit, values
+from rig_sim.integrate.taylor import changes, series_exit
 
 RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit
 RAPID_TIME = 1e-12  # x sqrt(m/k)
@@ -77,10 +80,14 @@ def leave(
 
     Without an exit, tau is ``tau_max`` but in phases stepped by series, where it may be less: call again from there.
     """
+    work[LATE] = 0.0
     if mode == STICK:
         if fr.u0 != 0.0:
             return driven_stick_exit(fr, p, t, tau_max)
-        return stick_exit(fr, p, tau_max)
+        side, tau = stick_exit(fr, p, tau_max)
+        if side > 0 and tau > 0.0:
+            work[LATE] = stick_lateness(fr, p, work[P_REST], tau)
+        return side, tau
     if is_series(fr, mode):
         return series_exit(fr, mode, p, w, t, lo, hi, tau_max, work)
     if fr.u0 != 0.0:
@@ -94,15 +101,15 @@ def leave(
     return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch, work)
 
 
-def after(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> tuple[float, float]:
-    """Return (p, w) at tau into the phase, whose own `leave` must have filled ``work`` last."""
+def moved(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> tuple[float, float]:
+    """Return by how much (p, w) change within tau of the phase, whose own `leave` must have filled ``work`` last."""
     if mode == STICK:
-        return p + fr.v * tau, 0.0
+        return fr.v * tau, 0.0
     if is_series(fr, mode):
-        return values(work, tau / work[TIME_SCALE])
+        return changes(work, tau / work[TIME_SCALE])
     if fr.u0 != 0.0:
         p_end, w_end, _ = ramp_state(fr, p, w, t, tau)
-        return p_end, w_end
+        return p_end - p, w_end - w
     C, _ = line(fr, mode)
     zeta = 0.5 * C / fr.m
     a = acceleration(fr, mode, p, w, t)
@@ -111,7 +118,14 @@ def after(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: 
     else:
         omega0 = math.sqrt(fr.omega2)
         S, E, _ = fundamental(zeta, fr.omega2, (zeta - omega0) * (zeta + omega0), tau)
-    return state(p, w, a, w + fr.v, zeta, fr.omega2, S, E)
+    return change(a, w + fr.v, zeta, fr.omega2, S, E)
+
+
+def sum_of(value: float, rest: float, increase: float) -> tuple[float, float]:
+    """Return value + rest + increase as the nearest number and what that cannot hold (Neumaier)."""
+    increase += rest
+    total = value + increase
+    return total, (value - total) + increase if abs(value) >= abs(increase) else (increase - total) + value
 
 
 def phase(
@@ -132,7 +146,8 @@ def phase(
 ) -> tuple[int, int, float, float, float, float, int]:
     """Go to the next event or to t_max within the frame; return (kind, mode, p, w, t, carry, i).
 
-    Results are stored for times[i], times[i + 1] ... up to there.  Time is t + carry, summed by Neumaier's rule.
+    Results are stored for times[i], times[i + 1] ... up to there.  Time is t + carry, summed by Neumaier's rule, as are
+    p and w with what ``work`` holds: many steps then lose no more than one.
     """
     lo, hi = edges(fr, mode)
     begun = t
@@ -153,13 +168,15 @@ def phase(
             dt = (times[i] - t) - carry
             if dt > tau:
                 break
-            p_at, w_at = (p, w) if dt <= 0.0 else after(fr, mode, p, w, t, dt, work)
-            out_x[i] = position(fr, p_at)
-            out_v[i] = fr.mirror * (w_at + fr.v)
+            dp, dw = (0.0, 0.0) if dt <= 0.0 else moved(fr, mode, p, w, t, dt, work)
+            out_x[i] = position(fr, p + dp)
+            out_v[i] = fr.mirror * (w + dw + fr.v)
             out_mode[i] = float(mirrored(fr, mode))
             i += 1
         if tau > 0.0:
-            p, w = after(fr, mode, p, w, t, tau, work)
+            dp, dw = moved(fr, mode, p, w, t, tau, work)
+            p, work[P_REST] = sum_of(p, work[P_REST], dp)
+            w, work[W_REST] = sum_of(w, work[W_REST], dw)
             if not (math.isfinite(p) and math.isfinite(w)):
                 return NOT_FINITE, mode, p, w, t, carry, i
         if side == 0 and tau >= rest:
@@ -170,12 +187,16 @@ def phase(
         t = total
         if side == 0:
             continue
+        carry += work[LATE]
         if mode == STICK:
             w = 0.0
             if side > 0 and fr.u0 == 0.0 and tau > 0.0:
                 p = 0.0
         else:
             w = hi if side > 0 else lo
+        work[W_REST] = 0.0
+        if mode == STICK or mode == RAMP:  # a slip begins in p alone, so that it can be told when it recurs
+            work[P_REST] = 0.0
         entered = landing(fr, mode, side, p, t)
         if entered == FORCE_REVERSAL:
             return FORCE_REVERSAL, mode, p, w, t, carry, i
@@ -231,6 +252,8 @@ def sample_phase(
         ``mode`` is the one entered; ``i`` the first time not yet served (those at the event itself are).
     """
     fr = frame(flow)
+    work[P_REST] = 0.0
+    work[W_REST] = 0.0
     kind, own, p, w, t, carry, i = phase(
         fr,
         mirrored(fr, mode),
@@ -283,6 +306,8 @@ def sample(
     w = fr.mirror * w
     t = t0
     carry = 0.0
+    work[P_REST] = 0.0
+    work[W_REST] = 0.0
     kind = COMPLETED
     i = 0
     while i < n:
@@ -323,7 +348,9 @@ def next_turn(
             lo = level
         side, tau = leave(fr, own, p, w, t, lo, hi, rest, work)
         if tau > 0.0:
-            p, w = after(fr, own, p, w, t, tau, work)
+            dp, dw = moved(fr, own, p, w, t, tau, work)
+            p += dp
+            w += dw
         t = t + tau
         if side != 0:
             return True, position(fr, p), fr.mirror * level, t
@@ -380,6 +407,8 @@ def run(
     p = displacement(fr, x)
     w = fr.mirror * w
     carry = float(work[CARRY])
+    work[P_REST] = 0.0
+    work[W_REST] = 0.0
     idle = work
     count = 0
     first = -1

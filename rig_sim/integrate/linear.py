@@ -14,10 +14,11 @@ taken to the right extreme by a logarithm: no loop depends on how long the phase
 import math
 
 from rig_sim.integrate.bracket import EPS, newton_step
-from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S, Buffer, Frame
+from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S, LATE, Buffer, Frame
 
 LARGEST_EXPONENT = 700.0  # exp stays finite; growth that far is beyond every edge
 INVERSE = (0.0, *(1.0 / j for j in range(1, 16)))
+SPLITTER = 2.0**27 + 1.0  # halves a number's digits
 SMALLEST_TERM = 1e-18
 NEAR_EXTREME = 1e-9  # relative: an extreme so close to an edge is worked out in full
 
@@ -69,12 +70,10 @@ def velocity(w: float, a: float, u: float, zeta: float, omega2: float, disc: flo
     return w + a * S - u * E
 
 
-def state(
-    p: float, w: float, a: float, u: float, zeta: float, omega2: float, S: float, E: float
-) -> tuple[float, float]:
-    """Return (p, w) where the phase's fundamental solution is S and E."""
+def change(a: float, u: float, zeta: float, omega2: float, S: float, E: float) -> tuple[float, float]:
+    """Return by how much (p, w) have changed where the phase's fundamental solution is S and E."""
     I = E / omega2  # noqa: E741
-    return p + u * (S + 2.0 * zeta * I) + a * I, w + a * S - u * E
+    return u * (S + 2.0 * zeta * I) + a * I, a * S - u * E
 
 
 def shifted(S: float, E: float, zeta: float, omega2: float, step: float) -> tuple[float, float]:
@@ -108,8 +107,8 @@ def root(
     tau = guess if inside < guess < outside else 0.5 * (inside + outside)
     for _i in range(100):
         S, E, _ = fundamental(zeta, omega2, disc, tau)
-        change = a * S - u * E
-        error = (w - level) + change
+        moved = a * S - u * E
+        error = (w - level) + moved
         if error == 0.0:
             work[EXIT], work[EXIT_S], work[EXIT_E] = tau, S, E
             return tau
@@ -122,7 +121,7 @@ def root(
             tau *= 2.0
             continue
         if slope != 0.0:
-            bend = -2.0 * zeta - omega2 * (u + change) / slope
+            bend = -2.0 * zeta - omega2 * (u + moved) / slope
             step = error / slope
             shrink = 1.0 - 0.5 * step * bend
             if shrink > 0.5:  # else far off: Newton
@@ -131,6 +130,7 @@ def root(
                 left = (0.25 * bend * bend + (2.0 * abs(zeta * bend) + omega2) / 6.0) * abs(step * step * step)
                 if inside < following < outside and left <= 0.5 * EPS * following:
                     work[EXIT] = following
+                    work[LATE] = (tau - following) - step
                     work[EXIT_S], work[EXIT_E] = shifted(S, E, zeta, omega2, -step)
                     return following
                 slope *= shrink
@@ -332,3 +332,19 @@ def stick_exit(fr: Frame, p: float, tau_max: float) -> tuple[int, float]:
     if fr.v > 0.0 and -p <= fr.v * tau_max:
         return 1, -p / fr.v
     return 0, tau_max
+
+
+def stick_lateness(fr: Frame, p: float, rest: float, tau: float) -> float:
+    """Return how much later than ``tau`` an undriven stick reaches the slip point from p + rest (s)."""
+    return ((-p - fr.v * tau) - product_error(fr.v, tau) - rest) / fr.v
+
+
+def product_error(a: float, b: float) -> float:
+    """Return a b - fl(a b), exactly (Dekker)."""
+    a_high = a * SPLITTER
+    a_high -= a_high - a
+    b_high = b * SPLITTER
+    b_high -= b_high - b
+    a_low = a - a_high
+    b_low = b - b_high
+    return ((a_high * b_high - a * b) + a_high * b_low + a_low * b_high) + a_low * b_low

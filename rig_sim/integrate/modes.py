@@ -425,9 +425,10 @@ Q = 2 * P  # 1/q0 of the hyperbola's denominator
 D = 3 * P  # the hyperbola's fall
 U = 4 * P  # the drive
 # ... and single numbers: steps taken and allowed, events in a row without time passing, the unit of time of the last
-# Taylor step, what compensated summation holds below the last digit of t, and the closed form at its last exit
-STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, CARRY, EXIT, EXIT_S, EXIT_E = range(5 * P, 5 * P + 8)
-WORK = 5 * P + 8
+# Taylor step, the closed form at its last exit, how much later than its duration says a phase was left, and what
+# compensated summation holds below the last digit of t, p and w
+STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, EXIT, EXIT_S, EXIT_E, LATE, CARRY, P_REST, W_REST = range(5 * P, 5 * P + 11)
+WORK = 5 * P + 11
 
 
 def new_work(max_steps: int = 1_000_000, *, compiled: bool = False) -> Buffer:

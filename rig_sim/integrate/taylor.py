@@ -214,14 +214,14 @@ def value(c: Buffer, at: int, xi: float) -> float:
     return float(total)
 
 
-def values(work: Buffer, xi: float) -> tuple[float, float]:
-    """Return (p, w) at scaled time ``xi``: two chains of products that do not wait for each other."""
+def changes(work: Buffer, xi: float) -> tuple[float, float]:
+    """Return by how much (p, w) have changed at scaled time ``xi``: two chains that do not wait for each other."""
     w = work[W + ORDER]
     p = work[P + ORDER]
-    for j in range(ORDER - 1, -1, -1):
+    for j in range(ORDER - 1, 0, -1):
         w = w * xi + work[W + j]
         p = p * xi + work[P + j]
-    return p, w
+    return p * xi, w * xi
 
 
 def deflated(c: Buffer, at: int, zeros: int, level: float, xi: float) -> tuple[float, float]:
