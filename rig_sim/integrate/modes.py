@@ -336,7 +336,11 @@ def acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
     if mode == STICK:
         return 0.0
     C, e = line(fr, mode)
-    a = (-C * w - fr.k * p + e + drop(fr, mode, w) + drive(fr, t)) / fr.m
+    return kept_inside(fr, mode, w, (-C * w - fr.k * p + e + drop(fr, mode, w) + drive(fr, t)) / fr.m)
+
+
+def kept_inside(fr: Frame, mode: int, w: float, a: float) -> float:
+    """Return the acceleration ``a``, or 0 where it would leave the mode from the mode's own edge."""
     lo, hi = edges(fr, mode)
     if w == hi and mode != POSITIVE:
         return min(a, 0.0)

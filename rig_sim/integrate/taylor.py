@@ -30,9 +30,9 @@ from rig_sim.integrate.modes import (
     Q,
     U,
     W,
-    acceleration,
     drive,
     drop,
+    kept_inside,
     line,
     slip_speed,
 )
@@ -52,8 +52,10 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
 
     The scale (s) is left in ``work[TIME_SCALE]``; coefficients are those of xi = tau/scale.
     """
-    C, _ = line(fr, mode)
-    a = acceleration(fr, mode, p, w, t)
+    C, e = line(fr, mode)
+    fall = drop(fr, mode, w)
+    push = drive(fr, t)
+    a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
     u = w + fr.v
     curved = fr.curve == HYPERBOLIC and mode != RAMP
     driven = fr.u0 != 0.0
@@ -90,7 +92,7 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
     work[P + 1] = u * T
     if driven:
         turn = fr.omega * T
-        work[U] = inertia * drive(fr, t)
+        work[U] = inertia * push
         work[U + 1] = -inertia * fr.u0 * math.sin(fr.omega * t + fr.phase) * turn
         for j in range(2, ORDER):
             work[U + j] = -turn * turn * work[U + j - 2] * (INVERSE[j] * INVERSE[j - 1])
@@ -99,37 +101,53 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
     elif curved:
         # Q: q_j/q0 for j > 0; D: D_j as an acceleration; only Q[n] -> D[n] -> Q[n + 1] is one long chain
         bend = -sign * fr.gamma / q0
-        work[D] = inertia * drop(fr, mode, w)
-        level = sign * inertia * fr.A + work[D]
-        work[Q + 1] = bend * work[W + 1]
+        work[D] = inertia * fall
+        level = sign * inertia * fr.A + inertia * fall
+        w_n = a * T
+        p_n = u * T
+        q_n = bend * w_n
+        work[Q + 1] = q_n
         for n in range(1, ORDER):
+            # four terms a turn, then the rest: less loop, shorter chains of sums
             total = 0.0
             i = D + n - 1
-            whole = Q + n - (n - 1) % 4
-            for j in range(Q + 1, whole, 4):  # four terms a turn: less loop, shorter chains of sums
+            more = (n - 1) % 4
+            whole = Q + n - more
+            for j in range(Q + 1, whole, 4):
                 total += (work[j] * work[i] + work[j + 1] * work[i - 1]) + (
                     work[j + 2] * work[i - 2] + work[j + 3] * work[i - 3]
                 )
                 i -= 4
-            for j in range(whole, Q + n):
-                total += work[j] * work[i]
-                i -= 1
-            rest = -damping * work[W + n] - stiffness * work[P + n]
+            if more > 0:
+                total += work[whole] * work[i]
+                if more > 1:
+                    total += work[whole + 1] * work[i - 1]
+                    if more > 2:
+                        total += work[whole + 2] * work[i - 2]
+            share = INVERSE[n + 1]
+            rest = -damping * w_n - stiffness * p_n
             if driven:
                 rest += work[U + n]
-            pull = -(total + work[Q + n] * level)
-            following = (rest + pull) * INVERSE[n + 1]
+            pull = -(total + q_n * level)
             work[D + n] = pull
-            work[P + n + 1] = T * work[W + n] * INVERSE[n + 1]
-            work[W + n + 1] = following
-            work[Q + n + 1] = bend * following
+            p_n = T * w_n * share
+            w_n = (rest + pull) * share
+            q_n = bend * w_n
+            work[P + n + 1] = p_n
+            work[W + n + 1] = w_n
+            work[Q + n + 1] = q_n
     else:
+        w_n = a * T
+        p_n = u * T
         for n in range(1, ORDER):
-            rest = -damping * work[W + n] - stiffness * work[P + n]
+            share = INVERSE[n + 1]
+            rest = -damping * w_n - stiffness * p_n
             if driven:
                 rest += work[U + n]
-            work[W + n + 1] = rest * INVERSE[n + 1]
-            work[P + n + 1] = T * work[W + n] * INVERSE[n + 1]
+            p_n = T * w_n * share
+            w_n = rest * share
+            work[P + n + 1] = p_n
+            work[W + n + 1] = w_n
     return reach(work, w, a * T)
 
 
