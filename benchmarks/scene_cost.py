@@ -165,7 +165,16 @@ class Race:
         hand_work = new([0.0] * 5 * SIZE)
         fr = frame(flow)
         self.hand = quick if machine else plain
-        self.hand_call = (con, displacement(fr, x), v - flow.v_belt, until, factors, *self.mine, hand_work)
+        self.hand_call = (
+            con,
+            displacement(fr, x),
+            v - flow.v_belt,
+            until,
+            factors,
+            *self.mine,
+            hand_work,
+            new_work(compiled=machine),
+        )
         mode = initial_mode(flow, x, v, 0.0)
         self.whole = not (self.scene.wear or self.scene.scatter or self.scene.joint)
         t_out, carry, x_out, kinds = self.engines
@@ -174,7 +183,7 @@ class Race:
             self.engine = compiled("run") if machine else run
             self.engine_call = (*start, 0.0, until, ROOM, t_out, carry, x_out, kinds, 0)
         else:
-            self.engine = compile_entry(phase_by_phase, allocates=False) if machine else phase_by_phase
+            self.engine = compile_entry(phase_by_phase) if machine else phase_by_phase
             levels = 1 if terms(self.scene).levels else 0
             self.engine_call = (
                 *start, until, factors, con.wear, con.kick, con.turn, levels, t_out, x_out, kinds,

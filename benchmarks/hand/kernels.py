@@ -18,7 +18,8 @@ from numba.extending import register_jitable
 
 from rig_sim.integrate.bracket import EPS, newton_step
 from rig_sim.integrate.compiled import register_kernels
-from rig_sim.integrate.linear import linear_exit, state
+from rig_sim.integrate.linear import fundamental, linear_exit, state
+from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S
 
 STICK, NEGATIVE, POSITIVE, RAMP, KICK = 0, 1, 2, 3, 99
 LEAST_FACTOR = 0.05
@@ -63,7 +64,8 @@ class Terms(NamedTuple):
 def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Return the kernel of these terms, interpreted and compiled.
 
-    It is called with (constants, p, w, t_max, factors, out_t, out_x, out_kind, work) and returns the number of events.
+    It is called with (constants, p, w, t_max, factors, out_t, out_x, out_kind, work, spare) and returns the number of
+    events; ``spare`` is a working buffer of the engine, in which the closed form leaves what it knows at an exit.
     """
     hyperbola, linear, ramp, damper, drive, droop, static, levels, joint = terms
     has_edge = ramp or droop
@@ -285,7 +287,14 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 return 1, load_root(con, p, theta, 0.0, 1, max(0.0, peak - (period - falling)), peak)
             turns += 1.0
 
-    def kernel(con, p, w, t_max, factors, out_t, out_x, out_kind, work):
+    @register_jitable
+    def solution(zeta, omega2, disc, tau, spare):
+        if tau == spare[EXIT]:
+            return spare[EXIT_S], spare[EXIT_E]
+        S, E, _ = fundamental(zeta, omega2, disc, tau)
+        return S, E
+
+    def kernel(con, p, w, t_max, factors, out_t, out_x, out_kind, work, spare):
         A = con.Fs
         B = con.static * A if static else A
         slip = (B - con.c * con.v) / con.k if damper else B / con.k
@@ -341,8 +350,9 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 elif w == -edge:
                     a = max(a, 0.0)
                 u = w + con.v
-                side, tau = linear_exit(w, a, u, zeta_ramp, omega2, disc_ramp, -edge, edge, rest, 0.0)
-                p, w = state(p, w, a, u, zeta_ramp, omega2, disc_ramp, tau)
+                side, tau = linear_exit(w, a, u, zeta_ramp, omega2, disc_ramp, -edge, edge, rest, 0.0, spare)
+                S, E = solution(zeta_ramp, omega2, disc_ramp, tau, spare)
+                p, w = state(p, w, a, u, zeta_ramp, omega2, S, E)
                 if side != 0:
                     w = edge if side > 0 else -edge
             elif mode == RAMP:
@@ -385,8 +395,9 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 u = w + con.v
                 lo, hi = (-reversal, -edge) if sign > 0.0 else (edge, reversal)
                 touch = 0.0 if has_edge else 4.0 * EPS
-                side, tau = linear_exit(w, a, u, zeta_slip, omega2, disc_slip, lo, hi, rest, touch)
-                p, w = state(p, w, a, u, zeta_slip, omega2, disc_slip, tau)
+                side, tau = linear_exit(w, a, u, zeta_slip, omega2, disc_slip, lo, hi, rest, touch, spare)
+                S, E = solution(zeta_slip, omega2, disc_slip, tau, spare)
+                p, w = state(p, w, a, u, zeta_slip, omega2, S, E)
                 if side != 0:
                     w = hi if side > 0 else lo
                     if (side > 0) != (sign > 0.0):
