@@ -12,14 +12,29 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hand.polynomial import INVERSE, ORDER, D, P, Q, U, binary_size, deflated, first_root, polish, reach, survey, values
+from hand.polynomial import (
+    INVERSE,
+    ORDER,
+    D,
+    P,
+    Q,
+    U,
+    binary_size,
+    changes,
+    deflated,
+    first_root,
+    polish,
+    reach,
+    survey,
+)
 from numba import njit
 from numba.extending import register_jitable
 
 from rig_sim.integrate.bracket import EPS, newton_step
 from rig_sim.integrate.compiled import register_kernels
-from rig_sim.integrate.linear import fundamental, linear_exit, state
-from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S
+from rig_sim.integrate.hybrid import sum_of
+from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_lateness
+from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S, LATE
 
 STICK, NEGATIVE, POSITIVE, RAMP, KICK = 0, 1, 2, 3, 99
 LEAST_FACTOR = 0.05
@@ -314,7 +329,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
             disc_ramp = (zeta_ramp - omega0) * (zeta_ramp + omega0)
         reversal = con.d + A / con.G if linear else math.inf
         t = 0.0
-        carry = 0.0
+        carry = p_rest = w_rest = 0.0
         count = 0
         drawn = 0
         kicks = 0
@@ -329,6 +344,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
             sign = 1.0 if mode == NEGATIVE else -1.0
             rest = (t_end - t) - carry
             side = 0
+            late = 0.0
             if mode == STICK:
                 if drive:
                     side, tau = driven_stick(con, B, p, t)
@@ -338,7 +354,9 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 elif p >= 0.0:
                     side, tau = 1, 0.0
                 elif -p <= con.v * rest:
-                    side, tau, p = 1, -p / con.v, 0.0
+                    side, tau = 1, -p / con.v
+                    late = stick_lateness(con, p, p_rest, tau)
+                    p = 0.0
                 else:
                     tau = rest
                     p += con.v * tau
@@ -350,9 +368,13 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 elif w == -edge:
                     a = max(a, 0.0)
                 u = w + con.v
+                spare[LATE] = 0.0
                 side, tau = linear_exit(w, a, u, zeta_ramp, omega2, disc_ramp, -edge, edge, rest, 0.0, spare)
                 S, E = solution(zeta_ramp, omega2, disc_ramp, tau, spare)
-                p, w = state(p, w, a, u, zeta_ramp, omega2, S, E)
+                dp, dw = change(a, u, zeta_ramp, omega2, S, E)
+                p, p_rest = sum_of(p, p_rest, dp)
+                w, w_rest = sum_of(w, w_rest, dw)
+                late = spare[LATE]
                 if side != 0:
                     w = edge if side > 0 else -edge
             elif mode == RAMP:
@@ -365,7 +387,9 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 if root >= 0.0:
                     side, xi = -1, root
                 tau = min(xi * T, rest)
-                p, w = values(work, xi)
+                dp, dw = changes(work, xi)
+                p, p_rest = sum_of(p, p_rest, dp)
+                w, w_rest = sum_of(w, w_rest, dw)
                 if side != 0:
                     w = edge if side > 0 else -edge
             elif series_slip:
@@ -382,7 +406,9 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     if root >= 0.0:
                         return count
                 tau = min(xi * T, rest)
-                p, w = values(work, xi)
+                dp, dw = changes(work, xi)
+                p, p_rest = sum_of(p, p_rest, dp)
+                w, w_rest = sum_of(w, w_rest, dw)
                 if side != 0:
                     w = -sign * edge
             else:
@@ -395,9 +421,13 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 u = w + con.v
                 lo, hi = (-reversal, -edge) if sign > 0.0 else (edge, reversal)
                 touch = 0.0 if has_edge else 4.0 * EPS
+                spare[LATE] = 0.0
                 side, tau = linear_exit(w, a, u, zeta_slip, omega2, disc_slip, lo, hi, rest, touch, spare)
                 S, E = solution(zeta_slip, omega2, disc_slip, tau, spare)
-                p, w = state(p, w, a, u, zeta_slip, omega2, S, E)
+                dp, dw = change(a, u, zeta_slip, omega2, S, E)
+                p, p_rest = sum_of(p, p_rest, dp)
+                w, w_rest = sum_of(w, w_rest, dw)
+                late = spare[LATE]
                 if side != 0:
                     w = hi if side > 0 else lo
                     if (side > 0) != (sign > 0.0):
@@ -412,6 +442,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     return count
                 kicks += 1
                 w += con.kick
+                w_rest = 0.0
                 out_t[count] = t
                 out_x[count] = slip + p
                 out_kind[count] = KICK
@@ -430,7 +461,11 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     count += 1
                 t_end = min(t_max, (kicks + 1) * con.turn)
                 continue
+            carry += late
+            w_rest = 0.0
             was = mode
+            if mode == STICK or mode == RAMP:
+                p_rest = 0.0
             if mode == STICK:
                 mode = NEGATIVE if side > 0 else POSITIVE
             elif mode == RAMP:
@@ -461,6 +496,6 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     disc_ramp = (zeta_ramp - omega0) * (zeta_ramp + omega0)
 
     register_kernels()
-    for function in (binary_size, reach, values, deflated, survey, polish, first_root):
+    for function in (binary_size, reach, changes, deflated, survey, polish, first_root):
         register_jitable(function)
     return kernel, njit(kernel, error_model="numpy", _nrt=False)

@@ -1,4 +1,4 @@
-"""Series of a slip in one flat buffer, as the kernels by hand use them: step, values, first root on a level.
+"""Series of a slip in one flat buffer, as the kernels by hand use them: step, changes, first root on a level.
 
 The algorithm is the engine's (`rig_sim.integrate.taylor`), which explains it; the series of w begins at 0.
 """
@@ -37,14 +37,14 @@ def reach(work):
     return math.exp(0.6931471805599453 * shortest) if shortest < 2.0 else 4.0
 
 
-def values(work, xi):
-    """Return (p, w) at scaled time ``xi``."""
+def changes(work, xi):
+    """Return by how much (p, w) have changed at scaled time xi."""
     w = work[ORDER]
     p = work[P + ORDER]
-    for j in range(ORDER - 1, -1, -1):
+    for j in range(ORDER - 1, 0, -1):
         w = w * xi + work[j]
         p = p * xi + work[P + j]
-    return p, w
+    return p * xi, w * xi
 
 
 def deflated(c, zeros, level, xi):

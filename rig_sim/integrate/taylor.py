@@ -173,8 +173,16 @@ def expand_drooping(
     for n in range(1, ORDER):
         straight = bend * work[W + n]
         total = straight * level
-        for j in range(1, n):
-            total += work[Q + j] * work[D + n - j]
+        i = D + n - 1
+        whole = Q + n - (n - 1) % 4
+        for j in range(Q + 1, whole, 4):  # as in `expand`
+            total += (work[j] * work[i] + work[j + 1] * work[i - 1]) + (
+                work[j + 2] * work[i - 2] + work[j + 3] * work[i - 3]
+            )
+            i -= 4
+        for j in range(whole, Q + n):
+            total += work[j] * work[i]
+            i -= 1
         pull = -total * gain
         work[D + n] = pull
         work[Q + n] = straight - hold * pull
