@@ -160,8 +160,7 @@ def grazing(fr: Frame) -> Orbit:
     """Return the circle of radius v - d about the fixed point of slip (thesis 2.4, 2.5)."""
     centre = line(fr, NEGATIVE)[1] / fr.k
     speed = fr.v - fr.d
-    omega0 = math.sqrt(fr.omega2)
-    period = 2.0 * math.pi / omega0
+    period = 2.0 * math.pi / fr.omega0
     return Orbit(
         "grazing",
         "stick has zero length: friction that does not fall with speed keeps the mass sliding",
@@ -170,8 +169,8 @@ def grazing(fr: Frame) -> Orbit:
         t_slip=period,
         x_slip=position(fr, centre),
         x_stick=position(fr, centre),
-        x_min=position(fr, centre) - speed / omega0,
-        x_max=position(fr, centre) + speed / omega0,
+        x_min=position(fr, centre) - speed / fr.omega0,
+        x_max=position(fr, centre) + speed / fr.omega0,
         v_min=-speed,
         v_max=speed,
         sequence=LETTERS[mirrored(fr, NEGATIVE)] + "S",
@@ -300,8 +299,7 @@ def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Bu
         return found
     C, _ = line(fr, mode)
     zeta = 0.5 * C / fr.m
-    omega0 = math.sqrt(fr.omega2)
-    disc = (zeta - omega0) * (zeta + omega0)
+    disc = (zeta - fr.omega0) * (zeta + fr.omega0)
     a = acceleration(fr, mode, p, w, 0.0)
     u = w + fr.v
     # w' = 0, and (u' + ... ) = 0: u itself obeys the same equation as w', one derivative down
@@ -333,7 +331,7 @@ def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
         room = min(room, q / fr.gamma)
     if not C > slope:
         return False
-    return math.hypot(w + fr.v, math.sqrt(fr.omega2) * (p - rest(fr, mode, p))) < SETTLED * room
+    return math.hypot(w + fr.v, fr.omega0 * (p - rest(fr, mode, p))) < SETTLED * room
 
 
 def rest(fr: Frame, mode: int, p: float) -> float:

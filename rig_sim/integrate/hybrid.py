@@ -40,12 +40,14 @@ from rig_sim.integrate.modes import (
     RAMP,
     RAPID,
     RECURRED,
+    START,
     STEP_LIMIT,
     STEPS,
     STEPS_ALLOWED,
     STICK,
     TIME_SCALE,
     W_REST,
+    ZETA,
     Buffer,
     Flow,
     Frame,
@@ -53,6 +55,7 @@ from rig_sim.integrate.modes import (
     displacement,
     edges,
     frame,
+    kept_inside,
     landing,
     line,
     mirrored,
@@ -92,11 +95,12 @@ def leave(
         return series_exit(fr, mode, p, w, t, lo, hi, tau_max, work)
     if fr.u0 != 0.0:
         return ramp_exit(fr, p, w, t, lo, hi, tau_max)
-    C, _ = line(fr, mode)
+    C, e = line(fr, mode)
     zeta = 0.5 * C / fr.m
-    omega0 = math.sqrt(fr.omega2)
-    disc = (zeta - omega0) * (zeta + omega0)
-    a = acceleration(fr, mode, p, w, t)
+    disc = (zeta - fr.omega0) * (zeta + fr.omega0)
+    a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e) / fr.m)
+    work[ZETA] = zeta
+    work[START] = a
     touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
     return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch, work)
 
@@ -110,15 +114,12 @@ def moved(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: 
     if fr.u0 != 0.0:
         p_end, w_end, _ = ramp_state(fr, p, w, t, tau)
         return p_end - p, w_end - w
-    C, _ = line(fr, mode)
-    zeta = 0.5 * C / fr.m
-    a = acceleration(fr, mode, p, w, t)
+    zeta = work[ZETA]
     if tau == work[EXIT]:
         S, E = work[EXIT_S], work[EXIT_E]
     else:
-        omega0 = math.sqrt(fr.omega2)
-        S, E, _ = fundamental(zeta, fr.omega2, (zeta - omega0) * (zeta + omega0), tau)
-    return change(a, w + fr.v, zeta, fr.omega2, S, E)
+        S, E, _ = fundamental(zeta, fr.omega2, (zeta - fr.omega0) * (zeta + fr.omega0), tau)
+    return change(work[START], w + fr.v, zeta, fr.omega2, S, E)
 
 
 def sum_of(value: float, rest: float, increase: float) -> tuple[float, float]:
@@ -177,7 +178,7 @@ def phase(
             dp, dw = moved(fr, mode, p, w, t, tau, work)
             p, work[P_REST] = sum_of(p, work[P_REST], dp)
             w, work[W_REST] = sum_of(w, work[W_REST], dw)
-            if not (math.isfinite(p) and math.isfinite(w)):
+            if not math.isfinite(p + w):
                 return NOT_FINITE, mode, p, w, t, carry, i
         if side == 0 and tau >= rest:
             work[RAPID] = 0.0
@@ -200,7 +201,7 @@ def phase(
         entered = landing(fr, mode, side, p, t)
         if entered == FORCE_REVERSAL:
             return FORCE_REVERSAL, mode, p, w, t, carry, i
-        if t - begun <= RAPID_TIME / math.sqrt(fr.omega2):
+        if (t - begun) * fr.omega0 <= RAPID_TIME:
             work[RAPID] += 1.0
             if work[RAPID] > RAPID_ALLOWED:
                 return EVENT_RATE, entered, p, w, t, carry, i
@@ -211,7 +212,7 @@ def phase(
 
 def seen(fr: Frame, kind: int) -> int:
     """Return a kind found in the frame as it is outside: transitions of a mirrored frame are mirrored."""
-    if kind == COMPLETED or kind >= FORCE_REVERSAL:
+    if fr.mirror > 0.0 or kind == COMPLETED or kind >= FORCE_REVERSAL:
         return kind
     return 4 * mirrored(fr, kind // 4) + mirrored(fr, kind % 4)
 
@@ -430,7 +431,7 @@ def run(
         if recur == 0 or fr.u0 != 0.0 or (kind != 4 * STICK + NEGATIVE and kind != 4 * RAMP + NEGATIVE):
             continue
         # w is the edge of stick or ramp, exactly: p alone is the state
-        if first >= 0 and p == p_first and total - out_t[first] > RAPID_ALLOWED * RAPID_TIME / math.sqrt(fr.omega2):
+        if first >= 0 and p == p_first and (total - out_t[first]) * fr.omega0 > RAPID_ALLOWED * RAPID_TIME:
             outcome = RECURRED
             break
         turns += 1

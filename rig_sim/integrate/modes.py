@@ -197,8 +197,8 @@ class Frame(NamedTuple):
 
     ``mirror`` is -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1; ``A`` and ``B``
     are the kinetic and the break-away level; ``d`` is 0 for a jump; ``G`` the linear curve's slope with the scatter;
-    ``s_max`` the relative speed of force reversal; ``omega2`` = k/m; ``slip`` = x_slip - x0 (mirrored); ``lag`` = droop
-    gamma on the hyperbola, else 0.
+    ``s_max`` the relative speed of force reversal; ``omega2`` = k/m = omega0^2; ``slip`` = x_slip - x0 (mirrored);
+    ``lag`` = droop gamma on the hyperbola, else 0.
     """
 
     mirror: float
@@ -219,6 +219,7 @@ class Frame(NamedTuple):
     omega: float
     phase: float
     omega2: float
+    omega0: float
     lag: float
 
 
@@ -261,6 +262,7 @@ def frame(flow: Flow) -> Frame:
         flow.omega,
         flow.phase,
         flow.k / flow.m,
+        math.sqrt(flow.k / flow.m),
         lag,
     )
 
@@ -425,10 +427,12 @@ Q = 2 * P  # 1/q0 of the hyperbola's denominator
 D = 3 * P  # the hyperbola's fall
 U = 4 * P  # the drive
 # ... and single numbers: steps taken and allowed, events in a row without time passing, the unit of time of the last
-# Taylor step, the closed form at its last exit, how much later than its duration says a phase was left, and what
-# compensated summation holds below the last digit of t, p and w
-STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, EXIT, EXIT_S, EXIT_E, LATE, CARRY, P_REST, W_REST = range(5 * P, 5 * P + 11)
-WORK = 5 * P + 11
+# Taylor step, the closed form's damping and acceleration at its start and its solution at its exit, how much later than
+# its duration says a phase was left, and what compensated summation holds below the last digit of t, p and w
+STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, ZETA, START, EXIT, EXIT_S, EXIT_E, LATE, CARRY, P_REST, W_REST = range(
+    5 * P, 5 * P + 13
+)
+WORK = 5 * P + 13
 
 
 def new_work(max_steps: int = 1_000_000, *, compiled: bool = False) -> Buffer:

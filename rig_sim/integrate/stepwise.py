@@ -130,7 +130,7 @@ def phase(
         entered = landing(fr, mode, go.side, p, t)
         if entered == FORCE_REVERSAL:
             return FORCE_REVERSAL, mode, p, w, t, i
-        work[RAPID] = work[RAPID] + 1.0 if t - begun <= RAPID_TIME / math.sqrt(fr.omega2) else 0.0
+        work[RAPID] = work[RAPID] + 1.0 if (t - begun) * fr.omega0 <= RAPID_TIME else 0.0
         if work[RAPID] > RAPID_ALLOWED:
             return EVENT_RATE, entered, p, w, t, i
         return 4 * mode + entered, entered, p, w, t, i

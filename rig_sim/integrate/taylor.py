@@ -60,7 +60,7 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
     curved = fr.curve == HYPERBOLIC and mode != RAMP
     driven = fr.u0 != 0.0
     sign = 1.0 if mode == NEGATIVE else -1.0
-    rate = math.sqrt(fr.omega2) + abs(C) / fr.m
+    rate = fr.omega0 + abs(C) / fr.m
     q0 = 1.0
     slope = 0.0
     if curved:

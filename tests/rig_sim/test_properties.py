@@ -197,12 +197,9 @@ SETS = [
     (6, {"m": 2.3, "k": 0.7, "v_belt": 0.31, "gamma": 7.7, "Fs": 1.9, "c": 0.013, "d": 0.011}),
     (4, {"m": 0.9, "v_belt": -0.7, "G_slip": 0.06, "d": 0.05}),
 ]
-# At 2.7e-13, 2.33e-13 and 3.5e-13: a Taylor step ends where its tail is half an ulp; at a sixteenth these meet it too
-NOT_YET = pytest.mark.xfail(reason="up to 3 ulp, the tails of Taylor steps", strict=True)
-LONG = [pytest.param(*one, marks=NOT_YET) if i in (3, 4, 7) else one for i, one in enumerate(SETS)]
 
 
-@pytest.mark.parametrize(("law", "changes"), LONG, ids=str)
+@pytest.mark.parametrize(("law", "changes"), SETS, ids=str)
 def test_event_times_are_right_to_two_ulp_after_a_thousand_time_units(law, changes):
     flow = flow_of(law, **changes)
     until = 1000.0
