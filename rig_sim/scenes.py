@@ -40,7 +40,7 @@ from pydantic import Field, ValidationError
 
 from daq.errors import InputError, nearest
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.modes import Flow, validate
+from rig_sim.integrate.modes import LARGEST, SMALLEST, Flow, validate
 from rig_sim.sections import (
     Belt,
     Damper,
@@ -63,7 +63,6 @@ from rig_sim.sections import (
 )
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
-SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0
 TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive", "shaker")
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "tell")
 SECTIONS = TERMS + EFFECTS

@@ -157,6 +157,7 @@ class Flow(NamedTuple):
     droop: float = 0.0
 
 
+SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0: products of three stay finite
 POSITIVE_FIELDS = ("m", "k")
 NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d", "droop")
 
@@ -167,12 +168,15 @@ def validate(flow: Flow) -> None:
     Raises
     ------
     ValueError
-        Naming the field: not finite; m or k not above 0; Fs, factor, gamma, d or droop below 0; static below 1; droop
-        with static above 1, without friction, or with friction that falls faster than the belt gives way.
+        Naming the field: not finite; above `LARGEST`; m or k not above 0, or below `SMALLEST`; Fs, factor, gamma, d or
+        droop below 0; static below 1; droop with static above 1, without friction, or with friction that falls faster
+        than the belt gives way.
     """
     for name, number in flow._asdict().items():
         if not math.isfinite(number):
             raise ValueError(f"{name} is {number}; need a finite number")
+        if abs(number) > LARGEST or (name in POSITIVE_FIELDS and 0.0 < number < SMALLEST):
+            raise ValueError(f"{name} is {number}; beyond {SMALLEST:g} to {LARGEST:g}: choose other units")
         if name in POSITIVE_FIELDS and not number > 0.0:
             raise ValueError(f"{name} is {number}; need a number above 0")
         if name in NON_NEGATIVE_FIELDS and number < 0.0:
