@@ -152,7 +152,7 @@ def phase(
     """
     lo, hi = edges(fr, mode)
     begun = t
-    if not (math.isfinite(p) and math.isfinite(w) and math.isfinite(t_max - t)):
+    if not math.isfinite(p + w + (t_max - t)):
         return NOT_FINITE, mode, p, w, t, carry, i
     while True:
         rest = (t_max - t) - carry
