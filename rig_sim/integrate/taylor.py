@@ -124,30 +124,31 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
                     total += work[whole + 1] * work[i - 1]
                     if more > 2:
                         total += work[whole + 2] * work[i - 2]
-            share = INVERSE[n + 1]
-            rest = -damping * w_n - stiffness * p_n
-            if driven:
-                rest += work[U + n]
+            following = n + 1
+            share = INVERSE[following]
             pull = -(total + q_n * level)
             work[D + n] = pull
-            p_n = T * w_n * share
-            w_n = (rest + pull) * share
-            q_n = bend * w_n
-            work[P + n + 1] = p_n
-            work[W + n + 1] = w_n
-            work[Q + n + 1] = q_n
-    else:
-        w_n = a * T
-        p_n = u * T
-        for n in range(1, ORDER):
-            share = INVERSE[n + 1]
-            rest = -damping * w_n - stiffness * p_n
+            rest = pull - damping * w_n - stiffness * p_n
             if driven:
                 rest += work[U + n]
             p_n = T * w_n * share
             w_n = rest * share
-            work[P + n + 1] = p_n
-            work[W + n + 1] = w_n
+            q_n = bend * w_n
+            work[P + following] = p_n
+            work[W + following] = w_n
+            work[Q + following] = q_n
+    else:
+        w_n = a * T
+        p_n = u * T
+        for n in range(2, ORDER + 1):
+            share = INVERSE[n]
+            rest = -damping * w_n - stiffness * p_n
+            if driven:
+                rest += work[U + n - 1]
+            p_n = T * w_n * share
+            w_n = rest * share
+            work[P + n] = p_n
+            work[W + n] = w_n
     return reach(work, w, a * T)
 
 
