@@ -16,6 +16,7 @@ import serial
 
 from daq.quadrature import levels_of
 from daq.stream import Stream, decode
+from daq.wire import FrameReader
 from rig_sim.encoder import QuadratureEncoder
 from rig_sim.motion import Motion
 
@@ -226,3 +227,30 @@ def taken(stream, board, report):
     if len(true):
         net = net + true[0]
     return Taken(stream, seq, ticks, net, stream.illegal[frame], entry, true, report)
+
+
+class Host:
+    """The other end of a board's line, once the board has answered; a context manager."""
+
+    def __init__(self, board, baud=115_200):
+        self.port = serial.Serial(board.port, baud, timeout=0.05)
+        ask(self.port, b"\nX\nI\n", lambda heard: b"stickslip" in heard)
+        while self.port.read(4096):
+            pass
+        self._reader = FrameReader()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.port.close()
+
+    def say(self, *commands, wait=0.15, broken=0):
+        """Send commands and return the frames that come within ``wait`` seconds; so many may be ``broken``."""
+        self.port.write("".join(f"{command}\n" for command in commands).encode())
+        found = []
+        until = time.monotonic() + wait
+        while time.monotonic() < until:
+            found += self._reader.feed(self.port.read(max(1, self.port.in_waiting)))
+        assert self._reader.crc_errors <= broken
+        return found

@@ -349,6 +349,7 @@ int main(int argc, char **argv) {
     if (openpty(&master, &slave, name, NULL, NULL)) fail("cannot open a pty");
     tcgetattr(slave, &raw);
     cfmakeraw(&raw);
+    cfsetspeed(&raw, B115200);
     tcsetattr(slave, TCSANOW, &raw);
     fcntl(master, F_SETFL, O_NONBLOCK);
     fcntl(STDIN_FILENO, F_SETFL, O_NONBLOCK);
