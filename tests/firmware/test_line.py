@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import serial
 
-from daq import wire
+from daq import flashing, wire
 from daq.wire import Ident, Notice, SampleBlock
 
 BAUDS = (115_200, 250_000, 500_000, 1_000_000)
@@ -24,7 +24,7 @@ def test_it_identifies_itself_at_power_up(bench, switch_on):
     assert said[0] == 0
     assert [type(frame) for frame in frames] == [Ident]
     assert frames[0].name == "stickslip uno"
-    assert frames[0].firmware == (1, 0, 0)
+    assert ".".join(map(str, frames[0].firmware)) == flashing.VERSION
 
 
 @pytest.mark.parametrize(
