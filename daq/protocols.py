@@ -43,6 +43,11 @@ class Identity:
 class Frames:
     """A session in our own binary protocol.
 
+    Parameters
+    ----------
+    decoder : str, optional
+        The decoder to select on a board that runs another one; its counters then start again.
+
     Attributes
     ----------
     received : list of (int, bytes)
@@ -55,9 +60,10 @@ class Frames:
 
     name = "frames"
 
-    def __init__(self, port: "Port", url: str) -> None:
+    def __init__(self, port: "Port", url: str, decoder: str | None = None) -> None:
         self.port = port
         self.url = url
+        self.decoder = decoder
         self.received: list[tuple[int, bytes]] = []
 
     def identify(self) -> Identity:
@@ -66,11 +72,16 @@ class Frames:
         Raises
         ------
         DeviceError
-            No answer, or none in our protocol.
+            No answer, or none in our protocol; or the board does not have the decoder.
         """
         self._send("", "X")  # the empty line ends a half-sent command of somebody who crashed
         strange = self.drain()
-        return self._ask(strange)
+        identity = self._ask(strange)
+        if self.decoder in (None, identity.ident.decoder):
+            return identity
+        self._send(f"M {self.decoder}")
+        self.received.clear()  # a journal begins with the identification that holds
+        return self._ask(b"")
 
     def prepare(self, rate_hz: int, block: int) -> Identity:
         """Set the sample rate and the samples per frame.
@@ -93,7 +104,8 @@ class Frames:
 
     def restart(self, rate_hz: int, block: int) -> None:
         """Set a board that has just reset back to work, without waiting for answers."""
-        self._send(f"R {rate_hz}", f"B {block}", "S")
+        decoder = [] if self.decoder is None else [f"M {self.decoder}"]
+        self._send(*decoder, f"R {rate_hz}", f"B {block}", "S")
 
     def stop(self) -> None:
         """Stop the samples; the partial block still comes."""

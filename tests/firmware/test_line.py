@@ -9,6 +9,8 @@ import pytest
 import serial
 
 from daq import flashing, wire
+from daq.record import Request, record
+from daq.runfile import load
 from daq.wire import Ident, Notice, SampleBlock
 
 BAUDS = (115_200, 250_000, 500_000, 1_000_000)
@@ -110,6 +112,19 @@ def test_a_main_loop_that_hangs_is_restarted_by_the_watchdog(bench, switch_on):
     assert kinds.count(Ident) == 1
     assert kinds.count(SampleBlock) > 50
     assert board.report["resets"] == 1
+
+
+def test_a_recording_goes_on_in_a_new_segment_when_the_board_restarts(bench, switch_on, tmp_path):
+    with switch_on("uno", speed=1, hang=0.6) as board:
+        found = record(Request(port=board.port, output=tmp_path / "run.h5", duration_s=2.6))
+    assert found.segments == 2
+    assert 1000 <= found.samples < 2000
+    run = load(tmp_path / "run.h5")
+    first = int(np.searchsorted(run.segment, 1))
+    assert run.raw.sample[first] == 0
+    assert run.time[-1] == pytest.approx(2.6, abs=0.1)
+    gap = run.time[first] - run.time[first - 1]
+    assert 0.5 < gap < 1.5  # the watchdog's second, less what it had waited before
 
 
 def test_a_line_too_slow_loses_samples_and_says_so(bench, switch_on):

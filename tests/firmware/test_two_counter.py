@@ -1,7 +1,13 @@
 """The two hardware counters, for a rig whose own J-K box gives up and down pulses."""
 
+import json
+import subprocess
+import sys
+
 import numpy as np
 import pytest
+
+from daq.runfile import load
 
 PULSE_HZ = 1_000_000
 IN_FLIGHT = 4  # pulses that may come between the entry of a latch and its reading of a counter, 30 cycles later
@@ -48,6 +54,24 @@ def test_the_upper_byte_of_the_down_counter_is_never_torn(bench, switch_on, offs
     early = (taken.stream.down.astype(np.int64) - true) & 0xFFFF
     assert set(np.unique(early)) <= {0, 1, 0xFFFF}
     assert np.count_nonzero(np.diff(taken.stream.down >> 8)) > 0.9 * (samples - 20)
+
+
+def test_a_run_behind_a_jk_box_is_recorded_by_the_command(bench, switch_on, tmp_path):
+    rng = np.random.default_rng(11)
+    up, down = bursts(rng, 100_000, 20_000, 800), bursts(rng, 8_000_000, 15_000, 800)
+    edges = bench.of_pulses(up, down, width=8)
+    words = ["record", "--decoder", "two-counter", "--duration", "1.4", "-o", "run.h5", "--json"]
+    with switch_on("mega", edges=edges, pins=bench.COUNTER_PINS["mega"], speed=2) as board:
+        line = [sys.executable, "-m", "daq.cli", *words, "--port", board.port]
+        done = subprocess.run(line, capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["samples"], found["lost"], found["illegal"], found["phase_errors"]) == (1400, 0, 0, 0)
+    run = load(tmp_path / "run.h5")
+    assert run.rig.decoder == "two-counter"
+    assert run.count[0] == 0
+    assert run.count.max() > 8_000
+    assert run.count[-1] == len(up) - len(down)
 
 
 def test_the_board_says_which_decoder_it_runs(bench, switch_on):
