@@ -20,7 +20,7 @@
 
         .section .text.latch, "ax", @progbits
 
-; ---- x4: 16 to 21 cycles -------------------------------------------------------------------------------------------
+; ---- x4: 19 to 21 cycles -------------------------------------------------------------------------------------------
 
         .global A_VECT
         .global B_VECT
@@ -169,7 +169,7 @@ TIMER0_OVF_vect:
 ; ---- the latch: once every turn of Timer 2, and in the turn that is due it latches ------------------------------------
 ;
 ; The instant of a sample is the entry into this routine: from there on nothing counts, so counters and levels are those
-; of the entry, and the time is read a fixed number of cycles later.  Interrupts are on again after 47 cycles.
+; of the entry, and the time is read a fixed number of cycles later.  Interrupts are on again 51 cycles after the entry.
 
 not_due:
         movw    r30, r4

@@ -117,12 +117,6 @@ class Taken:
         """Count error of each sample, counts."""
         return self.net - self.true
 
-    @property
-    def time_error(self):
-        """Recorded time less the entry of the latch, cycles, less its mean."""
-        difference = self.ticks * CYCLES_PER_TICK - self.entry
-        return difference - difference.mean()
-
 
 class Board:
     """A board in the emulator; a context manager that yields itself with ``port``, the name of its pty."""
@@ -215,6 +209,7 @@ def record(board, rate_hz, samples, *, baud=115_200, block=8, mode=None):
 
 
 def taken(stream, board, report):
+    """Return what a board has sent, unwrapped, with the truth beside it."""
     within = np.arange(len(stream.up)) - np.repeat(stream.first, stream.n)
     frame = np.repeat(np.arange(len(stream.n)), stream.n)
     ahead = np.cumsum(stream.dt.astype(np.int64))
@@ -227,6 +222,12 @@ def taken(stream, board, report):
     if len(true):
         net = net + true[0]
     return Taken(stream, seq, ticks, net, stream.illegal[frame], entry, true, report)
+
+
+def first_sample(board, mode=None):
+    """Return the cycle after the start at which a board, which is then switched off, latches its first sample."""
+    with board:
+        return int(record(board, 1000, 16, mode=mode).entry[0])
 
 
 class Host:
@@ -245,7 +246,7 @@ class Host:
     def __exit__(self, *error):
         self.port.close()
 
-    def say(self, *commands, wait=0.15, broken=0):
+    def say(self, *commands, wait=0.3, broken=0):
         """Send commands and return the frames that come within ``wait`` seconds; so many may be ``broken``."""
         self.port.write("".join(f"{command}\n" for command in commands).encode())
         found = []

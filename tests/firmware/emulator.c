@@ -13,10 +13,11 @@
    hang     so long after S the main loop hangs, in an endless loop with interrupts on.
    speed    emulated seconds per second at most; 0: as fast as it can.
 
-   simavr is GPLv3, and so is this file with it: it stays among the tests and out of the wheel.
+   simavr is GPLv3, so a program made of this file is, too: it stays among the tests and out of the wheel.
 
    What simavr 1.6 lacks and is added here: the cycles of an interrupt's entry; a serial line whose ends may disagree on
-   the baud rate (bits are sampled as a receiver does, so that the wrong rate gives the wrong bytes and framing errors). */
+   the baud rate (bits are sampled as a receiver does, so that the wrong rate gives the wrong bytes and framing errors);
+   a sender of 10 bits a byte with a byte of buffer before it (simavr counts 11 bits and knows no buffer). */
 
 #include <errno.h>
 #include <fcntl.h>
@@ -226,10 +227,22 @@ static void host_says(const uint8_t *bytes, size_t n) {
 static uint8_t out[1 << 16];
 static size_t out_length;
 static uint64_t bytes_out, bytes_dropped;
+static avr_uart_t *uart;
+static double sender_free;
+
+static void find_uart(void) {
+    for (avr_io_t *io = avr->io_port; io; io = io->next)
+        if (!strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == '0') uart = (avr_uart_t *)io;
+}
 
 static void board_says(avr_irq_t *irq, uint32_t value, void *param) {
     (void)irq;
     (void)param;
+    /* The buffer is free again once this byte is in the shift register: that is when simavr says so, after what it takes
+       for a byte's length. */
+    double wait = sender_free > avr->cycle ? sender_free - avr->cycle : 0;
+    sender_free = avr->cycle + wait + 10 * board_bit();
+    uart->cycles_per_byte = 2 + (uint64_t)wait;
     double ratio = board_bit() / host_bit();
     uint8_t byte = value;
     if (ratio < 0.96 || ratio > 1.04) {
@@ -340,6 +353,8 @@ int main(int argc, char **argv) {
     avr_irq_register_notify(avr_get_interrupt_irq(avr, AVR_INT_ANY) + AVR_INT_IRQ_RUNNING, on_interrupt, NULL);
     uint32_t flags = 0;
     avr_ioctl(avr, AVR_IOCTL_UART_SET_FLAGS('0'), &flags);
+    find_uart();
+    if (!uart) fail("no UART");
     uart_in = avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_INPUT);
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), board_says, NULL);
 

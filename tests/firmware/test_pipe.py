@@ -62,6 +62,16 @@ def test_every_count_of_the_recording_is_the_encoders(both, bench):
     assert np.array_equal(recorded.count - recorded.count[0], true - true[0])
 
 
+def test_the_fastest_rate_is_recorded_in_real_time(bench, emulator, tmp_path):
+    edges = bench.of_motion(scene("rig", seed=SEED), 5, jitter=0.2)
+    hexfile = bench.FIRMWARE / "stickslip-uno.hex"
+    words = ["record", "--rate", 5000, "--baud", 1_000_000, "--duration", 4, "-o", "fast.h5"]
+    with bench.Board(emulator, "uno", hexfile, tmp_path, edges=edges, speed=1) as board:
+        found = run(tmp_path, "daq.cli", *words, "--port", board.port)
+    assert (found["samples"], found["lost"], found["crc_errors"], found["illegal"]) == (20_000, 0, 0, 0)
+    assert found["measured_rate_hz"] == pytest.approx(5000, rel=1e-9)
+
+
 def test_the_law_and_its_parameters_are_the_same_as_through_the_simulated_rig(both):
     folder = both[0]
     fits = {}
