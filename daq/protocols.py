@@ -51,7 +51,7 @@ class Frames:
     Attributes
     ----------
     received : list of (int, bytes)
-        What came since the identification was asked for, with the host's monotonic stamp in ns: it opens the journal.
+        What came from the last identification on, with the host's monotonic stamp in ns: it opens the journal.
 
     Notes
     -----
@@ -80,7 +80,6 @@ class Frames:
         if self.decoder in (None, identity.ident.decoder):
             return identity
         self._send(f"M {self.decoder}")
-        self.received.clear()  # a journal begins with the identification that holds
         return self._ask(b"")
 
     def prepare(self, rate_hz: int, block: int) -> Identity:
@@ -161,6 +160,7 @@ class Frames:
                     raise DeviceError(f"the board refuses: {frame.text}", self.url, "ask for what it can do")
                 if isinstance(frame, wire.Ident):
                     ident = frame
+                    self._begin_with(ident)
                 if isinstance(frame, wire.Config) and ident is not None:
                     return self._settled(ident, frame.toml)
             if ident is not None and wire.Capability.CONFIG not in ident.capabilities:
@@ -172,6 +172,13 @@ class Frames:
             raise DeviceError(what, self.url, "check the baud rate, and that the board runs our firmware")
         do = "check the port ('daq ports'), the cable, and that the board runs our firmware"
         raise DeviceError(f"no answer within {ANSWER_S:g} s", self.url, do)
+
+    def _begin_with(self, ident: wire.Ident) -> None:
+        """Drop what came before an identification: the noise of a board that had to find our baud rate."""
+        came = b"".join(data for _, data in self.received)
+        start = came.rfind(wire.encode_ident(ident))
+        if start > 0:
+            self.received[:] = [(self.received[-1][0], came[start:])]
 
     def _settled(self, ident: wire.Ident, config: str | None) -> Identity:
         # A slow board may answer each `I` that was sent while it booted: let those answers come before the samples.

@@ -1,9 +1,12 @@
 """`daq firmware`: what it writes is what the project holds, and the command it prints flashes that file."""
 
 import json
+import os
 import shlex
+import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -42,6 +45,22 @@ def test_it_writes_hex_and_source_and_prints_the_flashing_command(tmp_path, boar
     assert words[words.index("-P") + 1] == "/dev/ttyUSB3"
     assert words[-1] == f"flash:w:my board/{name}:i"
     assert said["flash"] in run(tmp_path, "--board", board, "-o", "my board", "--port", "/dev/ttyUSB3").stdout
+
+
+def test_an_installed_package_brings_the_firmware_along(tmp_path):
+    root = FIRMWARE.parent
+    settings = tomllib.loads((root / "pyproject.toml").read_text())
+    included = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    site = tmp_path / "site"
+    shutil.copytree(root / "daq", site / "daq", ignore=shutil.ignore_patterns("__pycache__"))
+    for source, target in included.items():
+        shutil.copytree(root / source, site / target)
+    words = [sys.executable, "-m", "daq.cli", "firmware", "--board", "mega", "-o", "here", "--json"]
+    path = {**os.environ, "PYTHONPATH": str(site)}
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, check=False, env=path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = tmp_path / json.loads(done.stdout)["hex"]
+    assert written.read_bytes() == (FIRMWARE / "stickslip-mega.hex").read_bytes()
 
 
 def test_a_nano_is_reached_at_its_bootloaders_baud_rate(tmp_path):

@@ -127,6 +127,16 @@ def test_a_recording_goes_on_in_a_new_segment_when_the_board_restarts(bench, swi
     assert 0.5 < gap < 1.5  # the watchdog's second, less what it had waited before
 
 
+def test_what_came_at_another_rate_is_no_damage_of_the_recording(bench, switch_on, tmp_path):
+    # It used to open the journal: "damaged frames were thrown away", in each recording at 1 Mbaud.
+    with switch_on("uno", speed=1) as board:
+        with bench.Host(board, 115_200) as host:
+            assert host.say("S")
+        found = record(Request(port=board.port, output=tmp_path / "run.h5", duration_s=0.5, baud=1_000_000))
+    assert (found.samples, found.lost, found.crc_errors) == (500, 0, 0)
+    assert not [warning for warning in found.warnings if "metres per count" not in warning]
+
+
 @pytest.mark.parametrize(
     ("baud", "rate", "block"),
     [(115_200, 500, 1), (115_200, 1000, 8), (500_000, 2000, 1), (500_000, 5000, 8), (1_000_000, 3000, 1)],
