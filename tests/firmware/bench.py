@@ -246,12 +246,15 @@ class Host:
     def __exit__(self, *error):
         self.port.close()
 
-    def say(self, *commands, wait=0.3, broken=0):
-        """Send commands and return the frames that come within ``wait`` seconds; so many may be ``broken``."""
+    def say(self, *commands, wait=0.3, until=None, broken=0):
+        """Send commands and return the frames that come.
+
+        They are waited for ``wait`` seconds, or until one of the kind ``until`` came; so many may be ``broken``.
+        """
         self.port.write("".join(f"{command}\n" for command in commands).encode())
         found = []
-        until = time.monotonic() + wait
-        while time.monotonic() < until:
+        end = time.monotonic() + wait
+        while time.monotonic() < end and not any(type(frame) is until for frame in found):
             found += self._reader.feed(self.port.read(max(1, self.port.in_waiting)))
         assert self._reader.crc_errors <= broken
         return found
