@@ -17,7 +17,9 @@
 
    What simavr 1.6 lacks and is added here: the cycles of an interrupt's entry; a serial line whose ends may disagree on
    the baud rate (bits are sampled as a receiver does, so that the wrong rate gives the wrong bytes and framing errors);
-   a sender of 10 bits a byte with a byte of buffer before it (simavr counts 11 bits and knows no buffer). */
+   a sender of 10 bits a byte with a byte of buffer before it (simavr counts 11 bits and knows no buffer).
+
+   Longer than 400 lines because it is one program that one compiler command makes. */
 
 #include <errno.h>
 #include <fcntl.h>
