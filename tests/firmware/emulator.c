@@ -129,6 +129,13 @@ static void start_edges(void) {
 
 /* ---- the serial line ---- */
 
+static avr_uart_t *uart;
+
+static void find_uart(void) {
+    for (avr_io_t *io = avr->io_port; io; io = io->next)
+        if (!strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == '0') uart = (avr_uart_t *)io;
+}
+
 static double board_bit(void) {
     double divider = (avr->data[UBRR0L] | avr->data[UBRR0H] << 8) + 1;
     return divider * (avr->data[UCSR0A] >> U2X0 & 1 ? 8 : 16);
@@ -186,6 +193,7 @@ static size_t command_length;
 
 static void received(uint8_t byte, int framing_error) {
     framing_errors += framing_error;
+    uart->cycles_per_byte = 2; /* it is here in full: simavr would wait for a byte's length again */
     avr_raise_irq(uart_in, byte | (framing_error ? UART_INPUT_FE : 0));
     if (framing_error) return;
     if (byte == '\n') {
@@ -229,13 +237,7 @@ static void host_says(const uint8_t *bytes, size_t n) {
 static uint8_t out[1 << 16];
 static size_t out_length;
 static uint64_t bytes_out, bytes_dropped;
-static avr_uart_t *uart;
 static double sender_free;
-
-static void find_uart(void) {
-    for (avr_io_t *io = avr->io_port; io; io = io->next)
-        if (!strcmp(io->kind, "uart") && ((avr_uart_t *)io)->name == '0') uart = (avr_uart_t *)io;
-}
 
 static void board_says(avr_irq_t *irq, uint32_t value, void *param) {
     (void)irq;
