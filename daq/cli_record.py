@@ -35,6 +35,10 @@ Realtime = Annotated[
     cyclopts.Parameter(name="--realtime", negative=(), help="The simulated rig keeps the pace of the wall clock."),
 ]
 Baud = Annotated[int, terminal.Whole, cyclopts.Parameter(name="--baud", help="Bits per second of a serial line.")]
+DecoderName = Annotated[
+    str | None,
+    cyclopts.Parameter(name="--decoder", help="Select the board's decoder: x4, or two-counter behind a J-K box."),
+]
 Force = Annotated[bool, cyclopts.Parameter(name="--force", negative=(), help="Replace an existing file.")]
 
 
@@ -55,6 +59,7 @@ def record(
     set_: SetChanges = None,
     realtime: Realtime = False,
     baud: Baud = 115_200,
+    decoder: DecoderName = None,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
@@ -72,7 +77,9 @@ def record(
     if port is None:
         name = scene if scene is not None else DEFAULT_SCENE
         port = rig_url(str(Path(name).absolute()) if name.endswith(".toml") else name, set_ or [], realtime)
-    request = Request(port=port, output=output, rate_hz=rate, duration_s=duration, force=force, baud=baud)
+    request = Request(
+        port=port, output=output, rate_hz=rate, duration_s=duration, force=force, baud=baud, decoder=decoder
+    )
     with _stop_on_interrupt() as stop, terminal.progress("recording", duration, "s") as show:
         found = take(request, progress=show, say=terminal.note, stop=stop)
     return Answer(found.as_json(), _text("recorded", found))

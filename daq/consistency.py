@@ -96,6 +96,10 @@ def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) 
         rise[fresh] = 0  # what the board counted before this start is not this run's
         # The count stands for its whole frame, so every sample of the frame is suspect.
         flags[np.isin(samples.frame, samples.frame[rise > 0])] |= counter.FLAG_ILLEGAL
+        # What was missed stays missing, and an even number of misses hides from the phase.
+        total = np.cumsum(rise)
+        begun = np.maximum.accumulate(np.where(fresh, np.arange(len(samples)), 0))
+        flags[total > total[begun]] |= counter.FLAG_DOUBT
     part_reason = ["reopened" if reopened else "restarted" for reopened in samples.reopened]
     why = tuple("invalid" if invalid[s] else part_reason[samples.part[s]] for s in starts)
     return Checked(

@@ -43,10 +43,15 @@ class Identity:
 class Frames:
     """A session in our own binary protocol.
 
+    Parameters
+    ----------
+    decoder : str, optional
+        The decoder to select on a board that runs another one; its counters then start again.
+
     Attributes
     ----------
     received : list of (int, bytes)
-        What came since the identification was asked for, with the host's monotonic stamp in ns: it opens the journal.
+        What came from the last identification on, with the host's monotonic stamp in ns: it opens the journal.
 
     Notes
     -----
@@ -55,9 +60,10 @@ class Frames:
 
     name = "frames"
 
-    def __init__(self, port: "Port", url: str) -> None:
+    def __init__(self, port: "Port", url: str, decoder: str | None = None) -> None:
         self.port = port
         self.url = url
+        self.decoder = decoder
         self.received: list[tuple[int, bytes]] = []
 
     def identify(self) -> Identity:
@@ -66,11 +72,15 @@ class Frames:
         Raises
         ------
         DeviceError
-            No answer, or none in our protocol.
+            No answer, or none in our protocol; or the board does not have the decoder.
         """
         self._send("", "X")  # the empty line ends a half-sent command of somebody who crashed
         strange = self.drain()
-        return self._ask(strange)
+        identity = self._ask(strange)
+        if self.decoder in (None, identity.ident.decoder):
+            return identity
+        self._send(f"M {self.decoder}")
+        return self._ask(b"")
 
     def prepare(self, rate_hz: int, block: int) -> Identity:
         """Set the sample rate and the samples per frame.
@@ -93,7 +103,8 @@ class Frames:
 
     def restart(self, rate_hz: int, block: int) -> None:
         """Set a board that has just reset back to work, without waiting for answers."""
-        self._send(f"R {rate_hz}", f"B {block}", "S")
+        decoder = [] if self.decoder is None else [f"M {self.decoder}"]
+        self._send(*decoder, f"R {rate_hz}", f"B {block}", "S")
 
     def stop(self) -> None:
         """Stop the samples; the partial block still comes."""
@@ -149,6 +160,7 @@ class Frames:
                     raise DeviceError(f"the board refuses: {frame.text}", self.url, "ask for what it can do")
                 if isinstance(frame, wire.Ident):
                     ident = frame
+                    self._begin_with(ident)
                 if isinstance(frame, wire.Config) and ident is not None:
                     return self._settled(ident, frame.toml)
             if ident is not None and wire.Capability.CONFIG not in ident.capabilities:
@@ -160,6 +172,13 @@ class Frames:
             raise DeviceError(what, self.url, "check the baud rate, and that the board runs our firmware")
         do = "check the port ('daq ports'), the cable, and that the board runs our firmware"
         raise DeviceError(f"no answer within {ANSWER_S:g} s", self.url, do)
+
+    def _begin_with(self, ident: wire.Ident) -> None:
+        """Drop what came before an identification: the noise of a board that had to find our baud rate."""
+        came = b"".join(data for _, data in self.received)
+        start = came.rfind(wire.encode_ident(ident))
+        if start > 0:
+            self.received[:] = [(self.received[-1][0], came[start:])]
 
     def _settled(self, ident: wire.Ident, config: str | None) -> Identity:
         # A slow board may answer each `I` that was sent while it booted: let those answers come before the samples.

@@ -35,7 +35,10 @@ class RecordingInterruptedError(StickslipError):
 
 @dataclass(frozen=True)
 class Request:
-    """What to record; ``force`` replaces an existing file, ``baud`` matters to a serial line only."""
+    """What to record; ``force`` replaces an existing file, ``baud`` matters to a serial line only.
+
+    ``decoder`` selects one of the board's; None leaves the board as it is.
+    """
 
     port: str
     output: Path
@@ -43,6 +46,7 @@ class Request:
     duration_s: float = 20.0
     force: bool = False
     baud: int = ports.BAUD
+    decoder: str | None = None
 
     @property
     def samples(self) -> int:
@@ -136,7 +140,7 @@ def _connect(request: Request) -> tuple[protocols.Frames, protocols.Identity, in
     """Open the port, find out who is there, check that it can do what is asked, and set it up."""
     port = ports.open_port(request.port, request.baud)
     try:
-        board = protocols.Frames(port, request.port)
+        board = protocols.Frames(port, request.port, request.decoder)
         identity = board.identify()
         block = capability.block_size(identity.ident, request.rate_hz)
         baud = ports.line_baud(request.port, port)
