@@ -19,7 +19,6 @@ from hand.polynomial import (
     P,
     Q,
     U,
-    binary_size,
     changes,
     deflated,
     first_root,
@@ -496,6 +495,6 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     disc_ramp = (zeta_ramp - omega0) * (zeta_ramp + omega0)
 
     register_kernels()
-    for function in (binary_size, reach, changes, deflated, survey, polish, first_root):
+    for function in (reach, changes, deflated, survey, polish, first_root):
         register_jitable(function)
     return kernel, njit(kernel, error_model="numpy", _nrt=False)

@@ -16,25 +16,18 @@ D = 3 * SIZE
 U = 4 * SIZE
 
 
-def binary_size(c):
-    """Return log2 abs(c) to 0.09 below; -1e6 for 0."""
-    if c == 0.0:
-        return -1e6
-    mantissa, exponent = math.frexp(abs(c))
-    return exponent + 2.0 * mantissa - 2.0
-
-
 def reach(work):
     """Return the scaled step at which the last two terms of w fall below rounding of the largest of its first three."""
-    size0 = binary_size(work[0])
-    size1 = binary_size(work[1])
-    size2 = binary_size(work[2])
-    shortest = math.inf
+    size0 = math.log2(abs(work[0])) if work[0] != 0.0 else -1e6
+    size1 = math.log2(abs(work[1])) if work[1] != 0.0 else -1e6
+    size2 = math.log2(abs(work[2])) if work[2] != 0.0 else -1e6
+    shortest = 2.0
     for j in range(ORDER - 1, ORDER + 1):
-        last = binary_size(work[j]) + 53.0
-        longest = max((size0 - last) * INVERSE[j], (size1 - last) * INVERSE[j - 1], (size2 - last) * INVERSE[j - 2])
-        shortest = min(shortest, longest)
-    return math.exp(0.6931471805599453 * shortest) if shortest < 2.0 else 4.0
+        if work[j] != 0.0:
+            edge = math.log2(abs(work[j])) + 53.0
+            longest = max((size0 - edge) * INVERSE[j], (size1 - edge) * INVERSE[j - 1], (size2 - edge) * INVERSE[j - 2])
+            shortest = min(shortest, longest)
+    return math.exp(0.6931471805599453 * shortest)
 
 
 def changes(work, xi):

@@ -41,8 +41,8 @@ INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))
 SETTLED = 64.0 * EPS  # speed and force, relative, at which a stable fixed point counts as reached
 ROUNDING_SIZE = -53.0  # log2 of half an ulp
 LOG_2 = math.log(2.0)
-LONGEST_STEP = 4.0  # in scaled time: beyond, terms far above their sum cancel
-LARGEST_STEP_SIZE = 2.0  # its log2
+LARGEST_STEP_SIZE = 2.0  # log2 of the longest step in scaled time: beyond, terms far above their sum cancel
+NO_SIZE = -1e6  # stands for log2 of 0
 SHORTEST_PIECE = 1e-9  # of a step: over it a parabola stays within rounding
 PIECES = 300  # three times what halving down to the shortest piece on both sides of a tangency takes
 
@@ -54,11 +54,11 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
     """
     C, e = line(fr, mode)
     fall = drop(fr, mode, w)
-    push = drive(fr, t)
+    driven = fr.u0 != 0.0
+    push = drive(fr, t) if driven else 0.0
     a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
     u = w + fr.v
     curved = fr.curve == HYPERBOLIC and mode != RAMP
-    driven = fr.u0 != 0.0
     sign = 1.0 if mode == NEGATIVE else -1.0
     rate = fr.omega0 + abs(C) / fr.m
     q0 = 1.0
@@ -196,23 +196,18 @@ def expand_drooping(
 
 def reach(work: Buffer, c0: float, c1: float) -> float:
     """Return the scaled step at which the last two terms of w fall below rounding of the largest of its first three."""
-    size0 = binary_size(c0)
-    size1 = binary_size(c1)
-    size2 = binary_size(work[W + 2])
-    shortest = math.inf
+    c2 = work[W + 2]
+    size0 = math.log2(abs(c0)) if c0 != 0.0 else NO_SIZE
+    size1 = math.log2(abs(c1)) if c1 != 0.0 else NO_SIZE
+    size2 = math.log2(abs(c2)) if c2 != 0.0 else NO_SIZE
+    shortest = LARGEST_STEP_SIZE
     for j in range(ORDER - 1, ORDER + 1):
-        last = binary_size(work[W + j]) - ROUNDING_SIZE
-        longest = max((size0 - last) * INVERSE[j], (size1 - last) * INVERSE[j - 1], (size2 - last) * INVERSE[j - 2])
-        shortest = min(shortest, longest)
-    return math.exp(LOG_2 * shortest) if shortest < LARGEST_STEP_SIZE else LONGEST_STEP
-
-
-def binary_size(c: float) -> float:
-    """Return log2 abs(c) to 0.09 below: its exponent, and a straight line over its mantissa; -1e6 for 0."""
-    if c == 0.0:
-        return -1e6
-    mantissa, exponent = math.frexp(abs(c))
-    return exponent + 2.0 * mantissa - 2.0
+        last = work[W + j]
+        if last != 0.0:
+            edge = math.log2(abs(last)) - ROUNDING_SIZE
+            longest = max((size0 - edge) * INVERSE[j], (size1 - edge) * INVERSE[j - 1], (size2 - edge) * INVERSE[j - 2])
+            shortest = min(shortest, longest)
+    return math.exp(LOG_2 * shortest)
 
 
 def value(c: Buffer, at: int, xi: float) -> float:
