@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import assemble, clock, counter, journal, runfile, stream, wire
+from daq import assemble, capability, clock, counter, journal, runfile, stream, wire
 from daq.assemble import Samples, TruthRows
 from daq.consistency import Checked, check
 from daq.errors import DataError, InputError
@@ -82,7 +82,7 @@ def run_data(
     wall_ns = header["wall_ns"] + int(samples.stamp_ns[0]) - header["monotonic_ns"]
     started = datetime.fromtimestamp(wall_ns / 1e9, zone)
     ended = started + timedelta(seconds=float(samples.time[-1]))
-    clocks = _clocks(samples)
+    clocks = _clocks(samples, said, header.get("baud"))
     events = events_of(samples, checked, said, markers, rate_hz)
     data = RunData(
         title=header["title"],
@@ -96,7 +96,7 @@ def run_data(
         raw=_raw(samples, checked, tick_ns),
         segment=checked.segment,
         config_toml=config,
-        clock_sample=clocks.frame.astype(np.uint32),
+        clock_sample=clocks.index.astype(np.uint32),
         clock_offset=clocks.offset,
         event_sample=np.array([event[0] for event in events], dtype=np.uint32),
         event_kind=np.array([event[1] for event in events], dtype=np.uint8),
@@ -149,13 +149,27 @@ def _calibration(
     return config, rig, warnings
 
 
-def _clocks(samples: Samples) -> clock.Clock:
-    """Compare the clocks over the longest part; ``frame`` of the answer is the run's sample."""
+def _clocks(samples: Samples, said: Sequence[stream.Stream], baud: int | None) -> clock.Clock:
+    """Compare the clocks over the longest part; ``index`` of the answer is the run's sample."""
     here = max((where for _, where in assemble.parts_of(samples)), key=lambda where: where.stop - where.start)
     last = here.start + np.flatnonzero(np.diff(samples.frame[here], append=-1) != 0)
-    host = (samples.stamp_ns[last] - samples.stamp_ns[0]) / 1e9
-    found = clock.compare(host, samples.time[last])
-    return replace(found, frame=last[found.frame])
+    host, sample, sent_s = samples.stamp_ns[last], last, np.zeros(len(last))
+    if baud is not None:
+        # On a serial line of known speed every byte has its time, so reads that ended inside a frame count as well.
+        base = np.cumsum([0, *(len(connection.n) for connection in said)])
+        length = np.concatenate([connection.length for connection in said])
+        stamps = np.concatenate([connection.part_stamp_ns for connection in said])
+        begun = np.concatenate([at + connection.part_frame for at, connection in zip(base, said, strict=False)])
+        count = np.concatenate([connection.part_bytes for connection in said])
+        of = np.searchsorted(samples.frame[last], begun)
+        known = (of < len(last)) & (samples.frame[last][np.minimum(of, len(last) - 1)] == begun)
+        host = np.concatenate((host, stamps[known]))
+        sample = np.concatenate((last, last[of[known]]))
+        sent_s = np.concatenate((length[samples.frame[last]], count[known])) * capability.BITS_PER_BYTE / baud
+    device = samples.time[sample] + sent_s
+    order = np.argsort(device, kind="stable")
+    found = clock.compare((host[order] - samples.stamp_ns[0]) / 1e9, device[order])
+    return replace(found, index=sample[order][found.index])
 
 
 def _truth(samples: Samples, told: TruthRows, tick_ns: int, scene: str) -> Truth | None:

@@ -166,6 +166,7 @@ def _header(
     return {
         "protocol": board.name,
         "port": request.port,
+        "baud": ports.uart_baud(request.port, board.port),
         "rate_hz": request.rate_hz,
         "samples": request.samples,
         "title": f"{identity.ident.name or 'stick-slip'}, {request.rate_hz} Hz",
