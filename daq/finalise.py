@@ -64,10 +64,8 @@ def run_data(
         It holds no samples.
     """
     header = taken.header
-    if header["protocol"] != "frames":
-        raise InputError(f"its protocol {header['protocol']!r} is not known", str(taken.path), "update stickslip")
     rate_hz = float(header["rate_hz"])
-    said = assemble.connections(taken.records)
+    said = assemble.connections(taken)
     ident = assemble.first_ident(said)
     tick_ns = ident.tick_ns if ident else 1000
     samples, truth_rows = assemble.assemble(said, rate_hz, tick_ns)
@@ -133,9 +131,11 @@ def _calibration(
     taken: journal.Journal, said: Sequence[stream.Stream], ident: wire.Ident | None
 ) -> tuple[str, Rig, list[str]]:
     """Return the configuration's text and the rig it describes; the board's word on its own decoder goes first."""
-    texts = [record.data.decode(errors="replace") for record in taken.records if record.kind == journal.CONFIGURATION]
-    texts += [text for connection in said for _, text in connection.configs]
-    config = texts[0] if texts else ""
+    given = [record.data.decode(errors="replace") for record in taken.records if record.kind == journal.CONFIGURATION]
+    told = next((connection.configs for connection in said if connection.configs), ())
+    # A board that was told its decoder says its calibration twice before it samples: the second time is the one.
+    again = [text for frame, text in told if frame == 0] if taken.header.get("decoder") is not None else []
+    config = (*given, *again[-1:], *(text for _, text in told), "")[0]
     warnings = []
     rig = Rig()
     try:

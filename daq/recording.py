@@ -38,8 +38,8 @@ class Raw:
     ----------
     sample : u4
         Sequence number, unwrapped; it skips over lost samples and restarts in each segment.
-    count_up, count_down : u2
-        The two counters, rolling over at 2^16.
+    count_up, count_down : u2, or u4 of counters wider than 16 bits
+        The two counters, rolling over at their width.
     device_time : u4
         Device time in us, rolling over at 2^32.
     levels : u1
@@ -53,8 +53,8 @@ class Raw:
     """
 
     sample: NDArray[np.uint32]
-    count_up: NDArray[np.uint16]
-    count_down: NDArray[np.uint16]
+    count_up: NDArray[np.uint16] | NDArray[np.uint32]
+    count_down: NDArray[np.uint16] | NDArray[np.uint32]
     device_time: NDArray[np.uint32]
     levels: NDArray[np.uint8]
     flags: NDArray[np.uint16]

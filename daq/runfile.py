@@ -345,7 +345,9 @@ def _raw(entry: h5py.Group, n: int, where: Path) -> tuple[Raw | None, Any]:
         if name in ("belt_count", "edge_time") and f"raw/{name}" not in entry:
             columns[name] = None
             continue
-        columns[name] = array(entry, f"raw/{name}", types.get(name, np.uint16), where)
+        item = entry.get(f"raw/{name}")
+        wide = name in ("count_up", "count_down") and isinstance(item, h5py.Dataset) and item.dtype.itemsize > 2
+        columns[name] = array(entry, f"raw/{name}", np.uint32 if wide else types.get(name, np.uint16), where)
         same_length(columns[name].size, n, f"raw/{name}", where)
     segment = columns.pop("segment")
     return Raw(**columns), segment

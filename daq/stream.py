@@ -28,7 +28,7 @@ class Stream:
     dt, up, down, status, belt, edge : (n,)
         The columns as sent; belt and edge are None when the board does not send them.
     ident : Ident or None
-        The board's first identification.
+        The board's identification when it began to sample: the last one before the first frame.
     idents : (i,) int64
         Before which frame each identification came.
     configs, notices : tuple of (int, str)
@@ -54,8 +54,8 @@ class Stream:
     illegal: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
     dt: NDArray[np.uint16]
-    up: NDArray[np.uint16]
-    down: NDArray[np.uint16]
+    up: NDArray[np.uint16] | NDArray[np.uint32]
+    down: NDArray[np.uint16] | NDArray[np.uint32]
     status: NDArray[np.uint8]
     belt: NDArray[np.uint16] | None
     edge: NDArray[np.uint16] | None
@@ -121,7 +121,7 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
                 truth_frames.append(len(blocks))
             elif isinstance(frame, wire.Ident):
                 idents.append(len(blocks))
-                if ident is None:
+                if ident is None or not blocks:  # its decoder may have been set in between
                     ident = frame
                     belt = wire.Capability.BELT in frame.capabilities
                     edge = wire.Capability.EDGE_TIME in frame.capabilities

@@ -7,11 +7,17 @@ import pytest
 
 from daq import capability, ports
 from daq.errors import DeviceError, InputError
+from daq.protocols.session import Plan
 from daq.rig import Measured, Rig
 from daq.wire import Capability, Ident
 
 BOARD = Ident((1, 0, 0), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 8, 5000, 125_000, "uno")
 RIG = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.22))
+
+
+def check(board, rig, rate_hz, block, baud):
+    plan = Plan(rate_hz, block, capability.bytes_per_s(board, rate_hz, block))
+    return capability.check(board, rig, plan, baud)
 
 
 def test_a_missing_port_is_named_with_what_is_there():
@@ -82,38 +88,38 @@ def test_only_the_rig_out_of_real_time_waits_for_its_reader():
 def test_1_khz_in_blocks_fits_115200_baud_and_is_8875_bytes_a_second():
     assert capability.block_size(BOARD, 1000) == 8
     assert capability.bytes_per_s(BOARD, 1000, 8) == 8875
-    assert capability.check(BOARD, RIG, 1000, 8, 115_200) == []
+    assert check(BOARD, RIG, 1000, 8, 115_200) == []
 
 
 def test_1_khz_in_single_frames_does_not_fit_and_says_what_would():
     with pytest.raises(InputError, match=r"22000 bytes/s, and 115200 baud carries 11520; give --rate 523 or less"):
-        capability.check(BOARD, RIG, 1000, 1, 115_200)
+        check(BOARD, RIG, 1000, 1, 115_200)
 
 
 def test_500_hz_in_single_frames_is_tight():
-    warnings = capability.check(BOARD, RIG, 500, 1, 115_200)
+    warnings = check(BOARD, RIG, 500, 1, 115_200)
     assert len(warnings) == 1
     assert "11000 bytes/s" in warnings[0]
 
 
 def test_a_line_without_a_baud_rate_has_no_such_limit():
-    assert capability.check(BOARD, RIG, 5000, 8, None) == []
+    assert check(BOARD, RIG, 5000, 8, None) == []
 
 
 def test_more_than_the_board_samples_is_refused_with_its_limit():
     with pytest.raises(InputError, match="5000"):
-        capability.check(BOARD, RIG, 6000, 8, None)
+        check(BOARD, RIG, 6000, 8, None)
 
 
 def test_a_slip_that_would_outrun_the_decoder_is_warned_about():
-    warnings = capability.check(replace(BOARD, max_edge_rate_hz=80_000), RIG, 1000, 8, None)
+    warnings = check(replace(BOARD, max_edge_rate_hz=80_000), RIG, 1000, 8, None)
     assert "114733 edges/s" in warnings[0]
 
 
 def test_a_rate_at_which_counters_roll_over_unseen_is_refused():
     fast = replace(RIG, metres_per_count=Measured(7.67e-9))
     with pytest.raises(InputError, match="roll over"):
-        capability.check(replace(BOARD, max_edge_rate_hz=0), fast, 1000, 8, None)
+        check(replace(BOARD, max_edge_rate_hz=0), fast, 1000, 8, None)
 
 
 def test_slow_rates_are_sent_in_single_frames():
