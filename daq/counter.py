@@ -168,11 +168,18 @@ def _sum_from(starts: NDArray[np.bool_], steps: NDArray[np.int64], first: NDArra
     return np.asarray(total - total[origin] + first[origin], dtype=np.int64)
 
 
+def phase_error(
+    up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], levels: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """Return by how much x4 counts differ from the phase of the levels sent beside them, 0 to 3."""
+    return np.asarray(((up - down) - PHASE[levels & 3]) & 3).astype(np.uint8)
+
+
 def check_phase(
     up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], levels: NDArray[np.uint8]
 ) -> NDArray[np.bool_]:
     """Return where an x4 count disagrees with the levels sent beside it: (up - down) mod 4 is not their phase."""
-    return np.asarray((up - down) & 3 != PHASE[levels & 3])
+    return np.asarray(phase_error(up, down, levels) != 0)
 
 
 def check_both_moved(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger]) -> NDArray[np.bool_]:

@@ -74,7 +74,7 @@ def run_data(
     if len(samples) == 0:
         raise DataError("holds no samples", str(taken.path), "see that the board sends, then record again")
     config, rig, warnings = _calibration(taken, said, ident)
-    checked = check(samples, ident, rig, rate_hz)
+    checked = check(samples, ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
     position = positions(checked.count, rig)
     zone = timezone(timedelta(seconds=header["utc_offset_s"]))
     wall_ns = header["wall_ns"] + int(samples.stamp_ns[0]) - header["monotonic_ns"]
@@ -96,6 +96,7 @@ def run_data(
         config_toml=config,
         clock_sample=clocks.index.astype(np.uint32),
         clock_offset=clocks.offset,
+        clock_ppm=clocks.ppm,
         event_sample=np.array([event[0] for event in events], dtype=np.uint32),
         event_kind=np.array([event[1] for event in events], dtype=np.uint8),
         event_note=tuple(event[2] for event in events),

@@ -18,6 +18,7 @@ from daq.protocols.session import Session
 
 QUEUE_READS = 20_000  # half a minute of a 5 kHz stream
 QUEUE_READS_WAITING = 8
+PAUSE_S = 0.02  # between reads: what came meanwhile is read at once, and each read costs as much as 100 samples
 SILENT_S = 5.0  # a board that streams and says nothing for so long is lost
 REOPEN_S = 30.0
 REOPEN_EVERY_S = 0.25
@@ -102,6 +103,8 @@ class Reader(threading.Thread):
                     heard = time.monotonic()
                     self._keep(journal.RECEIVED, data)
                     self.tally.feed(data)
+                    if not self.waits:
+                        time.sleep(PAUSE_S)
                 if self.tally.resets > resets:
                     self._say("the board has restarted; its position starts anew")
                     self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))

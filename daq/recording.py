@@ -112,6 +112,8 @@ class Recording:
         The configuration the run was made with, verbatim.
     clock_sample, clock_offset : (c,) u4, (c,) f8
         Host clock minus device clock, s, at these indices.
+    clock_ppm : float or None
+        Drift of the device's clock, positive when fast; None where it could not be known.
     provenance : mapping
         Software, versions, command line.
     """
@@ -139,6 +141,7 @@ class Recording:
     clock_offset: NDArray[np.float64]
     operator: str
     provenance: Mapping[str, str | int]
+    clock_ppm: float | None = None
 
 
 def _no_samples() -> NDArray[np.uint32]:
@@ -162,6 +165,7 @@ class RunData:
     config_toml: str = ""
     clock_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
     clock_offset: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
+    clock_ppm: float | None = None
     event_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
     event_kind: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     event_note: tuple[str, ...] = ()

@@ -104,6 +104,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
             config_toml=string(entry, "configuration/data", where),
             clock_sample=array(entry, "clock_sync/sample", np.uint32, where),
             clock_offset=array(entry, "clock_sync/host_minus_device", np.float64, where),
+            clock_ppm=scalar(entry, "clock_sync/drift", where) if "clock_sync/drift" in entry else None,
             operator=string(entry, "operator/name", where) if "operator/name" in entry else "",
             provenance=_provenance(entry),
         )

@@ -171,7 +171,10 @@ class Line:
 
     def read(self) -> bytes:
         """Wait for bytes, for the port's time-out at most, and return all that are there."""
-        data: bytes = self.port.read(1)
+        waiting = self.port.in_waiting
+        if waiting:
+            return self.port.read(waiting)
+        data = self.port.read(1)
         return data + self.port.read(self.port.in_waiting) if data else data
 
     def close(self) -> None:

@@ -215,7 +215,8 @@ class FakeText(Fake):
 
     def encode(self, k):
         levels = int(levels_of(UP[k] - DOWN[k]))
-        return f"{1000 * k + 4321},{UP[k] + 50},{DOWN[k] + 50},{levels & 1},{levels >> 1}\r\n".encode()
+        # Its counters start where they like: two off the phase of its levels.
+        return f"{1000 * k + 4321},{UP[k] + 52},{DOWN[k] + 50},{levels & 1},{levels >> 1}\r\n".encode()
 
 
 class FakeTicks(FakeText):

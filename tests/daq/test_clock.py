@@ -1,9 +1,11 @@
 """Drift and offset through USB batches and stalls; silence where the two clocks cannot be compared."""
 
+import h5py
 import numpy as np
 import pytest
 
-from daq import clock
+import daq
+from daq import clock, finalise, journal, wire
 
 
 def late_by_usb(device, drift, rng, batch_s=0.016):
@@ -129,3 +131,47 @@ def test_theil_sen_is_not_moved_by_a_quarter_of_outliers():
     y = 2 * x + 1
     y[::4] += 1000
     assert clock.theil_sen(x, y) == pytest.approx(2)
+
+
+@pytest.mark.parametrize("ppm", [-3000, 20, 3000])
+def test_a_recorded_line_gives_drift_and_offset_through_journal_and_file(tmp_path, ppm):
+    """60 s at 1 kHz and 115200 baud, polled each 16 ms off the host's grid by 0.3 %, with stalls; byte by byte."""
+    drift = ppm * 1e-6
+    ident = wire.Ident((1, 0, 0), "x4", wire.Capability.BLOCKS, 16, 1000, 8, 5000, 125_000, "uno")
+    zeros = (0,) * 8
+    frames = [
+        wire.encode_samples(wire.SampleBlock(8 * k & 0xFFFF, 8000 * k, 0, (0, *[1000] * 7), zeros, zeros, zeros))
+        for k in range(7500)
+    ]
+    assert {len(frame) for frame in frames} == {71}
+    line = b"".join(frames)
+    byte_s = 10 / 115_200
+    last = 8e-3 * np.arange(7500) + 7e-3
+    sent = (last[:, np.newaxis] + byte_s * np.arange(1, 72)).ravel() / (1 + drift)
+    polls = np.arange(0.003, sent[-1] + 0.03, 16.048e-3)
+    rng = np.random.default_rng(4)
+    host = polls + 5e-5 + rng.exponential(2e-4, len(polls))
+    for start in rng.uniform(0, 60, 12):
+        host[(host > start) & (host < start + 0.3)] = start + 0.3
+    host = np.maximum.accumulate(host)
+    header = {"protocol": "frames", "rate_hz": 1000.0, "samples": None, "baud": 115_200, "title": "t", "operator": ""}
+    header |= {"wall_ns": 0, "monotonic_ns": 0, "utc_offset_s": 0, "warnings": [], "port": "x", "provenance": {}}
+    writer = journal.Writer(tmp_path / "run.h5.part", header)
+    writer.append(journal.RECEIVED, 0, wire.encode_ident(ident))
+    ends = np.searchsorted(sent, polls, side="right")
+    for stamp, begin, end in zip(host, [0, *ends[:-1]], ends, strict=True):
+        if end > begin:
+            writer.append(journal.RECEIVED, round(1e9 * (1000 + stamp)), line[begin:end])
+    writer.close()
+    found = finalise.finalise(tmp_path / "run.h5.part", tmp_path / "run.h5", finished_by="test")
+    assert (found.samples, found.lost) == (60_000, 0)
+    assert found.clock_ppm == pytest.approx(ppm, abs=5)
+    run = daq.load(tmp_path / "run.h5")
+    # Run time 0 is the first sample, and host time 0 the first frame's stamp.
+    device = run.time[run.clock_sample]
+    first = (host[np.searchsorted(ends, 71)]) - 0.0
+    true = device / (1 + drift) - device - first
+    assert np.abs(run.clock_offset - true).max() < 1e-3
+    with h5py.File(tmp_path / "run.h5") as file:
+        assert file["entry/clock_sync/drift"][()] == pytest.approx(found.clock_ppm)
+        assert file["entry/clock_sync/drift"].attrs["units"] == "ppm"

@@ -125,3 +125,32 @@ def test_a_rate_at_which_counters_roll_over_unseen_is_refused():
 def test_slow_rates_are_sent_in_single_frames():
     assert capability.block_size(BOARD, 20) == 1
     assert capability.block_size(replace(BOARD, capabilities=Capability.LEVELS), 1000) == 1
+
+
+def test_a_usb_serial_driver_is_asked_for_low_latency_and_may_say_no(monkeypatch):
+    import serial
+
+    asked = []
+
+    class Port:
+        def set_low_latency_mode(self, wanted):
+            asked.append(wanted)
+            raise ValueError("this driver cannot")
+
+    monkeypatch.setattr(serial, "serial_for_url", lambda url, **settings: Port())
+    assert isinstance(ports.open_port("/dev/ttyUSB7"), Port)
+    assert asked == [True]
+
+
+def test_bytes_of_a_pseudo_terminal_or_a_url_have_no_time_of_their_own(tmp_path):
+    port = type("Port", (), {"baudrate": 115_200})()
+    assert ports.uart_baud("/dev/ttyUSB0", port) == 115_200
+    assert ports.uart_baud("socket://rig:1", port) is None
+    (tmp_path / "ttyFAKE").symlink_to("/dev/pts/7")
+    assert ports.uart_baud(str(tmp_path / "ttyFAKE"), port) is None
+
+
+def test_lines_that_come_already_are_not_refused_for_a_baud_rate_that_is_only_a_name():
+    plan = Plan(1000.0, 1, 24_000.0, comes_already=True)
+    assert capability.check(BOARD, RIG, plan, 115_200) == []
+    assert len(capability.check(BOARD, RIG, replace(plan, bytes_per_s=11_400.0), 115_200)) == 1

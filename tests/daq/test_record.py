@@ -113,6 +113,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(reader, "SILENT_S", 0.2)
     monkeypatch.setattr(reader, "REOPEN_S", 0.5)
     monkeypatch.setattr(reader, "REOPEN_EVERY_S", 0.01)
+    monkeypatch.setattr(reader, "PAUSE_S", 0.0)
 
 
 @pytest.fixture
