@@ -29,6 +29,7 @@ ANSWER_S = 5.0  # an Arduino resets when its port is opened and boots for up to 
 ASK_AGAIN_S = 0.5
 QUIET_S = 0.05  # a line this long without a byte has run dry
 DRAIN_S = 2.0
+MOST_AT_ONCE = 4096  # bytes of a read from a port that does not say how many wait
 
 
 @dataclass(frozen=True)
@@ -172,10 +173,14 @@ class Line:
     def read(self) -> bytes:
         """Wait for bytes, for the port's time-out at most, and return all that are there."""
         waiting = self.port.in_waiting
-        if waiting:
-            return self.port.read(waiting)
-        data = self.port.read(1)
-        return data + self.port.read(self.port.in_waiting) if data else data
+        data: bytes = self.port.read(waiting or 1)
+        if data and not waiting:
+            waiting = self.port.in_waiting
+            data += self.port.read(waiting)
+        while waiting == 1 and len(data) < MOST_AT_ONCE:  # a socket says 1 for "some"
+            waiting = self.port.in_waiting
+            data += self.port.read(waiting)
+        return data
 
     def close(self) -> None:
         """Let go of the port; one that is gone already is no error."""

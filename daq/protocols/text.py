@@ -284,7 +284,7 @@ class Text(Line):
         usual = [step for step in steps if 0.5 * typical <= step <= 1.5 * typical]
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
         self._line_bytes = heard / max(1, len(times) + lines.bad)
-        self._coarse = all(step % 1000 == 0 for step in steps)
+        self._coarse = all(ticks % 1000 == 0 for ticks in times)
         return Identity(ident(self._form, self.wish.decoder))
 
     def plan(self, identity: Identity) -> Plan:
@@ -303,9 +303,7 @@ class Text(Line):
             rate_hz = float(wished) if abs(rate_hz / wished - 1) < 0.01 else rate_hz
         else:
             rate_hz = float(f"{rate_hz:.3g}") if abs(float(f"{rate_hz:.3g}") / rate_hz - 1) < 0.005 else rate_hz
-        notes = ["text lines carry no checksum: a flipped digit of little weight is not seen"]
-        if self._form.xor is not None:
-            notes = []
+        notes = []
         if self._coarse:
             notes.append("the times are whole milliseconds, each wrong by up to 1 ms: let the sketch print micros()")
         return Plan(rate_hz, 1, rate_hz * self._line_bytes, tuple(notes), comes_already=True)

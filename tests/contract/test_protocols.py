@@ -57,6 +57,7 @@ def test_every_sample_comes_through(make_fake, tmp_path):
     assert np.ptp(offsets(fake, run)) == 0
     assert run.rate_hz == fake.rate_hz
     assert run.time == pytest.approx(np.arange(5000 + fake.lead) / fake.rate_hz, abs=1e-9)
+    assert any("whole milliseconds" in warning for warning in found.warnings) == (fake.columns == "ticks,ms")
 
 
 def test_a_dropped_unit_is_counted_and_marked_and_never_filled(make_fake, tmp_path):

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq import protocols
-from daq.errors import InputError
+from daq.errors import DeviceError, InputError
 from daq.protocols import lines as lines_module
 from daq.protocols import qsb, text
+from daq.protocols import session as session_module
 from daq.protocols.session import Wish
 
 RATE = 500
@@ -228,3 +229,45 @@ def test_what_a_protocol_can_never_do_is_refused_before_anything_is_touched(name
 def test_an_unknown_protocol_names_its_neighbour():
     with pytest.raises(InputError, match="did you mean 'qsb'"):
         protocols.load("qbs")
+
+
+class Sketch:
+    """A port on which a sketch prints by itself, so many bytes a read."""
+
+    def __init__(self, line, baudrate=115_200):
+        self.line, self.k, self.baudrate, self.in_waiting = line, 0, baudrate, 0
+
+    def read(self, size=1):
+        self.k += 40
+        return b"".join(self.line(k) for k in range(self.k - 40, self.k))
+
+    def write(self, data):
+        raise AssertionError("nothing is said to a sketch")
+
+
+def planned(line, wish):
+    session = text.session(Sketch(line), "fake", wish)
+    return session.plan(session.identify())
+
+
+def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
+    wish = Wish(columns="t_us,count")
+    assert planned(text_line, wish).rate_hz == 500.0
+    assert planned(lambda k: b"%d,7\n" % (2013 * k), wish).rate_hz == pytest.approx(497, rel=2e-3)
+    with pytest.raises(InputError, match="come at 500 Hz, not at 1000 Hz"):
+        planned(text_line, Wish(rate_hz=1000, columns="t_us,count"))
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (lambda k: b"Hello\n", "one is 'Hello'"),
+        (lambda k: b"1,2,3,4\n", "not of the columns t_us,count"),
+        (lambda k: b"", "nothing came"),
+        (lambda k: b"77,5\n", "stands still"),
+    ],
+)
+def test_a_sketch_that_prints_something_else_is_told_what(monkeypatch, line, said):
+    monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
+    with pytest.raises(DeviceError, match=said):
+        planned(line, Wish(columns="t_us,count"))

@@ -7,7 +7,7 @@ import pytest
 
 from daq import capability, ports
 from daq.errors import DeviceError, InputError
-from daq.protocols.session import Plan
+from daq.protocols.session import Line, Plan, Wish
 from daq.rig import Measured, Rig
 from daq.wire import Capability, Ident
 
@@ -154,3 +154,21 @@ def test_lines_that_come_already_are_not_refused_for_a_baud_rate_that_is_only_a_
     plan = Plan(1000.0, 1, 24_000.0, comes_already=True)
     assert capability.check(BOARD, RIG, plan, 115_200) == []
     assert len(capability.check(BOARD, RIG, replace(plan, bytes_per_s=11_400.0), 115_200)) == 1
+
+
+def test_a_socket_that_does_not_say_how_many_bytes_wait_is_read_in_large_pieces():
+    """Pyserial's sockets say 1 for some: read byte by byte, with a pause between reads, they could not keep up."""
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = ports.open_port(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        peer, _ = server.accept()
+        with peer, port:
+            sent = bytes(range(256)) * 40
+            peer.sendall(sent)
+            line = Line(port, "socket", Wish())
+            reads = [line.read()]
+            while sum(map(len, reads)) < len(sent):
+                reads.append(line.read())
+            assert b"".join(reads) == sent
+            assert len(reads) < 20
