@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import counter, journal, stream, wire
+from daq import counter, journal, protocols, stream, wire
 
 PLACE_S = 2.0  # seconds on either side of a gap in which the least delay is looked for
 
@@ -48,8 +48,8 @@ class Samples:
     ticks: NDArray[np.int64]
     frame: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
-    up: NDArray[np.uint16]
-    down: NDArray[np.uint16]
+    up: NDArray[np.uint16] | NDArray[np.uint32]
+    down: NDArray[np.uint16] | NDArray[np.uint32]
     status: NDArray[np.uint8]
     illegal: NDArray[np.uint16]
     belt: NDArray[np.uint16] | None
@@ -78,15 +78,22 @@ class TruthRows:
     rows: NDArray[np.float64]
 
 
-def connections(records: tuple[journal.Record, ...]) -> list[stream.Stream]:
-    """Return what each connection said: a new one begins where the port was reopened."""
+def connections(taken: journal.Journal) -> list[stream.Stream]:
+    """Return what each connection said: a new one begins where the port was reopened.
+
+    Raises
+    ------
+    InputError
+        The journal is in a protocol that this version does not know.
+    """
+    backend = protocols.load(taken.header["protocol"], str(taken.path))
     reads: list[list[tuple[int, bytes]]] = [[]]
-    for record in records:
+    for record in taken.records:
         if record.kind == journal.REOPENED:
             reads.append([])
         elif record.kind == journal.RECEIVED:
             reads[-1].append((record.stamp_ns, record.data))
-    return [stream.decode(part) for part in reads]
+    return [backend.decode(part, taken.header) for part in reads]
 
 
 def assemble(said: list[stream.Stream], rate_hz: float, tick_ns: int) -> tuple[Samples, TruthRows]:

@@ -6,6 +6,7 @@ Line: 8N1, so 10 bits a byte.  A frame of n samples is 15 + 7 n bytes on the lin
 from daq import wire
 from daq.counter import longest_gap_s
 from daq.errors import InputError
+from daq.protocols.session import Plan
 from daq.quadrature import EDGES_PER_COUNT
 from daq.rig import Rig
 
@@ -29,11 +30,13 @@ def bytes_per_s(ident: wire.Ident, rate_hz: float, block: int) -> float:
     return rate_hz / block * (payload + 1 + payload // 254 + 1)
 
 
-def check(ident: wire.Ident, rig: Rig, rate_hz: float, block: int, baud: int | None) -> list[str]:
+def check(ident: wire.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[str]:
     """Check a recording against the board, its decoder and its line.
 
     Parameters
     ----------
+    plan : Plan
+        Its rate, samples per frame and load on the line.
     baud : int or None
         Bits per second of the line; None where it has no such limit (USB, a socket, the simulated rig).
 
@@ -47,16 +50,19 @@ def check(ident: wire.Ident, rig: Rig, rate_hz: float, block: int, baud: int | N
     InputError
         When it cannot work: names the number and what would.
     """
+    rate_hz = plan.rate_hz
     if rate_hz > ident.max_rate_hz:
         what = f"{rate_hz:g} Hz is more than this board samples at, {ident.max_rate_hz} Hz"
         raise InputError(what, "--rate", f"give --rate {ident.max_rate_hz} or less")
     _check_roll_over(ident, rig, rate_hz)
     warnings = _check_edges(ident, rig)
     if baud is not None:
-        load = bytes_per_s(ident, rate_hz, block)
+        load = plan.bytes_per_s
         room = baud / BITS_PER_BYTE
         most = int(rate_hz * room / load)
-        said = f"{rate_hz:g} Hz in frames of {block} is {load:.0f} bytes/s, and {baud} baud carries {room:.0f}"
+        said = f"{rate_hz:g} Hz in frames of {plan.block} is {load:.0f} bytes/s, and {baud} baud carries {room:.0f}"
+        if load > room and plan.comes_already:
+            return warnings  # more than a serial line carries: its baud rate is only a name, as with native USB
         if load > room:
             raise InputError(said, "--rate", f"give --rate {most} or less, or a faster line")
         if load > TIGHT * room:

@@ -143,7 +143,7 @@ def replay(
         extra = summary.as_json()
     else:
         run = again.from_run(source)
-        extra = again.findings(run) | {"warnings": [], "clock_ppm": None}
+        extra = again.findings(run) | {"warnings": [], "clock_ppm": run.clock_ppm}
     if calibration is not None:
         run = again.recalibrated(run, calibration)
     runfile.write(target, run, force=force)

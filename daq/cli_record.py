@@ -20,7 +20,11 @@ if TYPE_CHECKING:
 
 DEFAULT_SCENE = "rig"
 
-Rate = Annotated[int, terminal.Whole, cyclopts.Parameter(name="--rate", help="Samples per second.")]
+Rate = Annotated[
+    int | None,
+    terminal.Whole,
+    cyclopts.Parameter(name="--rate", help="Samples per second; default 1000, 512 of a qsb, a text sketch's own."),
+]
 Duration = Annotated[float, cyclopts.Parameter(name="--duration", help="Seconds to record.")]
 PortName = Annotated[
     str | None,
@@ -34,10 +38,26 @@ Realtime = Annotated[
     bool,
     cyclopts.Parameter(name="--realtime", negative=(), help="The simulated rig keeps the pace of the wall clock."),
 ]
-Baud = Annotated[int, terminal.Whole, cyclopts.Parameter(name="--baud", help="Bits per second of a serial line.")]
+Baud = Annotated[
+    int | None,
+    terminal.Whole,
+    cyclopts.Parameter(name="--baud", help="Bits per second of a serial line; default 115200, 230400 of a qsb."),
+]
+ProtocolName = Annotated[
+    str | None,
+    cyclopts.Parameter(name="--protocol", help="What the board speaks: frames (ours, default), qsb or text."),
+]
+Columns = Annotated[
+    str | None,
+    cyclopts.Parameter(name="--columns", help="Columns of text lines, such as t_us,up,down or ticks,ms."),
+]
 DecoderName = Annotated[
     str | None,
-    cyclopts.Parameter(name="--decoder", help="Select the board's decoder: x4, or two-counter behind a J-K box."),
+    cyclopts.Parameter(name="--decoder", help="What the board is to decode with: x4, x1, jk, jk-latched, two-counter."),
+]
+RigFile = Annotated[
+    Path | None,
+    cyclopts.Parameter(name="--rig", help="The rig.toml of 'daq calibrate': calibration, and how to reach the board."),
 ]
 Force = Annotated[bool, cyclopts.Parameter(name="--force", negative=(), help="Replace an existing file.")]
 
@@ -51,38 +71,62 @@ def register(app: cyclopts.App) -> None:
 
 def record(
     *,
-    rate: Rate = 1000,
+    rate: Rate = None,
     duration: Duration = 20.0,
     port: PortName = None,
     output: Output = Path("run.h5"),
     scene: Scene = None,
     set_: SetChanges = None,
     realtime: Realtime = False,
-    baud: Baud = 115_200,
+    protocol: ProtocolName = None,
+    columns: Columns = None,
     decoder: DecoderName = None,
+    rig: RigFile = None,
+    baud: Baud = None,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
     """Record a run.  Ctrl-C stops and keeps the data; a second Ctrl-C leaves the journal for 'daq recover'.
 
+    Port, protocol, columns, baud, rate and decoder may also come from the environment (STICKSLIP_PORT ...), from the
+    [board] of --rig, or from the user's config.toml, in this order.
+
     Example: daq record --rate 1000 --duration 20 -o run.h5
     """
-    from daq.ports import rig_url
+    from daq import settings
     from daq.record import Request
     from daq.record import record as take
 
-    if port is not None and (scene is not None or set_ or realtime):
+    simulated = scene is not None or bool(set_) or realtime
+    if port is not None and simulated:
         given = "--scene" if scene is not None else "--set" if set_ else "--realtime"
         raise InputError(f"{given} is for the simulated rig, but --port {port} was given", given, "give one of the two")
-    if port is None:
-        name = scene if scene is not None else DEFAULT_SCENE
-        port = rig_url(str(Path(name).absolute()) if name.endswith(".toml") else name, set_ or [], realtime)
+    if port is None and simulated:
+        port = rig_port(scene, set_, realtime)
+    known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
     request = Request(
-        port=port, output=output, rate_hz=rate, duration_s=duration, force=force, baud=baud, decoder=decoder
+        port=known.port or rig_port(scene, set_, realtime),
+        output=output,
+        rate_hz=known.rate,
+        duration_s=duration,
+        force=force,
+        baud=known.baud,
+        protocol=known.protocol or "frames",
+        columns=known.columns,
+        decoder=known.decoder,
+        calibration=known.calibration,
     )
     with _stop_on_interrupt() as stop, terminal.progress("recording", duration, "s") as show:
         found = take(request, progress=show, say=terminal.note, stop=stop)
     return Answer(found.as_json(), _text("recorded", found))
+
+
+def rig_port(scene: str | None, changes: list[str] | None, realtime: bool) -> str:
+    """Return the URL of the simulated rig with a scene, a built-in name or a TOML file."""
+    from daq.ports import rig_url
+
+    name = scene if scene is not None else DEFAULT_SCENE
+    return rig_url(str(Path(name).absolute()) if name.endswith(".toml") else name, changes or [], realtime)
 
 
 def recover(

@@ -52,8 +52,18 @@ class Checked:
     starts: NDArray[np.int64]
 
 
-def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) -> Checked:
+def check(
+    samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float, *, starts_at_phase: bool = True
+) -> Checked:
     """Unwrap the counts, cut the run into segments, and flag what does not agree.
+
+    Parameters
+    ----------
+    samples, ident, rig, rate_hz
+        The run, who sent it, its calibration, and its nominal rate.
+    starts_at_phase : bool
+        The board's rule: an x4 counter starts at the phase of its levels.  Another sketch's may start anywhere; then
+        the offset that most samples of a segment have is taken as its own.
 
     Raises
     ------
@@ -89,7 +99,11 @@ def check(samples: Samples, ident: wire.Ident | None, rig: Rig, rate_hz: float) 
     both[starts] = False
     flags[both] |= counter.FLAG_BOTH
     if rig.decoder == "x4" and ident is not None and wire.Capability.LEVELS in ident.capabilities:
-        flags[counter.check_phase(samples.up, samples.down, samples.status)] |= counter.FLAG_PHASE
+        wrong = counter.phase_error(samples.up, samples.down, samples.status)
+        if not starts_at_phase:
+            for start, stop in zip(starts, [*starts[1:], len(samples)], strict=True):
+                wrong[start:stop] -= np.bincount(wrong[start:stop], minlength=4).argmax().astype(np.uint8)
+        flags[wrong & 3 != 0] |= counter.FLAG_PHASE
     rise = np.zeros(len(samples), dtype=np.int64)
     if ident is not None and wire.Capability.ILLEGAL in ident.capabilities:
         rise[1:] = counter.increments(samples.illegal, 16)

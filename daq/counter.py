@@ -56,7 +56,7 @@ def signed(value: int, bits: int) -> int:
     return (value + half) % (1 << bits) - half
 
 
-def net_count(up: NDArray[np.uint16], down: NDArray[np.uint16], bits: int) -> NDArray[np.int64]:
+def net_count(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], bits: int) -> NDArray[np.int64]:
     """Return the unwrapped net count up - down of one segment, (n,).
 
     The first reading is taken as the signed difference, which is right when the counters have moved by less than half
@@ -176,12 +176,21 @@ def _sum_from(starts: NDArray[np.bool_], steps: NDArray[np.int64], first: NDArra
     return np.asarray(total - total[origin] + first[origin], dtype=np.int64)
 
 
-def check_phase(up: NDArray[np.uint16], down: NDArray[np.uint16], levels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def phase_error(
+    up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], levels: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """Return by how much x4 counts differ from the phase of the levels sent beside them, 0 to 3."""
+    return np.asarray(((up - down) - PHASE[levels & 3]) & 3).astype(np.uint8)
+
+
+def check_phase(
+    up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], levels: NDArray[np.uint8]
+) -> NDArray[np.bool_]:
     """Return where an x4 count disagrees with the levels sent beside it: (up - down) mod 4 is not their phase."""
-    return np.asarray((up - down) & 3 != PHASE[levels & 3])
+    return np.asarray(phase_error(up, down, levels) != 0)
 
 
-def check_both_moved(up: NDArray[np.uint16], down: NDArray[np.uint16]) -> NDArray[np.bool_]:
+def check_both_moved(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger]) -> NDArray[np.bool_]:
     """Return where both counters moved since the sample before; never at the first sample.
 
     An x4 decoder does that at every reversal.  Behind a J-K box it means pulses that no count can be trusted with.

@@ -82,21 +82,30 @@ def walk(capture: Capture, wired: Wiring) -> Iterator[tuple[NDArray[np.uint8], S
     for levels in capture.levels(*wired.bits):
         if quadrature is not None:
             steps = quadrature.feed(levels)
-            totals = Totals(quadrature.up, quadrature.down, quadrature.net, quadrature.illegal, quadrature.edges)
         else:
             steps = pulses.feed(levels & 1, levels >> 1)
-            totals = Totals(pulses.up, pulses.down, pulses.net, 0, pulses.edges)
-        yield levels, steps, totals
+        yield levels, steps, _totals(quadrature, pulses)
 
 
 def decode(capture: Capture, wired: Wiring, tell: Callable[[float], None] = lambda done: None) -> Totals:
     """Decode a whole capture; ``tell`` hears how many samples are done."""
-    last = Totals(0, 0, 0, 0, 0)
+    quadrature = Decoder(wired.decoder) if wired.decoder != TWO_COUNTER else None
+    pulses = PulseDecoder()
     done = 0
-    for levels, _, last in walk(capture, wired):  # noqa: B007 - the last chunk's totals are the answer
+    for levels in capture.levels(*wired.bits):
+        if quadrature is not None:
+            quadrature.count(levels)
+        else:
+            pulses.feed(levels & 1, levels >> 1)
         done += levels.size
         tell(done)
-    return last
+    return _totals(quadrature, pulses)
+
+
+def _totals(quadrature: Decoder | None, pulses: PulseDecoder) -> Totals:
+    if quadrature is None:
+        return Totals(pulses.up, pulses.down, pulses.net, 0, pulses.edges)
+    return Totals(quadrature.up, quadrature.down, quadrature.net, quadrature.illegal, quadrature.edges)
 
 
 def _pair(channels: str) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import assemble, belt, clock, counter, journal, runfile, stream, wire
+from daq import assemble, belt, capability, clock, counter, journal, runfile, stream, wire
 from daq.assemble import Samples, TruthRows
 from daq.consistency import Checked, check
 from daq.errors import DataError, InputError
@@ -64,10 +64,8 @@ def run_data(
         It holds no samples.
     """
     header = taken.header
-    if header["protocol"] != "frames":
-        raise InputError(f"its protocol {header['protocol']!r} is not known", str(taken.path), "update stickslip")
     rate_hz = float(header["rate_hz"])
-    said = assemble.connections(taken.records)
+    said = assemble.connections(taken)
     ident = assemble.first_ident(said)
     tick_ns = ident.tick_ns if ident else 1000
     samples, truth_rows = assemble.assemble(said, rate_hz, tick_ns)
@@ -76,7 +74,7 @@ def run_data(
     if len(samples) == 0:
         raise DataError("holds no samples", str(taken.path), "see that the board sends, then record again")
     config, rig, warnings = _calibration(taken, said, ident)
-    checked = check(samples, ident, rig, rate_hz)
+    checked = check(samples, ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
     position = positions(checked.count, rig)
     zone = timezone(timedelta(seconds=header["utc_offset_s"]))
     wall_ns = header["wall_ns"] + int(samples.stamp_ns[0]) - header["monotonic_ns"]
@@ -85,7 +83,7 @@ def run_data(
     belt_count, belt_velocity = belt.decoded(samples.belt, samples.time, checked.starts, rate_hz, rig)
     if samples.belt is not None and belt_velocity is None:
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
-    clocks = _clocks(samples)
+    clocks = _clocks(samples, said, header.get("baud"))
     events = events_of(samples, checked, said, markers, rate_hz)
     data = RunData(
         title=header["title"],
@@ -99,8 +97,9 @@ def run_data(
         raw=_raw(samples, checked, tick_ns),
         segment=checked.segment,
         config_toml=config,
-        clock_sample=clocks.frame.astype(np.uint32),
+        clock_sample=clocks.index.astype(np.uint32),
         clock_offset=clocks.offset,
+        clock_ppm=clocks.ppm,
         event_sample=np.array([event[0] for event in events], dtype=np.uint32),
         event_kind=np.array([event[1] for event in events], dtype=np.uint8),
         event_note=tuple(event[2] for event in events),
@@ -138,9 +137,11 @@ def _calibration(
     taken: journal.Journal, said: Sequence[stream.Stream], ident: wire.Ident | None
 ) -> tuple[str, Rig, list[str]]:
     """Return the configuration's text and the rig it describes; the board's word on its own decoder goes first."""
-    texts = [record.data.decode(errors="replace") for record in taken.records if record.kind == journal.CONFIGURATION]
-    texts += [text for connection in said for _, text in connection.configs]
-    config = texts[0] if texts else ""
+    given = [record.data.decode(errors="replace") for record in taken.records if record.kind == journal.CONFIGURATION]
+    told = next((connection.configs for connection in said if connection.configs), ())
+    # A board that was told its decoder says its calibration twice before it samples: the second time is the one.
+    again = [text for frame, text in told if frame == 0] if taken.header.get("decoder") is not None else []
+    config = (*given, *again[-1:], *(text for _, text in told), "")[0]
     warnings = []
     rig = Rig()
     try:
@@ -154,13 +155,27 @@ def _calibration(
     return config, rig, warnings
 
 
-def _clocks(samples: Samples) -> clock.Clock:
-    """Compare the clocks over the longest part; ``frame`` of the answer is the run's sample."""
+def _clocks(samples: Samples, said: Sequence[stream.Stream], baud: int | None) -> clock.Clock:
+    """Compare the clocks over the longest part; ``index`` of the answer is the run's sample."""
     here = max((where for _, where in assemble.parts_of(samples)), key=lambda where: where.stop - where.start)
     last = here.start + np.flatnonzero(np.diff(samples.frame[here], append=-1) != 0)
-    host = (samples.stamp_ns[last] - samples.stamp_ns[0]) / 1e9
-    found = clock.compare(host, samples.time[last])
-    return replace(found, frame=last[found.frame])
+    host, sample, sent_s = samples.stamp_ns[last], last, np.zeros(len(last))
+    if baud is not None:
+        # On a serial line of known speed every byte has its time, so reads that ended inside a frame count as well.
+        base = np.cumsum([0, *(len(connection.n) for connection in said)])
+        length = np.concatenate([connection.length for connection in said])
+        stamps = np.concatenate([connection.part_stamp_ns for connection in said])
+        begun = np.concatenate([at + connection.part_frame for at, connection in zip(base, said, strict=False)])
+        count = np.concatenate([connection.part_bytes for connection in said])
+        of = np.searchsorted(samples.frame[last], begun)
+        known = (of < len(last)) & (samples.frame[last][np.minimum(of, len(last) - 1)] == begun)
+        host = np.concatenate((host, stamps[known]))
+        sample = np.concatenate((last, last[of[known]]))
+        sent_s = np.concatenate((length[samples.frame[last]], count[known])) * capability.BITS_PER_BYTE / baud
+    device = samples.time[sample] + sent_s
+    order = np.argsort(device, kind="stable")
+    found = clock.compare((host[order] - samples.stamp_ns[0]) / 1e9, device[order])
+    return replace(found, index=sample[order][found.index])
 
 
 def _truth(samples: Samples, told: TruthRows, tick_ns: int, scene: str) -> Truth | None:

@@ -91,6 +91,8 @@ def build(file: h5py.File, data: RunData, file_name: str, schema: int) -> None:
     sync = group(entry, "clock_sync", "NXdata", signal="host_minus_device", axes="sample")
     field(sync, "sample", data.clock_sample)
     field(sync, "host_minus_device", data.clock_offset, "s")
+    if data.clock_ppm is not None:
+        field(sync, "drift", np.float64(data.clock_ppm), "ppm")
     _events(entry, data)
     note = group(entry, "configuration", "NXnote")
     field(note, "type", "application/toml")

@@ -4,6 +4,7 @@ A port is anything pyserial opens: ``/dev/ttyACM0``, ``COM3``, ``socket://host:p
 the simulated rig.  pyserial finds the last one by name: this package never imports the simulator.
 """
 
+import contextlib
 import errno
 import os
 from dataclasses import dataclass
@@ -85,7 +86,19 @@ def open_port(url: str, baud: int = BAUD) -> Port:
         raise InputError(f"cannot open such a port: {error}", url, do) from error
     except OSError as error:  # SerialException is one, too
         raise DeviceError(*explain(url, error)) from error
+    _ask_for_low_latency(port)
     return cast(Port, port)
+
+
+def _ask_for_low_latency(port: object) -> None:
+    """Ask the driver of a USB serial chip to pass bytes on within 1 ms, where it would collect them for 16 ms.
+
+    Linux only, and not every driver can: the recording is the same without it, only the clocks compare less sharply.
+    """
+    ask = getattr(port, "set_low_latency_mode", None)
+    if ask is not None:
+        with contextlib.suppress(ValueError, OSError, NotImplementedError):
+            ask(True)
 
 
 def line_baud(url: str, port: Port) -> int | None:
@@ -97,6 +110,11 @@ def line_baud(url: str, port: Port) -> int | None:
         return None
     baud: int | None = getattr(port, "baudrate", None)
     return baud
+
+
+def uart_baud(url: str, port: Port) -> int | None:
+    """Return the baud rate at which bytes pass one after the other; None for a URL or a pseudo-terminal."""
+    return None if os.path.realpath(url).startswith("/dev/pts/") else line_baud(url, port)
 
 
 def explain(url: str, error: OSError) -> tuple[str, str, str]:

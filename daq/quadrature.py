@@ -36,8 +36,9 @@ jk-latched  second reading: a J-K flip-flop with J = A, K = not A, clocked by B'
             so Q holds the direction seen at B's last rise and gates A's rises to the up or to the down output.  Q
             starts as 1 (up).  Between two rises of B it does not notice a reversal.
 
-The technique is "find the changes first": one vectorised comparison finds the few samples where the levels differ
-from the sample before, and only those are decoded.
+The technique: every rule is first applied to all samples at once, in bytes, where one instruction serves 16 to 64 of
+them; only then are the few places picked out at which something happened.  A table looked up per edge costs 15 times
+as much, and a loop over the edges a thousand times.
 """
 
 from dataclasses import dataclass
@@ -45,30 +46,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+PIECE = 1 << 15  # samples decoded at a time: what is made of them stays in the processor's cache
 DECODERS = ("x4", "x1", "jk", "jk-latched")
 EDGES_PER_COUNT = {"x4": 1, "x1": 4, "jk": 4, "jk-latched": 4}  # x4 counts in one count of each decoder
 GRAY = np.array([0, 1, 3, 2], dtype=np.uint8)  # levels of n mod 4 = 0, 1, 2, 3
 PHASE = np.array([0, 1, 3, 2], dtype=np.uint8)  # n mod 4 of levels 0, 1, 2, 3: GRAY is its own inverse
 
-# Index of the tables below: 4 * levels before + levels after.
-_ILLEGAL = np.zeros(16, dtype=np.bool_)
-_ILLEGAL[[4 * 0 + 3, 4 * 3 + 0, 4 * 1 + 2, 4 * 2 + 1]] = True
-_UP = ((0, 1), (1, 3), (3, 2), (2, 0))
-_X4 = np.zeros(16, dtype=np.int8)
-for _before, _after in _UP:
-    _X4[4 * _before + _after] = 1
-    _X4[4 * _after + _before] = -1
-_X1 = np.zeros(16, dtype=np.int8)
-_X1[4 * 0 + 1] = 1  # A rises, B low
-_X1[4 * 1 + 0] = -1  # A falls, B low
-_JK = np.zeros(16, dtype=np.int8)
-_JK[4 * 0 + 1] = 1  # A rises, B low
-_JK[4 * 2 + 3] = -1  # A rises, B high
-_STEP = {"x4": _X4, "x1": _X1, "jk": _JK}
-_A_RISES = _JK != 0
-_LATCH = np.full(16, -1, dtype=np.int8)  # what B's rise makes of Q; -1: leaves it
-_LATCH[4 * 1 + 3] = 1
-_LATCH[4 * 0 + 2] = 0
+# A change as one number, 4 * levels before + levels after, and what it does.
+_UP = {"x1": 4 * 0 + 1, "jk": 4 * 0 + 1}  # A rises, B low
+_DOWN = {"x1": 4 * 1 + 0, "jk": 4 * 2 + 3}  # A falls, B low; A rises, B high
+_A_RISES = (4 * 0 + 1, 4 * 2 + 3)
+_Q_UP, _Q_DOWN = 4 * 1 + 3, 4 * 0 + 2  # B rises with A high, with A low: what the flip-flop takes
 
 
 @dataclass(frozen=True)
@@ -130,42 +118,104 @@ class Decoder:
 
     def feed(self, levels: ArrayLike) -> Steps:
         """Decode a chunk of levels, one per sample or one per edge, and add to the totals."""
-        chunk = np.asarray(levels, dtype=np.uint8)
-        index, code = self._changes(chunk)
-        illegal = _ILLEGAL[code]
-        step = self._latched(code) if self.kind == "jk-latched" else _STEP[self.kind][code]
-        counted = int(np.count_nonzero(step))
-        up = (counted + int(step.sum(dtype=np.int64))) // 2
-        self.up += up
-        self.down += counted - up
-        self.illegal += int(np.count_nonzero(illegal))
-        self.edges += len(index)
-        return Steps(index, step, illegal)
+        chunk = _checked(levels)
+        index, step, illegal = [], [], []
+        for first in range(0, len(chunk), PIECE):
+            code = self._changes(chunk[first : first + PIECE])
+            where = np.flatnonzero(_has_changed(code))
+            counted, double = self._decode(code[where])
+            index.append(where + first)
+            step.append(counted)
+            illegal.append(double)
+        if not index:
+            return Steps(np.empty(0, dtype=np.intp), np.empty(0, dtype=np.int8), np.empty(0, dtype=np.bool_))
+        return Steps(np.concatenate(index), np.concatenate(step), np.concatenate(illegal))
 
-    def _changes(self, chunk: NDArray[np.uint8]) -> tuple[NDArray[np.intp], NDArray[np.uint8]]:
-        """Return where the levels change, and 4 * before + after there."""
-        if len(chunk) == 0:
-            return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.uint8)
-        if chunk.max() > 3:
-            raise ValueError(f"levels of {chunk.max()} at sample {int(chunk.argmax())}; need A + 2 B, 0 to 3")
-        index = np.flatnonzero(chunk[1:] != chunk[:-1]) + 1
-        code = np.left_shift(chunk[index - 1], 2) | chunk[index]
-        if self.levels is not None and self.levels != chunk[0]:
-            index = np.concatenate(([0], index))
-            code = np.concatenate((np.array([self.levels << 2 | int(chunk[0])], dtype=np.uint8), code))
+    def count(self, levels: ArrayLike) -> None:
+        """Decode a chunk and add to the totals without saying where the edges are, up to twice as fast as `feed`."""
+        chunk = _checked(levels)
+        for first in range(0, len(chunk), PIECE):
+            code = self._changes(chunk[first : first + PIECE])
+            self._decode(code[np.flatnonzero(_has_changed(code))] if self.kind == "jk-latched" else code)
+
+    def _changes(self, chunk: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return 4 * levels before + levels at each sample, and keep the last one for the next chunk."""
+        code = np.empty(len(chunk), dtype=np.uint8)
+        code[0] = chunk[0] if self.levels is None else self.levels
+        code[1:] = chunk[:-1]
+        code <<= 2
+        code |= chunk
         self.levels = int(chunk[-1])
-        return index, code
+        return code
 
-    def _latched(self, code: NDArray[np.uint8]) -> NDArray[np.int8]:
-        """Return the steps of jk-latched: A's rises, signed by Q as B's last rise before them left it."""
-        latch = _LATCH[code]
-        rises = np.flatnonzero(_A_RISES[code])
-        clocks = np.flatnonzero(latch >= 0)
-        q = np.concatenate(([self.latched_up], latch[clocks] == 1))
-        step = np.zeros(len(code), dtype=np.int8)
-        step[rises] = np.where(q[np.searchsorted(clocks, rises)], 1, -1)
-        self.latched_up = bool(q[-1])
-        return step
+    def _decode(self, code: NDArray[np.uint8]) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:
+        """Return what each change does, +1, -1 or 0, and whether it is illegal; add to the totals.
+
+        Codes of samples at which nothing changed may stand between the changes; they do nothing.
+        """
+        moved = _phase_moves(code)
+        illegal = moved == 2
+        if self.kind == "x4":
+            up, down = moved == 1, moved == 3
+        elif self.kind == "jk-latched":
+            up, down = self._latched(code)
+        else:
+            up, down = code == _UP[self.kind], code == _DOWN[self.kind]
+        self.up += int(np.count_nonzero(up))
+        self.down += int(np.count_nonzero(down))
+        self.illegal += int(np.count_nonzero(illegal))
+        self.edges += int(np.count_nonzero(moved))
+        return up.view(np.int8) - down.view(np.int8), illegal
+
+    def _latched(self, code: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return where jk-latched counts up and down: at A's rises, by Q as B's last rise before them left it."""
+        rises = (code == _A_RISES[0]) | (code == _A_RISES[1])
+        clocks = (code == _Q_UP).view(np.int8) - (code == _Q_DOWN).view(np.int8)  # what Q becomes, as +1 or -1
+        q = _last_not_zero(clocks, 1 if self.latched_up else -1, rises)
+        if len(q):
+            self.latched_up = bool(q[-1] > 0)
+        return rises & (q > 0), rises & (q < 0)
+
+
+def _checked(levels: ArrayLike) -> NDArray[np.uint8]:
+    chunk = np.asarray(levels, dtype=np.uint8)
+    if len(chunk) and chunk.max() > 3:
+        raise ValueError(f"levels of {chunk.max()} at sample {int(chunk.argmax())}; need A + 2 B, 0 to 3")
+    return chunk
+
+
+def _has_changed(code: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    return np.asarray(code >> 2 != code & 3)
+
+
+def _phase_moves(code: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return how far the Gray phase moves, modulo 4: 1 up, 3 down, 2 illegal.  Levels l have phase l ^ (l >> 1)."""
+    phase = code >> 1
+    phase &= 0b0101  # each of the two levels shifted by one, nothing from one into the other
+    phase ^= code
+    moved = phase - (phase >> 2)
+    moved &= 3
+    return moved
+
+
+def _last_not_zero(values: NDArray[np.int8], before: int, wanted: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """Return the last value that is not zero up to each place that is ``wanted``, and up to the last place.
+
+    ``before`` stands ahead of the first.  Elsewhere the answer may be 0.
+    """
+    filled = values.copy()
+    if len(filled) == 0:
+        return filled
+    filled[0] = filled[0] or before
+    for back in (1, 2, 4, 8, 16):  # looks back 31 places: in steady motion B has risen 3 edges before A
+        filled[back:] += filled[:-back] * (filled[back:] == 0)
+    left = np.flatnonzero(wanted & (filled == 0))
+    if len(left) or filled[-1] == 0:
+        left = np.append(left, len(filled) - 1)
+        known = np.flatnonzero(values)
+        at = np.searchsorted(known, left, side="right") - 1
+        filled[left] = np.where(at >= 0, values[known[at]] if len(known) else before, before)
+    return filled
 
 
 class PulseDecoder:

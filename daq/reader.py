@@ -12,12 +12,13 @@ import threading
 import time
 from collections.abc import Callable
 
-from daq import journal, ports, wire
+from daq import journal, ports
 from daq.errors import StickslipError
-from daq.protocols import Frames
+from daq.protocols.session import Session
 
 QUEUE_READS = 20_000  # half a minute of a 5 kHz stream
 QUEUE_READS_WAITING = 8
+PAUSE_S = 0.02  # between reads: what came meanwhile is read at once, and each read costs as much as 100 samples
 SILENT_S = 5.0  # a board that streams and says nothing for so long is lost
 REOPEN_S = 30.0
 REOPEN_EVERY_S = 0.25
@@ -25,50 +26,17 @@ REOPEN_EVERY_S = 0.25
 Item = tuple[int, int, bytes]  # a journal record: kind, stamp in monotonic ns, bytes
 
 
-class Tally:
-    """How far a stream has come, in sample periods from its start: lost samples count, gaps of a lost port too."""
-
-    def __init__(self) -> None:
-        self.reached = 0
-        self.resets = 0  # identifications after the first sample: the board has restarted
-        self.notice = ""  # what the board said when it stopped by itself
-        self._frames = wire.FrameReader()
-        self._next: int | None = None
-        self._base = 0
-
-    def feed(self, data: bytes) -> None:
-        """Take bytes as they came."""
-        for payload in self._frames.payloads(data):
-            if payload[0] == wire.SAMPLES and len(payload) > wire.SAMPLES_HEADER:
-                seq = payload[3] | payload[4] << 8
-                ahead = seq if self._next is None else seq - self._next & 0xFFFF
-                if ahead < 0x8000:  # else a repeated or late frame
-                    self.reached += ahead + payload[2]
-                    self._next = seq + payload[2] & 0xFFFF
-            elif payload[0] == wire.IDENT and self._next is not None:
-                self.resets += 1
-                self._next = None
-            elif payload[0] == wire.NOTICE:
-                self.notice = payload[2:].decode(errors="replace")
-
-    def begin_again(self, reached: int) -> None:
-        """Begin with sequence number 0 again, ``reached`` periods after the start."""
-        self._frames = wire.FrameReader()
-        self._next = None
-        self.reached = max(self.reached, reached)
-
-
 class Reader(threading.Thread):
     """Start the board, read until enough samples came or `stop` is called, stop the board, read the rest.
 
     Parameters
     ----------
-    board : Frames
+    board : Session
         Prepared, not started.
     reopen : callable
         Opens the port again and returns a prepared session; raises StickslipError or OSError while it cannot.
-    rate_hz, block, samples : int
-        Samples per second, per frame, and in all.
+    rate_hz, samples : float, int
+        Samples per second, and in all.
     say : callable
         Is told in a line when the port is lost and when it is back.
 
@@ -86,10 +54,9 @@ class Reader(threading.Thread):
 
     def __init__(
         self,
-        board: Frames,
-        reopen: Callable[[], Frames],
-        rate_hz: int,
-        block: int,
+        board: Session,
+        reopen: Callable[[], Session],
+        rate_hz: float,
         samples: int,
         say: Callable[[str], None],
     ) -> None:
@@ -97,11 +64,11 @@ class Reader(threading.Thread):
         self.board = board
         self.waits = ports.waits_for_reader(board.url)
         self.items: queue.Queue[Item | None] = queue.Queue(QUEUE_READS_WAITING if self.waits else QUEUE_READS)
-        self.tally = Tally()
+        self.tally = board.tally()
         self.failure: BaseException | None = None
         self.ended = "stopped"
         self._reopen = reopen
-        self._rate_hz, self._block, self._samples = rate_hz, block, samples
+        self._rate_hz, self._samples = rate_hz, samples
         self._say = say
         self._stopping = threading.Event()
         self._dropped = 0
@@ -136,10 +103,12 @@ class Reader(threading.Thread):
                     heard = time.monotonic()
                     self._keep(journal.RECEIVED, data)
                     self.tally.feed(data)
+                    if not self.waits:
+                        time.sleep(PAUSE_S)
                 if self.tally.resets > resets:
                     self._say("the board has restarted; its position starts anew")
                     self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))
-                    self.board.restart(self._rate_hz, self._block)
+                    self.board.restart()
             except OSError as error:
                 if not self._recover(began, str(error)):
                     return

@@ -9,13 +9,14 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq import capability, journal, ports, protocols, provenance, wire
 from daq.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from daq.protocols.session import Identity, Plan, Session, Wish
 from daq.reader import Reader
 from daq.rig import Rig
 
@@ -35,23 +36,43 @@ class RecordingInterruptedError(StickslipError):
 
 @dataclass(frozen=True)
 class Request:
-    """What to record; ``force`` replaces an existing file, ``baud`` matters to a serial line only.
+    """What to record.
 
-    ``decoder`` selects one of the board's; None leaves the board as it is.
+    Attributes
+    ----------
+    port : str
+        A device or URL.
+    output : Path
+        The run file.
+    rate_hz : int or None
+        Samples per second; None for what the protocol gives by itself (1000 Hz in our own).
+    duration_s : float
+        How long.
+    force : bool
+        Replace an existing file.
+    baud : int or None
+        Bits per second of a serial line; None for the protocol's usual.
+    protocol, columns, decoder : str
+        One of `daq.protocols.PROTOCOLS`; the columns of text lines; the decoder that the board is to use.
+    calibration : str or None
+        TOML text of a ``rig.toml`` that replaces what the board says of its rig.
     """
 
     port: str
     output: Path
-    rate_hz: int = 1000
+    rate_hz: int | None = 1000
     duration_s: float = 20.0
     force: bool = False
-    baud: int = ports.BAUD
+    baud: int | None = None
+    protocol: str = "frames"
+    columns: str | None = None
     decoder: str | None = None
+    calibration: str | None = None
 
     @property
-    def samples(self) -> int:
-        """Samples wanted."""
-        return round(self.duration_s * self.rate_hz)
+    def wish(self) -> Wish:
+        """What the protocol is asked for."""
+        return Wish(self.rate_hz, self.decoder, self.columns)
 
     @property
     def part(self) -> Path:
@@ -63,11 +84,12 @@ def check_request(request: Request) -> None:
     """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
     from daq.runfile import refuse_existing
 
-    if request.rate_hz < 1:
+    if request.rate_hz is not None and request.rate_hz < 1:
         raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")
-    if not 1 <= request.duration_s * request.rate_hz <= MOST_SAMPLES:  # neither is NaN
-        what = f"the duration is {request.duration_s:g} s, {request.duration_s * request.rate_hz:g} samples"
-        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples")
+    _samples(request, request.rate_hz or 1000)
+    protocols.load(request.protocol).check(request.wish)
+    if request.calibration is not None:
+        Rig.from_toml(request.calibration, "--rig")
     refuse_existing(request.output, request.force)
     if request.part.exists():
         raise InputError(
@@ -75,6 +97,14 @@ def check_request(request: Request) -> None:
             str(request.part),
             f"run 'daq recover {request.part}' to get its data, or delete it, or give another -o",
         )
+
+
+def _samples(request: Request, rate_hz: float) -> int:
+    """Return the samples wanted at a rate."""
+    if not 1 <= request.duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
+        what = f"the duration is {request.duration_s:g} s, {request.duration_s * rate_hz:g} samples"
+        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples")
+    return round(request.duration_s * rate_hz)
 
 
 def record(
@@ -110,16 +140,22 @@ def record(
     from daq.finalise import finalise
 
     check_request(request)
-    board, identity, block, warnings = _connect(request)
+    board, identity, plan, warnings = _connect(request)
     say(f"{identity.ident.name or 'a board'} on {request.port}, decoder {identity.ident.decoder}")
     try:
-        writer = journal.Writer(request.part, _header(request, board, identity, warnings))
+        samples = _samples(request, plan.rate_hz)
+        writer = journal.Writer(request.part, _header(request, board, identity, plan, samples, warnings))
     except OSError as error:
         board.close()
         raise _disk(request, error) from error
-    reader = Reader(board, lambda: _connect(request)[0], request.rate_hz, block, request.samples, say)
+    except InputError:
+        board.close()
+        raise
+    reader = Reader(board, lambda: _connect(request)[0], plan.rate_hz, samples, say)
     try:
-        _take(reader, writer, request, progress, stop or threading.Event())
+        if request.calibration is not None:
+            writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
+        _take(reader, writer, lambda reached: progress(min(reached, samples) / plan.rate_hz), stop or threading.Event())
         if reader.failure is not None:
             if reader.tally.reached == 0:
                 request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
@@ -136,43 +172,48 @@ def record(
         raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
 
 
-def _connect(request: Request) -> tuple[protocols.Frames, protocols.Identity, int, list[str]]:
+def _connect(request: Request) -> tuple[Session, Identity, Plan, list[str]]:
     """Open the port, find out who is there, check that it can do what is asked, and set it up."""
-    port = ports.open_port(request.port, request.baud)
+    backend = protocols.load(request.protocol)
+    port = ports.open_port(request.port, request.baud or backend.BAUD)
     try:
-        board = protocols.Frames(port, request.port, request.decoder)
+        board = backend.session(port, request.port, request.wish)
         identity = board.identify()
-        block = capability.block_size(identity.ident, request.rate_hz)
+        plan = board.plan(identity)
         baud = ports.line_baud(request.port, port)
-        warnings = capability.check(identity.ident, _known(identity), request.rate_hz, block, baud)
-        identity = board.prepare(request.rate_hz, block)
+        warnings = [*plan.notes, *capability.check(identity.ident, _known(request, identity), plan, baud)]
+        identity = board.prepare(plan)
     except OSError as error:
         port.close()
         raise DeviceError(f"the port was lost: {error}", request.port, "check the cable and try again") from error
     except BaseException:
         port.close()
         raise
-    return board, identity, block, warnings
+    return board, identity, plan, warnings
 
 
-def _known(identity: protocols.Identity) -> Rig:
+def _known(request: Request, identity: Identity) -> Rig:
     try:
-        return Rig.from_toml(identity.config or "", "the board's CONFIG")
+        rig = Rig.from_toml(request.calibration or identity.config or "", "the board's CONFIG")
     except InputError:
-        return Rig()  # the finaliser reads the same text, and its warning tells what is wrong with it
+        rig = Rig()  # the finaliser reads the same text, and its warning tells what is wrong with it
+    return replace(rig, decoder=identity.ident.decoder)
 
 
 def _header(
-    request: Request, board: protocols.Frames, identity: protocols.Identity, warnings: list[str]
+    request: Request, board: Session, identity: Identity, plan: Plan, samples: int, warnings: list[str]
 ) -> dict[str, Any]:
     now = datetime.now().astimezone()
     offset = now.utcoffset()
     return {
-        "protocol": board.name,
+        "protocol": request.protocol,
+        "columns": request.columns,
+        "decoder": request.decoder,
         "port": request.port,
-        "rate_hz": request.rate_hz,
-        "samples": request.samples,
-        "title": f"{identity.ident.name or 'stick-slip'}, {request.rate_hz} Hz",
+        "baud": ports.uart_baud(request.port, board.port),
+        "rate_hz": plan.rate_hz,
+        "samples": samples,
+        "title": f"{identity.ident.name or 'stick-slip'}, {plan.rate_hz:g} Hz",
         "operator": "",
         "wall_ns": time.time_ns(),
         "monotonic_ns": time.monotonic_ns(),
@@ -189,8 +230,7 @@ def _version(ident: wire.Ident) -> str:
 def _take(
     reader: Reader,
     writer: journal.Writer,
-    request: Request,
-    progress: Callable[[float], None],
+    progress: Callable[[int], None],
     stop: threading.Event,
 ) -> None:
     """Write what the reader brings until it ends; the journal is closed, and the reader gone, in every case."""
@@ -210,7 +250,7 @@ def _take(
                 break
             writer.append(*item)
             writer.tick()
-            progress(min(reader.tally.reached, request.samples) / request.rate_hz)
+            progress(reader.tally.reached)
         ended = f'{{"reason": "{reader.ended}"}}'
         writer.append(journal.END, time.monotonic_ns(), ended.encode())
         writer.close()

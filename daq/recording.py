@@ -38,8 +38,8 @@ class Raw:
     ----------
     sample : u4
         Sequence number, unwrapped; it skips over lost samples and restarts in each segment.
-    count_up, count_down : u2
-        The two counters, rolling over at 2^16.
+    count_up, count_down : u2, or u4 of counters wider than 16 bits
+        The two counters, rolling over at their width.
     device_time : u4
         Device time in us, rolling over at 2^32.
     levels : u1
@@ -53,8 +53,8 @@ class Raw:
     """
 
     sample: NDArray[np.uint32]
-    count_up: NDArray[np.uint16]
-    count_down: NDArray[np.uint16]
+    count_up: NDArray[np.uint16] | NDArray[np.uint32]
+    count_down: NDArray[np.uint16] | NDArray[np.uint32]
     device_time: NDArray[np.uint32]
     levels: NDArray[np.uint8]
     flags: NDArray[np.uint16]
@@ -114,6 +114,8 @@ class Recording:
         The configuration the run was made with, verbatim.
     clock_sample, clock_offset : (c,) u4, (c,) f8
         Host clock minus device clock, s, at these indices.
+    clock_ppm : float or None
+        Drift of the device's clock, positive when fast; None where it could not be known.
     provenance : mapping
         Software, versions, command line.
     """
@@ -142,6 +144,7 @@ class Recording:
     operator: str
     provenance: Mapping[str, str | int]
     belt_count: NDArray[np.int64] | None = None
+    clock_ppm: float | None = None
 
 
 def _no_samples() -> NDArray[np.uint32]:
@@ -165,6 +168,7 @@ class RunData:
     config_toml: str = ""
     clock_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
     clock_offset: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
+    clock_ppm: float | None = None
     event_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
     event_kind: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     event_note: tuple[str, ...] = ()

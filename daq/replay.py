@@ -72,6 +72,7 @@ def from_run(source: Path) -> RunData:
         config_toml=recording.config_toml,
         clock_sample=recording.clock_sample,
         clock_offset=recording.clock_offset,
+        clock_ppm=recording.clock_ppm,
         event_sample=recording.event_sample,
         event_kind=np.array([EVENTS[kind] for kind in recording.event_kind], np.uint8),
         event_note=recording.event_note if any(recording.event_note) else (),

@@ -97,6 +97,8 @@ class Rig:
             raise InputError(f"broken TOML: {error}", where, "mend that line") from error
         found: dict[str, Any] = {}
         for section, content in document.items():
+            if section == "board":
+                continue  # how to reach the board: `daq.settings`
             if section not in SECTIONS:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
             if not isinstance(content, dict):
@@ -116,7 +118,7 @@ class Rig:
                     if value.sd:
                         lines.append(f"{key}_sd = {float(value.sd)!r}")
                 elif isinstance(value, str):
-                    lines.append(f"{key} = {_quoted(value)}")
+                    lines.append(f"{key} = {quoted(value)}")
                 elif value is not None:
                     lines.append(f"{key} = {value}")
         return "\n".join(lines) + "\n"
@@ -198,7 +200,7 @@ def _setting(key: str, value: Any, section: str, where: str) -> Any:
     return value
 
 
-def _quoted(text: str) -> str:
-    # TOML's basic string: quotes, backslashes and control characters (DEL too) must be escaped.
+def quoted(text: str) -> str:
+    """Return a text as TOML's basic string: quotes, backslashes and control characters (DEL too) escaped."""
     out = "".join(f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else f"\\{c}" if c in '"\\' else c for c in text)
     return f'"{out}"'

@@ -109,6 +109,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
             config_toml=string(entry, "configuration/data", where),
             clock_sample=array(entry, "clock_sync/sample", np.uint32, where),
             clock_offset=array(entry, "clock_sync/host_minus_device", np.float64, where),
+            clock_ppm=scalar(entry, "clock_sync/drift", where) if "clock_sync/drift" in entry else None,
             operator=string(entry, "operator/name", where) if "operator/name" in entry else "",
             provenance=_provenance(entry),
         )
@@ -353,7 +354,9 @@ def _raw(entry: h5py.Group, n: int, where: Path) -> tuple[Raw | None, Any]:
         if name in ("belt_count", "edge_time") and f"raw/{name}" not in entry:
             columns[name] = None
             continue
-        columns[name] = array(entry, f"raw/{name}", types.get(name, np.uint16), where)
+        item = entry.get(f"raw/{name}")
+        wide = name in ("count_up", "count_down") and isinstance(item, h5py.Dataset) and item.dtype.itemsize > 2
+        columns[name] = array(entry, f"raw/{name}", np.uint32 if wide else types.get(name, np.uint16), where)
         same_length(columns[name].size, n, f"raw/{name}", where)
     segment = columns.pop("segment")
     return Raw(**columns), segment

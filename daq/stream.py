@@ -28,7 +28,7 @@ class Stream:
     dt, up, down, status, belt, edge : (n,)
         The columns as sent; belt and edge are None when the board does not send them.
     ident : Ident or None
-        The board's first identification.
+        The board's identification when it began to sample: the last one before the first frame.
     idents : (i,) int64
         Before which frame each identification came.
     configs, notices : tuple of (int, str)
@@ -41,6 +41,10 @@ class Stream:
         Before which frame each damaged line came (as near as its read tells).
     crc_errors, unknown, discarded_bytes : int
         See `daq.wire.FrameReader`.
+    length : (f,) int64
+        Each frame's bytes on the line.
+    part_stamp_ns, part_frame, part_bytes : (p,) int64
+        Reads that ended inside a frame: when, which frame, and how many of its bytes were there.
     """
 
     first: NDArray[np.int64]
@@ -50,8 +54,8 @@ class Stream:
     illegal: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
     dt: NDArray[np.uint16]
-    up: NDArray[np.uint16]
-    down: NDArray[np.uint16]
+    up: NDArray[np.uint16] | NDArray[np.uint32]
+    down: NDArray[np.uint16] | NDArray[np.uint32]
     status: NDArray[np.uint8]
     belt: NDArray[np.uint16] | None
     edge: NDArray[np.uint16] | None
@@ -66,6 +70,10 @@ class Stream:
     crc_errors: int
     unknown: int
     discarded_bytes: int
+    length: NDArray[np.int64]
+    part_stamp_ns: NDArray[np.int64]
+    part_frame: NDArray[np.int64]
+    part_bytes: NDArray[np.int64]
 
 
 def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
@@ -90,9 +98,18 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     unknown = 0
     unknown_bytes = 0
     lengths = _lengths(belt, edge)
+    begun: list[tuple[int, int]] = []  # of the line in progress: reads that ended inside it, and its bytes then
+    parts: list[tuple[int, int, int]] = []
     for stamp, data in reads:
         errors_before = reader.crc_errors
-        for payload in reader.payloads(data):
+        payloads = reader.payloads(data)
+        if begun and reader.first_held is not None:
+            if reader.first_held and payloads[0][0] == wire.SAMPLES:
+                parts += [(at, len(blocks), count) for at, count in begun]
+            begun.clear()
+        if reader.waiting:
+            begun.append((stamp, reader.waiting))
+        for payload in payloads:
             if payload[0] == wire.SAMPLES and payload[1] == wire.VERSION:
                 if len(payload) >= wire.SAMPLES_HEADER and lengths.get(len(payload)) == payload[2]:
                     blocks.append(payload)
@@ -104,7 +121,7 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
                 truth_frames.append(len(blocks))
             elif isinstance(frame, wire.Ident):
                 idents.append(len(blocks))
-                if ident is None:
+                if ident is None or not blocks:  # its decoder may have been set in between
                     ident = frame
                     belt = wire.Capability.BELT in frame.capabilities
                     edge = wire.Capability.EDGE_TIME in frame.capabilities
@@ -118,6 +135,8 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
                 unknown_bytes += len(payload)
         crc_frame += [len(blocks)] * (reader.crc_errors - errors_before)
     columns, heads, first = _columns(blocks, belt, edge)
+    part = np.array([row for row in parts if row[1] < len(blocks)], dtype=np.int64).reshape(-1, 3)
+    size = np.fromiter(map(len, blocks), dtype=np.int64, count=len(blocks))
     truth_seq, truth_frame, truth = _truth(truth_payloads, truth_frames)
     return Stream(
         first=first,
@@ -143,6 +162,10 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
         crc_errors=reader.crc_errors,
         unknown=unknown,
         discarded_bytes=reader.discarded_bytes + unknown_bytes,
+        length=size + 4 + (size + 2) // 254,  # CRC, COBS and its delimiter
+        part_stamp_ns=part[:, 0],
+        part_frame=part[:, 1],
+        part_bytes=part[:, 2],
     )
 
 

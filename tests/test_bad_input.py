@@ -88,6 +88,21 @@ def test_a_missing_port_is_a_device_error(folder):
     assert not (folder / "x.h5").exists()
 
 
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        (("--protocol", "qsb", "--rate", "1000"), ["1000 Hz", "512"]),
+        (("--protocol", "text"), ["--columns", "t_us,up,down"]),
+        (("--protocol", "text", "--columns", "t_us,cuont"), ["cuont", "count"]),
+        (("--protocol", "qbs"), ["qbs", "qsb"]),
+        (("--rig", "none.toml"), ["none.toml"]),
+    ],
+)
+def test_what_a_protocol_cannot_do_is_refused_before_the_port_is_opened(folder, arguments, names):
+    assert_refused(folder, 2, names, "daq", "record", "-o", "x.h5", "--port", "/dev/ttyNONE", *arguments)
+    assert not (folder / "x.h5").exists()
+
+
 def test_an_even_window_is_refused(folder):
     before = (folder / "run.h5").read_bytes()
     assert_refused(folder, 2, ["40", "odd"], "process", "smooth", "run.h5", "--window", "40")

@@ -16,7 +16,19 @@ HELP = [
     ("daq", []),
     *[
         ("daq", [name])
-        for name in ("record", "recover", "replay", "decode", "import", "export", "ports", "doctor", "demo")
+        for name in (
+            "record",
+            "recover",
+            "check",
+            "calibrate",
+            "replay",
+            "decode",
+            "import",
+            "export",
+            "ports",
+            "doctor",
+            "demo",
+        )
     ],
     ("process", []),
     *[("process", [name]) for name in ("smooth", "compare", "inspect", "export")],

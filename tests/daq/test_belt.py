@@ -14,6 +14,7 @@ from daq import belt, capability, counter, ports, runfile
 from daq.assemble import Samples
 from daq.consistency import check
 from daq.errors import InputError
+from daq.protocols.session import Plan
 from daq.record import Request, record
 from daq.rig import Measured, Rig
 from daq.wire import Capability, Ident
@@ -86,8 +87,8 @@ def test_a_rate_too_slow_for_the_belts_counter_is_refused_before_the_run() -> No
     board = Ident((1, 0, 0), "x4", Capability.BELT, 16, 1000, 1, 5000, 0, "board")
     fine = Rig(metres_per_count=Measured(1e-4), belt_speed=Measured(0.22), belt_metres_per_count=Measured(1e-6))
     with pytest.raises(InputError, match="roll over"):
-        capability.check(board, fine, 10.0, 1, None)
-    assert capability.check(board, fine, 20.0, 1, None) == []
+        capability.check(board, fine, Plan(10.0, 1, 0.0), None)
+    assert capability.check(board, fine, Plan(20.0, 1, 0.0), None) == []
 
 
 def recorded(path: Path, *changes: str, duration: float = 8.0) -> daq.Recording:

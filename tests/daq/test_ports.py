@@ -7,11 +7,17 @@ import pytest
 
 from daq import capability, ports
 from daq.errors import DeviceError, InputError
+from daq.protocols.session import Line, Plan, Wish
 from daq.rig import Measured, Rig
 from daq.wire import Capability, Ident
 
 BOARD = Ident((1, 0, 0), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 8, 5000, 125_000, "uno")
 RIG = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.22))
+
+
+def check(board, rig, rate_hz, block, baud):
+    plan = Plan(rate_hz, block, capability.bytes_per_s(board, rate_hz, block))
+    return capability.check(board, rig, plan, baud)
 
 
 def test_a_missing_port_is_named_with_what_is_there():
@@ -82,40 +88,87 @@ def test_only_the_rig_out_of_real_time_waits_for_its_reader():
 def test_1_khz_in_blocks_fits_115200_baud_and_is_8875_bytes_a_second():
     assert capability.block_size(BOARD, 1000) == 8
     assert capability.bytes_per_s(BOARD, 1000, 8) == 8875
-    assert capability.check(BOARD, RIG, 1000, 8, 115_200) == []
+    assert check(BOARD, RIG, 1000, 8, 115_200) == []
 
 
 def test_1_khz_in_single_frames_does_not_fit_and_says_what_would():
     with pytest.raises(InputError, match=r"22000 bytes/s, and 115200 baud carries 11520; give --rate 523 or less"):
-        capability.check(BOARD, RIG, 1000, 1, 115_200)
+        check(BOARD, RIG, 1000, 1, 115_200)
 
 
 def test_500_hz_in_single_frames_is_tight():
-    warnings = capability.check(BOARD, RIG, 500, 1, 115_200)
+    warnings = check(BOARD, RIG, 500, 1, 115_200)
     assert len(warnings) == 1
     assert "11000 bytes/s" in warnings[0]
 
 
 def test_a_line_without_a_baud_rate_has_no_such_limit():
-    assert capability.check(BOARD, RIG, 5000, 8, None) == []
+    assert check(BOARD, RIG, 5000, 8, None) == []
 
 
 def test_more_than_the_board_samples_is_refused_with_its_limit():
     with pytest.raises(InputError, match="5000"):
-        capability.check(BOARD, RIG, 6000, 8, None)
+        check(BOARD, RIG, 6000, 8, None)
 
 
 def test_a_slip_that_would_outrun_the_decoder_is_warned_about():
-    warnings = capability.check(replace(BOARD, max_edge_rate_hz=80_000), RIG, 1000, 8, None)
+    warnings = check(replace(BOARD, max_edge_rate_hz=80_000), RIG, 1000, 8, None)
     assert "114733 edges/s" in warnings[0]
 
 
 def test_a_rate_at_which_counters_roll_over_unseen_is_refused():
     fast = replace(RIG, metres_per_count=Measured(7.67e-9))
     with pytest.raises(InputError, match="roll over"):
-        capability.check(replace(BOARD, max_edge_rate_hz=0), fast, 1000, 8, None)
+        check(replace(BOARD, max_edge_rate_hz=0), fast, 1000, 8, None)
 
 
 def test_slow_rates_are_sent_in_single_frames():
     assert capability.block_size(BOARD, 20) == 1
     assert capability.block_size(replace(BOARD, capabilities=Capability.LEVELS), 1000) == 1
+
+
+def test_a_usb_serial_driver_is_asked_for_low_latency_and_may_say_no(monkeypatch):
+    import serial
+
+    asked = []
+
+    class Port:
+        def set_low_latency_mode(self, wanted):
+            asked.append(wanted)
+            raise ValueError("this driver cannot")
+
+    monkeypatch.setattr(serial, "serial_for_url", lambda url, **settings: Port())
+    assert isinstance(ports.open_port("/dev/ttyUSB7"), Port)
+    assert asked == [True]
+
+
+def test_bytes_of_a_pseudo_terminal_or_a_url_have_no_time_of_their_own(tmp_path):
+    port = type("Port", (), {"baudrate": 115_200})()
+    assert ports.uart_baud("/dev/ttyUSB0", port) == 115_200
+    assert ports.uart_baud("socket://rig:1", port) is None
+    (tmp_path / "ttyFAKE").symlink_to("/dev/pts/7")
+    assert ports.uart_baud(str(tmp_path / "ttyFAKE"), port) is None
+
+
+def test_lines_that_come_already_are_not_refused_for_a_baud_rate_that_is_only_a_name():
+    plan = Plan(1000.0, 1, 24_000.0, comes_already=True)
+    assert capability.check(BOARD, RIG, plan, 115_200) == []
+    assert len(capability.check(BOARD, RIG, replace(plan, bytes_per_s=11_400.0), 115_200)) == 1
+
+
+def test_a_socket_that_does_not_say_how_many_bytes_wait_is_read_in_large_pieces():
+    """Pyserial's sockets say 1 for some: read byte by byte, with a pause between reads, they could not keep up."""
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = ports.open_port(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        peer, _ = server.accept()
+        with peer, port:
+            sent = bytes(range(256)) * 40
+            peer.sendall(sent)
+            line = Line(port, "socket", Wish())
+            reads = [line.read()]
+            while sum(map(len, reads)) < len(sent):
+                reads.append(line.read())
+            assert b"".join(reads) == sent
+            assert len(reads) < 20

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daq import quadrature
 from daq.quadrature import DECODERS, EDGES_PER_COUNT, GRAY, PHASE, Decoder, PulseDecoder, levels_of
 
 UP = [(0, 1), (1, 3), (3, 2), (2, 0)]  # levels A + 2 B: 00 -> 10 -> 11 -> 01 -> 00
@@ -117,6 +118,25 @@ def test_chunks_decode_as_the_whole(kind, levels, cuts):
         whole.edges,
     )
     assert (index, signs) == (steps.index.tolist(), steps.step.tolist())
+
+
+@pytest.mark.parametrize("still", [0, 3])
+@pytest.mark.parametrize("kind", DECODERS)
+def test_pieces_and_totals_alone_decode_as_the_whole(monkeypatch, kind, still):
+    """5000 random levels, each held for ``still`` samples more, in pieces of 7 samples."""
+    levels = np.repeat(np.random.default_rng(still).integers(0, 4, 5000).astype(np.uint8), 1 + still)
+    whole, steps = decoded(kind, levels)
+    monkeypatch.setattr(quadrature, "PIECE", 7)
+    pieces, again = decoded(kind, levels)
+    totals = Decoder(kind)
+    totals.count(levels)
+    expected = (whole.up, whole.down, whole.illegal, whole.edges, whole.latched_up)
+    assert (pieces.up, pieces.down, pieces.illegal, pieces.edges, pieces.latched_up) == expected
+    assert (totals.up, totals.down, totals.illegal, totals.edges, totals.latched_up) == expected
+    for field in ("index", "step", "illegal"):
+        assert np.array_equal(getattr(again, field), getattr(steps, field))
+    if kind == "jk-latched":
+        assert (whole.up, whole.down) == scalar_latched(levels.tolist())
 
 
 @pytest.mark.parametrize(

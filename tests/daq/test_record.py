@@ -15,8 +15,9 @@ import pytest
 from serial import SerialException
 
 import daq
-from daq import finalise, journal, ports, protocols, reader, runfile, wire
+from daq import finalise, journal, ports, reader, runfile, wire
 from daq.errors import DataError, DeviceError, InputError
+from daq.protocols import session
 from daq.quadrature import levels_of
 from daq.record import RecordingInterruptedError, Request, record
 from daq.wire import Capability
@@ -112,12 +113,13 @@ class FakeBoard:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(protocols, "QUIET_S", 0.001)
-    monkeypatch.setattr(protocols, "ANSWER_S", 0.1)
-    monkeypatch.setattr(protocols, "ASK_AGAIN_S", 0.03)
+    monkeypatch.setattr(session, "QUIET_S", 0.001)
+    monkeypatch.setattr(session, "ANSWER_S", 0.1)
+    monkeypatch.setattr(session, "ASK_AGAIN_S", 0.03)
     monkeypatch.setattr(reader, "SILENT_S", 0.2)
     monkeypatch.setattr(reader, "REOPEN_S", 0.5)
     monkeypatch.setattr(reader, "REOPEN_EVERY_S", 0.01)
+    monkeypatch.setattr(reader, "PAUSE_S", 0.0)
 
 
 @pytest.fixture
@@ -681,3 +683,26 @@ def test_the_peak_edge_rate_is_that_of_the_motion_at_any_sample_rate(tmp_path):
         for rate in (1000, 20_000)
     ]
     assert peaks[1] == pytest.approx(peaks[0], rel=0.03)
+
+
+@pytest.mark.parametrize("decoder", ["x4", "x1", "jk", "jk-latched"])
+def test_the_decoder_asked_for_is_the_one_that_counts_and_its_calibration_the_one_that_is_kept(tmp_path, decoder):
+    url = ports.rig_url("rig", ["tell.truth=true"], False)
+    found = record(Request(url, tmp_path / "run.h5", duration_s=2, decoder=decoder))
+    run = daq.load(tmp_path / "run.h5")
+    assert run.rig.decoder == decoder
+    edges = 1 if decoder == "x4" else 4
+    assert run.rig.metres_per_count.value == pytest.approx(edges * 7.67e-6, rel=0.01)
+    assert found.phase_errors == 0
+    truth = runfile.truth(tmp_path / "run.h5")
+    error = run.position - truth.x
+    assert np.ptp(error[:1000]) < 3 * 30.7e-6 + 1e-3 * np.ptp(truth.x[:1000])  # a few lines, and the pitch as measured
+
+
+def test_a_given_calibration_replaces_the_boards(tmp_path):
+    text = '[encoder]\nmetres_per_count = 1e-3\n[board]\nport = "rig://rig"\n'
+    record(Request("rig://rig", tmp_path / "run.h5", duration_s=1, calibration=text))
+    run = daq.load(tmp_path / "run.h5")
+    assert run.rig.metres_per_count.value == 1e-3
+    assert run.rig.mass is None
+    assert run.config_toml == text

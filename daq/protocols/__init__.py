@@ -1,0 +1,34 @@
+"""Protocols: what a board may speak, one module each, imported when it is used.
+
+========  ==================  =======================================================================================
+name      module              who speaks it
+========  ==================  =======================================================================================
+frames    protocols.frames    boards with our firmware, and the simulated rig: binary frames with a CRC (docs/wire.md)
+qsb       protocols.qsb       US Digital's QSB quadrature-to-USB adapter: ASCII, at most 512 Hz
+text      protocols.text      any sketch that prints a line of numbers per sample; its columns are declared
+========  ==================  =======================================================================================
+
+A journal's header says which one its bytes are in.  `daq.protocols.session` says what each module offers.
+"""
+
+from typing import TYPE_CHECKING, cast
+
+from daq.errors import InputError, nearest
+
+if TYPE_CHECKING:
+    from daq.protocols.session import Backend
+
+PROTOCOLS = {
+    "frames": "daq.protocols.frames",
+    "qsb": "daq.protocols.qsb",
+    "text": "daq.protocols.text",
+}
+
+
+def load(name: str, where: str = "--protocol") -> "Backend":
+    """Return a protocol's module; InputError for a name that is none."""
+    from importlib import import_module
+
+    if name not in PROTOCOLS:
+        raise InputError(f"unknown protocol {name!r}", where, nearest(name, list(PROTOCOLS)))
+    return cast("Backend", import_module(PROTOCOLS[name]))

@@ -1,0 +1,185 @@
+"""Our own binary frames (`daq.wire`): boards with our firmware and the simulated rig, byte for byte the same."""
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from daq import capability, wire
+from daq.errors import DeviceError, InputError, nearest
+from daq.protocols import session as sessions
+from daq.protocols.session import Identity, Line, Plan, Wish
+
+if TYPE_CHECKING:
+    from daq.ports import Port
+    from daq.stream import Stream
+
+BAUD = 115_200
+RATE_HZ = 1000
+
+
+def check(wish: Wish) -> None:
+    """Refuse columns, which frames declare themselves, and a decoder that there is not."""
+    if wish.columns is not None:
+        raise InputError("our frames declare their columns themselves", "--columns", "leave it out: it is for text")
+    if wish.decoder is not None and wish.decoder not in wire.DECODERS:
+        raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, wire.DECODERS))
+
+
+def session(port: "Port", url: str, wish: Wish) -> "Frames":
+    """Return a session on an open port."""
+    return Frames(port, url, wish)
+
+
+def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
+    """Decode the reads of one connection."""
+    from daq import stream
+
+    return stream.decode(reads)
+
+
+class Frames(Line):
+    """A session in our own protocol."""
+
+    def __init__(self, port: "Port", url: str, wish: Wish) -> None:
+        super().__init__(port, url, wish)
+        self._settings: tuple[str, ...] = ()
+
+    def identify(self) -> Identity:
+        """Stop whatever runs and ask the board who it is.
+
+        Raises
+        ------
+        DeviceError
+            No answer, or none in our protocol; or the board does not have the decoder.
+        """
+        self.send("", "X")  # the empty line ends a half-sent command of somebody who crashed
+        strange = self.drain()
+        identity = self._ask(strange)
+        if self.wish.decoder in (None, identity.ident.decoder):
+            return identity
+        self.send(f"M {self.wish.decoder}")  # its counters start again
+        return self._ask(b"")
+
+    def plan(self, identity: Identity) -> Plan:
+        """Return the wished rate (1000 Hz) in frames as long as the rate allows."""
+        rate_hz = float(self.wish.rate_hz or RATE_HZ)
+        block = capability.block_size(identity.ident, rate_hz)
+        return Plan(rate_hz, block, capability.bytes_per_s(identity.ident, rate_hz, block))
+
+    def prepare(self, plan: Plan) -> Identity:
+        """Set rate and samples per frame; the next identification is the receipt.
+
+        Raises
+        ------
+        DeviceError
+            The board refuses; its own words are in the message.
+        """
+        decoder = self.wish.decoder
+        settings = (f"R {round(plan.rate_hz)}", f"B {plan.block}")
+        self._settings = settings if decoder is None else (f"M {decoder}", *settings)
+        self.send(*settings)
+        identity = self._ask(b"")
+        if identity.ident.block_size != plan.block:
+            what = f"the board keeps {identity.ident.block_size} samples per frame where {plan.block} were asked for"
+            raise DeviceError(what, self.url, "update its firmware")
+        if decoder is not None and identity.ident.decoder != decoder:
+            what = f"the board decodes as {identity.ident.decoder} where {decoder} was asked for"
+            raise DeviceError(what, self.url, "update its firmware, or leave --decoder out")
+        return identity
+
+    def start(self) -> None:
+        """Start the samples: sequence number 0."""
+        self.send("S")
+
+    def restart(self) -> None:
+        """Set a board that has just reset back to work, without waiting for answers."""
+        self.send(*self._settings, "S")
+
+    def stop(self) -> None:
+        """Stop the samples; the partial block still comes."""
+        self.send("X")
+
+    def tally(self) -> "FrameTally":
+        """Return a new tally."""
+        return FrameTally()
+
+    def _ask(self, strange: bytes) -> Identity:
+        """Send `I` until an identification comes, and its CONFIG when it announces one."""
+        reader = wire.FrameReader()
+        until = time.monotonic() + sessions.ANSWER_S
+        ask = 0.0
+        ident: wire.Ident | None = None
+        heard = len(strange)
+        while time.monotonic() < until:
+            if ident is None and time.monotonic() >= ask:
+                self.send("I")
+                ask = time.monotonic() + sessions.ASK_AGAIN_S
+            data = self.read()
+            if not data:
+                continue
+            heard += len(data)
+            self.received.append((time.monotonic_ns(), data))
+            for frame in reader.feed(data):
+                if isinstance(frame, wire.Notice):
+                    raise DeviceError(f"the board refuses: {frame.text}", self.url, "ask for what it can do")
+                if isinstance(frame, wire.Ident):
+                    ident = frame
+                    self._begin_with(ident)
+                if isinstance(frame, wire.Config) and ident is not None:
+                    return self._settled(ident, frame.toml)
+            if ident is not None and wire.Capability.CONFIG not in ident.capabilities:
+                return self._settled(ident, None)
+        if ident is not None:
+            raise DeviceError("the board announces a CONFIG and does not send it", self.url, "reset it and try again")
+        if heard:
+            what = f"no identification within {sessions.ANSWER_S:g} s, but {heard} bytes of something else"
+            do = "check the baud rate, and that the board runs our firmware; other boards need --protocol qsb or text"
+            raise DeviceError(what, self.url, do)
+        do = "check the port ('daq ports'), the cable, and that the board runs our firmware"
+        raise DeviceError(f"no answer within {sessions.ANSWER_S:g} s", self.url, do)
+
+    def _begin_with(self, ident: wire.Ident) -> None:
+        """Drop what came before an identification: the noise of a board that had to find our baud rate."""
+        came = b"".join(data for _, data in self.received)
+        start = came.rfind(wire.encode_ident(ident))
+        if start > 0:
+            self.received[:] = [(self.received[-1][0], came[start:])]
+
+    def _settled(self, ident: wire.Ident, config: str | None) -> Identity:
+        # A slow board may answer each `I` that was sent while it booted: let those answers come before the samples.
+        rest = self.drain()
+        if rest:
+            self.received.append((time.monotonic_ns(), rest))
+        return Identity(ident, config)
+
+
+class FrameTally:
+    """How far a stream of frames has come; see `daq.protocols.session.Tally`."""
+
+    def __init__(self) -> None:
+        self.reached = 0
+        self.resets = 0  # identifications after the first sample: the board has restarted
+        self.notice = ""
+        self._frames = wire.FrameReader()
+        self._next: int | None = None
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes as they came."""
+        for payload in self._frames.payloads(data):
+            if payload[0] == wire.SAMPLES and len(payload) > wire.SAMPLES_HEADER:
+                seq = payload[3] | payload[4] << 8
+                ahead = seq if self._next is None else seq - self._next & 0xFFFF
+                if ahead < 0x8000:  # else a repeated or late frame
+                    self.reached += ahead + payload[2]
+                    self._next = seq + payload[2] & 0xFFFF
+            elif payload[0] == wire.IDENT and self._next is not None:
+                self.resets += 1
+                self._next = None
+            elif payload[0] == wire.NOTICE:
+                self.notice = payload[2:].decode(errors="replace")
+
+    def begin_again(self, reached: int) -> None:
+        """Begin with sequence number 0 again, ``reached`` periods after the start."""
+        self._frames = wire.FrameReader()
+        self._next = None
+        self.reached = max(self.reached, reached)

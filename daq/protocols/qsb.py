@@ -1,0 +1,247 @@
+r"""US Digital's QSB, a quadrature-to-USB adapter: ASCII records at 230400 baud, 32-bit counts, a tick of 1/512 s.
+
+Commands are a letter (R read, W write, S stream), a register of two hex digits and data; a line feed ends them.
+Records are the letter in lower case, the register, eight hex digits of data, eight of time stamp, and ``!``::
+
+    W155      w15 00000005 00000123 !      reply format: line feed and time stamp
+    S0E       s0E 00000539 00000200 !      a count, again and again, until the stream is stopped
+              QSB-S  0E!                   it has just been reset
+              e...!                        an error
+
+Registers: 03 x1, x2 or x4; 0B least change that is sent (0: every sample); 0C interval in 1/512 s; 0D time reset;
+0E count; 14 identity; 15 reply format; 16 stop.  A stream also ends when its register is read.
+
+Not used: counting modulo N, index and trigger inputs, x2.  There is no checksum: `daq.protocols.lines` says what guards
+the records.  Written after descriptions and other people's programs, not tried on the device.
+"""
+
+import re
+import time
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from daq import wire
+from daq.errors import DeviceError, InputError
+from daq.protocols import session as sessions
+from daq.protocols.lines import LineTally, Rows, to_stream
+from daq.protocols.session import Identity, Line, Plan, Wish
+
+if TYPE_CHECKING:
+    from daq.ports import Port
+    from daq.stream import Stream
+
+BAUD = 230_400
+TICK_HZ = 512
+TICK_NS = 1_000_000_000 // TICK_HZ  # 1.953125 ms, exactly
+RECORD_BYTES = 21
+LONGEST_RECORD = 64  # bytes; what is longer without a "!" is damage
+MODES = {"x1": "1", "x4": "3"}
+REPLY_S = 1.0
+_RECORD = re.compile(rb"([rwse])([0-9A-Fa-f]{2})([0-9A-Fa-f]{8})([0-9A-Fa-f]{8})?")
+_BANNER = re.compile(rb"QSB-[A-Z0-9]{1,8}$")
+_ERROR = re.compile(rb"e[0-9A-Fa-f]{0,18}")
+_SPACE = b" \r\n"
+
+
+def check(wish: Wish) -> None:
+    """Refuse what no QSB can do."""
+    if wish.rate_hz is not None and wish.rate_hz > TICK_HZ:
+        what = f"{wish.rate_hz} Hz is more than a QSB can: its tick of 1/512 s allows at most {TICK_HZ} Hz"
+        raise InputError(what, "--rate", f"give --rate {TICK_HZ} or less, or use a board with our firmware")
+    if wish.decoder is not None and wish.decoder not in MODES:
+        what = f"a QSB has no decoder {wish.decoder!r}"
+        raise InputError(what, "--decoder", f"give {' or '.join(MODES)}")
+    if wish.columns is not None:
+        raise InputError("a QSB's records have no columns to declare", "--columns", "leave it out: it is for text")
+
+
+def session(port: "Port", url: str, wish: Wish) -> "Qsb":
+    """Return a session on an open port."""
+    return Qsb(port, url, wish)
+
+
+def ident(decoder: str | None, interval: int = 1) -> wire.Ident:
+    """Return what is known of every QSB."""
+    return wire.Ident(
+        firmware=(0, 0, 0),
+        decoder=decoder or "x4",
+        capabilities=wire.Capability(0),
+        counter_bits=32,
+        tick_ns=TICK_NS,
+        block_size=1,
+        max_rate_hz=TICK_HZ,
+        max_edge_rate_hz=0,
+        name="US Digital QSB",
+    )
+
+
+class Records:
+    """Cut a byte stream into records; never raises on garbage, back in step at the next ``!``."""
+
+    def __init__(self) -> None:
+        self._tail = b""
+        self._first = True
+        self._skipping = False
+        self.bad = 0
+        self.bad_bytes = 0
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes as they came and return the records that hold, stripped of spaces and of their ``!``."""
+        *lines, self._tail = (self._tail + data).split(b"!")
+        found = []
+        for line in lines:
+            record = line.translate(None, _SPACE)
+            if self._skipping:
+                self._skipping = False
+                self.bad_bytes += len(line)
+            elif _RECORD.fullmatch(record) or _BANNER.fullmatch(record) or _ERROR.fullmatch(record):
+                found.append(record)
+            else:
+                self._refuse(len(line))
+                if cut := _BANNER.search(record):  # a reset cut a record short and announced itself behind it
+                    found.append(cut[0])
+            self._first = False
+        if len(self._tail) > LONGEST_RECORD:
+            if not self._skipping:
+                self._refuse(0)
+            self._first, self._skipping = False, True
+            self.bad_bytes += len(self._tail)
+            self._tail = b""
+        return found
+
+    def _refuse(self, length: int) -> None:
+        self.bad += not self._first  # listening may start inside a record
+        self.bad_bytes += length
+
+
+class Tally(LineTally):
+    """How far a stream of records has come."""
+
+    def __init__(self, interval: int) -> None:
+        super().__init__(interval)
+        self._records = Records()
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes as they came."""
+        for record in self._records.feed(data):
+            if record.startswith(b"QSB"):
+                self.restarted()
+            elif record.startswith(b"s") and len(record) == 19:
+                self.step(int(record[11:], 16))
+
+    def begin_again(self, reached: int) -> None:
+        """Begin anew, ``reached`` periods after the start."""
+        super().begin_again(reached)
+        self._records = Records()
+
+
+def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
+    """Decode the reads of one connection."""
+    records = Records()
+    rows = Rows()
+    for stamp, data in reads:
+        bad = records.bad
+        for record in records.feed(data):
+            if record.startswith(b"QSB"):
+                if len(rows):
+                    rows.starts.append(len(rows))
+            elif record.startswith(b"s") and len(record) == 19:
+                rows.stamp_ns.append(stamp)
+                rows.up.append(int(record[3:11], 16))
+                rows.ticks.append(int(record[11:], 16))
+        rows.bad += [len(rows)] * (records.bad - bad)
+    rows.status = rows.illegal = [0] * len(rows)
+    rows.discarded_bytes = records.bad_bytes
+    return to_stream(rows, ident(header.get("decoder")), TICK_HZ / float(header["rate_hz"]))
+
+
+class Qsb(Line):
+    """A session with a QSB."""
+
+    def __init__(self, port: "Port", url: str, wish: Wish) -> None:
+        super().__init__(port, url, wish)
+        self._interval = 1
+        self._settings: tuple[str, ...] = ()
+
+    def identify(self) -> Identity:
+        """Stop a stream that runs and ask for the identity.
+
+        Raises
+        ------
+        DeviceError
+            No answer, or none of a QSB.
+        """
+        self.send("", "W160", "R0E")
+        heard = len(self.drain())
+        until = time.monotonic() + sessions.ANSWER_S
+        while time.monotonic() < until:
+            self.send("R14")
+            reply, count = self._reply(b"r14", sessions.ASK_AGAIN_S)
+            heard += count
+            if reply is not None:
+                return Identity(ident(self.wish.decoder))
+        if heard:
+            what = f"no identity within {sessions.ANSWER_S:g} s, but {heard} bytes of something else"
+            raise DeviceError(what, self.url, "check that it is a QSB, and --baud (230400 for a QSB)")
+        do = "check the port ('daq ports'), the cable, and that it is a QSB"
+        raise DeviceError(f"no answer within {sessions.ANSWER_S:g} s", self.url, do)
+
+    def plan(self, identity: Identity) -> Plan:
+        """Return the rate 512/n Hz that is nearest to the wished one."""
+        check(self.wish)
+        wished = self.wish.rate_hz or TICK_HZ
+        self._interval = max(1, round(TICK_HZ / wished))
+        rate_hz = TICK_HZ / self._interval
+        notes = []
+        if rate_hz != wished:
+            notes.append(f"a QSB samples at 512/n Hz: {rate_hz:.6g} Hz is the nearest to {wished} Hz")
+        return Plan(rate_hz, 1, rate_hz * RECORD_BYTES, tuple(notes))
+
+    def prepare(self, plan: Plan) -> Identity:
+        """Set reply format, decoder, interval and time; each is acknowledged.
+
+        Raises
+        ------
+        DeviceError
+            It does not acknowledge a setting.
+        """
+        mode = MODES[self.wish.decoder or "x4"]
+        # 0B may be missing in older ones, which then send every sample anyway.
+        self._settings = ("W155", f"W03{mode}", "W0B0", f"W0C{self._interval:X}", "W0D1")
+        for command in self._settings:
+            self.send(command)
+            reply, _ = self._reply(b"w" + command[1:3].encode(), REPLY_S)
+            if reply is None and not command.startswith("W0B"):
+                raise DeviceError(f"the QSB does not acknowledge {command}", self.url, "plug it in again")
+        return Identity(ident(self.wish.decoder))
+
+    def start(self) -> None:
+        """Start the stream of counts."""
+        self.send("S0E")
+
+    def restart(self) -> None:
+        """Set a QSB that has just reset back to work."""
+        self.send(*self._settings, "S0E")
+
+    def stop(self) -> None:
+        """Stop the stream."""
+        self.send("W160", "R0E")
+
+    def tally(self) -> Tally:
+        """Return a new tally."""
+        return Tally(self._interval)
+
+    def _reply(self, begins: bytes, within_s: float) -> tuple[bytes | None, int]:
+        """Return the record that answers a command, None when none or an error comes; and the bytes read."""
+        records = Records()
+        until = time.monotonic() + within_s
+        heard = 0
+        while time.monotonic() < until:
+            data = self.read()
+            heard += len(data)
+            for record in records.feed(data):
+                if record[:3].lower() == begins.lower():
+                    return record, heard
+                if _ERROR.fullmatch(record) and not _RECORD.fullmatch(record):
+                    return None, heard
+        return None, heard

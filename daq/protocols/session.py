@@ -1,0 +1,213 @@
+"""A session with a board: what the recorder asks of every protocol, and the reading that all of them share.
+
+States of a session, and what moves it on::
+
+    silent     opened; the board may be anything: booting, still streaming for somebody who crashed
+      identify()  who is there
+    idle
+      plan()      what rate it will be, and what that costs the line; nothing is sent
+      prepare()   set the board up; its answer is the receipt
+    ready
+      start()
+    streaming  read() belongs to the recorder now; restart() sets a board back to work that has reset
+      stop()
+    idle       the rest of the stream may still come
+"""
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+from daq import wire
+
+if TYPE_CHECKING:
+    from daq.ports import Port
+    from daq.stream import Stream
+
+ANSWER_S = 5.0  # an Arduino resets when its port is opened and boots for up to 2 s
+ASK_AGAIN_S = 0.5
+QUIET_S = 0.05  # a line this long without a byte has run dry
+DRAIN_S = 2.0
+MOST_AT_ONCE = 4096  # bytes of a read from a port that does not say how many wait
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the user asked for; None where the protocol or the board may choose.
+
+    Attributes
+    ----------
+    rate_hz : int or None
+        Samples per second.
+    decoder : str or None
+        One of `daq.wire.DECODERS`.
+    columns : str or None
+        The columns of text lines.
+    """
+
+    rate_hz: int | None = None
+    decoder: str | None = None
+    columns: str | None = None
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a board said about itself, or what its protocol says of it; and the rig's calibration when it holds one."""
+
+    ident: wire.Ident
+    config: str | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a recording will go.
+
+    Attributes
+    ----------
+    rate_hz : float
+        The rate that the board will sample at.
+    block : int
+        Samples per frame.
+    bytes_per_s : float
+        Load on the line.
+    notes : tuple of str
+        What the user should know, such as a rate that is not quite the one asked for.
+    comes_already : bool
+        The load was measured, so the line carries it.
+    """
+
+    rate_hz: float
+    block: int
+    bytes_per_s: float
+    notes: tuple[str, ...] = ()
+    comes_already: bool = False
+
+
+class Tally(Protocol):
+    """How far a stream has come, in sample periods from its start: lost samples count, gaps of a lost port too."""
+
+    reached: int
+    resets: int  # restarts of the board seen after the first sample
+    notice: str  # what the board said when it stopped by itself
+
+    def feed(self, data: bytes) -> None:
+        """Take bytes as they came."""
+
+    def begin_again(self, reached: int) -> None:
+        """Begin anew with a stream that starts ``reached`` periods after the first one."""
+
+
+class Session(Protocol):
+    """One board on one port.
+
+    Attributes
+    ----------
+    received : list of (int, bytes)
+        What came before the start and belongs into the journal, with the host's monotonic stamp in ns.
+
+    Notes
+    -----
+    The port may raise SerialException or OSError at any time: the session's owner handles both.
+    """
+
+    port: "Port"
+    url: str
+    received: list[tuple[int, bytes]]
+
+    def identify(self) -> Identity:
+        """Find out who is there; DeviceError when nobody answers, or not in this protocol."""
+
+    def plan(self, identity: Identity) -> Plan:
+        """Say how the wished recording will go; InputError when it cannot."""
+
+    def prepare(self, plan: Plan) -> Identity:
+        """Set the board up; DeviceError when it refuses."""
+
+    def start(self) -> None:
+        """Start the samples."""
+
+    def restart(self) -> None:
+        """Set a board that has just reset back to work, without waiting for answers."""
+
+    def stop(self) -> None:
+        """Stop the samples; the rest of the stream may still come."""
+
+    def read(self) -> bytes:
+        """Wait for bytes, for the port's time-out at most, and return all that are there."""
+
+    def drain(self) -> bytes:
+        """Read until the line has run dry, and return what came."""
+
+    def close(self) -> None:
+        """Let go of the port; one that is gone already is no error."""
+
+    def tally(self) -> Tally:
+        """Return a new tally of what this session will read."""
+
+
+class Backend(Protocol):
+    """What a protocol's module offers."""
+
+    BAUD: int
+
+    def check(self, wish: Wish) -> None:
+        """Raise InputError for a wish that this protocol can never fulfil; nothing has been touched then."""
+
+    def session(self, port: "Port", url: str, wish: Wish) -> Session:
+        """Return a session on an open port."""
+
+    def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
+        """Decode the reads of one connection out of a journal with this header."""
+
+
+class Line:
+    """Reading and writing that every session shares."""
+
+    def __init__(self, port: "Port", url: str, wish: Wish) -> None:
+        self.port = port
+        self.url = url
+        self.wish = wish
+        self.received: list[tuple[int, bytes]] = []
+
+    def read(self) -> bytes:
+        """Wait for bytes, for the port's time-out at most, and return all that are there."""
+        waiting = self.port.in_waiting
+        data: bytes = self.port.read(waiting or 1)
+        if data and not waiting:
+            waiting = self.port.in_waiting
+            data += self.port.read(waiting)
+        while waiting == 1 and len(data) < MOST_AT_ONCE:  # a socket says 1 for "some"
+            waiting = self.port.in_waiting
+            data += self.port.read(waiting)
+        return data
+
+    def close(self) -> None:
+        """Let go of the port; one that is gone already is no error."""
+        try:
+            self.port.close()
+        except OSError:
+            return
+
+    def drain(self) -> bytes:
+        """Read until the line has run dry, and return what came."""
+        parts = []
+        until = time.monotonic() + DRAIN_S
+        quiet = time.monotonic() + QUIET_S
+        while time.monotonic() < min(until, quiet):
+            waiting = self.port.in_waiting
+            if waiting:
+                parts.append(self.port.read(waiting))
+                quiet = time.monotonic() + QUIET_S
+            else:
+                time.sleep(QUIET_S / 10)
+        return b"".join(parts)
+
+    def send(self, *commands: str) -> None:
+        """Send command lines."""
+        self.port.write("".join(f"{command}\n" for command in commands).encode())
+
+
+def with_decoder(ident: wire.Ident, decoder: str | None) -> wire.Ident:
+    """Return the identification of a board whose decoder the user names."""
+    return ident if decoder is None else replace(ident, decoder=decoder)

@@ -1,0 +1,141 @@
+"""What every protocol must keep, whoever speaks it: the same faults at the other end of a pseudo-terminal."""
+
+import sys
+
+import numpy as np
+import pytest
+
+import daq
+from daq import finalise, journal, reader
+from daq.record import RecordingInterruptedError, Request, record
+
+from .conftest import AWAY_S, motion
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    monkeypatch.setattr(reader, "REOPEN_EVERY_S", 0.02)
+
+
+def taken(fake, tmp_path, samples):
+    """Record that many samples of a fake, and as many more as it may have sent before."""
+    samples += fake.lead * (not fake.paced)
+    request = Request(
+        str(fake.path),
+        tmp_path / "run.h5",
+        rate_hz=None,
+        duration_s=samples / fake.rate_hz,
+        protocol=fake.protocol,
+        columns=fake.columns,
+    )
+    return record(request), daq.load(tmp_path / "run.h5")
+
+
+def offsets(fake, run, first=0, last=None):
+    """Return the count less the true one at each sample, whose number its device time tells."""
+    here = slice(first, last)
+    k = np.round((run.time[here] - run.time[here][0]) * fake.rate_hz).astype(int)
+    if fake.starts_by_itself:  # what was printed before the recording began is not in it
+        shifts = np.arange(0, 20_000)
+        true = motion(shifts[:, np.newaxis] + k[[0, len(k) // 3, len(k) // 2, -1]])
+        seen = run.count[here][[0, len(k) // 3, len(k) // 2, -1]]
+        k = k + shifts[np.flatnonzero(np.all(true - true[:, :1] == seen - seen[0], axis=1))[0]]
+    return run.count[here] - motion(k)
+
+
+def kinds(run):
+    return list(zip(run.event_sample.tolist(), run.event_kind, strict=True))
+
+
+def test_every_sample_comes_through(make_fake, tmp_path):
+    fake = make_fake()
+    found, run = taken(fake, tmp_path, 5000)
+    assert (found.samples, found.lost, found.crc_errors, found.segments) == (5000 + fake.lead, 0, 0, 1)
+    assert (found.illegal, found.phase_errors, found.dropped_bytes) == (0, 0, 0)
+    assert np.ptp(offsets(fake, run)) == 0
+    assert run.rate_hz == fake.rate_hz
+    assert run.time == pytest.approx(np.arange(5000 + fake.lead) / fake.rate_hz, abs=1e-9)
+    assert any("whole milliseconds" in warning for warning in found.warnings) == (fake.columns == "ticks,ms")
+
+
+def test_a_dropped_unit_is_counted_and_marked_and_never_filled(make_fake, tmp_path):
+    fake = make_fake({1500: "drop", 1600: "drop"})
+    found, run = taken(fake, tmp_path, 1900 * fake.unit)
+    assert found.lost == 2 * fake.unit
+    assert found.samples + found.lost == 1900 * fake.unit + fake.lead
+    assert [kind for _, kind in kinds(run) if kind == "gap"] == ["gap", "gap"]
+    assert np.ptp(offsets(fake, run)) == 0
+    assert found.segments == 1
+
+
+def test_a_repeated_unit_is_left_out(make_fake, tmp_path):
+    fake = make_fake({1500: "twice"})
+    found, run = taken(fake, tmp_path, 1900 * fake.unit)
+    assert (found.samples, found.lost, found.segments) == (1900 * fake.unit + fake.lead, 0, 1)
+    assert any(f"{fake.unit} samples came twice or late" in warning for warning in found.warnings)
+    assert np.ptp(offsets(fake, run)) == 0
+
+
+def test_a_late_unit_is_lost_and_nothing_else(make_fake, tmp_path):
+    fake = make_fake({1500: "late"})
+    found, run = taken(fake, tmp_path, 1900 * fake.unit)
+    assert (found.lost, found.segments) == (fake.unit, 1)
+    assert any(f"{fake.unit} samples came twice or late" in warning for warning in found.warnings)
+    assert np.ptp(offsets(fake, run)) == 0
+
+
+def test_a_flipped_bit_costs_its_unit(make_fake, tmp_path):
+    fake = make_fake({1500: "flip"})
+    found, run = taken(fake, tmp_path, 1900 * fake.unit)
+    assert (found.crc_errors, found.lost, found.segments) == (1, fake.unit, 1)
+    assert "crc" in [kind for _, kind in kinds(run)]
+    assert np.ptp(offsets(fake, run)) == 0
+
+
+def test_a_board_that_resets_is_set_to_work_again_in_a_new_segment(make_fake, tmp_path):
+    fake = make_fake({1500: "reset"})
+    found, run = taken(fake, tmp_path, 3000 * fake.unit)
+    assert found.segments == 2
+    first = int(np.searchsorted(run.segment, 1))
+    assert (first, "reopened") in kinds(run)
+    assert np.ptp(offsets(fake, run, 0, first)) == 0
+    assert np.ptp(offsets(fake, run, first)) == 0
+    assert run.raw.sample[first] == 0
+    assert np.all(np.diff(run.time) > 0)
+    assert len(run.time) >= 2900 * fake.unit
+
+
+def test_an_unplugged_board_is_found_again_and_the_gap_is_told_in_ms(make_fake, tmp_path):
+    fake = make_fake(
+        {int((0.6 + 1.3 * make_fake.kind.starts_by_itself) * make_fake.kind.rate_hz / make_fake.kind.unit): "unplug"},
+        paced=True,
+    )
+    found, run = taken(fake, tmp_path, 3 * fake.rate_hz)
+    assert found.segments == 2
+    first = int(np.searchsorted(run.segment, 1))
+    assert (first, "reopened") in kinds(run)
+    note = run.event_note[run.event_kind.index("reopened")]
+    gap_ms = float(note.split("lost for ")[1].split(" ms")[0])
+    assert 1e3 * AWAY_S <= gap_ms < 1e3 * AWAY_S + 3000
+    assert np.ptp(offsets(fake, run, 0, first)) == 0
+    assert np.ptp(offsets(fake, run, first)) == 0
+    assert found.lost == 0
+
+
+def test_a_recovered_journal_gives_the_same_samples(make_fake, tmp_path):
+    fake = make_fake({1500: "drop"})
+
+    def interrupt(seconds):
+        if seconds * fake.rate_hz > 6000 * fake.unit + fake.lead:
+            raise KeyboardInterrupt
+
+    request = Request(str(fake.path), tmp_path / "run.h5", None, 3000, protocol=fake.protocol, columns=fake.columns)
+    with pytest.raises(RecordingInterruptedError):
+        record(request, progress=interrupt)
+    part = tmp_path / "run.h5.part"
+    assert journal.read(part).header["protocol"] == fake.protocol
+    found = finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
+    assert found.lost == fake.unit
+    assert np.ptp(offsets(fake, daq.load(tmp_path / "run.h5"))) == 0

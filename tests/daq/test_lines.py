@@ -1,0 +1,273 @@
+"""Records of a QSB and text lines: read as declared, damage seen as far as it can be, refusals with their cure."""
+
+import random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq import protocols
+from daq.errors import DeviceError, InputError
+from daq.protocols import lines as lines_module
+from daq.protocols import qsb, text
+from daq.protocols import session as session_module
+from daq.protocols.session import Wish
+
+RATE = 500
+
+
+def motion(k):
+    return np.floor(20_000 * np.sin(np.asarray(k) * 0.005)).astype(np.int64)
+
+
+def xor_of(line):
+    total = 0
+    for byte in line:
+        total ^= byte
+    return total
+
+
+def qsb_line(k):
+    return f"s0E{int(motion(k)) % 2**32:08X}{k % 2**32:08X}!\n".encode()
+
+
+def text_line(k):
+    return f"{2000 * k + 7},{int(motion(k))}\n".encode()
+
+
+def checked_line(k):
+    line = f"{2000 * k + 7},{int(motion(k))}".encode()
+    return line + f",*{xor_of(line):02X}\n".encode()
+
+
+FORMS = {
+    "qsb": (qsb_line, {"protocol": "qsb", "rate_hz": 512.0}, 1 / 512),
+    "text": (text_line, {"protocol": "text", "columns": "t_us,count", "rate_hz": 500.0}, 1 / 500),
+    "xor": (checked_line, {"protocol": "text", "columns": "t_us,count,xor", "rate_hz": 500.0}, 1 / 500),
+}
+
+
+@pytest.fixture(params=list(FORMS))
+def form(request):
+    line, header, period_s = FORMS[request.param]
+
+    def decode(data, cut=4096):
+        reads = [(at, data[at : at + cut]) for at in range(0, len(data), cut)]
+        return protocols.load(header["protocol"]).decode(reads, header)
+
+    return request.param, line, decode, period_s
+
+
+def counts(stream):
+    width = 2**32
+    net = (stream.up.astype(np.int64) - stream.down.astype(np.int64)) % width
+    return np.where(net >= width // 2, net - width, net)
+
+
+def true_counts(stream, period_s):
+    k = (stream.ticks * stream.ident.tick_ns * 1e-9 / period_s).round().astype(int)
+    return motion(k)
+
+
+@given(st.lists(st.integers(1, 90), min_size=1, max_size=20))
+@pytest.mark.parametrize("name", list(FORMS))
+def test_lines_are_read_however_the_bytes_are_cut(name, cuts):
+    line, header, period_s = FORMS[name]
+    data = b"".join(map(line, range(60)))
+    reads, at = [], 0
+    while at < len(data):
+        for cut in cuts:
+            reads.append((at, data[at : at + cut]))
+            at += cut
+    stream = protocols.load(header["protocol"]).decode(reads, header)
+    assert stream.crc_errors == 0
+    assert len(stream.ticks) >= 59  # of text, the first line may have lost its beginning and is left out
+    assert np.array_equal(counts(stream), true_counts(stream, period_s))
+
+
+@pytest.mark.parametrize("name", list(FORMS))
+@given(garbage=st.binary(max_size=400))
+def test_garbage_never_raises_and_costs_at_most_one_line_more(name, garbage):
+    line, header, period_s = FORMS[name]
+    data = garbage + b"\n!" + b"".join(map(line, range(100, 140)))
+    stream = protocols.load(header["protocol"]).decode([(0, data)], header)
+    good = set(range(102, 140))  # resynchronised within two lines
+    found = set((stream.ticks[counts(stream) == true_counts(stream, period_s)]).tolist())
+    ticks_of = (lambda k: k) if name == "qsb" else (lambda k: 2000 * k + 7)
+    assert {ticks_of(k) for k in good} <= found
+
+
+def corrupted(line, lines, seed):
+    """Return lines of which every tenth or so is damaged by a burst, a flip, a lost or an inserted byte."""
+    draw = random.Random(seed)
+    parts, touched = [], set()
+    for k in range(lines):
+        piece = bytearray(line(k))
+        if draw.random() < 0.1 and k > 3:
+            touched.add(k)
+            at = draw.randrange(len(piece))
+            kind = draw.randrange(4)
+            if kind == 0:
+                piece[at] ^= 1 << draw.randrange(8)
+            elif kind == 1:
+                del piece[at]
+            elif kind == 2:
+                piece.insert(at, draw.randrange(256))
+            else:
+                piece[at : at + 8] = draw.randbytes(len(piece[at : at + 8]))
+        parts.append(bytes(piece))
+    return b"".join(parts), touched
+
+
+def test_a_million_corrupted_bytes_are_survived(form):
+    """What passes unseen: without a checksum a flipped digit of little weight; with xor, 1 of 256 at most."""
+    name, line, decode, period_s = form
+    lines = 1_150_000 // len(line(50_000))
+    data, touched = corrupted(line, lines, 7)
+    assert len(data) > 1_000_000
+    stream = decode(data)
+    assert stream.crc_errors > 0.5 * len(touched)
+    period = round(period_s * 1e9 / stream.ident.tick_ns)
+    k = (stream.ticks - (0 if name == "qsb" else 7)) / period
+    whole = np.round(k).astype(int)
+    right = (np.abs(k - whole) < 1e-9) & (counts(stream) == motion(whole))
+    wrong = int(np.count_nonzero(~right))
+    # Every line that was not touched, nor stands beside one that was, is there and right.
+    sound = [k for k in range(8, lines) if not {k + 1, k, k - 1, k - 2} & touched]
+    assert np.isin(sound, whole[right]).all()
+    share = {"qsb": 0.03, "text": 0.08, "xor": 1 / 256}[name]
+    assert wrong <= share * len(touched), wrong / len(touched)
+    # What passed alone is wrong by little; two damaged lines side by side may vouch for each other.
+    alone = np.array([k not in touched or not {k - 1, k + 1} & touched for k in whole.tolist()])
+    assert np.abs(counts(stream) - motion(whole))[alone].max() <= lines_module.LEAP_COUNTS + 8 * 110
+
+
+@pytest.mark.parametrize(
+    ("damage", "field"), [(b"s0E0000053", "count"), (b"s0F", "register"), (b"r0E", "kind"), (b"", "empty")]
+)
+def test_a_qsb_record_of_another_shape_is_no_sample(damage, field):
+    stream = qsb.decode([(0, qsb_line(1) + damage + b"!\n" + qsb_line(3))], {"rate_hz": 512.0})
+    assert stream.ticks.tolist() == [1, 3]
+
+
+def test_a_qsb_in_any_reply_format_is_read():
+    data = b"s0E0000000500000001!\r\ns 0E 00000006 00000002 !\ns0effffffff00000003!"
+    stream = qsb.decode([(0, data)], {"rate_hz": 512.0})
+    assert counts(stream).tolist() == [5, 6, -1]
+
+
+def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
+    lines = [qsb_line(k) for k in range(200)]
+    lines[100] = b"s0E" + b"00100000" + lines[100][11:]
+    lines[150] = lines[150][:11] + b"00010096" + lines[150][19:]
+    stream = qsb.decode([(0, b"".join(lines))], {"rate_hz": 512.0})
+    assert stream.crc_errors == 2
+    assert np.array_equal(counts(stream), motion(stream.ticks))
+    assert len(stream.ticks) == 198
+    assert stream.crc_frame.tolist() == [100, 149]
+
+
+@pytest.mark.parametrize(
+    ("declared", "said"),
+    [
+        (None, "--columns t_us,up,down"),
+        ("t_us", "which columns are the counts"),
+        ("up,down", "no time column"),
+        ("t_us,t_ms,count", "which column is the time"),
+        ("t_us,up", "up and down"),
+        ("t_us,up,down,count", "counts"),
+        ("t_us,cuont", "did you mean 'count'"),
+        ("t_us,count,count", "twice"),
+        ("t_us,up:16,down", "differ in width"),
+        ("t_us,count:12", "no width"),
+        ("t_us,count,a", "one level of two"),
+    ],
+)
+def test_columns_that_cannot_be_read_are_refused(declared, said):
+    with pytest.raises(InputError, match=said):
+        text.columns(declared)
+
+
+@pytest.mark.parametrize(
+    ("declared", "line", "row"),
+    [
+        ("t_us,up,down", b"1000,5,3", (1000, 5, 3, 0, 0)),
+        ("ticks,ms", b" -7\t12 ", (12_000, 2**32 - 7, 0, 0, 0)),
+        ("s,count", b"1.25; 9", (1_250_000, 9, 0, 0, 0)),
+        ("t_s,count", b"0.000001999 9", (1, 9, 0, 0, 0)),
+        ("t_us,count:16,a,b,illegal", b"4294967297,-1,1,1,3", (1, 65535, 0, 3, 3)),
+        ("t_us,-,count", b"1,x=4,2", (1, 2, 0, 0, 0)),
+        ("t_us,up:16,down:16", b"1,65536,0", None),
+        ("t_us,count", b"1,2,3", None),
+        ("t_us,count", b"1,2.5", None),
+        ("t_us,count", b"-1,2", None),
+        ("t_us,count,xor", b"10,2,1F", (10, 2, 0, 0, 0)),
+        ("t_us,count,xor", b"10,3,1F", None),
+    ],
+)
+def test_a_line_is_read_as_its_columns_say(declared, line, row):
+    assert text.columns(declared).read(line) == row
+
+
+@pytest.mark.parametrize(
+    ("name", "wish", "said"),
+    [
+        ("qsb", Wish(rate_hz=1000), "1000 Hz .* at most 512 Hz"),
+        ("qsb", Wish(decoder="jk"), "no decoder 'jk'"),
+        ("qsb", Wish(columns="t_us,count"), "--columns"),
+        ("frames", Wish(columns="t_us,count"), "--columns"),
+        ("frames", Wish(decoder="x3"), "x4"),
+        ("text", Wish(), "--columns"),
+    ],
+)
+def test_what_a_protocol_can_never_do_is_refused_before_anything_is_touched(name, wish, said):
+    with pytest.raises(InputError, match=said):
+        protocols.load(name).check(wish)
+
+
+def test_an_unknown_protocol_names_its_neighbour():
+    with pytest.raises(InputError, match="did you mean 'qsb'"):
+        protocols.load("qbs")
+
+
+class Sketch:
+    """A port on which a sketch prints by itself, so many bytes a read."""
+
+    def __init__(self, line, baudrate=115_200):
+        self.line, self.k, self.baudrate, self.in_waiting = line, 0, baudrate, 0
+
+    def read(self, size=1):
+        self.k += 40
+        return b"".join(self.line(k) for k in range(self.k - 40, self.k))
+
+    def write(self, data):
+        raise AssertionError("nothing is said to a sketch")
+
+
+def planned(line, wish):
+    session = text.session(Sketch(line), "fake", wish)
+    return session.plan(session.identify())
+
+
+def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
+    wish = Wish(columns="t_us,count")
+    assert planned(text_line, wish).rate_hz == 500.0
+    assert planned(lambda k: b"%d,7\n" % (2013 * k), wish).rate_hz == pytest.approx(497, rel=2e-3)
+    with pytest.raises(InputError, match="come at 500 Hz, not at 1000 Hz"):
+        planned(text_line, Wish(rate_hz=1000, columns="t_us,count"))
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (lambda k: b"Hello\n", "one is 'Hello'"),
+        (lambda k: b"1,2,3,4\n", "not of the columns t_us,count"),
+        (lambda k: b"", "nothing came"),
+        (lambda k: b"77,5\n", "stands still"),
+    ],
+)
+def test_a_sketch_that_prints_something_else_is_told_what(monkeypatch, line, said):
+    monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
+    with pytest.raises(DeviceError, match=said):
+        planned(line, Wish(columns="t_us,count"))
