@@ -92,6 +92,9 @@ def _check_roll_over(ident: wire.Ident, rig: Rig, rate_hz: float) -> None:
     if belt == 0:
         return
     safe = longest_gap_s(peak_edge_rate_hz(ident, rig, 0.0), EDGES_PER_COUNT.get(rig.decoder, 1), ident.counter_bits)
+    if wire.Capability.BELT in ident.capabilities and rig.belt_speed and rig.belt_metres_per_count:
+        counts_per_s = abs(rig.belt_speed.value / rig.belt_metres_per_count.value)
+        safe = min(safe, longest_gap_s(2 * counts_per_s, 1, ident.counter_bits - 1))
     if 1 / rate_hz >= safe:
         what = f"{rate_hz:g} Hz is too slow: the {ident.counter_bits}-bit counters may roll over in {safe:.3g} s"
         raise InputError(what, "--rate", f"give --rate {int(1 / safe) + 1} or more")

@@ -2,7 +2,7 @@
 
 from typing import NoReturn
 
-from daq import cli_board, cli_files, cli_record, cli_setup, terminal
+from daq import cli_board, cli_files, cli_firmware, cli_record, cli_setup, terminal
 
 app = terminal.application(
     "daq", "Record stick-slip runs from an encoder board or the simulated rig.", "daq record --rate 1000 -o run.h5"
@@ -11,6 +11,7 @@ cli_record.register(app)
 cli_board.register(app)
 cli_files.register(app)
 cli_setup.register(app)
+cli_firmware.register(app)
 
 
 def main() -> NoReturn:

@@ -1,8 +1,8 @@
 """Counts unwrapped, segments cut, and every sample held against what came with it.
 
-A new segment begins where the port came back, where the board restarted, and after a gap across which the counters may
-have rolled over unseen.  In each the count starts at the counters' own difference: nothing is carried over, nothing is
-filled in.
+A new segment begins where the port came back, where the board restarted, and after a gap across which the counters (the
+belt's, too) may have rolled over unseen.  In each the count starts at the counters' own difference: nothing is carried
+over, nothing is filled in.
 """
 
 from dataclasses import dataclass
@@ -83,6 +83,10 @@ def check(
     moved = np.maximum(counter.increments(samples.up, bits), counter.increments(samples.down, bits))
     peak = _peak_rate(samples.time, moved, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
     safe = counter.longest_gap_s(capability.peak_edge_rate_hz(ident, rig, peak * edges), edges, bits)
+    if samples.belt is not None:
+        moved_belt = np.abs(counter.moves(samples.belt, bits))
+        belt_peak = _peak_rate(samples.time, moved_belt, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
+        safe = min(safe, counter.longest_gap_s(2 * belt_peak, 1, bits - 1))
     invalid = gap & (interval > safe) & ~fresh
     starts = np.flatnonzero(fresh | invalid)
     segment = np.cumsum(fresh | invalid) - 1
@@ -106,6 +110,10 @@ def check(
         rise[fresh] = 0  # what the board counted before this start is not this run's
         # The count stands for its whole frame, so every sample of the frame is suspect.
         flags[np.isin(samples.frame, samples.frame[rise > 0])] |= counter.FLAG_ILLEGAL
+        # What was missed stays missing, and an even number of misses hides from the phase.
+        total = np.cumsum(rise)
+        begun = np.maximum.accumulate(np.where(fresh, np.arange(len(samples)), 0))
+        flags[total > total[begun]] |= counter.FLAG_DOUBT
     part_reason = ["reopened" if reopened else "restarted" for reopened in samples.reopened]
     why = tuple("invalid" if invalid[s] else part_reason[samples.part[s]] for s in starts)
     return Checked(

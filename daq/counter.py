@@ -24,12 +24,20 @@ FLAG_ILLEGAL = 0x0100  # the illegal count rose within this sample's frame
 FLAG_PHASE = 0x0200  # (up - down) mod 4 is not the phase of the levels sent beside it
 FLAG_BOTH = 0x0400  # up and down both moved since the sample before
 FLAG_GAP = 0x0800  # samples are missing right before this one
+FLAG_DOUBT = 0x1000  # illegal transitions came before this sample: its count may be off by two for each
 
 
 def increments(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
     """Return how far a counter of ``bits`` moved up between neighbouring readings, (n - 1,), each 0 to 2^bits - 1."""
     whole = values.astype(np.int64)
     return np.asarray(whole[1:] - whole[:-1] & (1 << bits) - 1, dtype=np.int64)
+
+
+def moves(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
+    """Return how far an up-and-down counter moved between neighbouring readings, (n - 1,): the shorter way round."""
+    half = 1 << (bits - 1)
+    whole = values.astype(np.int64)
+    return np.asarray((whole[1:] - whole[:-1] + half & (1 << bits) - 1) - half, dtype=np.int64)
 
 
 def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import assemble, capability, clock, counter, journal, runfile, stream, wire
+from daq import assemble, belt, capability, clock, counter, journal, runfile, stream, wire
 from daq.assemble import Samples, TruthRows
 from daq.consistency import Checked, check
 from daq.errors import DataError, InputError
@@ -80,6 +80,9 @@ def run_data(
     wall_ns = header["wall_ns"] + int(samples.stamp_ns[0]) - header["monotonic_ns"]
     started = datetime.fromtimestamp(wall_ns / 1e9, zone)
     ended = started + timedelta(seconds=float(samples.time[-1]))
+    belt_count, belt_velocity = belt.decoded(samples.belt, samples.time, checked.starts, rate_hz, rig)
+    if samples.belt is not None and belt_velocity is None:
+        warnings.append("no metres per belt count are known, so the belt's counts give no speed")
     clocks = _clocks(samples, said, header.get("baud"))
     events = events_of(samples, checked, said, markers, rate_hz)
     data = RunData(
@@ -100,6 +103,8 @@ def run_data(
         event_sample=np.array([event[0] for event in events], dtype=np.uint32),
         event_kind=np.array([event[1] for event in events], dtype=np.uint8),
         event_note=tuple(event[2] for event in events),
+        belt_velocity=belt_velocity,
+        belt_count=belt_count,
         truth=_truth(samples, truth_rows, tick_ns, header["port"]),
         operator=header["operator"],
         provenance=header["provenance"] | {"finished_by": finished_by},
@@ -134,9 +139,7 @@ def _calibration(
     """Return the configuration's text and the rig it describes; the board's word on its own decoder goes first."""
     given = [record.data.decode(errors="replace") for record in taken.records if record.kind == journal.CONFIGURATION]
     told = next((connection.configs for connection in said if connection.configs), ())
-    # A board that was told its decoder says its calibration twice before it samples: the second time is the one.
-    again = [text for frame, text in told if frame == 0] if taken.header.get("decoder") is not None else []
-    config = (*given, *again[-1:], *(text for _, text in told), "")[0]
+    config = (*given, *(text for _, text in told), "")[0]
     warnings = []
     rig = Rig()
     try:

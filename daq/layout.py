@@ -7,7 +7,7 @@
       sample             NXsample      the mass
       instrument         NXinstrument
         encoder          NXsensor      value_log (time, position, count), calibration
-        belt             NXpositioner  velocity
+        belt             NXpositioner  velocity; with a channel its value_log (time, velocity, count) and calibration
       raw                NXdata        the samples as sent; absent in an import
       clock_sync         NXdata        host minus device
       events             NXcollection  sample, kind, note
@@ -156,7 +156,8 @@ def _instrument(entry: h5py.Group, data: RunData) -> h5py.Group:
     if counts:
         field(calibration, "counter_bits", np.int64(data.rig.counter_bits), "")
         field(calibration, "decoder", data.rig.decoder)
-    if data.rig.belt_speed is not None or data.belt_velocity is not None:
+    known = (data.rig.belt_speed, data.rig.belt_metres_per_count, data.belt_velocity)
+    if any(item is not None for item in known):
         belt = group(instrument, "belt", "NXpositioner")
         field(belt, "name", "belt")
         _measured(belt, "velocity", data.rig.belt_speed, "m/s")
@@ -164,6 +165,11 @@ def _instrument(entry: h5py.Group, data: RunData) -> h5py.Group:
             belt_log = group(belt, "value_log", "NXlog")
             link(belt_log, "time", log["time"])
             field(belt_log, "value", np.asarray(data.belt_velocity, np.float64), "m/s")
+            if data.belt_count is not None:
+                field(belt_log, "raw_value", np.asarray(data.belt_count, np.int64), "count")
+        if data.rig.belt_metres_per_count is not None:
+            own = group(belt, "calibration", "NXcollection")
+            _measured(own, "metres_per_count", data.rig.belt_metres_per_count, "m")
     return log
 
 

@@ -103,7 +103,9 @@ class Recording:
     event_sample, event_kind, event_note
         Index into the run (e,), name of the kind, and words where there are any.
     belt_velocity : (n,) f8 or None
-        m/s, only with a belt channel.
+        m/s, signed, only with a belt channel: differences of its counts (`daq.belt`), not smoothed.
+    belt_count : (n,) i8 or None
+        Unwrapped count of the belt's encoder, only with a belt channel; metres of it are in `rig`.
     default : str
         Last stage: "data", "smooth" or "fit".
     digest : str
@@ -142,6 +144,7 @@ class Recording:
     operator: str
     provenance: Mapping[str, str | int]
     clock_ppm: float | None = None
+    belt_count: NDArray[np.int64] | None = None
 
 
 def _no_samples() -> NDArray[np.uint32]:
@@ -170,6 +173,7 @@ class RunData:
     event_kind: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     event_note: tuple[str, ...] = ()
     belt_velocity: NDArray[np.float64] | None = None
+    belt_count: NDArray[np.int64] | None = None
     truth: Truth | None = None
     operator: str = ""
     provenance: Mapping[str, str | int] = field(default_factory=dict)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import counter, decode, provenance, runfile, sigrok
+from daq import belt, counter, decode, provenance, runfile, sigrok
 from daq.errors import InputError
 from daq.quadrature import PHASE, Steps
 from daq.recording import EVENTS, Raw, RunData, positions
@@ -58,7 +58,7 @@ def from_run(source: Path) -> RunData:
     if recording.raw is not None and count is not None:
         count = _recount(recording.raw, recording.segment, recording.rig.counter_bits)
     position = recording.position if count is None else positions(count, recording.rig)
-    return RunData(
+    run = RunData(
         title=recording.title,
         started=recording.started,
         ended=recording.ended,
@@ -83,13 +83,23 @@ def from_run(source: Path) -> RunData:
         | provenance.here()
         | {"replay_of": source.name, "replay_of_sha256": recording.digest},
     )
+    return _belt_recounted(run)
 
 
 def recalibrated(run: RunData, rig: Rig) -> RunData:
     """Return the run with another calibration; decoder and counter width stay those it was recorded with."""
     rig = replace(rig, decoder=run.rig.decoder, counter_bits=run.rig.counter_bits)
     position = run.position if run.count is None else positions(run.count, rig)
-    return replace(run, rig=rig, position=position, config_toml=rig.to_toml())
+    return _belt_recounted(replace(run, rig=rig, position=position, config_toml=rig.to_toml()))
+
+
+def _belt_recounted(run: RunData) -> RunData:
+    """Return the run with its belt decoded anew from the raw counter; a run that has none keeps what it has."""
+    if run.raw is None or run.raw.belt_count is None or run.segment is None:
+        return run
+    starts = np.flatnonzero(np.diff(run.segment.astype(np.int64), prepend=-1))
+    count, velocity = belt.decoded(run.raw.belt_count, run.time, starts, run.rate_hz, run.rig)
+    return replace(run, belt_count=count, belt_velocity=velocity)
 
 
 def findings(run: RunData) -> dict[str, int]:

@@ -11,6 +11,7 @@ The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.t
     decoder = "x4"
     metres_per_count = 7.67e-6
     datum = 0.0              # m: where count zero lies, seen from the spring's rest
+    belt_metres_per_count = 7.67e-6  # where the belt has an encoder of its own
 
 A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` is one standard deviation.
 """
@@ -54,6 +55,8 @@ class Rig:
         kg, N/m, N s/m, m/s (signed).
     datum : Measured or None
         Position of count zero relative to the spring's rest, m.
+    belt_metres_per_count : Measured or None
+        Metres of belt per count of the belt's own encoder; negative when counting up means towards -x.
 
     Notes
     -----
@@ -70,6 +73,7 @@ class Rig:
     datum: Measured | None = None
     damping: Measured | None = None
     belt_speed: Measured | None = None
+    belt_metres_per_count: Measured | None = None
 
     @classmethod
     def from_toml(cls, text: str, where: str) -> "Rig":
@@ -128,10 +132,18 @@ QUANTITIES: dict[str, str | None] = {
     "belt_speed": None,
     "metres_per_count": "not zero",
     "datum": None,
+    "belt_metres_per_count": "not zero",
 }
 SECTIONS: dict[str, tuple[str, ...]] = {
     "rig": ("name", "mass", "stiffness", "damping", "belt_speed"),
-    "encoder": ("decoder", "metres_per_count", "counts_per_revolution", "counter_bits", "datum"),
+    "encoder": (
+        "decoder",
+        "metres_per_count",
+        "counts_per_revolution",
+        "counter_bits",
+        "datum",
+        "belt_metres_per_count",
+    ),
 }
 _RULES = {"positive": lambda x: x > 0, "not negative": lambda x: x >= 0, "not zero": lambda x: x != 0}
 

@@ -73,10 +73,14 @@ def load(path: str | os.PathLike[str]) -> Recording:
             count = array(entry, f"{log}/raw_value", np.int64, where)
             same_length(count.size, n, f"{log}/raw_value", where)
         raw, segment = _raw(entry, n, where)
-        belt = None
-        if "instrument/belt/value_log" in entry:
-            belt = array(entry, "instrument/belt/value_log/value", np.float64, where)
-            same_length(belt.size, n, "instrument/belt/value_log/value", where)
+        belt = belt_count = None
+        belt_log = "instrument/belt/value_log"
+        if belt_log in entry:
+            belt = array(entry, f"{belt_log}/value", np.float64, where)
+            same_length(belt.size, n, f"{belt_log}/value", where)
+            if f"{belt_log}/raw_value" in entry:
+                belt_count = array(entry, f"{belt_log}/raw_value", np.int64, where)
+                same_length(belt_count.size, n, f"{belt_log}/raw_value", where)
         events = array(entry, "events/sample", np.uint32, where)
         kinds = array(entry, "events/kind", np.uint8, where)
         same_length(kinds.size, events.size, "events/kind", where)
@@ -99,6 +103,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
             event_kind=tuple(EVENT_NAMES.get(int(kind), f"kind {kind}") for kind in kinds),
             event_note=notes or ("",) * events.size,
             belt_velocity=belt,
+            belt_count=belt_count,
             default=text(entry.attrs.get("default", "data")),
             digest=string(entry, "provenance/sha256_raw", where),
             config_toml=string(entry, "configuration/data", where),
@@ -313,6 +318,7 @@ def _check(data: RunData) -> None:
         "count": data.count,
         "segment": data.segment,
         "belt_velocity": data.belt_velocity,
+        "belt_count": data.belt_count,
     }
     if data.raw is not None:
         columns |= {f"raw.{name}": value for name, value in vars(data.raw).items()}
@@ -332,6 +338,8 @@ def _check(data: RunData) -> None:
         raise ValueError("clock_sample and clock_offset differ in length")
     if not set(map(int, data.event_kind)) <= set(EVENT_NAMES):
         raise ValueError(f"event kinds {sorted(set(map(int, data.event_kind)) - set(EVENT_NAMES))} are unknown")
+    if data.belt_count is not None and data.belt_velocity is None:
+        raise ValueError("belt_count without belt_velocity")
     for name in ("started", "ended"):
         if datetime.fromisoformat(getattr(data, name)).tzinfo is None:
             raise ValueError(f"{name} is {getattr(data, name)!r}; it needs its zone")
@@ -360,6 +368,7 @@ def _rig(entry: h5py.Group, where: Path) -> Rig:
     for name, path in {
         "mass": "sample/mass",
         "belt_speed": "instrument/belt/velocity",
+        "belt_metres_per_count": "instrument/belt/calibration/metres_per_count",
         **{name: f"{base}/{name}" for name in ("metres_per_count", "datum", "stiffness", "damping")},
     }.items():
         if path in entry:

@@ -56,7 +56,7 @@ class Ident:
     decoder : str
         One of `DECODERS`.
     counter_bits : int
-        Width of both counters.
+        Width of the counters, the belt's too.
     tick_ns : int
         Unit of the device time, ns; at most 1000.
     block_size : int
@@ -96,7 +96,7 @@ class SampleBlock(NamedTuple):
     status : sequence of int
         `A_HIGH` | `B_HIGH` | `OVERRUN`.
     belt, edge : sequence of int, or None
-        Belt-encoder count modulo 2^16; ticks from the last edge to the sample (`NO_EDGE`: none).  None when the
+        Belt-encoder count modulo its width; ticks from the last edge to the sample (`NO_EDGE`: none).  None when the
         board does not send them.
     """
 

@@ -60,6 +60,9 @@ def fit(
 
     wanted, excluded = numbers(laws, "--laws"), numbers(exclude_cycles, "--exclude-cycles")
     page = pages.default_path(file) if report is None else report
+    if belt_speed == "channel":
+        what = "the fit takes one belt speed for the whole run; it cannot use the belt's counts yet"
+        raise InputError(what, "--belt-speed", "give a speed in m/s, or leave it out; process smooth uses the counts")
     speed = None if belt_speed is None else quantity(belt_speed, "speed", "--belt-speed")
     motion = stage.load(file)
     recording = runfile.load(file) if motion is None else motion.recording

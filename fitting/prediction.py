@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitting.motion import Array, Motion
 from fitting.windows import Cycle
-from rig_sim.integrate.compiled import compile_entry
+from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry
 from rig_sim.integrate.hybrid import sample_phase
 from rig_sim.integrate.modes import (
     FORCE_REVERSAL,
@@ -20,8 +20,8 @@ from rig_sim.integrate.modes import (
     RAMP,
     STEPS,
     STICK,
+    Buffer,
     Flow,
-    Work,
     new_work,
 )
 
@@ -118,7 +118,7 @@ def evaluator(
             curve,
             int(ramp),
             whole,
-            np.ascontiguousarray(local),
+            np.array(local, order="C"),
             windows.table,
             windows.epoch,
             windows.firm,
@@ -153,13 +153,13 @@ def window_positions(
     model: Array,
     jacobian: Array,
     room: Array,
-    work: Work,
+    work: Buffer,
 ) -> int:
     """Fill ``model`` (N,) with the positions of all windows and ``jacobian`` (N, p + 6) with forward differences.
 
-    Compiled as it stands.  ``jacobian`` of no rows: positions only.  Returns 0, or the outcome that ended the flow.
+    Compiled as it stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.
+    ``jacobian`` of no rows: positions only.  Returns 0, or the outcome that ended the flow.
     """
-    own = u.copy()
     derivatives = jacobian.shape[0] > 0
     p = columns.size
     for row in range(table.shape[0]):
@@ -167,10 +167,10 @@ def window_positions(
         riding = table[row, 1]
         first = table[row, 2]
         end = first + table[row, 3]
-        part = local[k].copy()
+        part = local[k]
         times = time[first:end]
         base = model[first:end]
-        bad = follow(curve, ramp, own, part, riding, table[row, 4], epoch[row], firm[row], times, base, room, work)
+        bad = follow(curve, ramp, u, part, riding, table[row, 4], epoch[row], firm[row], times, base, room, work)
         if bad != 0:
             return bad
         if not derivatives:
@@ -183,22 +183,24 @@ def window_positions(
                 continue
             if j < p:
                 h = steps[columns[j]]
-                own[columns[j]] += h
+                kept = u[columns[j]]
+                u[columns[j]] += h
             else:
                 i = j - p
                 if (riding == 1 and (i < 2 or i == 3)) or (riding == 0 and i > 3):
                     continue
                 h = local_steps[i]
+                kept = part[i]
                 part[i] += h
-            bad = follow(curve, ramp, own, part, riding, table[row, 4], epoch[row], firm[row], times, near, room, work)
+            bad = follow(curve, ramp, u, part, riding, table[row, 4], epoch[row], firm[row], times, near, room, work)
+            if j < p:
+                u[columns[j]] = kept
+            else:
+                part[j - p] = kept
             if bad != 0:
                 return bad
             for m in range(end - first):
                 jacobian[first + m, j] = (near[m] - base[m]) / h
-            if j < p:
-                own[columns[j]] = u[columns[j]]
-            else:
-                part[j - p] = local[k, j - p]
     return 0
 
 
@@ -214,7 +216,7 @@ def follow(
     times: Array,
     out: Array,
     room: Array,
-    work: Work,
+    work: Buffer,
 ) -> int:
     """Follow one window from its own start and store the position at ``times``; return 0 or an outcome.
 
@@ -239,7 +241,7 @@ def follow(
         w = 0.0
     else:
         mode = NEGATIVE if w <= 0.0 else POSITIVE
-    work[5][STEPS] = 0.0
+    work[STEPS] = 0.0
     wear = u[7]
     t = times[0]
     last = times[n - 1]
@@ -274,5 +276,5 @@ def _compiled() -> Callable[..., int]:
     """Compile `window_positions` on first use."""
     from numba.extending import register_jitable
 
-    register_jitable(follow)
+    register_jitable(**JIT_OPTIONS)(follow)
     return compile_entry(window_positions)

@@ -32,7 +32,7 @@ def smooth(
     window: Annotated[str, Parameter(help="auto, an odd number of samples, or a duration: 20ms.")] = "auto",
     order: Annotated[int | None, Parameter(help="Degree of the polynomial; default chosen with the window.")] = None,
     times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
-    belt_speed: Annotated[str, Parameter(help="auto, or the speed in m/s with its sign.")] = "auto",
+    belt_speed: Annotated[str, Parameter(help="auto (belt counts, else plateaus), or m/s with its sign.")] = "auto",
     json: Json = False,
 ) -> Answer:
     """Rebuild the motion, find sticks and slips, and write both into the run beside the untouched raw data.
@@ -160,6 +160,7 @@ def _summary(motion: "Kinematics") -> dict[str, Any]:
         "sticks": len(motion.sticks),
         "slips": len(motion.slips),
         "belt_speed": motion.belt_speed,
+        "belt_channel": motion.belt_velocity is not None,
         "plateau_fraction": motion.plateau_fraction,
         "lost_counts": motion.lost_counts,
         "cpu_s": motion.cpu_s,
@@ -194,6 +195,7 @@ def _sentences(motion: "Kinematics", data: dict[str, Any], chosen: bool) -> list
         how += ", chosen from the record" if chosen else ""
     speed = motion.belt_speed
     belt = f"belt {speed:.5g} {unit}/s" if speed == speed else "belt speed unknown"
+    belt += " (it has its own counts)" if motion.belt_velocity is not None else ""
     sticks, slips = data["sticks"], data["slips"]
     lines = [
         f"{how}; {motion.times} times",

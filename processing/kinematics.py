@@ -62,7 +62,8 @@ class Kinematics:
     times : str
         "recorded" or "nominal".
     belt_speed : float
-        m/s, signed; NaN when the record shows no stick and nobody stated it.
+        m/s, signed; with a belt channel the belt's median speed while the mass is in motion, unless one was stated;
+        NaN when the record shows no stick and nobody stated it.
     stick : array of bool
         True while the mass rides on the belt.
     phases : tuple of Phase
@@ -74,6 +75,8 @@ class Kinematics:
     plateau_speed : float
         m/s: the speed most plateaus share, whatever the belt's is said to be; NaN without plateaus, or when the
         motion was read back from a file.
+    belt_velocity, belt_velocity_errors : array or None
+        m/s, signed, and one standard error, only with a belt channel: the belt's counts through the same filter.
     """
 
     recording: "Recording"
@@ -94,6 +97,8 @@ class Kinematics:
     lost_counts: int
     cpu_s: float
     plateau_speed: float = math.nan
+    belt_velocity: Array | None = None
+    belt_velocity_errors: Array | None = None
 
     @property
     def sticks(self) -> tuple[Phase, ...]:

@@ -11,9 +11,12 @@ Three rules tell it from what only looks like one:
 The mass may creep against the belt inside a plateau (friction with a ramp): the plateau's speed is then not the
 belt's, and where the belt's own was measured, that one is reported.
 
+Where the belt has an encoder of its own, all this is asked of the mass as the belt sees it: a stick is then a plateau
+of their relative velocity at zero, however the belt swings or slows, and its speed is what its counts say.
+
 Corners: a landing is sharp, and lies where the acceleration has fallen to half of the slip's last peak; an onset is
-soft (only the jerk jumps), and is found by carrying the acceleration's rise back to zero.  Not modelled here: belt
-ripple, and kicks of a belt joint, which split a stick in two when they exceed the tolerance.
+soft (only the jerk jumps), and is found by carrying the acceleration's rise back to zero.  Not modelled here: ripple of
+a belt that is not counted, and kicks of a belt joint, which split a stick in two when they exceed the tolerance.
 """
 
 import math
@@ -25,6 +28,7 @@ from numpy.typing import NDArray
 from daq.errors import InputError
 from daq.rig import Measured
 from processing import methods
+from processing.belt import Belt
 from processing.differences import reading_error
 from processing.kinematics import Phase
 from processing.methods import Motion, Setting
@@ -57,6 +61,7 @@ def find(
     measured: Measured | None = None,
     belt_speed: float | str = "auto",
     jumps: tuple[int, ...] = (),
+    belt: Belt | None = None,
 ) -> Found:
     """Find sticks, slips and belt speed.
 
@@ -70,6 +75,8 @@ def find(
         m/s, signed: a number settles it, and sticks are looked for at that speed alone.
     jumps : tuple of int
         Samples where counts went missing: the disturbance around them does not end a stick.
+    belt : Belt, optional
+        The belt's own motion, where it was counted; a number in ``belt_speed`` goes before it.
 
     Raises
     ------
@@ -77,8 +84,11 @@ def find(
         When ``belt_speed`` is neither "auto" nor a finite number.
     """
     given = _given(belt_speed)
+    if given is not None:
+        belt = None
     moving = in_motion(series)
-    seen = _clear(series, motion, moving)
+    seen = _clear(series, motion, moving) if belt is None else _clear(belt.series, belt.motion, moving)
+    rides = seen if belt is None else motion
     tolerance = _tolerance(seen, moving)
     size = _centred(seen, series.pieces)
     flat = (size <= tolerance) & moving
@@ -89,16 +99,20 @@ def find(
     least = max(round(LEAST_STICK / series.interval), 3)
     candidates = _joined(_runs(flat, series.pieces), _runs(wide, series.pieces))
     plateaus = [
-        run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, seen)
+        run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, rides)
     ]
-    common = _level(seen, plateaus)
+    common = _level(rides, plateaus)
     level = given if given is not None else common
     sticks = []
     for run in plateaus:
         speed = float(np.median(seen.velocity[run[0] : run[1] + 1]))
-        if abs(speed - level) <= SAME_SPEED * abs(level):
+        # Seen from the belt, a mass that rides on it stands.
+        aim, slack = (level, level) if belt is None else (0.0, float(np.median(belt.velocity[run[0] : run[1] + 1])))
+        if abs(speed - aim) <= SAME_SPEED * abs(slack):
             sticks.append(_corners(run, series, size, seen.window, tolerance, moving))
     phases, stick = _phases(series, moving, sticks)
+    if belt is not None and moving.any():
+        return Found(float(np.median(belt.velocity[moving])), stick, phases, common)
     return Found(_speed(given, measured, level, bool(sticks)), stick, phases, common)
 
 

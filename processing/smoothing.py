@@ -6,6 +6,7 @@ The rig's scene and its truth are never looked at here.
 import time as clock
 from typing import TYPE_CHECKING
 
+from processing import belt as belts
 from processing import faults, methods, phases, series
 from processing import window as windows
 from processing.kinematics import Kinematics
@@ -37,7 +38,8 @@ def smooth(
     times : {"recorded", "nominal"}
         Whether to trust the board's sample times or to assume an even grid.
     belt_speed : float or "auto"
-        m/s, signed; "auto" finds it in the plateaus of the velocity.
+        m/s, signed; "auto" takes it from the belt's own counts where there are any, else finds it in the plateaus of
+        the velocity.
 
     Returns
     -------
@@ -60,7 +62,8 @@ def smooth(
     setting = windows.setting(window, order, data)
     motion = methods.estimate(name, data, setting)
     jumps = faults.lost_counts(data)
-    found = phases.find(data, motion, recording.rig.belt_speed, belt_speed, jumps)
+    belt = belts.beside(recording, data, name, motion)
+    found = phases.find(data, motion, recording.rig.belt_speed, belt_speed, jumps, belt)
     return Kinematics(
         recording=recording,
         time=data.time,
@@ -80,4 +83,6 @@ def smooth(
         lost_counts=len(jumps),
         cpu_s=clock.process_time() - begun,
         plateau_speed=found.plateau_speed,
+        belt_velocity=None if belt is None else belt.velocity,
+        belt_velocity_errors=None if belt is None else belt.velocity_errors,
     )

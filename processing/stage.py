@@ -4,7 +4,8 @@
 
     smooth            NXprocess   @default=phase_portrait; program, version, date, sequence_index
       parameters      NXparameters  how it was made, and the sha256 of what it was made from
-      kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time
+      kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time; with a belt
+                                  channel belt_velocity and its errors too
       phase_portrait  NXdata      velocity against position: hard links, no copy
       phases          NXdata      one row a stick or slip: start, end, first, last, stick (1) or slip (0)
 """
@@ -48,6 +49,9 @@ def _write(entry: h5py.Group, motion: Kinematics) -> None:
     for name, per in DERIVATIVES.items():
         columns[name] = (getattr(motion, name), unit + per)
         columns[f"{name}_errors"] = (getattr(motion, f"{name}_errors").astype(np.float32), unit + per)
+    if motion.belt_velocity is not None and motion.belt_velocity_errors is not None:
+        columns["belt_velocity"] = (motion.belt_velocity, f"{unit}/s")
+        columns["belt_velocity_errors"] = (motion.belt_velocity_errors.astype(np.float32), f"{unit}/s")
     table = nexus.table(
         smooth,
         "kinematics",
@@ -99,7 +103,8 @@ def load(path: Path) -> Kinematics | None:
                 "its smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
             )
         columns = {}
-        for name in ("time", *(key for base in DERIVATIVES for key in (base, f"{base}_errors"))):
+        belt = ("belt_velocity", "belt_velocity_errors") if "smooth/kinematics/belt_velocity" in entry else ()
+        for name in ("time", *(key for base in DERIVATIVES for key in (base, f"{base}_errors")), *belt):
             columns[name] = nexus_read.array(entry, f"smooth/kinematics/{name}", np.float64, path)
             nexus_read.same_length(columns[name].size, recording.time.size, f"smooth/kinematics/{name}", path)
         phases = _phases(entry, path)

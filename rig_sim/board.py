@@ -10,7 +10,8 @@ start, ``X`` stop (flushes the partial block); a command that is unknown or impo
 changes nothing.  CONFIG is what a careful lab would have measured of this rig: each value drawn about the true one with
 the standard deviation it states.
 
-An encoder that loses counts and gaps in what is sent are effects (`rig_sim.effects`), there when the scene names them.
+An encoder that loses counts, gaps in what is sent and counts of the belt are effects (`rig_sim.effects`), there when
+the scene names them.
 
 Not modelled: baud rate, a board that resets, drift of the device clock.
 """
@@ -39,6 +40,7 @@ LONGEST_DT = 0xFFFF  # ticks between two samples of one frame
 # Relative standard deviations of what the lab measured; the datum's is a fraction of the cog's circumference (0.5 mm on
 # `rig`), the damping's a fraction of critical damping, as a ring-down gives it.
 CONFIG_SD = {"metres_per_count": 2e-4, "mass": 1e-3, "datum": 0.004, "damping": 1e-3, "belt_speed": 0.01}
+BELT_PITCH_SD = 2e-4  # relative, of the metres per belt count
 
 
 class Board:
@@ -78,6 +80,11 @@ class Board:
             from rig_sim.effects.gaps import SilentStretches
 
             self._silence = SilentStretches(scene.gaps, scene.seed)
+        self._belt = None
+        if scene.belt is not None and scene.belt.channel:
+            from rig_sim.effects.belt_channel import BeltEncoder
+
+            self._belt = BeltEncoder(scene)
         self._jitter = None
         if scene.jitter is not None:
             from rig_sim.effects.jitter import JitteringClock
@@ -114,9 +121,10 @@ class Board:
         taken = len(path.samples)
         ticks = _ticks(instants[:taken])
         status = counts.levels
-        rows = zip(
-            ticks.tolist(), (counts.up & 0xFFFF).tolist(), (counts.down & 0xFFFF).tolist(), status.tolist(), strict=True
-        )
+        columns = [ticks, counts.up & 0xFFFF, counts.down & 0xFFFF, status]
+        if self._belt is not None:
+            columns.append(self._belt.read(path) & 0xFFFF)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
         told = _truth_rows(path) if self._tells else []
         self._sample -= count - taken
         frames = self._sent(list(rows), told, instants[:taken].tolist())
@@ -172,6 +180,8 @@ class Board:
         if argument not in EDGES_PER_COUNT:
             return wire.encode_notice(f"M {argument}: no such decoder; known: {', '.join(EDGES_PER_COUNT)}")
         self._encoder = QuadratureEncoder(self._section, self._motion.x, self._motion.t, argument)
+        if self._belt is not None:
+            self._belt.restart()
         return b""
 
     def _start(self) -> bytes:
@@ -222,9 +232,11 @@ class Board:
         while waiting - sent >= self.block or (flush and waiting > sent):
             rows = self._pending[sent : sent + self.block]
             seq = self._queued - waiting + sent & 0xFFFF
-            ticks, up, down, status = zip(*rows, strict=True)
+            ticks, up, down, status, *more = zip(*rows, strict=True)
             dt = [0, *(later - earlier for earlier, later in pairwise(ticks))]
-            frames.append(wire.encode_samples(wire.SampleBlock(seq, ticks[0] & 0xFFFFFFFF, 0, dt, up, down, status)))
+            belt = more[0] if more else None
+            block = wire.SampleBlock(seq, ticks[0] & 0xFFFFFFFF, 0, dt, up, down, status, belt)
+            frames.append(wire.encode_samples(block))
             if self._tells:
                 frames.append(wire.encode_truth(wire.Truth(seq, self._told[sent : sent + self.block])))
             sent += len(rows)
@@ -235,6 +247,8 @@ class Board:
     def _ident(self) -> wire.Ident:
         has = wire.Capability
         capabilities = has.BLOCKS | has.LEVELS | has.ILLEGAL | has.CONFIG
+        if self._belt is not None:
+            capabilities |= has.BELT
         return wire.Ident(
             firmware=FIRMWARE,
             decoder=self._encoder.decoder,
@@ -282,6 +296,9 @@ def calibration(scene: Scene, encoder: QuadratureEncoder) -> str:
         f"counter_bits = {COUNTER_BITS}",
         *_measured("datum", encoder.origin - scene.spring.x0 + error["datum"], sd["datum"]),
     ]
+    if scene.belt and scene.belt.channel:
+        belt_sd = BELT_PITCH_SD * encoder.delta  # drawn last: the other five are the same without a channel
+        lines += _measured("belt_metres_per_count", encoder.delta + draw.gauss(0.0, belt_sd), belt_sd)
     return "\n".join(lines) + "\n"
 
 

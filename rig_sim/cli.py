@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import Parameter
 
@@ -96,12 +96,20 @@ def run(
     until: Until,
     rate: Annotated[float, Parameter(help="Samples per unit of time (Hz for SI scenes).")],
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="File to write, .h5 or .csv.")],
+    method: Annotated[
+        Literal["exact", "rk4-henon", "dop853"],
+        Parameter(help="exact; rk4-henon (the thesis's) or dop853 (scipy's), for comparison."),
+    ] = "exact",
+    step: Annotated[
+        float | None, Parameter(help="Of rk4-henon, in the scene's unit of time; default 0.01 sqrt(m/k).")
+    ] = None,
+    rtol: Annotated[float | None, Parameter(help="Of dop853, relative and absolute; default 2.3e-14.")] = None,
     set_: SetChanges = None,
     max_steps: MaxSteps = 10**6,
     force: Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")] = False,
     json: Json = False,
 ) -> Answer:
-    """Write the exact motion t, x, v and friction force F on an even grid of times.
+    """Write the exact motion t, x, v and friction force F on an even grid of times; or another method's, to compare.
 
     Example: rig-sim run rig --until 20 --rate 1000 -o motion.h5
 
@@ -114,8 +122,15 @@ def run(
 
     if output.exists() and not force:
         raise InputError("exists", str(output), "give another -o, or --force to replace it")
-    found = write(_scene(scene, set_), output, until=until, rate=rate, max_steps=max_steps)
-    data = {"file": output, "samples": found.samples, "outcome": found.outcome, "steps": found.steps}
+    played = _scene(scene, set_)
+    found = write(played, output, until=until, rate=rate, method=method, step=step, rtol=rtol, max_steps=max_steps)
+    data = {
+        "file": output,
+        "samples": found.samples,
+        "method": method,
+        "outcome": found.outcome,
+        "steps": found.steps,
+    }
     ended = _outcome(found.outcome, found.advice)
     return Answer(data, f"{output}: {found.samples} samples of t, x, v, F; outcome: {ended}")
 

@@ -7,6 +7,7 @@ The integrator runs one phase at a time.  Between phases this driver changes its
     wear, scatter       one factor on the whole friction curve, evaluated at each landing on the belt (entering stick or
                         the ramp; a stick of zero length is a landing too): (1 - rate t)(1 + Fs g), g drawn from the
                         normal distribution; never below `LEAST_FACTOR`; 1 until the first landing
+    shaker              tuned again to friction's slope at each such landing; off before belt.start
 
 Random numbers come from one stream per effect, seeded by the scene's ``seed`` and the effect's name, so that adding an
 effect does not change what another one draws.
@@ -16,9 +17,9 @@ the belt (`rig_sim.effects.ripple`).  Not modelled: creep in stick; the joint co
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq.errors import InputError
 from rig_sim.integrate.events import list_events
@@ -92,11 +93,14 @@ class Path:
         Which nodes are the times asked for; fewer than asked for when the motion ended early.
     F : (s,) float64
         Friction force on the mass at these times, N; empty unless it was asked for.
+    flows : tuple of (int, Flow)
+        From which node on each flow held; the first from node 0.
     """
 
     nodes: "Nodes"
     samples: "NDArray[np.int64]"
     F: "NDArray[np.float64]"
+    flows: tuple[tuple[int, Flow], ...]
 
 
 class Motion:
@@ -108,6 +112,8 @@ class Motion:
         What to play, from t = 0.
     max_steps : float
         Integrator steps after which the motion ends with the outcome 'step limit'; infinite for a board.
+    phases : callable, optional
+        What plays one phase; another than the exact method's comes from `rig_sim.methods.phases_by`.
 
     Attributes
     ----------
@@ -119,8 +125,9 @@ class Motion:
         Set to a list to collect the events in it; None collects nothing.
     """
 
-    def __init__(self, scene: Scene, *, max_steps: float = math.inf) -> None:
+    def __init__(self, scene: Scene, *, max_steps: float = math.inf, phases: Callable[..., Any] = sample_phase) -> None:
         self.scene = scene
+        self._phases = phases
         self.t = 0.0
         self.outcome: Outcome = OUTCOMES[COMPLETED]
         self.events: list[Event] | None = None
@@ -128,6 +135,7 @@ class Motion:
         self._belt_waits = scene.belt is not None and scene.belt.start > 0
         self._swing: SwingingBelt | None = None
         self._enter(float(scene.start.x), float(scene.start.v))
+        self._flows: list[tuple[int, Flow]] = []  # of this stretch: after how many corners each begins
         self._kicks = 0
         self._scatter = None
         if scene.scatter is not None:
@@ -165,7 +173,7 @@ class Motion:
     @property
     def steps(self) -> int:
         """Integrator steps taken so far."""
-        return int(self._work[5][STEPS])
+        return int(self._work[STEPS])
 
     def advance(self, until: float) -> bool:
         """Play up to a time (s) and return whether the motion still goes on there."""
@@ -189,6 +197,7 @@ class Motion:
         times, asked = _refined(np.concatenate(([self.t], instants)), self._spacing())
         wanted: list[float] = times.tolist()
         corners: list[tuple[int, float, float, float]] = []
+        self._flows = [(0, self.flow)]
         x, v, F, served = self._play(wanted, corners, forces=forces)
         before = np.array([corner[0] for corner in corners], dtype=np.int64)
         t_corner, x_corner, v_corner = np.array([corner[1:] for corner in corners], dtype=np.float64).reshape(-1, 3).T
@@ -199,7 +208,8 @@ class Motion:
         )
         at = asked[1:][asked[1:] < served]
         friction = np.array(F)[at] if forces else np.empty(0)
-        return Path(nodes, at + np.searchsorted(before, at, side="right"), friction)
+        flows = tuple((int(before[corner - 1]) + corner - 1 if corner else 0, flow) for corner, flow in self._flows)
+        return Path(nodes, at + np.searchsorted(before, at, side="right"), friction, flows)
 
     def _play(
         self,
@@ -218,7 +228,7 @@ class Motion:
         while self.outcome.name == OUTCOMES[COMPLETED].name:
             end = min(times[-1], self._next_change())
             first, was = served, self._mode
-            kind, self._mode, self._xi, self._w, self.t, served = sample_phase(
+            kind, self._mode, self._xi, self._w, self.t, served = self._phases(
                 self.flow, was, self._xi, self._w, self.t, times, served, n, end, x, v, modes, self._work
             )
             if forces:
@@ -234,7 +244,8 @@ class Motion:
                 corners.append((served, self.t, self.x, self.v))
                 self._note(KINDS[kind])
                 if self._landings_matter and self._mode in (STICK, RAMP):
-                    self.flow = self.flow._replace(factor=self._factor())
+                    self._set_factor(self._factor())
+                    self._flows.append((len(corners), self.flow))
             elif self.t >= self._next_change():
                 self._change(served, corners)
             elif served == n:
@@ -261,7 +272,8 @@ class Motion:
         if self._belt_waits:
             self._belt_waits = False
             x, v = self.x, self.v
-            self.flow = self.scene.flow(factor=self.flow.factor)
+            self._set_flow(self.flow.factor)
+            self._flows.append((len(corners), self.flow))
             self._enter(x, v)
         elif self.scene.joint is not None:
             self._kicks += 1
@@ -271,6 +283,20 @@ class Motion:
         self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
         if LETTERS[self._mode] != LETTERS[was]:
             self._note(f"{LETTERS[was]}>{LETTERS[self._mode]}")
+
+    def _set_factor(self, factor: float) -> None:
+        """Put another factor on the friction curve; a shaker is tuned again to what is left."""
+        if self.scene.shaker is None:
+            self.flow = self.flow._replace(factor=factor)
+        else:
+            self._set_flow(factor)
+
+    def _set_flow(self, factor: float) -> None:
+        """Take the scene's flow of this moment; a shaker that cannot be tuned to it ends the motion."""
+        try:
+            self.flow = self.scene.flow(belt_running=not self._belt_waits, factor=factor)
+        except ValueError as error:
+            self.outcome = Outcome("shaker out of tune", f"{error}: lower shaker.a, wear or scatter")
 
     def _factor(self) -> float:
         """Return the factor on the friction curve from this landing on."""

@@ -1,6 +1,7 @@
 """Exact motion in a file: t, x, v and the friction force F on an even grid of times, as HDF5 (NeXus) or CSV.
 
-The motion stands in /entry/motion (NXdata, the default plot), the scene as JSON and the outcome in /entry/simulation.
+The motion stands in /entry/motion (NXdata, the default plot); the scene as JSON, the method with its setting and the
+outcome in /entry/simulation.  A CSV file holds the columns alone.
 Units are written as SI; those of a dimensionless scene are its own.  This is no run of a board: it holds no counts.
 """
 
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
+from rig_sim.methods import phases_by
 from rig_sim.motion import DEFAULT_MAX_STEPS, Motion
 from rig_sim.scenes import Scene
 
@@ -40,7 +42,17 @@ class Written:
     steps: int
 
 
-def write(scene: Scene, path: Path, *, until: float, rate: float, max_steps: int = DEFAULT_MAX_STEPS) -> Written:
+def write(
+    scene: Scene,
+    path: Path,
+    *,
+    until: float,
+    rate: float,
+    method: str = "exact",
+    step: float | None = None,
+    rtol: float | None = None,
+    max_steps: int = DEFAULT_MAX_STEPS,
+) -> Written:
     """Play a scene and write t = 0, 1/rate ... up to ``until``; the file appears whole or not at all.
 
     Parameters
@@ -51,13 +63,17 @@ def write(scene: Scene, path: Path, *, until: float, rate: float, max_steps: int
         Ends in .h5 or .csv; replaced if it exists.
     until, rate : float
         End of the run, and samples per unit of time.
+    method, step, rtol
+        As for `rig_sim.methods.phases_by`; every section of a scene plays with every method.
     max_steps : int
-        Of the integrator; a run that needs more ends early, and its outcome says so.
+        Of the integrator (of dop853: evaluations of the right-hand side); a run that needs more ends early, and its
+        outcome says so.
 
     Raises
     ------
     InputError
-        Another ending of ``path``, a folder that does not exist, or a time or rate that is not positive.
+        Another ending of ``path``, a folder that does not exist, a time or rate that is not positive, or a method or
+        setting that is not known.
     """
     if path.suffix not in (".h5", ".csv"):
         raise InputError(f"ending {path.suffix!r}", str(path), "name the file .h5 or .csv")
@@ -69,12 +85,15 @@ def write(scene: Scene, path: Path, *, until: float, rate: float, max_steps: int
     if until * rate > MOST_SAMPLES:
         what = f"{until * rate:.3g} samples, more than the {MOST_SAMPLES} a file may hold"
         raise InputError(what, "--rate", "lower --rate or --until")
-    motion = Motion(scene, max_steps=max_steps)
+    phases, setting = phases_by(method, scene, step=step, rtol=rtol)
+    motion = Motion(scene, max_steps=max_steps, phases=phases)
     samples = math.floor(until * rate * (1 + 1e-15)) + 1
     part = path.with_name(path.name + ".part")
     try:
         written = (
-            _write_csv(motion, part, samples, rate) if path.suffix == ".csv" else _write_h5(motion, part, samples, rate)
+            _write_csv(motion, part, samples, rate)
+            if path.suffix == ".csv"
+            else _write_h5(motion, part, samples, rate, f"{method} {setting}".strip())
         )
         os.replace(part, path)
     finally:
@@ -104,7 +123,7 @@ def _write_csv(motion: Motion, part: Path, samples: int, rate: float) -> int:
     return rows
 
 
-def _write_h5(motion: Motion, part: Path, samples: int, rate: float) -> int:
+def _write_h5(motion: Motion, part: Path, samples: int, rate: float, method: str) -> int:
     from importlib.metadata import version
 
     import h5py
@@ -119,6 +138,7 @@ def _write_h5(motion: Motion, part: Path, samples: int, rate: float) -> int:
         simulation = entry.create_group("simulation")
         simulation.attrs["NX_class"] = "NXcollection"
         simulation["scene"] = json.dumps(motion.scene.model_dump(exclude_none=True))
+        simulation["method"] = method
         group = entry.create_group("motion")
         group.attrs.update({"NX_class": "NXdata", "signal": "x", "axes": "t", "t_indices": 0})
         group.attrs["auxiliary_signals"] = ["v", "F"]

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate.bracket import EPS
-from rig_sim.integrate.hybrid import after, is_series, leave
+from rig_sim.integrate.hybrid import is_series, leave, moved
 from rig_sim.integrate.linear import first_extreme
 from rig_sim.integrate.modes import (
     FORCE_REVERSAL,
@@ -25,9 +25,11 @@ from rig_sim.integrate.modes import (
     STEPS_ALLOWED,
     STICK,
     TIME_SCALE,
+    Buffer,
     Flow,
     Frame,
-    Work,
+    U,
+    W,
     acceleration,
     classify,
     drop,
@@ -158,8 +160,7 @@ def grazing(fr: Frame) -> Orbit:
     """Return the circle of radius v - d about the fixed point of slip (thesis 2.4, 2.5)."""
     centre = line(fr, NEGATIVE)[1] / fr.k
     speed = fr.v - fr.d
-    omega0 = math.sqrt(fr.omega2)
-    period = 2.0 * math.pi / omega0
+    period = 2.0 * math.pi / fr.omega0
     return Orbit(
         "grazing",
         "stick has zero length: friction that does not fall with speed keeps the mass sliding",
@@ -168,15 +169,15 @@ def grazing(fr: Frame) -> Orbit:
         t_slip=period,
         x_slip=position(fr, centre),
         x_stick=position(fr, centre),
-        x_min=position(fr, centre) - speed / omega0,
-        x_max=position(fr, centre) + speed / omega0,
+        x_min=position(fr, centre) - speed / fr.omega0,
+        x_max=position(fr, centre) + speed / fr.omega0,
         v_min=-speed,
         v_max=speed,
         sequence=LETTERS[mirrored(fr, NEGATIVE)] + "S",
     )
 
 
-def converge(fr: Frame, work: Work) -> Turn:
+def converge(fr: Frame, work: Buffer) -> Turn:
     """Return the turn of a ramp law that ends where it began: iteration, hastened by secant steps."""
     turn = follow(fr, classify(fr, 0.0, 0.0, 0.0), 0.0, 0.0, work)
     p_before = g_before = math.nan
@@ -209,7 +210,7 @@ def converge(fr: Frame, work: Work) -> Turn:
     return Turn("no cycle", f"the return map did not settle within {TURNS} turns", turn.p)
 
 
-def follow(fr: Frame, mode: int, p: float, w: float, work: Work) -> Turn:
+def follow(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
     """Follow the motion to the next beginning of (backward) slip out of stick or ramp, noting its extremes.
 
     From within stick or ramp that is the way to its end.
@@ -222,6 +223,8 @@ def follow(fr: Frame, mode: int, p: float, w: float, work: Work) -> Turn:
         side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work)
         if side == 0:
             if math.isinf(tau):
+                if mode != STICK and line(fr, mode)[0] < 0.0:
+                    return Turn("no cycle", "damping is negative: the motion grows without end", p)
                 return Turn(
                     "fixed point", "the mass comes to rest: less damping or another speed may stick", rest(fr, mode, p)
                 )
@@ -241,7 +244,7 @@ def follow(fr: Frame, mode: int, p: float, w: float, work: Work) -> Turn:
 
 
 def pass_phase(
-    fr: Frame, mode: int, p: float, w: float, p_seen: list[float], w_seen: list[float], work: Work
+    fr: Frame, mode: int, p: float, w: float, p_seen: list[float], w_seen: list[float], work: Buffer
 ) -> tuple[int, float, float, float]:
     """Return (side, duration, p, w) at the end of a phase; (0, inf, p, w) when it settles, (0, tau, ...) when unclear.
 
@@ -249,17 +252,18 @@ def pass_phase(
     """
     lo, hi = edges(fr, mode)
     durations: list[float] = []
-    counters = work[5]
-    while counters[STEPS] < counters[STEPS_ALLOWED]:
-        counters[STEPS] += 1.0
+    while work[STEPS] < work[STEPS_ALLOWED]:
+        work[STEPS] += 1.0
         side, tau = leave(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
         if math.isinf(tau):
             return 0, tau, p, w
         for at in turning_times(fr, mode, p, w, tau, work):
-            p_at, w_at = after(fr, mode, p, w, 0.0, at, work)
-            p_seen.append(p_at)
-            w_seen.append(w_at)
-        p, w = after(fr, mode, p, w, 0.0, tau, work)
+            dp, dw = moved(fr, mode, p, w, 0.0, at, work)
+            p_seen.append(p + dp)
+            w_seen.append(w + dw)
+        dp, dw = moved(fr, mode, p, w, 0.0, tau, work)
+        p += dp
+        w += dw
         durations.append(tau)
         if not math.isfinite(p + w):
             break
@@ -277,27 +281,25 @@ def pass_phase(
     return 0, math.fsum(durations), p, w
 
 
-def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Work) -> list[float]:
+def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Buffer) -> list[float]:
     """Return the local times within tau at which w = -v or w' = 0: where x and v may be extreme."""
     if mode == STICK:
         return []
     level = -fr.v
     if is_series(fr, mode):
-        scale = work[5][TIME_SCALE]
-        slopes = work[4]
+        scale = work[TIME_SCALE]
         for j in range(ORDER):
-            slopes[j] = (j + 1) * work[0][j + 1]
-        slopes[ORDER] = 0.0
+            work[U + j] = (j + 1) * work[W + j + 1]
+        work[U + ORDER] = 0.0
         found = []
-        for series, target in ((work[0], level), (slopes, 0.0)):
-            before, behind = series[0] - target, value(series, tau / scale) - target
+        for series, target in ((W, level), (U, 0.0)):
+            before, behind = work[series] - target, value(work, series, tau / scale) - target
             if before * behind < 0.0:
-                found.append(scale * first_root(series, target, -1 if before > 0.0 else 1, tau / scale))
+                found.append(scale * first_root(work, series, target, -1 if before > 0.0 else 1, tau / scale))
         return found
     C, _ = line(fr, mode)
     zeta = 0.5 * C / fr.m
-    omega0 = math.sqrt(fr.omega2)
-    disc = (zeta - omega0) * (zeta + omega0)
+    disc = (zeta - fr.omega0) * (zeta + fr.omega0)
     a = acceleration(fr, mode, p, w, 0.0)
     u = w + fr.v
     # w' = 0, and (u' + ... ) = 0: u itself obeys the same equation as w', one derivative down
@@ -329,7 +331,7 @@ def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
         room = min(room, q / fr.gamma)
     if not C > slope:
         return False
-    return math.hypot(w + fr.v, math.sqrt(fr.omega2) * (p - rest(fr, mode, p))) < SETTLED * room
+    return math.hypot(w + fr.v, fr.omega0 * (p - rest(fr, mode, p))) < SETTLED * room
 
 
 def rest(fr: Frame, mode: int, p: float) -> float:

@@ -6,12 +6,13 @@ section   keys                                  meaning
 mass      m                                     required
 spring    k, x0 = 0                             required; x0: the spring's rest position
 belt      speed, start = 0, length, ripple,    at rest before ``start``, then at ``speed``, which swings by ``ripple``;
-          ripple_hz                             one turn is ``length``
+          ripple_hz, channel                    one turn is ``length``; channel = true: the board sends its counts too
 friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
           static = 1
 start     x = 0, v = 0                          the mass at t = 0
 damper    c
 drive     u0, omega                             the force u0 cos(omega t)
+shaker    a, phi                                a force on the mass: ``a`` times its velocity, ahead of it by ``phi``
 wear      rate                                  fraction of Fs lost per second
 scatter   Fs                                    standard deviation of Fs from stick to stick, a fraction
 joint     kick                                  velocity step of the mass once per ``belt.length``
@@ -39,7 +40,7 @@ from pydantic import Field, ValidationError
 
 from daq.errors import InputError, nearest
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.modes import Flow, validate
+from rig_sim.integrate.modes import LARGEST, SMALLEST, Flow, validate
 from rig_sim.sections import (
     Belt,
     Damper,
@@ -53,6 +54,7 @@ from rig_sim.sections import (
     Mass,
     Scatter,
     Section,
+    Shaker,
     SlipLoss,
     Spring,
     Start,
@@ -61,7 +63,7 @@ from rig_sim.sections import (
 )
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
-TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive")
+TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive", "shaker")
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "tell")
 SECTIONS = TERMS + EFFECTS
 
@@ -79,6 +81,7 @@ class Scene(Section):
     start: Start = Start()
     damper: Damper | None = None
     drive: Drive | None = None
+    shaker: Shaker | None = None
     wear: Wear | None = None
     scatter: Scatter | None = None
     joint: Joint | None = None
@@ -96,7 +99,8 @@ class Scene(Section):
     def flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
         """Return the equation of motion as the integrator takes it.
 
-        A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.
+        A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.  A
+        shaker is there as another damper, spring and rest position: see `rig_sim.effects.shaker`.
 
         Parameters
         ----------
@@ -126,6 +130,10 @@ class Scene(Section):
             phase=0.0,
             droop=self.droop.fraction * abs(self.belt.speed) if self.droop and self.belt and belt_running else 0.0,
         )
+        if self.shaker and belt_running:
+            from rig_sim.effects.shaker import controlled
+
+            flow = controlled(flow, self.shaker)
         if self.belt and self.belt.ripple and belt_running:
             from rig_sim.effects.ripple import SwingingBelt
 
@@ -154,7 +162,8 @@ def scene(name_or_path: "str | Path", **changes: object) -> Scene:
     ------
     InputError
         No such scene, a file that is no TOML, an unknown section or key (with its nearest neighbour), a value that is
-        no finite number or out of its range: each names the file and the key.
+        no finite number or out of its range (of any number: 0, or from `SMALLEST` to `LARGEST` in size): each names the
+        file and the key.
     """
     where, content = _read(name_or_path)
     for key, value in changes.items():
@@ -257,6 +266,7 @@ def _checked(content: dict[str, Any], where: str) -> Scene:
         raise InputError(
             f"{key} is {first['input']!r:.60}", where, reason.replace("input should", "it should")
         ) from None
+    _check_magnitudes(found, where)
     _check_together(found, where)
     return found
 
@@ -286,6 +296,15 @@ def _keys(section: str) -> list[str]:
     return []
 
 
+def _check_magnitudes(found: Scene, where: str) -> None:
+    """Refuse numbers whose products and ratios leave the range of floating-point arithmetic."""
+    for section, keys in found.model_dump(exclude_none=True).items():
+        for key, value in keys.items() if isinstance(keys, dict) else ():
+            if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
+                what = f"{section}.{key} is {value:g}"
+                raise InputError(what, where, f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}: choose other units")
+
+
 def _check_together(found: Scene, where: str) -> None:
     """Refuse what only two sections together make impossible."""
     friction = found.friction
@@ -311,11 +330,19 @@ def _check_together(found: Scene, where: str) -> None:
         if found.belt is None or friction is None:
             raise InputError("droop without belt and friction", where, "add them or drop droop")
         try:
-            validate(found.flow())
+            validate(found.model_copy(update={"shaker": None}).flow())
         except ValueError as error:
             raise InputError(str(error), where, "lower droop.fraction, or drop droop") from None
+    if found.shaker is not None:
+        try:
+            validate(found.flow())
+        except (ValueError, OverflowError) as error:
+            what = f"shaker.a = {found.shaker.a:g}, shaker.phi = {found.shaker.phi:g}: {error}"
+            raise InputError(what, where, "set belt.speed, a smaller shaker.a, or shaker.phi = 3.14159") from None
     for effect in ("slip_loss", "gaps"):
         if getattr(found, effect) is not None and found.encoder is None:
             raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")
+    if found.belt is not None and found.belt.channel and found.encoder is None:
+        raise InputError("belt.channel without an encoder", where, "add an encoder section or drop belt.channel")
     if not math.isfinite(found.spring.k / found.mass.m):
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")

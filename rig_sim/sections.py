@@ -34,7 +34,8 @@ class Spring(Section):
 class Belt(Section):
     """The driving belt: ``speed`` in m/s (signed), ``start`` in s, ``length`` of one turn in m.
 
-    From its start its speed swings by ``ripple`` (amplitude, m/s) ``ripple_hz`` times per second.
+    From its start its speed swings by ``ripple`` (amplitude, m/s) ``ripple_hz`` times per second.  With a ``channel``
+    the board sends the belt's counts too.
     """
 
     speed: float
@@ -42,6 +43,7 @@ class Belt(Section):
     length: Positive | None = None
     ripple: NotNegative | None = None
     ripple_hz: Positive | None = None
+    channel: bool | None = None
 
 
 class Friction(Section):
@@ -96,6 +98,13 @@ class Drive(Section):
 
     u0: float
     omega: NotNegative
+
+
+class Shaker(Section):
+    """A force a e^{-i phi} x' on the mass: ``a`` times its velocity (N s/m), ahead of it by the phase ``phi`` (rad)."""
+
+    a: NotNegative
+    phi: float
 
 
 class Wear(Section):

@@ -50,11 +50,15 @@ class Frames(Line):
         Raises
         ------
         DeviceError
-            No answer, or none in our protocol.
+            No answer, or none in our protocol; or the board does not have the decoder.
         """
         self.send("", "X")  # the empty line ends a half-sent command of somebody who crashed
         strange = self.drain()
-        return self._ask(strange)
+        identity = self._ask(strange)
+        if self.wish.decoder in (None, identity.ident.decoder):
+            return identity
+        self.send(f"M {self.wish.decoder}")  # its counters start again
+        return self._ask(b"")
 
     def plan(self, identity: Identity) -> Plan:
         """Return the wished rate (1000 Hz) in frames as long as the rate allows."""
@@ -63,26 +67,21 @@ class Frames(Line):
         return Plan(rate_hz, block, capability.bytes_per_s(identity.ident, rate_hz, block))
 
     def prepare(self, plan: Plan) -> Identity:
-        """Set decoder, rate and samples per frame; the next identification is the receipt.
+        """Set rate and samples per frame; the next identification is the receipt.
 
         Raises
         ------
         DeviceError
             The board refuses; its own words are in the message.
         """
-        decoder = self.wish.decoder
-        self._settings = (
-            *([f"M {decoder}"] if decoder is not None else []),
-            f"R {round(plan.rate_hz)}",
-            f"B {plan.block}",
-        )
+        self._settings = f"R {round(plan.rate_hz)}", f"B {plan.block}"
         self.send(*self._settings)
         identity = self._ask(b"")
         if identity.ident.block_size != plan.block:
             what = f"the board keeps {identity.ident.block_size} samples per frame where {plan.block} were asked for"
             raise DeviceError(what, self.url, "update its firmware")
-        if decoder is not None and identity.ident.decoder != decoder:
-            what = f"the board decodes as {identity.ident.decoder} where {decoder} was asked for"
+        if self.wish.decoder not in (None, identity.ident.decoder):
+            what = f"the board decodes as {identity.ident.decoder} where {self.wish.decoder} was asked for"
             raise DeviceError(what, self.url, "update its firmware, or leave --decoder out")
         return identity
 
@@ -92,7 +91,8 @@ class Frames(Line):
 
     def restart(self) -> None:
         """Set a board that has just reset back to work, without waiting for answers."""
-        self.send(*self._settings, "S")
+        decoder = [] if self.wish.decoder is None else [f"M {self.wish.decoder}"]
+        self.send(*decoder, *self._settings, "S")
 
     def stop(self) -> None:
         """Stop the samples; the partial block still comes."""
@@ -123,6 +123,7 @@ class Frames(Line):
                     raise DeviceError(f"the board refuses: {frame.text}", self.url, "ask for what it can do")
                 if isinstance(frame, wire.Ident):
                     ident = frame
+                    self._begin_with(ident)
                 if isinstance(frame, wire.Config) and ident is not None:
                     return self._settled(ident, frame.toml)
             if ident is not None and wire.Capability.CONFIG not in ident.capabilities:
@@ -135,6 +136,13 @@ class Frames(Line):
             raise DeviceError(what, self.url, do)
         do = "check the port ('daq ports'), the cable, and that the board runs our firmware"
         raise DeviceError(f"no answer within {sessions.ANSWER_S:g} s", self.url, do)
+
+    def _begin_with(self, ident: wire.Ident) -> None:
+        """Drop what came before an identification: the noise of a board that had to find our baud rate."""
+        came = b"".join(data for _, data in self.received)
+        start = came.rfind(wire.encode_ident(ident))
+        if start > 0:
+            self.received[:] = [(self.received[-1][0], came[start:])]
 
     def _settled(self, ident: wire.Ident, config: str | None) -> Identity:
         # A slow board may answer each `I` that was sent while it booted: let those answers come before the samples.

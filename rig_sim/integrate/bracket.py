@@ -7,9 +7,14 @@ def newton_step(tau: float, error: float, slope: float, inside: float, outside: 
     """Return the next iterate, and whether it is the last: the root to two ulp, or a bracket with nothing left in it.
 
     ``error`` and ``slope`` are the function and its derivative at ``tau``; the root lies between ``inside`` and
-    ``outside`` (the larger), one of which is ``tau`` already.  A step that would leave the bracket goes to its middle.
+    ``outside`` (the larger), one of which is ``tau`` already.  A step that would leave the bracket goes to its middle,
+    unless it is within rounding of ``tau``: there the bracket's sides are rounding too.
     """
-    following = tau - error / slope if slope != 0.0 else inside
+    following = inside
+    if slope != 0.0:
+        following = tau - error / slope
+        if abs(following - tau) <= 2.0 * EPS * tau:
+            return tau, True
     if not inside < following < outside:
         following = 0.5 * (inside + outside)
     return following, abs(following - tau) <= 2.0 * EPS * following or not inside < following < outside

@@ -24,6 +24,10 @@ KERNEL_MODULES = (
     "rig_sim.integrate.hybrid",
 )
 
+# Division by zero gives an infinity, which ends a run as `not finite`.  No kernel makes an array, so numba need not
+# count references to them (_nrt): at every call from kernel to kernel that costs as much as the arithmetic.
+JIT_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+
 ENTRIES = {
     "initial_mode": "rig_sim.integrate.modes",
     "force": "rig_sim.integrate.modes",
@@ -50,7 +54,7 @@ def compiled(name: str) -> Callable[..., Any]:
 
 @cache
 def compile_entry(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return ``function`` compiled; it may call any kernel, and helpers registered by numba's register_jitable.
+    """Return ``function`` compiled; it may call any kernel, helpers registered with `JIT_OPTIONS`, and make no array.
 
     The first call of a function whose machine code is not yet cached says on stderr that it compiles.
     """
@@ -63,7 +67,7 @@ def compile_entry(function: Callable[..., Any]) -> Callable[..., Any]:
     before = settings["CACHE_DIR"]
     try:
         settings["CACHE_DIR"] = str(folder) if folder else before
-        entry = numba.njit(function, cache=folder is not None)
+        entry = numba.njit(function, cache=folder is not None, **JIT_OPTIONS)
     finally:
         settings["CACHE_DIR"] = before
     if folder is None or not any(folder.rglob(f"*{function.__name__}*.nbi")):
@@ -80,13 +84,13 @@ def register_kernels() -> None:
         module = import_module(name)
         for function in vars(module).values():
             if inspect.isfunction(function) and function.__module__ == name:
-                register_jitable(function)
+                register_jitable(forceinline=True, **JIT_OPTIONS)(function)
 
 
 def cache_folder(function: Callable[..., Any]) -> Path | None:
     """Return the writable folder for the machine code of ``function``, or None when there is none to be had."""
     digest = hashlib.sha256()
-    for name in (*KERNEL_MODULES, function.__module__):
+    for name in (*KERNEL_MODULES, function.__module__, __name__):
         digest.update(Path(str(import_module(name).__file__)).read_bytes())
     folder = cache_root() / f"kernels-{digest.hexdigest()[:16]}"
     try:

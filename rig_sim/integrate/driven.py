@@ -21,7 +21,7 @@ def is_steep(fr: Frame, mode: int) -> bool:
     if mode != RAMP:
         return False
     C, _ = line(fr, mode)
-    return C / fr.m > STEEP * (math.sqrt(fr.omega2) + abs(fr.omega))
+    return C / fr.m > STEEP * (fr.omega0 + abs(fr.omega))
 
 
 def ramp_parts(

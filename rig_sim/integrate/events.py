@@ -1,10 +1,11 @@
 """List the events of a flow: the Python face of `rig_sim.integrate.hybrid.run`, interpreted or compiled."""
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from operator import add
+from functools import cache
 from typing import Any
 
 from rig_sim.integrate.hybrid import run
@@ -95,28 +96,33 @@ def list_events(
     buffers = new_lists(ROOM, 4, compiled=compiled)
     mode = initial_mode(flow, x, v, t)
     w = v - flow.v_belt
-    found: list[tuple[float, float, str]] = []
+    times: list[float] = []
+    places: list[float] = []
+    kinds: list[str] = []
     outcome = LIST_FULL
     while outcome == LIST_FULL:
         outcome, count, first, mode, x, w, t = step(
             flow, mode, x, w, t, t_max, ROOM, *buffers, 0 if every_cycle else 1, work
         )
-        whole, rest, places, codes = (listed(buffer, count) for buffer in buffers)
-        kinds = [KINDS[int(code)] for code in codes]
-        stepped = zip(map(add, whole, rest), places, kinds, strict=True)
-        found.extend(event for event in stepped if event[0] >= since)
+        at, where, names = listed(buffers[0], count), listed(buffers[2], count), named(buffers[3], count)
+        skipped = bisect_left(at, since)
+        times += at[skipped:]
+        places += where[skipped:]
+        kinds += names[skipped:]
         if outcome == RECURRED:
             outcome = COMPLETED
-            for event in repeated(whole[first:], rest[first:], places[first:], kinds[first:], since, t_max):
-                found.append(event)
-                if len(found) > max_events:
+            rest = listed(buffers[1], count)
+            for again, x_again, name in repeated(at[first:], rest[first:], where[first:], names[first:], since, t_max):
+                times.append(again)
+                places.append(x_again)
+                kinds.append(name)
+                if len(times) > max_events:
                     break
-        if len(found) > max_events:
+        if len(times) > max_events:
             outcome = EVENT_LIMIT
-            del found[max_events:]
+            del times[max_events:], places[max_events:], kinds[max_events:]
     name, advice = OUTCOMES[outcome]
-    t_found, x_found, kinds_found = zip(*found, strict=True) if found else ((), (), ())
-    return EventList(t_found, x_found, kinds_found, name, advice, int(work[5][STEPS]))
+    return EventList(tuple(times), tuple(places), tuple(kinds), name, advice, int(work[STEPS]))
 
 
 def repeated(
@@ -148,6 +154,22 @@ def listed(buffer: Any, count: int) -> list[float]:
     """Return the first ``count`` numbers of a list or an array as a list of floats."""
     part = buffer[:count]
     return part if isinstance(part, list) else part.tolist()
+
+
+def named(buffer: Any, count: int) -> list[str]:
+    """Return the kinds whose codes are the first ``count`` numbers of a list or an array."""
+    part = buffer[:count]
+    if isinstance(part, list):
+        return [KINDS[int(code)] for code in part]
+    return kind_names()[part.astype(int)].tolist()  # type: ignore[no-any-return]
+
+
+@cache
+def kind_names() -> Any:
+    """Return the names of the kinds as an array, each in its code's place."""
+    import numpy
+
+    return numpy.array([KINDS.get(code, "") for code in range(max(KINDS) + 1)], dtype=object)
 
 
 def new_lists(length: int, number: int, *, compiled: bool) -> list[list[float]]:

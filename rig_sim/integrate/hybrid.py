@@ -23,37 +23,45 @@ import math
 from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate.bracket import EPS
 from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ramp_state
-from rig_sim.integrate.linear import linear_exit, state, stick_exit
+from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_exit, stick_lateness
 from rig_sim.integrate.modes import (
     CARRY,
     COMPLETED,
     EVENT_RATE,
+    EXIT,
+    EXIT_E,
+    EXIT_S,
     FORCE_REVERSAL,
+    LATE,
     LIST_FULL,
     NEGATIVE,
     NOT_FINITE,
+    P_REST,
     RAMP,
     RAPID,
     RECURRED,
+    START,
     STEP_LIMIT,
     STEPS,
     STEPS_ALLOWED,
     STICK,
     TIME_SCALE,
+    W_REST,
+    ZETA,
     Buffer,
     Flow,
     Frame,
-    Work,
     acceleration,
     displacement,
     edges,
     frame,
+    kept_inside,
     landing,
     line,
     mirrored,
     position,
 )
-from rig_sim.integrate.taylor import series_exit, value
+from rig_sim.integrate.taylor import changes, series_exit
 
 RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit
 RAPID_TIME = 1e-12  # x sqrt(m/k)
@@ -69,45 +77,56 @@ def is_series(fr: Frame, mode: int) -> bool:
 
 
 def leave(
-    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Work
+    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Buffer
 ) -> tuple[int, float]:
     """Return (side, tau): w leaves [lo, hi] after tau at its lower (-1) or upper (+1) end, or (0, tau) passed inside.
 
     Without an exit, tau is ``tau_max`` but in phases stepped by series, where it may be less: call again from there.
     """
+    work[LATE] = 0.0
     if mode == STICK:
         if fr.u0 != 0.0:
             return driven_stick_exit(fr, p, t, tau_max)
-        return stick_exit(fr, p, tau_max)
+        side, tau = stick_exit(fr, p, tau_max)
+        if side > 0 and tau > 0.0:
+            work[LATE] = stick_lateness(fr, p, work[P_REST], tau)
+        return side, tau
     if is_series(fr, mode):
         return series_exit(fr, mode, p, w, t, lo, hi, tau_max, work)
     if fr.u0 != 0.0:
         return ramp_exit(fr, p, w, t, lo, hi, tau_max)
-    C, _ = line(fr, mode)
+    C, e = line(fr, mode)
     zeta = 0.5 * C / fr.m
-    omega0 = math.sqrt(fr.omega2)
-    disc = (zeta - omega0) * (zeta + omega0)
-    a = acceleration(fr, mode, p, w, t)
+    disc = (zeta - fr.omega0) * (zeta + fr.omega0)
+    a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e) / fr.m)
+    work[ZETA] = zeta
+    work[START] = a
     touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
-    return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch)
+    return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch, work)
 
 
-def after(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Work) -> tuple[float, float]:
-    """Return (p, w) at tau into the phase; in a series phase ``work`` must hold the step that contains tau."""
+def moved(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> tuple[float, float]:
+    """Return by how much (p, w) change within tau of the phase, whose own `leave` must have filled ``work`` last."""
     if mode == STICK:
-        return p + fr.v * tau, 0.0
+        return fr.v * tau, 0.0
     if is_series(fr, mode):
-        xi = tau / work[5][TIME_SCALE]
-        return value(work[1], xi), value(work[0], xi)
+        return changes(work, tau / work[TIME_SCALE])
     if fr.u0 != 0.0:
         p_end, w_end, _ = ramp_state(fr, p, w, t, tau)
-        return p_end, w_end
-    C, _ = line(fr, mode)
-    zeta = 0.5 * C / fr.m
-    omega0 = math.sqrt(fr.omega2)
-    disc = (zeta - omega0) * (zeta + omega0)
-    a = acceleration(fr, mode, p, w, t)
-    return state(p, w, a, w + fr.v, zeta, fr.omega2, disc, tau)
+        return p_end - p, w_end - w
+    zeta = work[ZETA]
+    if tau == work[EXIT]:
+        S, E = work[EXIT_S], work[EXIT_E]
+    else:
+        S, E, _ = fundamental(zeta, fr.omega2, (zeta - fr.omega0) * (zeta + fr.omega0), tau)
+    return change(work[START], w + fr.v, zeta, fr.omega2, S, E)
+
+
+def sum_of(value: float, rest: float, increase: float) -> tuple[float, float]:
+    """Return value + rest + increase as the nearest number and what that cannot hold (Neumaier)."""
+    increase += rest
+    total = value + increase
+    return total, (value - total) + increase if abs(value) >= abs(increase) else (increase - total) + value
 
 
 def phase(
@@ -124,25 +143,25 @@ def phase(
     out_x: Buffer,
     out_v: Buffer,
     out_mode: Buffer,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, float, float, float, float, int]:
     """Go to the next event or to t_max within the frame; return (kind, mode, p, w, t, carry, i).
 
-    Results are stored for times[i], times[i + 1] ... up to there.  Time is t + carry, summed by Neumaier's rule.
+    Results are stored for times[i], times[i + 1] ... up to there.  Time is t + carry, summed by Neumaier's rule, as are
+    p and w with what ``work`` holds: many steps then lose no more than one.
     """
-    counters = work[5]
     lo, hi = edges(fr, mode)
     begun = t
-    if not (math.isfinite(p) and math.isfinite(w) and math.isfinite(t_max - t)):
+    if not math.isfinite(p + w + (t_max - t)):
         return NOT_FINITE, mode, p, w, t, carry, i
     while True:
         rest = (t_max - t) - carry
         side = 0
         tau = 0.0
         if rest > 0.0:
-            if counters[STEPS] >= counters[STEPS_ALLOWED]:
+            if work[STEPS] >= work[STEPS_ALLOWED]:
                 return STEP_LIMIT, mode, p, w, t, carry, i
-            counters[STEPS] += 1.0
+            work[STEPS] += 1.0
             side, tau = leave(fr, mode, p, w, t, lo, hi, rest, work)
         if not math.isfinite(rest + tau):
             return NOT_FINITE, mode, p, w, t, carry, i
@@ -150,44 +169,50 @@ def phase(
             dt = (times[i] - t) - carry
             if dt > tau:
                 break
-            p_at, w_at = (p, w) if dt <= 0.0 else after(fr, mode, p, w, t, dt, work)
-            out_x[i] = position(fr, p_at)
-            out_v[i] = fr.mirror * (w_at + fr.v)
+            dp, dw = (0.0, 0.0) if dt <= 0.0 else moved(fr, mode, p, w, t, dt, work)
+            out_x[i] = position(fr, p + dp)
+            out_v[i] = fr.mirror * (w + dw + fr.v)
             out_mode[i] = float(mirrored(fr, mode))
             i += 1
         if tau > 0.0:
-            p, w = after(fr, mode, p, w, t, tau, work)
-            if not (math.isfinite(p) and math.isfinite(w)):
+            dp, dw = moved(fr, mode, p, w, t, tau, work)
+            p, work[P_REST] = sum_of(p, work[P_REST], dp)
+            w, work[W_REST] = sum_of(w, work[W_REST], dw)
+            if not math.isfinite(p + w):
                 return NOT_FINITE, mode, p, w, t, carry, i
         if side == 0 and tau >= rest:
-            counters[RAPID] = 0.0
+            work[RAPID] = 0.0
             return COMPLETED, mode, p, w, t_max, 0.0, i
         total = t + tau
         carry += (t - total) + tau if abs(t) >= abs(tau) else (tau - total) + t
         t = total
         if side == 0:
             continue
+        carry += work[LATE]
         if mode == STICK:
             w = 0.0
             if side > 0 and fr.u0 == 0.0 and tau > 0.0:
                 p = 0.0
         else:
             w = hi if side > 0 else lo
+        work[W_REST] = 0.0
+        if mode == STICK or mode == RAMP:  # a slip begins in p alone, so that it can be told when it recurs
+            work[P_REST] = 0.0
         entered = landing(fr, mode, side, p, t)
         if entered == FORCE_REVERSAL:
             return FORCE_REVERSAL, mode, p, w, t, carry, i
-        if t - begun <= RAPID_TIME / math.sqrt(fr.omega2):
-            counters[RAPID] += 1.0
-            if counters[RAPID] > RAPID_ALLOWED:
+        if (t - begun) * fr.omega0 <= RAPID_TIME:
+            work[RAPID] += 1.0
+            if work[RAPID] > RAPID_ALLOWED:
                 return EVENT_RATE, entered, p, w, t, carry, i
         else:
-            counters[RAPID] = 0.0
+            work[RAPID] = 0.0
         return 4 * mode + entered, entered, p, w, t, carry, i
 
 
 def seen(fr: Frame, kind: int) -> int:
     """Return a kind found in the frame as it is outside: transitions of a mirrored frame are mirrored."""
-    if kind == COMPLETED or kind >= FORCE_REVERSAL:
+    if fr.mirror > 0.0 or kind == COMPLETED or kind >= FORCE_REVERSAL:
         return kind
     return 4 * mirrored(fr, kind // 4) + mirrored(fr, kind % 4)
 
@@ -205,7 +230,7 @@ def sample_phase(
     out_x: Buffer,
     out_v: Buffer,
     out_mode: Buffer,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, float, float, float, int]:
     """Go to the next event, or to t_max, storing the motion at times[i:n] on the way.
 
@@ -219,7 +244,7 @@ def sample_phase(
         Where to stop when no event comes first, s; finite.
     out_x, out_v, out_mode
         Buffers of at least n: x (m), absolute velocity (m/s), mode.
-    work : Work
+    work : list or array
         From `new_work`.
 
     Returns
@@ -228,6 +253,8 @@ def sample_phase(
         ``mode`` is the one entered; ``i`` the first time not yet served (those at the event itself are).
     """
     fr = frame(flow)
+    work[P_REST] = 0.0
+    work[W_REST] = 0.0
     kind, own, p, w, t, carry, i = phase(
         fr,
         mirrored(fr, mode),
@@ -248,10 +275,10 @@ def sample_phase(
 
 
 def next_event(
-    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Work
+    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Buffer
 ) -> tuple[int, int, float, float, float]:
     """Return (kind, mode, x, w, t) at the next event, or at t_max with kind COMPLETED."""
-    idle = work[0]
+    idle = work
     kind, mode, x, w, t, _ = sample_phase(flow, mode, x, w, t, idle, 0, 0, t_max, idle, idle, idle, work)
     return kind, mode, x, w, t
 
@@ -267,7 +294,7 @@ def sample(
     out_x: Buffer,
     out_v: Buffer,
     out_mode: Buffer,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, float, float, float]:
     """Run through all events from t0 to times[n - 1] and store the motion at times[0:n]; the flow stays the same.
 
@@ -280,6 +307,8 @@ def sample(
     w = fr.mirror * w
     t = t0
     carry = 0.0
+    work[P_REST] = 0.0
+    work[W_REST] = 0.0
     kind = COMPLETED
     i = 0
     while i < n:
@@ -293,7 +322,7 @@ def sample(
 
 
 def next_turn(
-    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Work
+    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Buffer
 ) -> tuple[bool, float, float, float]:
     """Return (found, x, w, t) at the next turning point of x (w = -v_belt) after t, staying in the given mode.
 
@@ -304,14 +333,13 @@ def next_turn(
     own = mirrored(fr, mode)
     p = displacement(fr, x)
     w = fr.mirror * w
-    counters = work[5]
     if own == STICK:
         return False, position(fr, p + fr.v * (t_max - t)), 0.0, t_max
     while True:
         rest = t_max - t
-        if rest <= 0.0 or counters[STEPS] >= counters[STEPS_ALLOWED]:
+        if rest <= 0.0 or work[STEPS] >= work[STEPS_ALLOWED]:
             return False, position(fr, p), fr.mirror * w, t
-        counters[STEPS] += 1.0
+        work[STEPS] += 1.0
         lo = -math.inf
         hi = math.inf
         level = -fr.v
@@ -321,7 +349,9 @@ def next_turn(
             lo = level
         side, tau = leave(fr, own, p, w, t, lo, hi, rest, work)
         if tau > 0.0:
-            p, w = after(fr, own, p, w, t, tau, work)
+            dp, dw = moved(fr, own, p, w, t, tau, work)
+            p += dp
+            w += dw
         t = t + tau
         if side != 0:
             return True, position(fr, p), fr.mirror * level, t
@@ -342,7 +372,7 @@ def run(
     out_x: Buffer,
     out_kind: Buffer,
     recur: int,
-    work: Work,
+    work: Buffer,
 ) -> tuple[int, int, int, int, float, float, float]:
     """List the events up to t_max; return (outcome, count, first, mode, x, w, t).
 
@@ -353,11 +383,11 @@ def run(
     t_max : float
         Where to stop, s.
     room : int
-        Entries that the four lists hold: ``out_t + out_carry`` is the time of an event, the second what the first
-        cannot hold; then its position and its kind.
+        Entries that the four lists hold: ``out_t`` is the time of an event, ``out_carry`` what that cannot hold of it;
+        then its position and its kind.
     recur : int
         1 to stop, with the outcome RECURRED, as soon as the motion is known to repeat; 0 to step every cycle.
-    work : Work
+    work : list or array
         From `new_work`; its last buffer carries from call to call what t itself cannot hold.
 
     Returns
@@ -377,9 +407,10 @@ def run(
     own = mirrored(fr, mode)
     p = displacement(fr, x)
     w = fr.mirror * w
-    counters = work[5]
-    carry = float(counters[CARRY])
-    idle = work[0]
+    carry = float(work[CARRY])
+    work[P_REST] = 0.0
+    work[W_REST] = 0.0
+    idle = work
     count = 0
     first = -1
     p_first = 0.0
@@ -391,15 +422,16 @@ def run(
         if kind == COMPLETED or kind >= FORCE_REVERSAL:
             outcome = kind
             break
-        out_t[count] = t
-        out_carry[count] = carry
+        total = t + carry
+        out_t[count] = total
+        out_carry[count] = (t - total) + carry
         out_x[count] = position(fr, p)
         out_kind[count] = float(seen(fr, kind))
         count += 1
         if recur == 0 or fr.u0 != 0.0 or (kind != 4 * STICK + NEGATIVE and kind != 4 * RAMP + NEGATIVE):
             continue
         # w is the edge of stick or ramp, exactly: p alone is the state
-        if first >= 0 and p == p_first and t - out_t[first] > RAPID_ALLOWED * RAPID_TIME / math.sqrt(fr.omega2):
+        if first >= 0 and p == p_first and (total - out_t[first]) * fr.omega0 > RAPID_ALLOWED * RAPID_TIME:
             outcome = RECURRED
             break
         turns += 1
@@ -408,5 +440,5 @@ def run(
             p_first = p
             turns = 0
             patience *= 2
-    counters[CARRY] = carry
+    work[CARRY] = carry
     return outcome, count, first, mirrored(fr, own), position(fr, p), fr.mirror * w, t

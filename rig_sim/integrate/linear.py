@@ -13,10 +13,14 @@ taken to the right extreme by a logarithm: no loop depends on how long the phase
 
 import math
 
-from rig_sim.integrate.bracket import newton_step
-from rig_sim.integrate.modes import Frame
+from rig_sim.integrate.bracket import EPS, newton_step
+from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S, LATE, Buffer, Frame
 
 LARGEST_EXPONENT = 700.0  # exp stays finite; growth that far is beyond every edge
+INVERSE = (0.0, *(1.0 / j for j in range(1, 16)))
+SPLITTER = 2.0**27 + 1.0  # halves a number's digits
+SMALLEST_TERM = 1e-18
+NEAR_EXTREME = 1e-9  # relative: an extreme so close to an edge is worked out in full
 
 
 def fundamental(zeta: float, omega2: float, disc: float, tau: float) -> tuple[float, float, float]:
@@ -27,19 +31,24 @@ def fundamental(zeta: float, omega2: float, disc: float, tau: float) -> tuple[fl
         term = tau
         S = tau
         I = 0.5 * tau * tau  # noqa: E741  # the integral's usual letter
+        damping = 2.0 * zeta * tau
+        stiffness = omega2 * tau * tau
         for j in range(2, 15):
-            following = -(2.0 * zeta * tau * (j - 1) * term + omega2 * tau * tau * previous) / (j * (j - 1))
+            following = -(damping * term + stiffness * (previous * INVERSE[j - 1])) * INVERSE[j]
             previous = term
             term = following
             S += term
-            I += term * tau / (j + 1)  # noqa: E741
+            I += term * (tau * INVERSE[j + 1])  # noqa: E741
+            if abs(previous) + abs(term) < SMALLEST_TERM * tau:
+                break
         return S, omega2 * I, I
     if disc < 0.0:
         Omega = math.sqrt(-disc)
-        decay = math.exp(min(-zeta * tau, LARGEST_EXPONENT))
-        S = decay * math.sin(Omega * tau) / Omega
+        growth = math.expm1(min(-zeta * tau, LARGEST_EXPONENT)) if zeta != 0.0 else 0.0
         half = math.sin(0.5 * Omega * tau)
-        E = -math.expm1(min(-zeta * tau, LARGEST_EXPONENT)) + 2.0 * decay * half * half - zeta * S
+        twice = 2.0 * (1.0 + growth) * half
+        S = twice * math.cos(0.5 * Omega * tau) / Omega
+        E = twice * half - growth - zeta * S
         return S, E, E / omega2
     _, lambda2, gap = roots(zeta, omega2, disc)
     slow = math.exp(min(lambda2 * tau, LARGEST_EXPONENT))
@@ -61,12 +70,17 @@ def velocity(w: float, a: float, u: float, zeta: float, omega2: float, disc: flo
     return w + a * S - u * E
 
 
-def state(
-    p: float, w: float, a: float, u: float, zeta: float, omega2: float, disc: float, tau: float
-) -> tuple[float, float]:
-    """Return (p, w) at ``tau`` from the phase's start."""
-    S, E, I = fundamental(zeta, omega2, disc, tau)  # noqa: E741
-    return p + u * (S + 2.0 * zeta * I) + a * I, w + a * S - u * E
+def change(a: float, u: float, zeta: float, omega2: float, S: float, E: float) -> tuple[float, float]:
+    """Return by how much (p, w) have changed where the phase's fundamental solution is S and E."""
+    I = E / omega2  # noqa: E741
+    return u * (S + 2.0 * zeta * I) + a * I, a * S - u * E
+
+
+def shifted(S: float, E: float, zeta: float, omega2: float, step: float) -> tuple[float, float]:
+    """Return S and E a small step later, to second order."""
+    slope = 1.0 - E - 2.0 * zeta * S  # S'
+    later = S + step * (slope - step * (zeta * slope + 0.5 * omega2 * S))
+    return later, E + omega2 * step * (S + 0.5 * step * slope)
 
 
 def root(
@@ -77,24 +91,52 @@ def root(
     omega2: float,
     disc: float,
     level: float,
+    side: int,
     inside: float,
     outside: float,
     guess: float,
+    work: Buffer,
 ) -> float:
-    """Return where w crosses ``level`` in [inside, outside], on which it is monotone: bracketed Newton."""
-    S, E, _ = fundamental(zeta, omega2, disc, outside)
-    rising = w + a * S - u * E > level
+    """Return where w crosses ``level`` in [inside, outside], on which it is monotone: bracketed Halley from ``guess``.
+
+    The closed form there is left in ``work``: what comes after the exit needs it again.
+    w leaves through the level upwards (``side`` +1) or downwards (-1); ``outside`` may be infinite where it does so for
+    certain, with a guess beyond ``inside``.  u'' = -2 zeta u' - omega0^2 u gives the second
+    and third derivatives for nothing, so that the error a step leaves is known before it is taken.
+    """
     tau = guess if inside < guess < outside else 0.5 * (inside + outside)
     for _i in range(100):
         S, E, _ = fundamental(zeta, omega2, disc, tau)
-        error = (w - level) + (a * S - u * E)
+        moved = a * S - u * E
+        error = (w - level) + moved
         if error == 0.0:
+            work[EXIT], work[EXIT_S], work[EXIT_E] = tau, S, E
             return tau
-        if (error > 0.0) == rising:
+        if side * error > 0.0:
             outside = tau
         else:
             inside = tau
         slope = a * (1.0 - E - 2.0 * zeta * S) - omega2 * u * S
+        if math.isinf(outside) and not side * slope > 0.0:
+            tau *= 2.0
+            continue
+        if slope != 0.0:
+            bend = -2.0 * zeta - omega2 * (u + moved) / slope
+            step = error / slope
+            shrink = 1.0 - 0.5 * step * bend
+            if shrink > 0.5:  # else far off: Newton
+                step /= shrink
+                following = tau - step
+                left = (0.25 * bend * bend + (2.0 * abs(zeta * bend) + omega2) / 6.0) * abs(step * step * step)
+                if inside < following < outside and left <= 0.5 * EPS * following:
+                    work[EXIT] = following
+                    work[LATE] = (tau - following) - step
+                    work[EXIT_S], work[EXIT_E] = shifted(S, E, zeta, omega2, -step)
+                    return following
+                slope *= shrink
+        if math.isinf(outside) and tau - error / slope > 4.0 * tau:
+            tau *= 4.0
+            continue
         tau, settled = newton_step(tau, error, slope, inside, outside)
         if settled:
             return tau
@@ -112,11 +154,13 @@ def linear_exit(
     hi: float,
     tau_max: float,
     touch: float,
+    work: Buffer,
 ) -> tuple[int, float]:
     """Return (side, tau): the first exit of w from [lo, hi], side -1 or +1; (0, tau_max) when it stays inside.
 
     An extreme within ``touch`` x abs(u) (relative) of an edge counts as reaching it: grazing.
     """
+    work[EXIT] = -1.0
     if w >= hi and (a > 0.0 or (a == 0.0 and u < 0.0)):
         return 1, 0.0
     if w <= lo and (a < 0.0 or (a == 0.0 and u > 0.0)):
@@ -124,8 +168,8 @@ def linear_exit(
     if a == 0.0 and u == 0.0:
         return 0, tau_max
     if disc < 0.0:
-        return oscillating_exit(w, a, u, zeta, omega2, disc, lo, hi, tau_max, touch)
-    return creeping_exit(w, a, u, zeta, omega2, disc, lo, hi, tau_max)
+        return oscillating_exit(w, a, u, zeta, omega2, disc, lo, hi, tau_max, touch, work)
+    return creeping_exit(w, a, u, zeta, omega2, disc, lo, hi, tau_max, work)
 
 
 def first_extreme(a: float, u: float, zeta: float, omega2: float, disc: float) -> float:
@@ -157,40 +201,63 @@ def oscillating_exit(
     hi: float,
     tau_max: float,
     touch: float,
+    work: Buffer,
 ) -> tuple[int, float]:
-    """Return (side, tau) of `linear_exit` for complex roots: walk from extreme to extreme."""
-    half = math.pi / math.sqrt(-disc)
+    """Return (side, tau) of `linear_exit` for complex roots: walk from extreme to extreme.
+
+    Where u' = 0, abs(u) is the oscillation's size there times Omega/omega0, its sign that of the maximum or minimum.
+    """
+    Omega = math.sqrt(-disc)
+    half = math.pi / Omega
     first = first_extreme(a, u, zeta, omega2, disc)
     v = u - w
+    rise = (a + zeta * u) / Omega
+    size = math.sqrt((u * u + rise * rise) * (1.0 - zeta * zeta / omega2))
+    if a < 0.0 or (a == 0.0 and u > 0.0):
+        size = -size  # the first extreme is a minimum
     i = 0
     for _i in range(70):
         start = max(0.0, first + (i - 1) * half)
         if start >= tau_max:
             return 0, tau_max
         extreme = first + i * half
-        end = min(extreme, tau_max)
-        value = velocity(w, a, u, zeta, omega2, disc, end)
-        if value > hi:
-            return 1, root(w, a, u, zeta, omega2, disc, hi, start, end, -1.0)
-        if value < lo:
-            return -1, root(w, a, u, zeta, omega2, disc, lo, start, end, -1.0)
-        if end == extreme and touch > 0.0:
-            if hi - value <= touch * abs(value + v):
-                return 1, end
-            if value - lo <= touch * abs(value + v):
-                return -1, end
+        sign = 1.0 if i % 2 == 0 else -1.0
+        peak = sign * size * math.exp(min(-zeta * extreme, LARGEST_EXPONENT)) if zeta != 0.0 else sign * size
+        w_end = peak - v
+        near = NEAR_EXTREME * (abs(peak) + v)
+        if abs(w_end - hi) <= near or abs(w_end - lo) <= near:
+            w_end = velocity(w, a, u, zeta, omega2, disc, extreme)
+        side = 0
+        if w_end > hi:
+            side = 1
+        elif w_end < lo:
+            side = -1
+        if side != 0:
+            level = hi if side > 0 else lo
+            before = -peak * math.exp(min(zeta * half, LARGEST_EXPONENT)) if zeta != 0.0 else -peak
+            share = (2.0 * (level + v) - before - peak) / (before - peak)
+            guess = extreme - half + math.acos(min(1.0, max(-1.0, share))) / Omega
+            if extreme > tau_max:
+                w_end = velocity(w, a, u, zeta, omega2, disc, tau_max)
+                if lo <= w_end <= hi:
+                    return 0, tau_max
+                extreme = tau_max
+            return side, root(w, a, u, zeta, omega2, disc, level, side, start, extreme, guess, work)
+        if extreme <= tau_max and touch > 0.0:
+            if hi - w_end <= touch * abs(w_end + v):
+                return 1, extreme
+            if w_end - lo <= touch * abs(w_end + v):
+                return -1, extreme
         i += 1
         if i == 3:
-            if zeta >= 0.0:
+            if zeta >= 0.0 or peak == 0.0:
                 return 0, tau_max
-            size = abs(velocity(w, a, u, zeta, omega2, disc, first) + v)
-            if size == 0.0:
-                return 0, tau_max
+            scale = abs(size) * math.exp(min(-zeta * first, LARGEST_EXPONENT))
             least = math.inf
             if 0.0 < hi + v < math.inf:
-                least = math.log((hi + v) / size)
+                least = math.log((hi + v) / scale)
             if 0.0 < -(lo + v) < math.inf:
-                least = min(least, math.log(-(lo + v) / size))
+                least = min(least, math.log(-(lo + v) / scale))
             halves = least / (-zeta * half)
             if not halves * half <= tau_max:
                 return 0, tau_max
@@ -208,19 +275,22 @@ def creeping_exit(
     lo: float,
     hi: float,
     tau_max: float,
+    work: Buffer,
 ) -> tuple[int, float]:
     """Return (side, tau) of `linear_exit` for real roots: one extreme at most, then monotone for ever."""
     v = u - w
     start = 0.0
+    w_start = w
     extreme = first_extreme(a, u, zeta, omega2, disc)
     if extreme > 0.0:
         end = min(extreme, tau_max)
         value = velocity(w, a, u, zeta, omega2, disc, end)
         if value > hi:
-            return 1, root(w, a, u, zeta, omega2, disc, hi, 0.0, end, -1.0)
+            return 1, root(w, a, u, zeta, omega2, disc, hi, 1, 0.0, end, -1.0, work)
         if value < lo:
-            return -1, root(w, a, u, zeta, omega2, disc, lo, 0.0, end, -1.0)
+            return -1, root(w, a, u, zeta, omega2, disc, lo, -1, 0.0, end, -1.0, work)
         start = end
+        w_start = value
     if start >= tau_max:
         return 0, tau_max
     lambda1, lambda2, gap = roots(zeta, omega2, disc)
@@ -238,27 +308,19 @@ def creeping_exit(
         if math.isinf(level):
             return 0, tau_max
     side = 1 if level == hi else -1
-    # the slow root alone reaches the level at `guess`; exact once the fast one has died
-    guess = 0.0
-    if zeta > 0.0 and abs(gap) > 1e-3 * zeta:
+    guess = start
+    if start > 0.0 and (w_start - level) * (w_start + v) > 0.0:  # the parabola there, as u'' = -omega0^2 u
+        guess += math.sqrt(2.0 * (w_start - level) / (omega2 * (w_start + v)))
+    if zeta > 0.0 and abs(gap) > 1e-3 * zeta and not 0.0 < (guess - start) * abs(lambda1) < 1.0:
+        # the slow root alone: exact once the fast one has died
         slow = (a - lambda1 * u) / -gap
         rest = (level - (a - lambda1 * w - lambda2 * v) / -gap) / slow if slow != 0.0 else -1.0
         if rest > -1.0:
             guess = math.log1p(rest) / lambda2
-    step = max(guess - start, 0.0) * (1.0 + 1e-9)
-    if step == 0.0:
-        step = 1.0 / abs(lambda1)
-    inside = start
-    for _i in range(2100):
-        outside = min(inside + step, tau_max)
-        value = velocity(w, a, u, zeta, omega2, disc, outside)
-        if (value > level) if side > 0 else (value < level):
-            return side, root(w, a, u, zeta, omega2, disc, level, inside, outside, guess)
-        if outside >= tau_max:
-            return 0, tau_max
-        inside = outside
-        step *= 2.0
-    return 0, tau_max
+    if not guess > start:
+        guess = start + 1.0 / abs(lambda1)
+    tau = root(w, a, u, zeta, omega2, disc, level, side, start, math.inf, guess, work)
+    return (side, tau) if tau <= tau_max else (0, tau_max)
 
 
 def stick_exit(fr: Frame, p: float, tau_max: float) -> tuple[int, float]:
@@ -270,3 +332,19 @@ def stick_exit(fr: Frame, p: float, tau_max: float) -> tuple[int, float]:
     if fr.v > 0.0 and -p <= fr.v * tau_max:
         return 1, -p / fr.v
     return 0, tau_max
+
+
+def stick_lateness(fr: Frame, p: float, rest: float, tau: float) -> float:
+    """Return how much later than ``tau`` an undriven stick reaches the slip point from p + rest (s)."""
+    return ((-p - fr.v * tau) - product_error(fr.v, tau) - rest) / fr.v
+
+
+def product_error(a: float, b: float) -> float:
+    """Return a b - fl(a b), exactly (Dekker)."""
+    a_high = a * SPLITTER
+    a_high -= a_high - a
+    b_high = b * SPLITTER
+    b_high -= b_high - b
+    a_low = a - a_high
+    b_low = b - b_high
+    return ((a_high * b_high - a * b) + a_high * b_low + a_low * b_high) + a_low * b_low

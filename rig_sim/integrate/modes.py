@@ -157,6 +157,7 @@ class Flow(NamedTuple):
     droop: float = 0.0
 
 
+SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0: products of three stay finite
 POSITIVE_FIELDS = ("m", "k")
 NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d", "droop")
 
@@ -167,12 +168,15 @@ def validate(flow: Flow) -> None:
     Raises
     ------
     ValueError
-        Naming the field: not finite; m or k not above 0; Fs, factor, gamma, d or droop below 0; static below 1; droop
-        with static above 1, without friction, or with friction that falls faster than the belt gives way.
+        Naming the field: not finite; above `LARGEST`; m or k not above 0, or below `SMALLEST`; Fs, factor, gamma, d or
+        droop below 0; static below 1; droop with static above 1, without friction, or with friction that falls faster
+        than the belt gives way.
     """
     for name, number in flow._asdict().items():
         if not math.isfinite(number):
             raise ValueError(f"{name} is {number}; need a finite number")
+        if abs(number) > LARGEST or (name in POSITIVE_FIELDS and 0.0 < number < SMALLEST):
+            raise ValueError(f"{name} is {number}; beyond {SMALLEST:g} to {LARGEST:g}: choose other units")
         if name in POSITIVE_FIELDS and not number > 0.0:
             raise ValueError(f"{name} is {number}; need a number above 0")
         if name in NON_NEGATIVE_FIELDS and number < 0.0:
@@ -197,8 +201,8 @@ class Frame(NamedTuple):
 
     ``mirror`` is -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1; ``A`` and ``B``
     are the kinetic and the break-away level; ``d`` is 0 for a jump; ``G`` the linear curve's slope with the scatter;
-    ``s_max`` the relative speed of force reversal; ``omega2`` = k/m; ``slip`` = x_slip - x0 (mirrored); ``lag`` = droop
-    gamma on the hyperbola, else 0.
+    ``s_max`` the relative speed of force reversal; ``omega2`` = k/m = omega0^2; ``slip`` = x_slip - x0 (mirrored);
+    ``lag`` = droop gamma on the hyperbola, else 0.
     """
 
     mirror: float
@@ -219,6 +223,7 @@ class Frame(NamedTuple):
     omega: float
     phase: float
     omega2: float
+    omega0: float
     lag: float
 
 
@@ -261,6 +266,7 @@ def frame(flow: Flow) -> Frame:
         flow.omega,
         flow.phase,
         flow.k / flow.m,
+        math.sqrt(flow.k / flow.m),
         lag,
     )
 
@@ -336,7 +342,11 @@ def acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
     if mode == STICK:
         return 0.0
     C, e = line(fr, mode)
-    a = (-C * w - fr.k * p + e + drop(fr, mode, w) + drive(fr, t)) / fr.m
+    return kept_inside(fr, mode, w, (-C * w - fr.k * p + e + drop(fr, mode, w) + drive(fr, t)) / fr.m)
+
+
+def kept_inside(fr: Frame, mode: int, w: float, a: float) -> float:
+    """Return the acceleration ``a``, or 0 where it would leave the mode from the mode's own edge."""
     lo, hi = edges(fr, mode)
     if w == hi and mode != POSITIVE:
         return min(a, 0.0)
@@ -412,26 +422,36 @@ def force(flow: Flow, mode: int, x: float, w: float, t: float) -> float:
 
 
 Buffer = Any  # list of floats (interpreted) or one-dimensional float64 array (compiled)
-Work = tuple[Buffer, ...]
 
 ORDER = 28  # of the Taylor series: 24 to 32 cost about the same per unit of time
-STEPS = 0  # places in the last work buffer: steps taken,
-STEPS_ALLOWED = 1  # steps allowed,
-RAPID = 2  # events in a row without time passing,
-TIME_SCALE = 3  # unit of time of the last Taylor step,
-CARRY = 4  # what compensated summation holds below the last digit of t
+# The working buffer, one and flat (compiled code counts the references of every array it hands on): five series ...
+W = 0  # w
+P = ORDER + 2  # p
+Q = 2 * P  # 1/q0 of the hyperbola's denominator
+D = 3 * P  # the hyperbola's fall
+U = 4 * P  # the drive
+# ... and single numbers: steps taken and allowed, events in a row without time passing, the unit of time of the last
+# Taylor step, the closed form's damping and acceleration at its start and its solution at its exit, how much later than
+# its duration says a phase was left, and what compensated summation holds below the last digit of t, p and w
+STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, ZETA, START, EXIT, EXIT_S, EXIT_E, LATE, CARRY, P_REST, W_REST = range(
+    5 * P, 5 * P + 13
+)
+WORK = 5 * P + 13
 
 
-def new_work(max_steps: int = 1_000_000, *, compiled: bool = False) -> Work:
-    """Return the kernels' buffers: lists for interpreted calls, float64 arrays for compiled ones.
+def new_work(max_steps: int = 1_000_000, *, compiled: bool = False) -> Buffer:
+    """Return the kernels' working buffer: a list for interpreted calls, a float64 array for compiled ones.
 
-    A step is one closed-form phase or one Taylor step; they are counted over the buffers' life, and a kernel that would
+    A step is one closed-form phase or one Taylor step; they are counted over the buffer's life, and a kernel that would
     exceed ``max_steps`` ends in the outcome `step limit`.
     """
-    counters = [0.0, float(max_steps), 0.0, 1.0, 0.0]
-    buffers = (*([0.0] * (ORDER + 2) for _ in range(5)), counters)
-    if not compiled:
-        return buffers
-    import numpy
+    work: Buffer
+    if compiled:
+        import numpy
 
-    return tuple(numpy.array(buffer) for buffer in buffers)
+        work = numpy.zeros(WORK)
+    else:
+        work = [0.0] * WORK
+    work[STEPS_ALLOWED] = float(max_steps)
+    work[TIME_SCALE] = 1.0
+    return work

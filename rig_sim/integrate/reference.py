@@ -69,7 +69,13 @@ class _Rig:
 
     def first_mode(self) -> str:
         if self.d > 0:
-            return "R" if abs(self.w) < self.d else "N" if self.w < 0 else "P"
+            out = 1 if self.w > 0 else -1
+            if abs(self.w) == self.d:  # the ramp's edge: whereto w' points, and w'' where that is 0
+                pushed = -out * (self.load() + self.B + self.c * self.w + out * self.B)
+                beyond = pushed > 0 or (pushed == 0 and -out * (self.w + self.V) > 0)
+            else:
+                beyond = abs(self.w) > self.d
+            return "R" if not beyond else "N" if out < 0 else "P"
         if self.w != 0:
             return "N" if self.w < 0 else "P"
         return "N" if self.load() > 0 else "P" if self.load() < -2 * self.B else "S"

@@ -18,43 +18,49 @@ import math
 
 from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate.bracket import EPS, newton_step
-from rig_sim.integrate.linear import LARGEST_EXPONENT
 from rig_sim.integrate.modes import (
     NEGATIVE,
     ORDER,
     RAMP,
     TIME_SCALE,
     Buffer,
+    D,
     Frame,
-    Work,
-    acceleration,
+    P,
+    Q,
+    U,
+    W,
     drive,
     drop,
+    kept_inside,
     line,
     slip_speed,
 )
 
 INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))
 SETTLED = 64.0 * EPS  # speed and force, relative, at which a stable fixed point counts as reached
-LOG_ROUNDING = math.log(0.5 * EPS)
+ROUNDING_SIZE = -53.0  # log2 of half an ulp
+LOG_2 = math.log(2.0)
 LONGEST_STEP = 4.0  # in scaled time: beyond, terms far above their sum cancel
+LARGEST_STEP_SIZE = 2.0  # its log2
 SHORTEST_PIECE = 1e-9  # of a step: over it a parabola stays within rounding
 PIECES = 300  # three times what halving down to the shortest piece on both sides of a tangency takes
 
 
-def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> float:
+def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> float:
     """Fill ``work`` with the series of (p, w) from time t and return the step in scaled time (inf: the state rests).
 
-    The scale (s) is left in ``work[5][TIME_SCALE]``; coefficients are those of xi = tau/scale.
+    The scale (s) is left in ``work[TIME_SCALE]``; coefficients are those of xi = tau/scale.
     """
-    cw, cp, cq, cd, cf, counters = work
-    C, _ = line(fr, mode)
-    a = acceleration(fr, mode, p, w, t)
+    C, e = line(fr, mode)
+    fall = drop(fr, mode, w)
+    push = drive(fr, t)
+    a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
     u = w + fr.v
     curved = fr.curve == HYPERBOLIC and mode != RAMP
     driven = fr.u0 != 0.0
     sign = 1.0 if mode == NEGATIVE else -1.0
-    rate = math.sqrt(fr.omega2) + abs(C) / fr.m
+    rate = fr.omega0 + abs(C) / fr.m
     q0 = 1.0
     slope = 0.0
     if curved:
@@ -68,62 +74,82 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Work) -> fl
         rate += abs(fr.omega)
     elif C >= slope and abs(u) <= SETTLED * fr.v and fr.m * abs(a) <= SETTLED * (fr.B + fr.k * abs(p)):
         # a stable fixed point, to rounding: stay
-        cw[0] = w
-        cp[0] = p
         for j in range(1, ORDER + 1):
-            cw[j] = 0.0
-            cp[j] = 0.0
-        counters[TIME_SCALE] = 1.0
+            work[W + j] = 0.0
+            work[P + j] = 0.0
+        work[W] = w
+        work[P] = p
+        work[TIME_SCALE] = 1.0
         return math.inf
     T = 1.0 / rate
-    counters[TIME_SCALE] = T
-    damping = C * T / fr.m
-    stiffness = fr.k * T / fr.m
     inertia = T / fr.m
-    cw[0] = w
-    cp[0] = p
-    cw[1] = a * T
-    cp[1] = u * T
+    damping = C * inertia
+    stiffness = fr.k * inertia
+    work[TIME_SCALE] = T
+    work[W] = w
+    work[P] = p
+    work[W + 1] = a * T
+    work[P + 1] = u * T
     if driven:
         turn = fr.omega * T
-        cf[0] = inertia * drive(fr, t)
-        cf[1] = -inertia * fr.u0 * math.sin(fr.omega * t + fr.phase) * turn
+        work[U] = inertia * push
+        work[U + 1] = -inertia * fr.u0 * math.sin(fr.omega * t + fr.phase) * turn
         for j in range(2, ORDER):
-            cf[j] = -turn * turn * cf[j - 2] * (INVERSE[j] * INVERSE[j - 1])
+            work[U + j] = -turn * turn * work[U + j - 2] * (INVERSE[j] * INVERSE[j - 1])
     if curved and fr.lag != 0.0:
         expand_drooping(fr, mode, w, q0, damping, stiffness, inertia, T, driven, work)
     elif curved:
-        # cq: q_j/q0 for j > 0; cd: D_j as an acceleration; only cq[n] -> cd[n] -> cq[n + 1] is one long chain
+        # Q: q_j/q0 for j > 0; D: D_j as an acceleration; only Q[n] -> D[n] -> Q[n + 1] is one long chain
         bend = -sign * fr.gamma / q0
-        cd[0] = inertia * drop(fr, mode, w)
-        level = sign * inertia * fr.A + cd[0]
-        cq[1] = bend * cw[1]
+        work[D] = inertia * fall
+        level = sign * inertia * fr.A + inertia * fall
+        w_n = a * T
+        p_n = u * T
+        q_n = bend * w_n
+        work[Q + 1] = q_n
         for n in range(1, ORDER):
+            # four terms a turn, then the rest: less loop, shorter chains of sums
             total = 0.0
-            whole = n - 1 - (n - 1) % 4
-            for j in range(1, whole, 4):  # four terms a turn: less loop, shorter chains of sums
-                total += (cq[j] * cd[n - j] + cq[j + 1] * cd[n - j - 1]) + (
-                    cq[j + 2] * cd[n - j - 2] + cq[j + 3] * cd[n - j - 3]
+            i = D + n - 1
+            more = (n - 1) % 4
+            whole = Q + n - more
+            for j in range(Q + 1, whole, 4):
+                total += (work[j] * work[i] + work[j + 1] * work[i - 1]) + (
+                    work[j + 2] * work[i - 2] + work[j + 3] * work[i - 3]
                 )
-            for j in range(whole + 1, n):
-                total += cq[j] * cd[n - j]
-            rest = -damping * cw[n] - stiffness * cp[n]
+                i -= 4
+            if more > 0:
+                total += work[whole] * work[i]
+                if more > 1:
+                    total += work[whole + 1] * work[i - 1]
+                    if more > 2:
+                        total += work[whole + 2] * work[i - 2]
+            following = n + 1
+            share = INVERSE[following]
+            pull = -(total + q_n * level)
+            work[D + n] = pull
+            rest = pull - damping * w_n - stiffness * p_n
             if driven:
-                rest += cf[n]
-            pull = -(total + cq[n] * level)
-            following = (rest + pull) * INVERSE[n + 1]
-            cd[n] = pull
-            cw[n + 1] = following
-            cq[n + 1] = bend * following
-            cp[n + 1] = T * cw[n] * INVERSE[n + 1]
+                rest += work[U + n]
+            p_n = T * w_n * share
+            w_n = rest * share
+            q_n = bend * w_n
+            work[P + following] = p_n
+            work[W + following] = w_n
+            work[Q + following] = q_n
     else:
-        for n in range(1, ORDER):
-            rest = -damping * cw[n] - stiffness * cp[n]
+        w_n = a * T
+        p_n = u * T
+        for n in range(2, ORDER + 1):
+            share = INVERSE[n]
+            rest = -damping * w_n - stiffness * p_n
             if driven:
-                rest += cf[n]
-            cw[n + 1] = rest * INVERSE[n + 1]
-            cp[n + 1] = T * cw[n] * INVERSE[n + 1]
-    return reach(cw, w, a * T)
+                rest += work[U + n - 1]
+            p_n = T * w_n * share
+            w_n = rest * share
+            work[P + n] = p_n
+            work[W + n] = w_n
+    return reach(work, w, a * T)
 
 
 def expand_drooping(
@@ -136,58 +162,82 @@ def expand_drooping(
     inertia: float,
     T: float,
     driven: bool,
-    work: Work,
+    work: Buffer,
 ) -> None:
     """Fill in the coefficients of hyperbolic slip from the second on, for a belt that droops."""
-    cw, cp, cq, cd, cf, _ = work
     sign = 1.0 if mode == NEGATIVE else -1.0
     bend = -sign * fr.gamma / q0
-    cd[0] = inertia * drop(fr, mode, w)
-    level = sign * inertia * fr.A + cd[0]
+    work[D] = inertia * drop(fr, mode, w)
+    level = sign * inertia * fr.A + work[D]
     hold = fr.lag / (q0 * sign * inertia * fr.A)
     gain = 1.0 / (1.0 - hold * level)
     for n in range(1, ORDER):
-        straight = bend * cw[n]
+        straight = bend * work[W + n]
         total = straight * level
-        for j in range(1, n):
-            total += cq[j] * cd[n - j]
+        i = D + n - 1
+        whole = Q + n - (n - 1) % 4
+        for j in range(Q + 1, whole, 4):  # as in `expand`
+            total += (work[j] * work[i] + work[j + 1] * work[i - 1]) + (
+                work[j + 2] * work[i - 2] + work[j + 3] * work[i - 3]
+            )
+            i -= 4
+        for j in range(whole, Q + n):
+            total += work[j] * work[i]
+            i -= 1
         pull = -total * gain
-        cd[n] = pull
-        cq[n] = straight - hold * pull
-        rest = -damping * cw[n] - stiffness * cp[n] + pull
+        work[D + n] = pull
+        work[Q + n] = straight - hold * pull
+        rest = -damping * work[W + n] - stiffness * work[P + n] + pull
         if driven:
-            rest += cf[n]
-        cw[n + 1] = rest * INVERSE[n + 1]
-        cp[n + 1] = T * cw[n] * INVERSE[n + 1]
+            rest += work[U + n]
+        work[W + n + 1] = rest * INVERSE[n + 1]
+        work[P + n + 1] = T * work[W + n] * INVERSE[n + 1]
 
 
-def reach(cw: Buffer, c0: float, c1: float) -> float:
-    """Return the scaled step at which the last two terms fall below rounding of the largest of the first three."""
-    size0 = math.log(abs(c0)) if c0 != 0.0 else -math.inf
-    size1 = math.log(abs(c1)) if c1 != 0.0 else -math.inf
-    size2 = math.log(abs(cw[2])) if cw[2] != 0.0 else -math.inf
+def reach(work: Buffer, c0: float, c1: float) -> float:
+    """Return the scaled step at which the last two terms of w fall below rounding of the largest of its first three."""
+    size0 = binary_size(c0)
+    size1 = binary_size(c1)
+    size2 = binary_size(work[W + 2])
     shortest = math.inf
     for j in range(ORDER - 1, ORDER + 1):
-        if cw[j] != 0.0:
-            last = math.log(abs(cw[j])) - LOG_ROUNDING
-            longest = max((size0 - last) / j, (size1 - last) / (j - 1), (size2 - last) / (j - 2))
-            shortest = min(shortest, longest)
-    return min(math.exp(min(shortest, LARGEST_EXPONENT)), LONGEST_STEP)
+        last = binary_size(work[W + j]) - ROUNDING_SIZE
+        longest = max((size0 - last) * INVERSE[j], (size1 - last) * INVERSE[j - 1], (size2 - last) * INVERSE[j - 2])
+        shortest = min(shortest, longest)
+    return math.exp(LOG_2 * shortest) if shortest < LARGEST_STEP_SIZE else LONGEST_STEP
 
 
-def value(c: Buffer, xi: float) -> float:
-    """Return the polynomial at scaled time ``xi``."""
-    total = c[ORDER]
-    for j in range(ORDER - 1, -1, -1):
+def binary_size(c: float) -> float:
+    """Return log2 abs(c) to 0.09 below: its exponent, and a straight line over its mantissa; -1e6 for 0."""
+    if c == 0.0:
+        return -1e6
+    mantissa, exponent = math.frexp(abs(c))
+    return exponent + 2.0 * mantissa - 2.0
+
+
+def value(c: Buffer, at: int, xi: float) -> float:
+    """Return the polynomial whose coefficients begin at ``c[at]`` at scaled time ``xi``."""
+    total = c[at + ORDER]
+    for j in range(at + ORDER - 1, at - 1, -1):
         total = total * xi + c[j]
     return float(total)
 
 
-def deflated(c: Buffer, zeros: int, level: float, xi: float) -> tuple[float, float]:
+def changes(work: Buffer, xi: float) -> tuple[float, float]:
+    """Return by how much (p, w) have changed at scaled time ``xi``: two chains that do not wait for each other."""
+    w = work[W + ORDER]
+    p = work[P + ORDER]
+    for j in range(ORDER - 1, 0, -1):
+        w = w * xi + work[W + j]
+        p = p * xi + work[P + j]
+    return p * xi, w * xi
+
+
+def deflated(c: Buffer, at: int, zeros: int, level: float, xi: float) -> tuple[float, float]:
     """Return value and slope of (polynomial - level) / xi^zeros, whose ``zeros`` lowest coefficients vanish."""
-    total = c[ORDER]
+    total = c[at + ORDER]
     slope = 0.0
-    for j in range(ORDER - 1, zeros - 1, -1):
+    for j in range(at + ORDER - 1, at + zeros - 1, -1):
         slope = slope * xi + total
         total = total * xi + c[j]
     if zeros == 0:
@@ -195,26 +245,26 @@ def deflated(c: Buffer, zeros: int, level: float, xi: float) -> tuple[float, flo
     return total, slope
 
 
-def spread(c: Buffer, zeros: int, xi: float) -> float:
+def spread(c: Buffer, at: int, zeros: int, xi: float) -> float:
     """Return a bound on how far `deflated` strays from its first term over [0, xi]."""
-    total = abs(c[ORDER])
-    for j in range(ORDER - 1, zeros, -1):
+    total = abs(c[at + ORDER])
+    for j in range(at + ORDER - 1, at + zeros, -1):
         total = total * xi + abs(c[j])
     return float(total * xi)
 
 
-def survey(c: Buffer, zeros: int, level: float, xi: float) -> tuple[float, float, float]:
+def survey(c: Buffer, at: int, zeros: int, level: float, xi: float) -> tuple[float, float, float]:
     """Return what `deflated` does, and a bound on the second derivative over [0, xi]."""
-    total = c[ORDER]
+    total = c[at + ORDER]
     slope = 0.0
     n = ORDER - zeros
     bound = n * (n - 1.0) * abs(total)
     for j in range(ORDER - 1, zeros + 1, -1):
         n = j - zeros
         slope = slope * xi + total
-        total = total * xi + c[j]
-        bound = bound * xi + n * (n - 1.0) * abs(c[j])
-    for j in range(zeros + 1, zeros - 1, -1):
+        total = total * xi + c[at + j]
+        bound = bound * xi + n * (n - 1.0) * abs(c[at + j])
+    for j in range(at + zeros + 1, at + zeros - 1, -1):
         slope = slope * xi + total
         total = total * xi + c[j]
     if zeros == 0:
@@ -222,28 +272,28 @@ def survey(c: Buffer, zeros: int, level: float, xi: float) -> tuple[float, float
     return total, slope, bound
 
 
-def first_root(c: Buffer, level: float, side: int, xi_end: float) -> float:
+def first_root(c: Buffer, at: int, level: float, side: int, xi_end: float) -> float:
     """Return the first xi in [0, xi_end] where the polynomial leaves through ``level``, or -1.
 
     ``side`` +1: the inside is below the level, -1: above it.  A start outside, or on the level moving out, gives 0.
     """
     zeros = 0
-    lead = side * (level - c[0])
+    lead = side * (level - c[at])
     if lead < 0.0:
         return 0.0
     if lead == 0.0:
         zeros = 1
-        while zeros < 4 and c[zeros] == 0.0:
+        while zeros < 4 and c[at + zeros] == 0.0:
             zeros += 1
-        lead = -side * c[zeros]
+        lead = -side * c[at + zeros]
         if lead < 0.0:
             return 0.0
         if lead == 0.0:
             return -1.0
-    if lead > spread(c, zeros, xi_end):
+    if lead > spread(c, at, zeros, xi_end):
         return -1.0
-    rounding = EPS * (lead if zeros > 0 else max(abs(level), abs(c[0])))
-    total, slope, bound = survey(c, zeros, level, xi_end)
+    rounding = EPS * (lead if zeros > 0 else max(abs(level), abs(c[at])))
+    total, slope, bound = survey(c, at, zeros, level, xi_end)
     start = 0.0
     end = xi_end
     margin = lead
@@ -254,7 +304,7 @@ def first_root(c: Buffer, level: float, side: int, xi_end: float) -> float:
         # below rounding of the polynomial its sign at the piece's end is all there is to know
         monotone = abs(fall) > bound * h or h <= SHORTEST_PIECE * xi_end or bound * h * h <= rounding
         if rest <= 0.0 and monotone:
-            return polish(c, zeros, level, side, start, end)
+            return polish(c, at, zeros, level, side, start, end)
         if rest > 0.0 and (monotone or min(rest, margin) > 0.125 * bound * h * h):
             if end >= xi_end:
                 return -1.0
@@ -263,17 +313,17 @@ def first_root(c: Buffer, level: float, side: int, xi_end: float) -> float:
             margin = rest
         else:
             end = start + 0.5 * h
-        total, slope = deflated(c, zeros, level, end)
+        total, slope = deflated(c, at, zeros, level, end)
     # only a polynomial that hugs its level for the whole step comes here: its end decides
-    total, slope = deflated(c, zeros, level, xi_end)
-    return polish(c, zeros, level, side, start, xi_end) if side * total >= 0.0 else -1.0
+    total, slope = deflated(c, at, zeros, level, xi_end)
+    return polish(c, at, zeros, level, side, start, xi_end) if side * total >= 0.0 else -1.0
 
 
-def polish(c: Buffer, zeros: int, level: float, side: int, inside: float, outside: float) -> float:
+def polish(c: Buffer, at: int, zeros: int, level: float, side: int, inside: float, outside: float) -> float:
     """Return the root between ``inside`` and ``outside``: Newton kept in its bracket."""
     xi = 0.5 * (inside + outside)
     for _i in range(100):
-        total, slope = deflated(c, zeros, level, xi)
+        total, slope = deflated(c, at, zeros, level, xi)
         if total == 0.0:
             return xi
         if side * total > 0.0:
@@ -287,24 +337,25 @@ def polish(c: Buffer, zeros: int, level: float, side: int, inside: float, outsid
 
 
 def series_exit(
-    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Work
+    fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Buffer
 ) -> tuple[int, float]:
     """Return (side, tau) of one Taylor step: the first exit of w from [lo, hi] on it, or (0, its length)."""
     step = expand(fr, mode, p, w, t, work)
-    counters = work[5]
-    scale = float(counters[TIME_SCALE])
+    scale = float(work[TIME_SCALE])
+    if not scale > 0.0:  # the rate overflowed: `phase` calls that not finite
+        return 0, math.inf
     xi_end = min(step, tau_max / scale)
     if math.isinf(step):
         return 0, tau_max
     side = 0
     end = xi_end
     if not math.isinf(hi):
-        xi = first_root(work[0], hi, 1, end)
+        xi = first_root(work, W, hi, 1, end)
         if xi >= 0.0:
             side = 1
             end = xi
     if not math.isinf(lo):
-        xi = first_root(work[0], lo, -1, end)
+        xi = first_root(work, W, lo, -1, end)
         if xi >= 0.0:
             side = -1
             end = xi

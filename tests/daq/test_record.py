@@ -51,6 +51,8 @@ class FakeBoard:
         every = Capability.BLOCKS | Capability.LEVELS | Capability.ILLEGAL
         self.capabilities = every | Capability.CONFIG * (config is not None) if capabilities is None else capabilities
         self.block = 8
+        self.decoder = "x4"
+        self.decoders = wire.DECODERS
         self.buffer = b""
         self.running = False
         self.frame = 0
@@ -59,7 +61,7 @@ class FakeBoard:
 
     def ident(self):
         return wire.encode_ident(
-            wire.Ident((1, 2, 3), "x4", self.capabilities, 16, 1000, self.block, 5000, 10**8, "fake")
+            wire.Ident((1, 2, 3), self.decoder, self.capabilities, 16, 1000, self.block, 5000, 10**8, "fake")
         )
 
     def write(self, data):
@@ -71,6 +73,10 @@ class FakeBoard:
                     self.buffer += wire.encode_config(self.config)
             elif line.startswith("B"):
                 self.block = int(line[1:])
+            elif line.startswith("M") and line[2:] in self.decoders:
+                self.decoder = line[2:]
+            elif line.startswith("M"):
+                self.buffer += wire.encode_notice(f"{line}: no such decoder")
             elif line == "S":
                 self.running, self.frame = True, 0
             elif line == "X":
@@ -168,6 +174,26 @@ def test_the_board_is_asked_set_started_and_stopped(tmp_path, attach):
     attach(board)
     record(request(tmp_path))
     assert [c for c in board.commands if c] == ["X", "I", "R 1000", "B 8", "I", "S", "X"]
+    assert board.closed
+
+
+def test_a_board_with_another_decoder_is_told_which_and_only_then(tmp_path, attach):
+    boards = FakeBoard(), FakeBoard()
+    attach(*boards)
+    record(request(tmp_path, decoder="two-counter"))
+    assert [c for c in boards[0].commands if c][:5] == ["X", "I", "M two-counter", "I", "R 1000"]
+    assert daq.load(tmp_path / "run.h5").rig.decoder == "two-counter"
+    (tmp_path / "run.h5").unlink()
+    record(request(tmp_path, decoder="x4"))  # its counters would start again
+    assert not [c for c in boards[1].commands if c.startswith("M")]
+
+
+def test_a_board_without_the_decoder_is_no_board_for_this_run(tmp_path, attach):
+    board = FakeBoard()
+    board.decoders = ("x4",)
+    attach(board)
+    with pytest.raises(DeviceError, match="M jk: no such decoder"):
+        record(request(tmp_path, decoder="jk"))
     assert board.closed
 
 

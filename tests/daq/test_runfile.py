@@ -191,6 +191,7 @@ def runs(draw: st.DrawFn) -> RunData:
         )
     events = draw(st.integers(0, 4))
     truth = draw(hnp.arrays(np.float64, (4, 5), elements=finite)) if draw(st.booleans()) else None
+    belt_velocity = draw(hnp.arrays(np.float64, n, elements=finite)) if draw(st.booleans()) else None
     return RunData(
         title=draw(words),
         started="2024-05-01T12:00:00+02:00",
@@ -206,7 +207,8 @@ def runs(draw: st.DrawFn) -> RunData:
         event_sample=draw(hnp.arrays(np.uint32, events)),
         event_kind=draw(hnp.arrays(np.uint8, events, elements=st.sampled_from(sorted(EVENTS.values())))),
         event_note=tuple(draw(st.lists(words, min_size=events, max_size=events))),
-        belt_velocity=draw(hnp.arrays(np.float64, n, elements=finite)) if draw(st.booleans()) else None,
+        belt_velocity=belt_velocity,
+        belt_count=column(np.int64) if belt_velocity is not None and draw(st.booleans()) else None,
         truth=None if truth is None else Truth(*truth, scene="rig"),
         operator=draw(words),
         provenance={"software": draw(words), "git_dirty": draw(st.integers(-9, 9))},
@@ -268,7 +270,13 @@ def test_nxcheck_accepts_optional_channels(tmp_path: Path) -> None:
     made = run()
     assert made.raw is not None
     extra = np.zeros(made.time.size, np.uint16)
-    full = replace(made, raw=replace(made.raw, belt_count=extra, edge_time=extra), belt_velocity=made.time)
+    full = replace(
+        made,
+        raw=replace(made.raw, belt_count=extra, edge_time=extra),
+        belt_velocity=made.time,
+        belt_count=extra.astype(np.int64),
+        rig=replace(RIG, belt_metres_per_count=Measured(7.67e-6, 1e-9)),
+    )
     runfile.write(tmp_path / "run.h5", full)
     assert nxcheck(tmp_path / "run.h5") == (0, 0)
 

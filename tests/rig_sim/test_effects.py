@@ -171,6 +171,8 @@ def test_effects_draw_from_streams_of_their_own() -> None:
         ({"scatter.Fs": 0.03}, ["scatter"]),
         ({"joint.kick": 0.01}, ["joint"]),
         ({"jitter.rms": 1e-5}, ["jitter"]),
+        ({"shaker.a": 0.3, "shaker.phi": 2.8}, ["shaker"]),
+        ({"belt.channel": True}, ["belt_channel"]),
         ({"droop.fraction": 0.01}, []),  # part of the equation of motion
         ({"wear.rate": 0.01, "scatter.Fs": 0.03, **GAPS}, ["gaps", "scatter", "wear"]),
     ],
@@ -206,6 +208,6 @@ def test_a_file_says_nothing_of_effects_the_scene_does_not_name(tmp_path: Path) 
         with h5py.File(path) as file:
             told.append(file["entry/simulation/scene"][()].decode())
             assert sorted(file["entry/motion"]) == ["F", "t", "v", "x"]
-    for word in ("ripple", "droop", "slip_loss", "gaps", "wear", "joint"):
+    for word in ("ripple", "droop", "slip_loss", "gaps", "wear", "joint", "shaker"):
         assert word not in told[0]
     assert "ripple" in told[1]

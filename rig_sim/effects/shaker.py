@@ -1,0 +1,112 @@
+"""Shaker: a force on the mass made of its own velocity, amplified by ``a`` and shifted in phase by ``phi``.
+
+The thesis (6.10 to 6.13, after Heckl) writes a phasor: with S = gamma_lin - c and E = a e^{-i phi}, a small oscillation
+e^{-i Omega t} about the fixed point x_e has
+
+    m Omega^2 - i (S + E) Omega - k = 0,   Omega = sqrt(k/m - (S + E)^2/4m^2) + i (S + E)/2m = omega + i delta
+
+so omega > 0 is its frequency (rad/s) and delta its growth rate (1/s; > 0: it grows).  a in N s/m, phi in rad; the force
+leads the velocity by phi, and phi = pi is a damper of a.  gamma_lin = dF/dw at w = -v_belt: how friction rises as the
+mass speeds up, > 0 on a falling curve, -Fs/d inside a ramp.
+
+A phasor says nothing of a motion that is no oscillation, and the filter before the phase shifter is not specified.
+Played here is the shifter that is tuned to Omega: the local term that does to this oscillation what the phasor does.
+It is a damper and a spring about x_e, exact because one complex equation settles two real numbers:
+
+    m x'' + (c_eff - gamma_lin) x' + k_eff (x - x_e) = 0 has the root x' = -i Omega x:
+    c_eff = gamma_lin - 2 m delta   (= c - a cos phi - a sin phi delta/omega),   may be negative
+    k_eff = m (omega^2 + delta^2)   (= k + a sin phi (omega^2 + delta^2)/omega), never is
+
+The filter passes no constant force, so x_e = x0 + F(-v_belt)/k stays where it is: the spring's rest moves to
+x0_eff = x_e - F(-v_belt)/k_eff.  So the motion is the same equation with other numbers, played by the same kernels;
+stick, slip point (k_eff (x - x0_eff) = Fs - c_eff v_belt) and all else follow from it.
+
+Where omega is below `CREEP` abs(delta) nothing oscillates and there is no phase to shift: refused, but for phi a
+multiple of pi (to `NO_SHIFT`, as 3.14159 is), which asks for no shift: c_eff = c - a cos phi, k_eff = k, both roots
+exact.
+
+Before ``belt.start`` the shaker is off.  Wear and scatter change gamma_lin, and the shifter is tuned again at each
+landing.
+
+Not modelled: the filter's bandwidth and its ringing (in stick and at corners a real one would lag and pass less), a
+saturating amplifier (so a shaker that drives the mass on, c_eff below 0, may do so without bound), a detuned shifter,
+the shaker's own mass.
+"""
+
+import cmath
+import math
+
+from rig_sim.friction.curve import HYPERBOLIC, LINEAR, magnitude
+from rig_sim.integrate.modes import Flow, frame, slip_speed
+from rig_sim.sections import Shaker
+
+CREEP = 0.1  # of abs(delta): a slower oscillation is over, or grown e^63-fold, within one period
+NO_SHIFT = 1e-5  # rad
+
+
+def phasor(m: float, k: float, S: float, a: float, phi: float) -> complex:
+    """Return Omega = omega + i delta (1/s) of the small oscillation e^{-i Omega t} under the shaker.
+
+    Parameters
+    ----------
+    m, k, S : float
+        kg, N/m, and slope of the friction less the damping, gamma_lin - c, N s/m.
+    a, phi : float
+        The shaker's amplification, N s/m, and phase lead, rad.
+    """
+    P = (S + a * cmath.exp(-1j * phi)) / (2.0 * m)
+    return cmath.sqrt(k / m - P * P) + 1j * P
+
+
+def controlled(flow: Flow, section: Shaker) -> Flow:
+    """Return the flow with the shaker at work.
+
+    Raises
+    ------
+    ValueError
+        The belt is at rest under a jump law, where friction has no slope; or the mass would creep, not oscillate.
+    """
+    a, phi = float(section.a), float(section.phi)
+    if a == 0.0:  # nothing, whatever the belt does
+        return flow
+    F, gamma_lin = fixed_point_friction(flow)
+    Omega = phasor(flow.m, flow.k, gamma_lin - flow.c, a, phi)
+    if Omega.real < CREEP * abs(Omega.imag):
+        if abs(math.sin(phi)) > NO_SHIFT:
+            raise ValueError(
+                f"the mass would creep, not oscillate (omega {Omega.real:.3g}, delta {Omega.imag:.3g}), "
+                "and have no phase to shift"
+            )
+        return flow._replace(c=flow.c - a * math.cos(phi))
+    k = flow.m * (Omega.real**2 + Omega.imag**2)
+    return flow._replace(
+        c=gamma_lin - 2.0 * flow.m * Omega.imag,
+        k=k,
+        x0=flow.x0 + F / flow.k - F / k,
+    )
+
+
+def fixed_point_friction(flow: Flow) -> tuple[float, float]:
+    """Return friction (N) on a mass that stands on the running belt, and its slope gamma_lin (N s/m)."""
+    level = flow.factor * flow.Fs
+    if level == 0.0:
+        return 0.0, 0.0
+    edge = flow.droop + (flow.d if flow.ramp == 1 else 0.0)
+    speed = abs(flow.v_belt)
+    if speed == 0.0 and edge == 0.0:
+        raise ValueError("a shaker needs a belt that runs: on a belt at rest friction has no slope")
+    if speed <= edge:
+        slope = -flow.static * level / edge
+        return -slope * flow.v_belt, slope
+    s = speed - edge
+    if flow.curve == LINEAR:
+        s /= 1.0 - flow.droop * flow.G_slip / flow.Fs
+        slope = flow.factor * flow.G_slip
+    elif flow.curve == HYPERBOLIC:
+        s = slip_speed(frame(flow), s) if flow.droop > 0.0 else s
+        slope = level * flow.gamma / (1.0 + flow.gamma * s) ** 2
+    else:
+        slope = 0.0
+    F = flow.factor * magnitude(flow.curve, s, flow.Fs, flow.G_slip, flow.gamma)
+    # A drooping belt is faster where friction is less: seen from its speed without load, the curve falls faster.
+    return math.copysign(F, flow.v_belt), slope / (1.0 - flow.droop * slope / level)

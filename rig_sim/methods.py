@@ -1,0 +1,62 @@
+"""How a scene is played, by name: the exact method, the thesis's, and a general solver for comparison."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from daq.errors import InputError
+from rig_sim.integrate.hybrid import sample_phase
+from rig_sim.scenes import Scene
+
+METHODS = ("exact", "rk4-henon", "dop853")
+RK4_STEP = 0.01  # of sqrt(m/k)
+DOP853_RTOL = 2.3e-14  # 100 ulp: scipy does not go below, and above it misses touches of the edge in laws 1 and 2
+
+SamplePhase = Callable[..., Any]  # see `rig_sim.integrate.hybrid.sample_phase`
+
+
+def phases_by(
+    method: str, scene: Scene, *, step: float | None = None, rtol: float | None = None
+) -> tuple[SamplePhase, str]:
+    """Return the function that plays one phase, and the method's setting in words.
+
+    Parameters
+    ----------
+    method : str
+        One of `METHODS`.
+    scene : Scene
+        What will be played.
+    step : float, optional
+        Of rk4-henon, in the scene's unit of time; default `RK4_STEP` x sqrt(m/k).
+    rtol : float, optional
+        Of dop853, relative and absolute; default and least `DOP853_RTOL`.
+
+    Raises
+    ------
+    InputError
+        An unknown method, a setting that the method does not have or that is out of range.
+    """
+    if method not in METHODS:
+        raise InputError(f"unknown method {method!r}", "--method", f"take one of {', '.join(METHODS)}")
+    if step is not None and method != "rk4-henon":
+        raise InputError(f"{method} has no step", "--step", "drop it, or take --method rk4-henon")
+    if rtol is not None and method != "dop853":
+        raise InputError(f"{method} has no tolerance", "--rtol", "drop it, or take --method dop853")
+    if method == "exact":
+        return sample_phase, ""
+    from rig_sim.integrate.stepwise import sample_phase as sample_by
+
+    if method == "rk4-henon":
+        from rig_sim.integrate.rk4_henon import by_steps
+
+        h = RK4_STEP * math.sqrt(scene.mass.m / scene.spring.k) if step is None else step
+        if not (math.isfinite(h) and h > 0.0):
+            raise InputError(f"is {h:g}", "--step", "give a positive number")
+        return partial(sample_by, by_steps(h)), f"h {h:g}"
+    from rig_sim.integrate.peers import by_solver
+
+    tolerance = DOP853_RTOL if rtol is None else rtol
+    if not DOP853_RTOL <= tolerance < 1.0:
+        raise InputError(f"is {tolerance:g}", "--rtol", f"give a number from {DOP853_RTOL} to 1")
+    return partial(sample_by, by_solver("dop853", tolerance, dense=True)), f"rtol {tolerance:g}"

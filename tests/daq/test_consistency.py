@@ -1,0 +1,53 @@
+"""Samples held against what came with them."""
+
+import numpy as np
+
+from daq import consistency, counter, wire
+from daq.assemble import Samples
+from daq.quadrature import levels_of
+from daq.rig import Rig
+
+IDENT = wire.Ident((1, 0, 0), "x4", wire.Capability.LEVELS | wire.Capability.ILLEGAL, 16, 1000, 4, 5000, 10**6, "test")
+
+
+def samples(true, missed, illegal, part=None):
+    """Return samples of a board that has missed so many counts by then, in frames of four."""
+    n = len(true)
+    part = np.zeros(n, dtype=np.int64) if part is None else part
+    return Samples(
+        time=np.arange(n) * 1e-3,
+        part=part,
+        reopened=(False,) * (part[-1] + 1),
+        index=np.arange(n) - np.searchsorted(part, part),
+        ticks=np.arange(n) * 1000,
+        frame=np.arange(n) // 4,
+        stamp_ns=np.arange(n) * 1_000_000,
+        up=(true - missed).astype(np.uint16),
+        down=np.zeros(n, dtype=np.uint16),
+        status=levels_of(true),
+        illegal=illegal.astype(np.uint16),
+        belt=None,
+        edge=None,
+    )
+
+
+def test_every_sample_after_an_illegal_transition_is_flagged():
+    # It used to be flagged by its phase alone, which an even number of misses hides.
+    n = 40
+    true = 10 * np.arange(n)
+    missed = np.where(np.arange(n) >= 30, 4, np.where(np.arange(n) >= 9, 2, 0))
+    illegal = np.repeat((missed // 2).reshape(-1, 4)[:, -1], 4) + 65_535  # as sent: at the end of its frame
+    flags = consistency.check(samples(true, missed, illegal), IDENT, Rig(), 1000.0).flags
+    assert np.all(flags[missed > 0] & counter.FLAG_DOUBT)
+    assert not np.any(flags[:8])
+    assert np.array_equal((flags & counter.FLAG_PHASE) > 0, missed % 4 > 0)
+    assert np.flatnonzero(flags & counter.FLAG_ILLEGAL).tolist() == [8, 9, 10, 11, 28, 29, 30, 31]
+
+
+def test_the_doubt_ends_where_the_board_began_anew():
+    n = 24
+    missed = np.where((np.arange(n) >= 5) & (np.arange(n) < 12), 2, 0)
+    illegal = np.where((np.arange(n) >= 4) & (np.arange(n) < 12), 1, 0)
+    part = np.repeat([0, 1], 12)
+    flags = consistency.check(samples(10 * np.arange(n), missed, illegal, part), IDENT, Rig(), 1000.0).flags
+    assert np.flatnonzero(flags & counter.FLAG_DOUBT).tolist() == list(range(4, 12))

@@ -1,0 +1,90 @@
+"""`daq firmware`: what it writes is what the project holds, and the command it prints flashes that file."""
+
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from daq import flashing
+from daq.errors import InputError
+
+FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
+
+
+def run(folder, *words):
+    line = [sys.executable, "-m", "daq.cli", "firmware", *words]
+    return subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
+
+
+@pytest.mark.parametrize(
+    ("board", "name", "mcu", "programmer"),
+    [
+        ("uno", "stickslip-uno.hex", "atmega328p", "arduino"),
+        ("nano", "stickslip-uno.hex", "atmega328p", "arduino"),
+        ("mega", "stickslip-mega.hex", "atmega2560", "wiring"),
+    ],
+)
+def test_it_writes_hex_and_source_and_prints_the_flashing_command(tmp_path, board, name, mcu, programmer):
+    done = run(tmp_path, "--board", board, "-o", "my board", "--port", "/dev/ttyUSB3", "--json")
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert Path(said["hex"]) == Path("my board") / name
+    assert (tmp_path / said["hex"]).read_bytes() == (FIRMWARE / name).read_bytes()
+    sources = {Path(path).name for path in said["source"]}
+    assert sources == {file.name for file in FIRMWARE.iterdir() if file.suffix not in (".hex", ".elf")}
+    words = shlex.split(said["flash"])
+    assert words[0] == "avrdude"
+    assert words[words.index("-p") + 1] == mcu
+    assert words[words.index("-c") + 1] == programmer
+    assert words[words.index("-P") + 1] == "/dev/ttyUSB3"
+    assert words[-1] == f"flash:w:my board/{name}:i"
+    assert said["flash"] in run(tmp_path, "--board", board, "-o", "my board", "--port", "/dev/ttyUSB3").stdout
+
+
+def test_an_installed_package_brings_the_firmware_along(tmp_path):
+    root = FIRMWARE.parent
+    settings = tomllib.loads((root / "pyproject.toml").read_text())
+    included = settings["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    site = tmp_path / "site"
+    shutil.copytree(root / "daq", site / "daq", ignore=shutil.ignore_patterns("__pycache__"))
+    for source, target in included.items():
+        shutil.copytree(root / source, site / target)
+    words = [sys.executable, "-m", "daq.cli", "firmware", "--board", "mega", "-o", "here", "--json"]
+    path = {**os.environ, "PYTHONPATH": str(site)}
+    done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, check=False, env=path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    written = tmp_path / json.loads(done.stdout)["hex"]
+    assert written.read_bytes() == (FIRMWARE / "stickslip-mega.hex").read_bytes()
+
+
+def test_a_nano_is_reached_at_its_bootloaders_baud_rate(tmp_path):
+    said = run(tmp_path, "--board", "nano").stdout
+    assert "-b 57600" in said
+    assert "-b 115200" in said  # the new bootloader
+
+
+def test_what_holds_something_else_is_kept_unless_forced(tmp_path):
+    assert run(tmp_path, "--board", "uno").returncode == 0
+    assert run(tmp_path, "--board", "mega").returncode == 0  # the same source beside it
+    mine = tmp_path / "stickslip-firmware" / "command.c"
+    mine.write_text("my own\n")
+    done = run(tmp_path, "--board", "uno", "--json")
+    assert done.returncode == 2
+    assert "command.c" in json.loads(done.stdout)["error"]["where"]
+    assert mine.read_text() == "my own\n"
+    assert run(tmp_path, "--board", "uno", "--force").returncode == 0
+    assert mine.read_bytes() == (FIRMWARE / "command.c").read_bytes()
+
+
+def test_another_board_is_refused_with_the_nearest_name(tmp_path):
+    with pytest.raises(InputError, match="uno") as caught:
+        flashing.board("un")
+    assert caught.value.exit_code == 2
+    assert run(tmp_path, "--board", "teensy").returncode == 2
+    assert run(tmp_path).returncode == 2

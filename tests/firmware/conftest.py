@@ -1,0 +1,78 @@
+"""The tools of these tests, and what they make: the firmware built anew, the emulator, the bench around both."""
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).resolve().parent
+FIRMWARE = HERE.parents[1] / "firmware"
+COMPILER = "5.4.0"  # of the committed .hex files; another one makes other bytes
+
+# Tests have no packages: the module beside this file is loaded by its path.
+_spec = importlib.util.spec_from_file_location("firmware_bench", HERE / "bench.py")
+_bench = importlib.util.module_from_spec(_spec)
+sys.modules["firmware_bench"] = _bench
+_spec.loader.exec_module(_bench)
+
+
+def need(there, what):
+    """Skip where a tool is missing, or fail where every tool must be there."""
+    if not there:
+        assert "STICKSLIP_REQUIRE_TOOLS" not in os.environ, what
+        pytest.skip(what)
+
+
+@pytest.fixture(scope="session")
+def bench():
+    """Give the bench's module."""
+    return _bench
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory):
+    """Give the folder of a fresh build."""
+    need(shutil.which("avr-gcc") and Path("/usr/lib/avr/include/avr/io.h").is_file(), "avr-gcc and avr-libc are needed")
+    version = subprocess.run(["avr-gcc", "-dumpversion"], capture_output=True, text=True, check=True).stdout.strip()
+    need(version == COMPILER, f"this is avr-gcc {version}; the committed .hex are built with {COMPILER}")
+    folder = tmp_path_factory.mktemp("firmware")
+    subprocess.run(["make", "-C", str(FIRMWARE), f"BUILD={folder}"], check=True, capture_output=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def latch_address(built):
+    """Give a function: the address inside the latch at which a sample is taken, of a board."""
+
+    def of(kind):
+        elf = built / f"stickslip-{kind}.elf"
+        table = subprocess.run(["avr-nm", str(elf)], capture_output=True, text=True, check=True).stdout
+        return next(f"0x{line.split()[0]}" for line in table.splitlines() if line.endswith(" latch_taken"))
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def emulator(tmp_path_factory):
+    """Give the emulator, compiled."""
+    need(Path("/usr/include/simavr/sim_avr.h").is_file(), "libsimavr-dev is needed")
+    need(shutil.which("gcc"), "gcc is needed")
+    program = tmp_path_factory.mktemp("emulator") / "emulator"
+    line = ["gcc", "-O2", "-Wall", "-Wextra", "-Werror", "-o", str(program), str(HERE / "emulator.c")]
+    subprocess.run([*line, "-lsimavr", "-lutil"], check=True, capture_output=True)
+    return program
+
+
+@pytest.fixture
+def switch_on(emulator, latch_address, bench, tmp_path):
+    """Give a function that returns a board in the emulator, with the firmware as committed; a context manager."""
+
+    def on(kind="uno", **more):
+        hexfile = FIRMWARE / f"stickslip-{kind}.hex"
+        return bench.Board(emulator, kind, hexfile, tmp_path, watch=latch_address(kind), **more)
+
+    return on

@@ -1,0 +1,160 @@
+"""Commands, answers, baud rates, the watchdog: the firmware keeps the wire's word."""
+
+import itertools
+import os
+import time
+
+import numpy as np
+import pytest
+import serial
+
+from daq import flashing, wire
+from daq.record import Request, record
+from daq.runfile import load
+from daq.wire import Ident, Notice, SampleBlock
+from rig_sim.scenes import scene
+
+BAUDS = (115_200, 250_000, 500_000, 1_000_000)
+
+
+def test_it_identifies_itself_at_power_up(bench, switch_on):
+    with switch_on("uno", speed=1) as board:
+        line = os.open(board.port, os.O_RDONLY | os.O_NOCTTY)  # pyserial would throw away what has come already
+        time.sleep(0.3)
+        said = os.read(line, 4096)
+        os.close(line)
+    frames = wire.FrameReader().feed(said)
+    assert said[0] == 0
+    assert [type(frame) for frame in frames] == [Ident]
+    assert frames[0].name == "stickslip uno"
+    assert ".".join(map(str, frames[0].firmware)) == flashing.VERSION
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("R 0", "1 to 5000 Hz"),
+        ("R 5001", "1 to 5000 Hz"),
+        ("R 99999999999", "1 to 5000 Hz"),
+        ("R 10.5", "1 to 5000 Hz"),
+        ("R ", "is no command"),
+        ("B 0", "1 to 16"),
+        ("B 17", "1 to 16"),
+        ("M jk", "no such decoder"),
+        ("hello", "is no command"),
+        ("II", "is no command"),
+        ("x" * 200, "is no command"),
+    ],
+)
+def test_what_it_cannot_do_it_refuses_in_words_and_changes_nothing(bench, switch_on, command, words):
+    with switch_on("uno") as board, bench.Host(board) as host:
+        before = host.say("I")[-1]
+        answer = host.say(command)
+        assert [type(frame) for frame in answer] == [Notice]
+        assert words in answer[0].text
+        assert answer[0].text.startswith(command.strip()[:40])
+        assert host.say("I")[-1] == before
+
+
+def test_settings_are_refused_while_it_samples_and_kept_between_starts(bench, switch_on):
+    with switch_on("mega", speed=2) as board, bench.Host(board) as host:
+        assert host.say("R 500", "B 3") == []
+        assert host.say("I")[-1].block_size == 3
+        first = host.say("S", "R 1000", wait=0.5)
+        notices = [frame for frame in first if isinstance(frame, Notice)]
+        assert [notice.text for notice in notices] == ["R 1000: sampling; stop it first with X"]
+        rest = host.say("X", wait=0.5)
+        blocks = [frame for frame in first + rest if isinstance(frame, SampleBlock)]
+        assert [len(block.dt) for block in blocks[:-1]] == [3] * (len(blocks) - 1)
+        assert np.all(np.diff([block.time for block in blocks]) == 3 * 4000)
+        again = host.say("S", wait=0.2) + host.say("X")
+        assert again[0].seq == 0
+        assert again[0].time > blocks[-1].time
+
+
+def test_a_rate_too_slow_for_blocks_is_refused_and_single_frames_are_not(bench, switch_on):
+    with switch_on("uno") as board, bench.Host(board) as host:
+        assert host.say("R 30", "B 8") == []
+        assert "single frames" in host.say("S", until=Notice)[0].text
+        host.port.close()
+        taken = bench.record(board, 3, 6, block=1)
+    assert len(taken.seq) >= 6
+    assert set(np.diff(taken.ticks)) <= {666_665, 666_666, 666_667, 666_668}  # 2/3 s in ticks of 0.5 us
+
+
+@pytest.mark.parametrize(("first", "second"), list(itertools.permutations(BAUDS, 2)))
+def test_it_finds_the_rate_of_its_host(bench, switch_on, first, second):
+    with switch_on("uno", speed=4) as board:
+        for baud in (first, second):
+            with serial.Serial(board.port, baud, timeout=0.05) as port:
+                # Ten questions are what daq asks before it gives up.
+                bench.ask(port, b"I\n", lambda heard: b"stickslip" in heard, patience=2.0)
+        report = board.stop()
+    assert report["baud"] == pytest.approx(second, rel=0.025)
+
+
+def test_a_board_that_still_samples_at_another_rate_is_found_again(bench, switch_on):
+    with switch_on("uno", speed=1) as board:
+        with serial.Serial(board.port, 1_000_000, timeout=0.05) as port:
+            bench.ask(port, b"I\n", lambda heard: b"stickslip" in heard)
+            port.write(b"S\n")
+            assert len(port.read(2000)) > 100
+        with bench.Host(board) as host:  # another one: the first has crashed
+            assert [frame.name for frame in host.say("I")] == ["stickslip uno"]
+
+
+def test_a_main_loop_that_hangs_is_restarted_by_the_watchdog(bench, switch_on):
+    with switch_on("uno", speed=4, hang=0.5) as board, bench.Host(board) as host:
+        said = host.say("R 1000", "S", wait=8, until=Ident, broken=1)  # the reset may cut a frame short
+    kinds = [type(frame) for frame in said]
+    assert kinds[-1] is Ident  # in mid-stream: a recorder knows that the board has restarted
+    assert kinds.count(Ident) == 1
+    assert kinds.count(SampleBlock) > 50
+    assert board.report["resets"] == 1
+
+
+def test_a_recording_goes_on_in_a_new_segment_when_the_board_restarts(bench, switch_on, tmp_path):
+    with switch_on("uno", speed=1, hang=0.6) as board:
+        found = record(Request(port=board.port, output=tmp_path / "run.h5", duration_s=2.6))
+    assert found.segments == 2
+    assert 1000 <= found.samples < 2000
+    run = load(tmp_path / "run.h5")
+    first = int(np.searchsorted(run.segment, 1))
+    assert run.raw.sample[first] == 0
+    assert run.time[-1] == pytest.approx(2.6, abs=0.1)
+    gap = run.time[first] - run.time[first - 1]
+    assert 0.5 < gap < 1.5  # the watchdog's second, less what it had waited before
+
+
+def test_what_came_at_another_rate_is_no_damage_of_the_recording(bench, switch_on, tmp_path):
+    # It used to open the journal: "damaged frames were thrown away", in each recording at 1 Mbaud.
+    with switch_on("uno", speed=1) as board:
+        with bench.Host(board, 115_200) as host:
+            assert host.say("S")
+        found = record(Request(port=board.port, output=tmp_path / "run.h5", duration_s=0.5, baud=1_000_000))
+    assert (found.samples, found.lost, found.crc_errors) == (500, 0, 0)
+    assert not [warning for warning in found.warnings if "metres per count" not in warning]
+
+
+@pytest.mark.parametrize(
+    ("baud", "rate", "block"),
+    [(115_200, 500, 1), (115_200, 1000, 8), (500_000, 2000, 1), (500_000, 5000, 8), (1_000_000, 3000, 1)],
+)
+def test_what_a_line_carries_it_carries_under_load(bench, switch_on, baud, rate, block):
+    edges = bench.of_motion(scene("rig"), 2.5, jitter=0.2)  # 100,000 edges/s in its slips
+    with switch_on("uno", edges=edges) as board:
+        taken = bench.record(board, rate, round(2.4 * rate), baud=baud, block=block)
+    assert np.array_equal(taken.seq, np.arange(len(taken.seq)))
+    assert np.count_nonzero(taken.error) == 0
+    assert edges.peak_rate(50) > 90_000
+
+
+def test_a_line_too_slow_loses_samples_and_says_so(bench, switch_on):
+    with switch_on("uno") as board:
+        taken = bench.record(board, 5000, 1000, baud=115_200)
+    lost = np.diff(taken.seq) - 1
+    after_gap = 1 + np.flatnonzero(lost)
+    assert lost.sum() > 1000
+    assert np.all(taken.stream.status[after_gap] & wire.OVERRUN)
+    assert np.array_equal(np.flatnonzero(taken.stream.status & wire.OVERRUN), after_gap)
+    assert np.array_equal(np.round(np.diff(taken.ticks) / 400), np.diff(taken.seq))  # the numbers keep their place

@@ -1,0 +1,89 @@
+"""From the firmware to a friction law: the true commands, on a board in the emulator and on the simulated rig."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from daq.counter import FLAG_BOTH
+from daq.runfile import load
+from rig_sim.board import calibration
+from rig_sim.encoder import QuadratureEncoder
+from rig_sim.scenes import scene
+
+SECONDS = 30
+SEED = 5
+
+
+def run(folder, module, *words, codes=(0,)):
+    line = [sys.executable, "-m", module, *map(str, words), "--json"]
+    done = subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
+    assert done.returncode in codes, done.stdout + done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def both(bench, emulator, latch_address, tmp_path_factory):
+    """Record the same motion through the firmware and through ``rig://``; give the folder and both summaries."""
+    folder = tmp_path_factory.mktemp("pipe")
+    rig = scene("rig", seed=SEED)
+    (folder / "rig.toml").write_text(calibration(rig, QuadratureEncoder(rig.encoder, rig.start.x)))
+    edges = bench.of_motion(rig, SECONDS + 1)
+    hexfile = bench.FIRMWARE / "stickslip-uno.hex"
+    with bench.Board(emulator, "uno", hexfile, folder, edges=edges, watch=latch_address("uno"), speed=3) as board:
+        words = ["record", "--port", board.port, "--rate", 1000, "--duration", SECONDS, "-o", "board.h5"]
+        by_board = run(folder, "daq.cli", *words)
+        report = board.stop()
+    run(folder, "daq.cli", "replay", "board.h5", "--rig", "rig.toml", "-o", "calibrated.h5")
+    words = ["record", "--scene", "rig", "--set", f"seed={SEED}", "--duration", SECONDS, "-o", "simulated.h5"]
+    by_rig = run(folder, "daq.cli", *words)
+    return folder, board, report, by_board, by_rig
+
+
+def test_the_board_is_recorded_like_the_rig(both):
+    folder, _, report, by_board, by_rig = both
+    assert by_board["samples"] == by_rig["samples"] == SECONDS * 1000
+    for key in ("lost", "crc_errors", "illegal", "phase_errors"):
+        assert by_board[key] == 0
+    assert by_board["segments"] == 1
+    assert report["bytes_dropped"] == 0
+    flags = load(folder / "board.h5").raw.flags
+    assert len(flags) == SECONDS * 1000
+    assert np.count_nonzero(flags & ~np.uint16(FLAG_BOTH)) == 0  # both counters move at a reversal
+
+
+def test_every_count_of_the_recording_is_the_encoders(both, bench):
+    folder, board, *_ = both
+    recorded = load(folder / "board.h5")
+    _, true = board.truth(np.round(recorded.time * bench.CYCLES_PER_S).astype(np.int64))
+    assert np.ptp(true) > 10_000
+    assert np.array_equal(recorded.count - recorded.count[0], true - true[0])
+
+
+def test_the_fastest_rate_is_recorded_in_real_time(bench, emulator, tmp_path):
+    edges = bench.of_motion(scene("rig", seed=SEED), 5, jitter=0.2)
+    hexfile = bench.FIRMWARE / "stickslip-uno.hex"
+    words = ["record", "--rate", 5000, "--baud", 1_000_000, "--duration", 4, "-o", "fast.h5"]
+    with bench.Board(emulator, "uno", hexfile, tmp_path, edges=edges, speed=1) as board:
+        found = run(tmp_path, "daq.cli", *words, "--port", board.port)
+    assert (found["samples"], found["lost"], found["crc_errors"], found["illegal"]) == (20_000, 0, 0, 0)
+    assert found["measured_rate_hz"] == pytest.approx(5000, rel=1e-9)
+
+
+def test_the_law_and_its_parameters_are_the_same_as_through_the_simulated_rig(both):
+    folder = both[0]
+    fits = {}
+    for name in ("calibrated", "simulated"):
+        run(folder, "processing.cli", "smooth", f"{name}.h5")
+        fits[name] = run(folder, "fitting.cli", f"{name}.h5", codes=(0, 5))
+    board, rig = fits["calibrated"], fits["simulated"]
+    assert board["set"] == rig["set"]
+    assert board["verdict"].split(":")[0] == rig["verdict"].split(":")[0]
+    best = {name: next(row for row in fit["ranking"] if row["law"] == fit["set"][0]) for name, fit in fits.items()}
+    assert best["calibrated"]["law"] == 5
+    for name, of_board in best["calibrated"]["parameters"].items():
+        of_rig = best["simulated"]["parameters"][name]
+        assert of_rig["lo"] <= of_board["value"] <= of_rig["hi"], name
+        assert of_board["lo"] <= of_rig["value"] <= of_board["hi"], name

@@ -1,0 +1,151 @@
+"""Belt channel: the board counts how far the belt has run, as it runs: started, backwards, rippling, drooping."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_simpson
+
+from daq.errors import InputError
+from daq.rig import Rig
+from daq.wire import Capability, Config, FrameReader, Ident, SampleBlock
+from rig_sim.board import Board
+from rig_sim.effects.belt_channel import BeltEncoder
+from rig_sim.motion import Motion
+from rig_sim.scenes import Scene, scene
+
+DELTA = 0.12566 / 4096 / 4
+CHANNEL: dict[str, object] = {"belt.channel": True}
+STEADY: dict[str, object] = {"scatter.Fs": 0, "jitter.rms": 0}
+
+
+def played(changed: Scene, t: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return belt travel to a hundred-thousandth of a count, and x, F of the mass, at times ``t``."""
+    motion, belt = Motion(changed), BeltEncoder(changed)
+    belt.delta *= 1e-5
+    counts, x, F = [], [], []
+    for first, last in zip((0, *cuts), (*cuts, len(t)), strict=True):
+        path = motion.follow(t[first:last], forces=True)
+        counts.append(belt.read(path))
+        x.append(path.nodes.x[path.samples])
+        F.append(path.F)
+    return np.concatenate(counts) * belt.delta, np.concatenate(x), np.concatenate(F)
+
+
+def frames_of(board: Board, samples: int) -> list:  # type: ignore[type-arg]
+    return FrameReader().feed(board.power_up() + board.write(b"I\nS\n") + board.samples(samples) + board.write(b"X\n"))
+
+
+def test_a_steady_belt_counts_from_its_start_on_in_its_direction() -> None:
+    t = np.arange(0.0, 3.0, 1e-3)
+    for speed in (0.22, -0.22):
+        travel, _, _ = played(scene("rig", **CHANNEL, **{"belt.speed": speed}), t, (1, 700))
+        np.testing.assert_allclose(travel, speed * np.maximum(t - 0.5, 0.0), atol=2e-5 * DELTA)
+
+
+def test_a_rippling_belt_counts_its_swing() -> None:
+    t = np.arange(0.0, 3.0, 1e-3)
+    travel, _, _ = played(scene("rig", **CHANNEL, **{"belt.ripple": 0.01, "belt.ripple_hz": 5.0}), t)
+    run = np.maximum(t - 0.5, 0.0)
+    expected = 0.22 * run + 0.01 / (10 * math.pi) * (1 - np.cos(10 * math.pi * run))
+    np.testing.assert_allclose(travel, expected, atol=2e-5 * DELTA)
+
+
+def test_in_stick_mass_and_drooping_belt_move_together_to_a_thousandth_of_a_count() -> None:
+    t = np.arange(0.0, 6.0, 1e-3)
+    drooping = scene("rig", **CHANNEL, **{"droop.fraction": 0.05, "scatter.Fs": 0.1, "joint.kick": 0.004})
+    found = Motion(drooping)
+    found.events = []
+    found.advance(6.0)
+    travel, x, _ = played(drooping, t, (800, 801, 4000))
+    sticks = [
+        (begin.t, end.t)
+        for begin, end in zip(found.events, found.events[1:], strict=False)
+        if begin.kind == "N>S" and end.kind.startswith("S>")
+    ]
+    assert len(sticks) >= 3
+    for begin, end in sticks:
+        own = (t > begin) & (t < end)
+        assert own.sum() > 300
+        assert np.ptp((travel - x)[own]) < 1e-3 * DELTA
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"droop.fraction": 0.05},
+        {"droop.fraction": 0.05, "belt.speed": -0.22, "damper.c": 0.1, "spring.x0": 0.02},
+        {"droop.fraction": 0.02, "drive.u0": 0.05, "drive.omega": 4.0},
+        {"droop.fraction": 0.02, "drive.u0": 0.05, "drive.omega": 0.0},
+        {"droop.fraction": 0.02, "belt.ripple": 0.01, "belt.ripple_hz": 3.0},
+        {"droop.fraction": 0.02, "shaker.a": 0.2, "shaker.phi": 2.6},
+        {"droop.fraction": 0.02, "friction.law": 6},
+    ],
+    ids=lambda changes: "+".join(key.split(".")[0] for key in changes),
+)
+def test_the_travel_is_the_integral_of_the_speed_that_the_load_leaves(changes: dict[str, object]) -> None:
+    changed = scene("rig", **CHANNEL, **STEADY, **{"belt.start": 0.0, **changes})
+    t = np.arange(0.0, 4.0, 1e-4)
+    travel, _, F = played(changed, t)
+    assert changed.belt is not None
+    assert changed.droop is not None
+    assert changed.friction is not None
+    speed = changed.belt.speed - changed.droop.fraction * abs(changed.belt.speed) * F / changed.friction.Fs
+    if changed.belt.ripple and changed.belt.ripple_hz:
+        speed = speed + changed.belt.ripple * np.sin(2 * math.pi * changed.belt.ripple_hz * t)
+    expected = cumulative_simpson(speed, x=t, initial=0.0)
+    np.testing.assert_allclose(travel, expected, atol=0.05 * DELTA)  # Simpson's rule at landings: F bends there
+
+
+def test_the_board_sends_sixteen_bits_of_the_belts_count_and_they_roll_over() -> None:
+    frames = frames_of(Board(scene("rig", **CHANNEL, **STEADY)), 6000)
+    idents = [frame for frame in frames if isinstance(frame, Ident)]
+    assert all(Capability.BELT in ident.capabilities for ident in idents)
+    sent = np.concatenate([frame.belt for frame in frames if isinstance(frame, SampleBlock)])  # type: ignore[misc]
+    true = np.floor(0.22 * np.maximum(np.arange(6000) / 1000 - 0.5, 0.0) / DELTA + 1e-9).astype(np.int64)
+    assert true[-1] > 2 * 65536
+    np.testing.assert_array_equal(sent, true & 0xFFFF)
+
+
+def test_everything_else_the_board_says_is_the_same_with_and_without_the_channel() -> None:
+    plain, told = (frames_of(Board(scene("rig", **changes)), 3000) for changes in ({}, CHANNEL))
+    for one, other in zip(plain, told, strict=True):
+        if isinstance(one, SampleBlock):
+            assert one.belt is None
+            assert (one.seq, one.time, one.dt, one.up, one.down, one.status) == (
+                other.seq,
+                other.time,
+                other.dt,
+                other.up,
+                other.down,
+                other.status,
+            )
+        elif isinstance(one, Ident):
+            assert Capability.BELT not in one.capabilities
+        elif isinstance(one, Config):
+            assert "belt_metres" not in one.toml
+            assert other.toml.startswith(one.toml)
+            pitch = Rig.from_toml(other.toml, "CONFIG").belt_metres_per_count
+            assert pitch is not None
+            assert pitch.sd == pytest.approx(2e-4 * DELTA)
+            assert abs(pitch.value - DELTA) < 5 * pitch.sd
+
+
+def test_another_decoder_starts_the_belts_counter_again_too() -> None:
+    board = Board(scene("rig", **CHANNEL))
+    FrameReader().feed(board.write(b"S\n") + board.samples(1500) + board.write(b"X\n"))
+    again = FrameReader()
+    again.feed(board.power_up())
+    frames = again.feed(board.write(b"M x1\nS\n") + board.samples(8) + board.write(b"X\n"))
+    block = next(frame for frame in frames if isinstance(frame, SampleBlock))
+    assert block.belt is not None
+    assert 0 <= block.belt[0] <= 60  # one sample of 29 counts after the restart, and its jitter
+
+
+def test_a_channel_needs_an_encoder_to_take_its_pitch_from() -> None:
+    with pytest.raises(InputError, match=r"belt\.channel without an encoder"):
+        scene("base", **CHANNEL)
+    with pytest.raises(InputError, match=r"belt\.channel"):
+        scene("rig", **{"belt.channel": 3})
+    said = frames_of(Board(scene("rig", **{"belt.channel": False})), 8)
+    assert not any(isinstance(frame, SampleBlock) and frame.belt is not None for frame in said)

@@ -1,0 +1,136 @@
+"""``rig-sim run --method``: three methods, one file; dop853 to its tolerance, the thesis's to the fourth order."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from daq import terminal
+from daq.errors import InputError
+from rig_sim.cli import app
+from rig_sim.methods import METHODS, phases_by
+from rig_sim.motion import Motion
+from rig_sim.scenes import scene
+
+EFFECTS: dict[str, dict[str, object]] = {
+    "scatter": {"scatter.Fs": 0.05, "seed": 3},
+    "wear": {"wear.rate": 0.002},
+    "joint": {"joint.kick": 0.05, "belt.length": 3.0},
+    "belt start": {"belt.start": 2.0, "start.x": 0.3},
+    "ripple": {"belt.ripple": 0.02, "belt.ripple_hz": 0.3},
+    "droop": {"droop.fraction": 0.2},
+    "damper": {"damper.c": 0.1},
+    "drive": {"drive.u0": 0.2, "drive.omega": 0.7},
+    "static": {"friction.static": 1.1},
+    "mirrored": {"belt.speed": -0.5},
+}
+
+
+def played(method: str, changes: dict[str, object], until: float = 30.0, **setting: float) -> tuple[np.ndarray, Any]:  # type: ignore[type-arg]
+    found = scene("base", **changes)
+    motion = Motion(found, phases=phases_by(method, found, **setting)[0])
+    motion.events = []
+    path = motion.follow(np.linspace(0.0, until, 301), forces=True)
+    at = path.samples
+    return np.array([path.nodes.t[at], path.nodes.x[at], path.nodes.v[at], path.F]), motion.events
+
+
+@pytest.mark.parametrize("law", range(1, 7))
+def test_sampled_motion_of_dop853_is_the_exact_one_to_its_tolerance(law: int) -> None:
+    exact, events = played("exact", {"friction.law": law})
+    found, others = played("dop853", {"friction.law": law})
+    if law != 1:  # whose touches of the edge last zero time
+        assert [event.kind for event in others] == [event.kind for event in events]
+    np.testing.assert_array_equal(found[0], exact[0])
+    assert np.abs(found[1:3] - exact[1:3]).max() < 2e-11
+    assert np.abs(found[3] - exact[3]).max() < 1e-10
+
+
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
+@pytest.mark.parametrize("rtol", [1e-7, 1e-10])
+def test_a_looser_tolerance_of_dop853_is_a_larger_error(law: int, rtol: float) -> None:
+    exact, _ = played("exact", {"friction.law": law})
+    found, _ = played("dop853", {"friction.law": law}, rtol=rtol)
+    assert rtol / 10 < np.abs(found[1:3] - exact[1:3]).max() < 100 * rtol
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize("method", ["rk4-henon", "dop853"])
+def test_every_section_plays_with_every_method(method: str, name: str) -> None:
+    exact, events = played("exact", EFFECTS[name])
+    found, others = played(method, EFFECTS[name])
+    assert [event.kind for event in others] == [event.kind for event in events]
+    tolerance = 2e-6 if method == "rk4-henon" else 1e-8  # scipy finds events on an interpolant of lower order
+    assert np.abs(found[1:3] - exact[1:3]).max() < tolerance
+
+
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
+def test_sampled_motion_of_the_thesis_method_converges_with_the_fourth_power_of_its_step(law: int) -> None:
+    exact, _ = played("exact", {"friction.law": law})
+    errors = [
+        np.abs(played("rk4-henon", {"friction.law": law}, step=step)[0][1:3] - exact[1:3]).max()
+        for step in (0.02, 0.005)
+    ]
+    assert 3.5 < math.log(errors[0] / errors[1]) / math.log(4.0) < 5.0
+    assert errors[1] < 1e-7
+
+
+@pytest.mark.parametrize("ending", [".h5", ".csv"])
+def test_the_file_is_the_same_for_all_methods_and_names_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str
+) -> None:
+    shapes = []
+    for method in METHODS:
+        path = tmp_path / f"{method}{ending}"
+        line = ["run", "base", "--until", "10", "--rate", "20", "-o", str(path), "--method", method, "--json"]
+        assert terminal.run(app, line) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert (told["method"], told["samples"], told["outcome"]) == (method, 201, "completed")
+        if ending == ".csv":
+            head, *rows = path.read_text().splitlines()
+            shapes.append((head, len(rows)))
+            continue
+        with h5py.File(path) as file:
+            names: list[str] = []
+            file.visit(names.append)
+            shapes.append((names, {name: file[f"entry/motion/{name}"].shape for name in "txvF"}))
+            setting = {"exact": "exact", "rk4-henon": "rk4-henon h 0.01", "dop853": "dop853 rtol 2.3e-14"}[method]
+            assert file["entry/simulation/method"].asstr()[()] == setting
+    assert shapes[0] == shapes[1] == shapes[2]
+
+
+@pytest.mark.parametrize(
+    ("method", "setting", "where"),
+    [
+        ("rk5", {}, "--method"),
+        ("exact", {"step": 0.1}, "--step"),
+        ("exact", {"rtol": 0.1}, "--rtol"),
+        ("dop853", {"step": 0.1}, "--step"),
+        ("rk4-henon", {"step": 0.0}, "--step"),
+        ("rk4-henon", {"step": math.nan}, "--step"),
+        ("dop853", {"rtol": 1e-16}, "--rtol"),
+    ],
+)
+def test_a_setting_the_method_does_not_have_is_refused(method: str, setting: dict[str, float], where: str) -> None:
+    with pytest.raises(InputError) as caught:
+        phases_by(method, scene("base"), **setting)
+    assert caught.value.where == where
+
+
+@pytest.mark.parametrize("method", ["rk4-henon", "dop853"])
+def test_the_step_limit_ends_any_method_by_name(method: str) -> None:
+    base = scene("base")
+    motion = Motion(base, max_steps=50, phases=phases_by(method, base)[0])
+    assert not motion.advance(1000.0)
+    assert motion.outcome.name == "step limit"
+    assert motion.steps == 50
+
+
+def test_a_phase_that_grazes_its_edge_ends_within_its_step() -> None:
+    exact, _ = played("exact", {"friction.law": 1})
+    found, _ = played("rk4-henon", {"friction.law": 1}, step=0.01)
+    assert np.abs(found[1:3] - exact[1:3]).max() < 1e-5

@@ -1,0 +1,263 @@
+"""What holds for every parameter: symmetries, energy, invariances, limits; and a thousand time units to two ulp."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from rig_sim.compare import difference
+from rig_sim.friction.contact import force as force_of_law
+from rig_sim.friction.law import LAWS
+from rig_sim.integrate import reference
+from rig_sim.integrate.events import list_events
+from rig_sim.integrate.hybrid import sample_phase
+from rig_sim.integrate.modes import NEGATIVE, Flow, force, initial_mode, new_work
+from rig_sim.orbit import cycle
+
+TWO_ULP = 2.3e-13  # of a time near 1000
+
+
+def flow_of(law, **changes):
+    return Flow(curve=LAWS[law].curve_code, ramp=LAWS[law].ramp, **changes)
+
+
+def log_span(low, high):
+    return st.floats(math.log10(low), math.log10(high)).map(lambda exponent: 10.0**exponent)
+
+
+flows = {
+    "m": log_span(0.1, 10.0),
+    "k": log_span(0.1, 10.0),
+    "Fs": log_span(0.3, 3.0),
+    "v_belt": log_span(0.05, 2.0),
+    "gamma": log_span(0.1, 30.0),
+    "G_slip": log_span(0.003, 0.03),
+    "d": log_span(0.001, 0.04),
+}
+
+
+# Symmetries -----------------------------------------------------------------------------------------------------------
+
+
+@given(
+    law=st.sampled_from(sorted(LAWS)),
+    w=st.one_of(log_span(1e-12, 1e3), st.just(0.0)),
+    Fs=log_span(1e-6, 1e6),
+    G_slip=log_span(1e-6, 10.0),
+    gamma=log_span(1e-6, 1e6),
+    d=log_span(1e-6, 10.0),
+    static=st.floats(1.0, 2.0),
+    factor=st.floats(0.05, 2.0),
+)
+def test_every_law_is_odd_and_opposes_slip(law, w, **parameters):
+    forward, backward = (force_of_law(LAWS[law], sign * w, **parameters) for sign in (1.0, -1.0))
+    assert forward == -backward
+    if LAWS[law].curve != "linear":
+        assert forward <= 0.0
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    law=st.sampled_from(sorted(LAWS)),
+    x=st.floats(-2.0, 2.0),
+    v=st.floats(-1.0, 1.0),
+    x0=st.floats(-0.5, 0.5),
+    c=st.sampled_from([0.0, 0.02]),
+    u0=st.sampled_from([0.0, 0.3]),
+    **flows,
+)
+def test_the_mirrored_rig_moves_as_the_mirror_image(law, x, v, **fields):
+    flow = flow_of(law, omega=0.7, phase=0.3, **fields)
+    image = flow._replace(v_belt=-flow.v_belt, x0=-flow.x0, u0=-flow.u0)
+    one, other = list_events(flow, x, v, 20.0), list_events(image, -x, -v, 20.0)
+    swap = str.maketrans("NP", "PN")
+    assert other.t == one.t
+    assert other.x == tuple(-place for place in one.x)
+    assert [kind.translate(swap) for kind in other.kinds] == list(one.kinds)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    law=st.sampled_from([3, 4, 5, 6]),
+    shift=st.floats(0.1, 50.0),
+    u0=st.sampled_from([0.0, 0.1]),
+    omega=st.floats(0.2, 0.6),
+    **flows,
+)
+def test_a_shift_of_time_shifts_the_events_and_nothing_else(law, shift, omega, **fields):
+    assume(fields["m"] / fields["k"] < 20.0)
+    flow = flow_of(law, omega=omega, phase=0.4, **fields)
+    later = flow._replace(phase=flow.phase - omega * shift)
+    unit = math.sqrt(flow.m / flow.k)
+    one = list_events(flow, 0.0, 0.0, 10.0 * unit)
+    other = list_events(later, 0.0, 0.0, shift + 10.0 * unit, t=shift)
+    assume(one.outcome == "completed")
+    # an event on the last instant may fall to either side; one that all but touches its edge moves by more
+    n = min(len(one.t), len(other.t))
+    assert abs(len(one.t) - len(other.t)) <= 1
+    assert other.kinds[:n] == one.kinds[:n]
+    assert [t - shift for t in other.t[:n]] == pytest.approx(one.t[:n], abs=1e-9 * unit)
+    assert sorted(abs(a - shift - b) for a, b in zip(other.t, one.t, strict=False))[: n // 2] == pytest.approx(
+        [0.0] * (n // 2), abs=1e-12 * unit + 2e-14 * shift
+    )
+
+
+# Energy ---------------------------------------------------------------------------------------------------------------
+
+
+def energies(flow, orbit):
+    """Return the belt's work over a cycle, what friction turns to heat, and what the damper takes."""
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    work = new_work()
+    x, w, t = orbit.x_slip, (-flow.d if flow.ramp else 0.0), 0.0
+    mode = NEGATIVE
+    belt = heat = damper = 0.0
+    for _ in orbit.sequence:
+        copy = new_work()
+        idle = [0.0]
+        _, following, x_end, w_end, t_end, _ = sample_phase(
+            flow, mode, x, w, t, idle, 0, 0, 1e9, idle, idle, idle, copy
+        )
+        # pieces refined towards both ends, where a ramp's fast root and slip's beginning live
+        half = 0.5 * (t_end - t) * np.geomspace(1e-9, 1.0, 40)
+        cuts = np.concatenate(([t], t + half, (t_end - half[::-1])[1:], [t_end]))
+        for a, b in pairwise(cuts):
+            times = (0.5 * (a + b) + 0.5 * (b - a) * nodes).tolist()
+            outs = [[0.0] * 20 for _ in range(3)]
+            sample_phase(flow, mode, x, w, t, times, 0, 20, t_end, *outs, work)
+            v = np.array(outs[1])
+            F = np.array(
+                [
+                    force(flow, mode, at, speed - flow.v_belt, time)
+                    for at, speed, time in zip(outs[0], outs[1], times, strict=True)
+                ]
+            )
+            share = 0.5 * (b - a) * weights
+            belt += flow.v_belt * float(share @ F)
+            heat -= float(share @ (F * (v - flow.v_belt)))
+            damper += flow.c * float(share @ v**2)
+        mode, x, w, t = following, x_end, w_end, t_end
+    return belt, heat, damper
+
+
+@settings(max_examples=12, deadline=None)
+@given(law=st.sampled_from([3, 4, 5, 6]), c=st.sampled_from([0.0, 0.002, 0.02]), **flows)
+def test_over_a_cycle_the_belts_work_is_what_friction_and_damper_dissipate(law, c, **fields):
+    flow = flow_of(law, c=c, **fields)
+    orbit = cycle(flow)
+    assume(orbit.outcome == "cycle")
+    belt, heat, damper = energies(flow, orbit)
+    assert heat >= 0.0
+    assert damper >= 0.0
+    assert belt == pytest.approx(heat + damper, rel=1e-10, abs=1e-10)
+
+
+# Laws against each other ----------------------------------------------------------------------------------------------
+
+
+@given(v=log_span(1e-3, 1.0), G_slip=log_span(1e-3, 0.2), m=log_span(0.1, 10.0))
+def test_the_period_of_law_3_does_not_depend_on_the_belts_speed(v, G_slip, m):
+    Fs = 10.0  # far from where the force would change its sign
+    one, other = (cycle(flow_of(3, v_belt=speed, G_slip=G_slip, m=m, Fs=Fs)) for speed in (0.3, v))
+    assert one.outcome == other.outcome == "cycle"
+    assert other.period == pytest.approx(one.period, rel=1e-13)
+    assert other.t_stick == pytest.approx(one.t_stick, rel=1e-11)
+
+
+@pytest.mark.parametrize(("ramp", "jump"), [(4, 3), (6, 5)])
+@pytest.mark.parametrize("changes", [{}, {"v_belt": 0.2, "gamma": 6.0}, {"c": 0.02, "m": 2.0}], ids=str)
+def test_ramp_laws_tend_to_jump_laws_as_one_over_the_slope(ramp, jump, changes):
+    limit = cycle(flow_of(jump, **changes))
+    gaps = [
+        [
+            getattr(found, name) - getattr(limit, name)
+            for found in (cycle(flow_of(ramp, d=1.0 / slope, **changes)) for slope in (1e3, 1e4, 1e5))
+        ]
+        for name in ("period", "x_stick")
+    ]
+    for far, middle, near in gaps:
+        assert abs(near) < 1e-3
+        assert far / middle == pytest.approx(10.0, rel=0.15)
+        assert middle / near == pytest.approx(10.0, rel=0.03)
+
+
+# A thousand time units ------------------------------------------------------------------------------------------------
+
+SETS = [
+    (3, {}),
+    (5, {}),
+    (3, {"m": 0.23, "k": 1.7, "v_belt": 1.31, "Fs": 2.9, "c": 0.013, "G_slip": 0.11}),
+    (5, {"m": 2.3, "k": 0.7, "v_belt": 0.31, "gamma": 7.7, "Fs": 1.9, "c": 0.013}),
+    (5, {"static": 1.37, "x0": -0.4, "gamma": 1.1}),
+    (5, {"v_belt": -0.2, "gamma": 0.6, "k": 3.0, "c": 0.04}),
+    (1, {"static": 1.3}),
+    (6, {"m": 2.3, "k": 0.7, "v_belt": 0.31, "gamma": 7.7, "Fs": 1.9, "c": 0.013, "d": 0.011}),
+    (4, {"m": 0.9, "v_belt": -0.7, "G_slip": 0.06, "d": 0.05}),
+]
+
+
+@pytest.mark.parametrize(("law", "changes"), SETS, ids=str)
+def test_event_times_are_right_to_two_ulp_after_a_thousand_time_units(law, changes):
+    flow = flow_of(law, **changes)
+    until = 1000.0
+    expected = [(t, kind) for t, kind, _ in reference.events(flow, 0.0, 0.0, until)]
+    assert len(expected) > 60
+    for every_cycle in (True, False):
+        found = list_events(flow, 0.0, 0.0, until, every_cycle=every_cycle)
+        error, note = difference(found, expected, until)
+        assert note == ""
+        assert error <= TWO_ULP
+
+
+@pytest.mark.parametrize(("law", "changes"), SETS, ids=str)
+def test_period_stick_time_and_sticking_point_are_right_to_1e_14(law, changes):
+    flow = flow_of(law, **changes)
+    orbit = cycle(flow)
+    assert orbit.outcome == "cycle"
+    expected = reference.events(flow, 0.0, 0.0, 120.0)
+    slips = [i for i, (_, kind, _) in enumerate(expected) if kind[0] == "S"]
+    begin, end = slips[-2], slips[-1]
+    before = end - 1  # the landing that stays
+    measured = {
+        "period": expected[end][0] - expected[begin][0],
+        "t_stick": expected[end][0] - expected[before][0],
+        "x_stick": expected[before][2],
+    }
+    for name, value in measured.items():
+        assert abs(getattr(orbit, name) - value) <= 1e-14 * max(1.0, abs(value)), name
+
+
+@pytest.mark.parametrize(
+    ("law", "changes"),
+    [
+        (5, {"u0": 0.2, "omega": 0.3}),
+        (5, {"v_belt": 0.085, "u0": 0.2, "omega": 0.41}),
+        (3, {"u0": 0.1, "omega": 0.7, "c": 0.01, "phase": 0.4}),
+        (6, {"u0": 0.15, "omega": 0.37, "d": 0.1, "k": 1.3}),
+        (4, {"v_belt": -0.5, "u0": 0.1, "omega": 1.9, "m": 1.4}),
+    ],
+    ids=str,
+)
+def test_driven_event_lists_meet_the_reference_to_1e_12(law, changes):
+    flow = flow_of(law, **changes)
+    found = list_events(flow, 0.0, 0.0, 100.0)
+    expected = reference.events(flow, 0.0, 0.0, 100.0)
+    error, note = difference(found, [(t, kind) for t, kind, _ in expected], 100.0)
+    assert note == ""
+    assert len(found.t) >= 10
+    assert error <= 1e-12
+    assert max(abs(x - x_ref) for x, (_, _, x_ref) in zip(found.x, expected, strict=False)) <= 1e-12
+
+
+def test_energies_are_those_of_the_modes_the_orbit_has():
+    flow = flow_of(5)
+    assert initial_mode(flow, 1.0, 0.0, 0.0) == NEGATIVE
+    belt, heat, damper = energies(flow, cycle(flow))
+    orbit = cycle(flow)
+    # in stick F = k x: the belt's work there is v k (x_slip^2 - x_stick^2)/2v
+    assert damper == 0.0
+    assert belt > 0.5 * (orbit.x_slip**2 - orbit.x_stick**2)
+    assert belt == pytest.approx(heat, rel=1e-12)

@@ -1,0 +1,255 @@
+"""Shaker: small oscillations have the phasor's frequency and growth, the fixed point stays, and the thesis agrees."""
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from rig_sim.effects.shaker import controlled, fixed_point_friction, phasor
+from rig_sim.integrate.modes import Flow
+from rig_sim.motion import Motion, events
+from rig_sim.orbit import cycle
+from rig_sim.scenes import Scene, scene
+from rig_sim.sections import Start
+
+V, GAMMA = 0.5, 3.0
+REST = 1 / (1 + GAMMA * V)
+SLOPE = GAMMA / (1 + GAMMA * V) ** 2
+
+
+def shaken(a: float, phi: float, base: str = "base", **changes: object) -> Scene:
+    return scene(base, **{"shaker.a": a, "shaker.phi": phi, **changes})
+
+
+def thesis_formula(m: float, k: float, S: float, a: float, phi: float) -> complex:
+    """Return Omega of (6.13), written out."""
+    E = a * cmath.exp(-1j * phi)
+    return cmath.sqrt(k / m - (S + E) ** 2 / (4 * m**2)) + 1j * (S + E) / (2 * m)
+
+
+def measured_omega(shaker: Scene, x_rest: float, span: float, size: float) -> complex:
+    """Return Omega of small motions about ``x_rest``: eigenvalues of what ``span`` seconds do to them, size -> 0."""
+
+    def turned(reach: float) -> np.ndarray:
+        columns = []
+        for dx, dv in ((reach, 0.0), (0.0, reach)):
+            ends = []
+            for sign in (1, -1):
+                start = Start(x=x_rest + sign * dx, v=sign * dv)
+                motion = Motion(shaker.model_copy(update={"start": start}))
+                assert motion.advance(span)
+                ends.append(np.array([motion.x, motion.v]))
+            columns.append((ends[0] - ends[1]) / (2 * reach))
+        return np.array(columns).T
+
+    matrix = (4 * turned(size) - turned(2 * size)) / 3  # even orders of the size cancel, the cubic one goes here
+    grown = np.linalg.eigvals(matrix)
+    z = np.log(grown[np.argmax(grown.imag)].astype(complex)) / span  # z = i omega + delta, |omega span| < pi
+    return complex(z.imag, z.real)
+
+
+@pytest.mark.parametrize(
+    ("a", "phi"),
+    [
+        (0.3, 3.14159),
+        (0.6, math.pi),
+        (0.6, 2.2),
+        (0.5, 0.969 * math.pi),
+        (0.5, 4.4),
+        (0.3, 1.2),
+        (0.4, 0.0),
+        (1.5, 2.6),
+    ],
+)
+@pytest.mark.parametrize("damping", [0.0, 0.18])
+def test_a_small_oscillation_has_the_phasors_frequency_and_growth(a: float, phi: float, damping: float) -> None:
+    expected = thesis_formula(1.0, 1.0, SLOPE - damping, a, phi)
+    found = measured_omega(shaken(a, phi, **{"damper.c": damping}), REST, 1.0, 1e-4)
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert phasor(1.0, 1.0, SLOPE - damping, a, phi) == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize("law", range(1, 7))
+def test_on_the_rig_it_is_the_phasors_too_under_every_law_either_way(law: int) -> None:
+    speed, m, k, Fs = 0.22, 0.3, 10.5552, 1.379353536
+    s = speed - (0.03 if law in (2, 4, 6) else 0.0)
+    level, slope = {
+        1: (Fs, 0.0),
+        3: (Fs - 0.6 * s, 0.6),
+        5: (Fs / (1 + 9.618 * s), Fs * 9.618 / (1 + 9.618 * s) ** 2),
+    }[law - (law + 1) % 2]
+    for sign in (1, -1):
+        changes: dict[str, object] = {"friction.law": law, "belt.speed": sign * speed, "belt.start": 0}
+        rig = shaken(0.8, 2.4, "rig", **changes, **{"damper.c": 0.1, "spring.x0": 0.01})
+        expected = thesis_formula(m, k, slope - 0.1, 0.8, 2.4)
+        found = measured_omega(rig, 0.01 + sign * level / k, 0.2, 1e-5)
+        assert found == pytest.approx(expected, abs=3e-9 * abs(expected))
+
+
+def test_inside_a_ramp_the_slope_is_the_ramps() -> None:
+    ramp = shaken(0.5, 2.2, **{"friction.law": 6, "friction.G_stick": -1.5, "belt.speed": 0.1})
+    found = measured_omega(ramp, 0.15, 0.2, 1e-4)  # F = 1.5 x 0.1
+    assert found == pytest.approx(thesis_formula(1.0, 1.0, -1.5, 0.5, 2.2), abs=1e-9)
+    with pytest.raises(InputError, match="creep"):
+        shaken(0.5, 2.2, **{"friction.law": 6, "friction.G_stick": -5, "belt.speed": 0.1})
+
+
+@pytest.mark.parametrize(("law", "fraction"), [(1, 0.1), (3, 0.1), (5, 0.05), (6, 0.02)])
+def test_a_drooping_belt_makes_the_slope_steeper_and_the_shaker_knows(law: int, fraction: float) -> None:
+    drooping = shaken(0.5, 2.2, **{"friction.law": law, "droop.fraction": fraction})
+    bare = drooping.model_copy(update={"shaker": None}).flow()
+    F, slope = fixed_point_friction(bare)
+    found = measured_omega(drooping, F, 1.0, 1e-4)
+    assert found == pytest.approx(thesis_formula(1.0, 1.0, slope, 0.5, 2.2), abs=1e-9)
+    resting = measured_omega(drooping.model_copy(update={"shaker": None}), F, 1.0, 1e-4)
+    assert resting == pytest.approx(thesis_formula(1.0, 1.0, slope, 0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("phi", [2.2, 3.14159, math.pi, 4.0])
+def test_the_fixed_point_does_not_move(phi: float) -> None:
+    still = shaken(0.9, phi, **{"start.x": REST + 1e-3})
+    motion = Motion(still)
+    motion.advance(3000.0)
+    assert motion.x == pytest.approx(REST, abs=3e-14)
+    assert motion.v == pytest.approx(0.0, abs=3e-14)
+    assert cycle(shaken(4.0, math.pi)).x_rest == pytest.approx(REST, abs=1e-14)
+
+
+def test_thesis_a_phase_of_pi_quenches_where_a_exceeds_0_3_and_the_best_phase_is_a_little_less() -> None:
+    # S = 0.3: the base case's slope of 0.48 less a damper of 0.18.
+    grows = {}
+    for a in (0.29, 0.31):
+        motion = Motion(shaken(a, math.pi, **{"damper.c": SLOPE - 0.3, "start.x": REST + 1e-4}))
+        swings = []
+        for end in (20.0, 320.0):
+            motion.advance(end)
+            swings.append(math.hypot(motion.x - REST, motion.v))
+        grows[a] = math.log(swings[1] / swings[0]) / 300
+    assert grows[0.29] == pytest.approx(0.005, rel=0.05)  # (S - a)/2m
+    assert grows[0.31] == pytest.approx(-0.005, rel=0.05)
+    phases = np.linspace(0.9, 1.1, 2001) * math.pi
+    best = phases[np.argmin([phasor(1.0, 1.0, 0.3, 0.5, phi).imag for phi in phases])]
+    assert best / math.pi == pytest.approx(0.969, abs=5e-4)
+
+
+def test_stability_needs_a_above_s_over_minus_cos_phi() -> None:
+    for phi in (2.0, 2.6, math.pi, 3.9):
+        bound = 0.3 / -math.cos(phi)
+        assert phasor(1.0, 1.0, 0.3, 0.999 * bound, phi).imag > 0
+        assert phasor(1.0, 1.0, 0.3, 1.001 * bound, phi).imag < 0
+        assert abs(phasor(1.0, 1.0, 0.3, bound, phi).imag) < 1e-15
+
+
+def test_the_inverse_formula_gives_back_amplification_and_phase() -> None:
+    m, k, c, slope = 0.3, 10.5552, 0.05, 0.9
+    for a, phi in ((0.4, 2.0), (1.3, 3.5), (0.2, 0.7)):
+        Omega = phasor(m, k, slope - c, a, phi)
+        omega, delta, size = Omega.real, Omega.imag, abs(Omega) ** 2
+        R, imaginary = c - slope + delta * (m + k / size), omega * (k / size - m)
+        assert math.hypot(R, imaginary) == pytest.approx(a, rel=1e-12)
+        assert math.atan2(-imaginary, R) % (2 * math.pi) == pytest.approx(phi, rel=1e-12)
+
+
+def test_no_amplification_is_no_shaker() -> None:
+    assert shaken(0.0, 2.0).flow() == scene("base").flow()
+    assert events(shaken(0.0, 2.0), 60.0) == events(scene("base"), 60.0)
+    assert "shaker" not in scene("base").terms()
+    assert "shaker" in shaken(0.3, 3.0).terms()
+
+
+def test_a_phase_of_pi_is_a_damper_and_the_slip_point_is_the_dampers() -> None:
+    assert shaken(0.3, math.pi).flow().c == pytest.approx(0.3, abs=1e-15)
+    found, expected = cycle(shaken(0.3, math.pi)), cycle(scene("base", **{"damper.c": 0.3}))
+    assert found.period == pytest.approx(expected.period, abs=1e-12)
+    assert found.x_slip == pytest.approx(1 - 0.3 * V, abs=1e-14)
+
+
+def test_the_slip_point_is_where_spring_damper_and_shaker_together_reach_fs() -> None:
+    flow = shaken(0.5, 2.5).flow()
+    found = cycle(shaken(0.5, 2.5))
+    assert found.outcome == "cycle"
+    assert found.x_slip is not None
+    assert flow.k * (found.x_slip - flow.x0) == pytest.approx(1.0 - flow.c * V, abs=1e-14)
+    assert flow.k > 1 > flow.c > 0
+    onsets = [event.x for event in events(shaken(0.5, 2.5), 60.0).events if event.kind == "S>N"]
+    assert len(onsets) > 5
+    np.testing.assert_allclose(onsets, found.x_slip, atol=1e-14)
+
+
+def test_the_shaker_waits_for_the_belt_and_follows_the_factor_on_friction() -> None:
+    late = shaken(0.8, 2.4, "rig", **{"scatter.Fs": 0.2})
+    assert late.flow(belt_running=False) == late.model_copy(update={"shaker": None}).flow(belt_running=False)
+    motion = Motion(late)
+    motion.advance(0.4)
+    assert motion.flow.k == 10.5552
+    motion.advance(5.0)
+    assert motion.flow.factor != 1.0
+    assert motion.flow == late.flow(factor=motion.flow.factor)
+    F, slope = fixed_point_friction(late.model_copy(update={"shaker": None}).flow(factor=motion.flow.factor))
+    assert motion.flow.x0 + F / motion.flow.k == pytest.approx(F / 10.5552, rel=1e-13)
+    Omega = thesis_formula(0.3, 10.5552, slope, 0.8, 2.4)
+    assert motion.flow.k == pytest.approx(0.3 * abs(Omega) ** 2, rel=1e-13)
+
+
+def test_friction_that_leaves_nothing_to_tune_to_ends_the_run_by_name() -> None:
+    # The contact runs in until its slope alone is steeper than the oscillation can be.
+    growing = shaken(0.1, 3.0, **{"belt.speed": 0.1, "wear.rate": -0.02})
+    found = events(growing, 200.0)
+    assert found.outcome == "shaker out of tune"
+    assert "creep" in found.advice
+    assert len(found.events) > 2
+
+
+def test_a_belt_that_starts_under_friction_with_nothing_to_tune_to_ends_the_run_by_name() -> None:
+    # Landings on the resting belt have run the contact in before the shaker is switched on.
+    late = shaken(0.1, 3.0, **{"belt.speed": 0.1, "belt.start": 30.0, "wear.rate": -0.1, "start.x": 3.0})
+    found = events(late, 100.0)
+    assert found.outcome == "shaker out of tune"
+    assert found.events[-1].t < 30.0
+
+
+def test_a_mass_without_friction_is_shaken_all_the_same() -> None:
+    bare = Flow(Fs=0.0, c=0.1)
+    assert fixed_point_friction(bare) == (0.0, 0.0)
+    Omega = thesis_formula(1.0, 1.0, -0.1, 0.2, 1.0)
+    flow = controlled(bare, shaken(0.2, 1.0).shaker)  # type: ignore[arg-type]
+    assert (flow.c, flow.k, flow.x0) == pytest.approx((-2 * Omega.imag, abs(Omega) ** 2, 0.0), abs=1e-14)
+
+
+def test_a_mass_that_creeps_has_no_phase_but_pi_as_people_write_it_is_a_damper() -> None:
+    with pytest.raises(InputError, match=r"shaker\.a = 5, shaker\.phi = 3\.1: the mass would creep"):
+        shaken(5.0, 3.1)
+    for phi in (math.pi, 3.14159, 3.141593, 0.0):
+        flow = shaken(5.0, phi).flow()
+        assert flow.c == pytest.approx(5.0 * -math.cos(phi), abs=1e-9)
+        assert (flow.k, flow.x0) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"belt.speed": 0.0}, "a shaker needs a belt that runs"),
+        ({"shaker.a": -1.0}, r"shaker\.a"),
+        ({"shaker.phi": math.inf}, r"shaker\.phi"),
+        ({"shaker.phase": 1.0}, r"unknown key 'shaker\.phase'"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(changes: dict[str, object], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        scene("base", **{"shaker.a": 0.3, "shaker.phi": 3.0, **changes})
+
+
+def test_a_shaker_that_drives_the_mass_on_has_no_orbit() -> None:
+    found = cycle(shaken(3.0, 0.0, **{"friction.law": 1}))
+    assert found.outcome == "no cycle"
+    assert "grows" in found.advice
+
+
+@pytest.mark.parametrize(("law", "a", "phi"), [(1, 3.0, 0.0), (5, 3.0, 0.0), (5, 20.0, 0.0), (6, 20.0, 0.0)])
+def test_a_motion_that_grows_without_end_ends_by_name(law: int, a: float, phi: float) -> None:
+    # It used to be a division by zero in the hyperbola's Taylor step.
+    runaway = shaken(a, phi, **{"friction.law": law})
+    assert events(runaway, 1000.0).outcome == "not finite"
+    assert cycle(runaway).outcome == "no cycle"
