@@ -139,9 +139,7 @@ def _calibration(
     """Return the configuration's text and the rig it describes; the board's word on its own decoder goes first."""
     given = [record.data.decode(errors="replace") for record in taken.records if record.kind == journal.CONFIGURATION]
     told = next((connection.configs for connection in said if connection.configs), ())
-    # A board that was told its decoder says its calibration twice before it samples: the second time is the one.
-    again = [text for frame, text in told if frame == 0] if taken.header.get("decoder") is not None else []
-    config = (*given, *again[-1:], *(text for _, text in told), "")[0]
+    config = (*given, *(text for _, text in told), "")[0]
     warnings = []
     rig = Rig()
     try:

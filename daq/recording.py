@@ -143,8 +143,8 @@ class Recording:
     clock_offset: NDArray[np.float64]
     operator: str
     provenance: Mapping[str, str | int]
-    belt_count: NDArray[np.int64] | None = None
     clock_ppm: float | None = None
+    belt_count: NDArray[np.int64] | None = None
 
 
 def _no_samples() -> NDArray[np.uint32]:

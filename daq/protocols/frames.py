@@ -74,16 +74,14 @@ class Frames(Line):
         DeviceError
             The board refuses; its own words are in the message.
         """
-        decoder = self.wish.decoder
-        settings = (f"R {round(plan.rate_hz)}", f"B {plan.block}")
-        self._settings = settings if decoder is None else (f"M {decoder}", *settings)
-        self.send(*settings)
+        self._settings = f"R {round(plan.rate_hz)}", f"B {plan.block}"
+        self.send(*self._settings)
         identity = self._ask(b"")
         if identity.ident.block_size != plan.block:
             what = f"the board keeps {identity.ident.block_size} samples per frame where {plan.block} were asked for"
             raise DeviceError(what, self.url, "update its firmware")
-        if decoder is not None and identity.ident.decoder != decoder:
-            what = f"the board decodes as {identity.ident.decoder} where {decoder} was asked for"
+        if self.wish.decoder not in (None, identity.ident.decoder):
+            what = f"the board decodes as {identity.ident.decoder} where {self.wish.decoder} was asked for"
             raise DeviceError(what, self.url, "update its firmware, or leave --decoder out")
         return identity
 
@@ -93,7 +91,8 @@ class Frames(Line):
 
     def restart(self) -> None:
         """Set a board that has just reset back to work, without waiting for answers."""
-        self.send(*self._settings, "S")
+        decoder = [] if self.wish.decoder is None else [f"M {self.wish.decoder}"]
+        self.send(*decoder, *self._settings, "S")
 
     def stop(self) -> None:
         """Stop the samples; the partial block still comes."""

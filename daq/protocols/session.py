@@ -104,7 +104,8 @@ class Session(Protocol):
     Attributes
     ----------
     received : list of (int, bytes)
-        What came before the start and belongs into the journal, with the host's monotonic stamp in ns.
+        What came before the start, from the last identification on, with the host's monotonic stamp in ns: it opens
+        the journal.
 
     Notes
     -----
