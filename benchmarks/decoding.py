@@ -1,7 +1,7 @@
 """Decoding of sampled A, B levels: edges and samples per second of every decoder, beside sigrok's own.
 
 ``python benchmarks/decoding.py [SAMPLES]`` (default 2^24): streams with an edge every other sample (dense) and every
-ten (ordinary), in chunks of 4 MB as a capture is read; steady swings, and a walk that turns at random.  "totals" only
+ten (ordinary), in the pieces in which a capture is read; steady swings, and a walk that turns at random.  "totals" only
 counts, as `daq decode` does; "steps" also says where each edge is, as `daq replay` needs.  CPU time of one core, best
 of `REPEATS`.  sigrok-cli decodes one capture of the same dense swing, cut to what it does in some seconds; its CPU
 time includes its start, which a run on an empty capture measures and takes off.
@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from daq.quadrature import DECODERS, Decoder, levels_of
+from daq.sigrok import PIECE
 
 RESULTS = Path(__file__).resolve().parent / "results"
-CHUNK = 1 << 22
 REPEATS = 5
 SIGROK_SAMPLES = 1 << 20
 
@@ -44,8 +44,8 @@ def seconds(kind: str, levels: np.ndarray, what: str) -> tuple[float, Decoder]:
         decoder = Decoder(kind)
         take = decoder.count if what == "totals" else decoder.feed
         begun = time.process_time()
-        for first in range(0, len(levels), CHUNK):
-            take(levels[first : first + CHUNK])
+        for first in range(0, len(levels), PIECE):
+            take(levels[first : first + PIECE])
         least = min(least, time.process_time() - begun)
     return least, decoder
 

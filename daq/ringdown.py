@@ -35,7 +35,7 @@ MOST_NODES = 400_000
 MOST_SAMPLES = 6000  # fitted; more tell nothing new
 ASKS_FOR_MORE = 12.0  # a fit with g must lower chi square by so much, to be believed
 AT_THE_NOISE = 0.32  # counts: 1 / sqrt(12) is what counting alone leaves
-POOR_FIT = 0.01  # rms over first amplitude: beyond it the model does not describe the motion
+POOR_FIT = 0.002  # rms over first amplitude: beyond it the model does not describe the motion
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError, nearest
 
-PIECE = 1 << 22  # bytes read at a time
+PIECE = 1 << 18  # bytes read at a time; what is made of larger pieces is given back to the system each time
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*([kKmMgG]?)\s*(?:[hH][zZ])?")
 _PREFIX = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
 
