@@ -1,5 +1,6 @@
 """`process`: make the motion out of a recorded run, compare the ways to, look at it, hand it on."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -16,7 +17,12 @@ if TYPE_CHECKING:
 Run = Annotated[Path, Parameter(help="Run file, as daq record, import or replay made it.")]
 Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]
 
-NAMES = {"sg": "Savitzky-Golay", "fd": "finite differences"}
+NAMES = {
+    "segment": "sticks and slips smoothed apart, corners fitted",
+    "rts": "fixed-interval smoother, noise levels by likelihood",
+    "sg": "Savitzky-Golay",
+    "fd": "finite differences",
+}
 
 app = terminal.application(
     "process", "Position, velocity and acceleration from a recorded run.", "process smooth run.h5"
@@ -28,10 +34,21 @@ def smooth(
     file: Run,
     /,
     *,
-    method: Annotated[str, Parameter(help="auto (Savitzky-Golay), sg, or fd (differences, the baseline).")] = "auto",
-    window: Annotated[str, Parameter(help="auto, an odd number of samples, or a duration: 20ms.")] = "auto",
+    method: Annotated[
+        str,
+        Parameter(
+            help="auto (segment where sticks are beyond doubt, else rts), segment, rts, "
+            "sg (Savitzky-Golay) or fd (differences, the baseline)."
+        ),
+    ] = "auto",
+    window: Annotated[
+        str, Parameter(help="Of Savitzky-Golay: auto, an odd number of samples, or a duration: 20ms.")
+    ] = "auto",
     order: Annotated[int | None, Parameter(help="Degree of the polynomial; default chosen with the window.")] = None,
     times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
+    repair_counts: Annotated[
+        str, Parameter(help="Lost counts: off (not looked for), flag (marked), fix (marked and put back).")
+    ] = "flag",
     belt_speed: Annotated[str, Parameter(help="auto, or the speed in m/s with its sign.")] = "auto",
     json: Json = False,
 ) -> Answer:
@@ -44,9 +61,9 @@ def smooth(
     from processing.smoothing import smooth as rebuild
 
     recording = runfile.load(file)
-    motion = rebuild(recording, method, window, order, times, belt_speed)
+    motion = rebuild(recording, method, window, order, times, belt_speed, repair_counts)
     stage.save(motion, file)
-    chosen = window == "auto" and motion.method != "fd"
+    chosen = window == "auto" and motion.method == "sg"
     data = _summary(motion)
     return Answer(data, [*_sentences(motion, data, chosen), f"written to /entry/smooth of {file}"])
 
@@ -162,6 +179,12 @@ def _summary(motion: "Kinematics") -> dict[str, Any]:
         "belt_speed": motion.belt_speed,
         "plateau_fraction": motion.plateau_fraction,
         "lost_counts": motion.lost_counts,
+        "repaired": motion.repaired,
+        "losses": [vars(loss) | {"time": float(motion.time[loss.first])} for loss in motion.losses],
+        "phases": [
+            {name: getattr(phase, name) for name in ("kind", "start", "start_sd", "end", "end_sd")}
+            for phase in motion.phases
+        ],
         "cpu_s": motion.cpu_s,
         "samples": int(motion.time.size),
         "warnings": _warnings(motion),
@@ -172,8 +195,9 @@ def _warnings(motion: "Kinematics") -> list[str]:
     found = []
     if motion.lost_counts:
         found.append(
-            f"counts went missing at {motion.lost_counts} sample{'s' if motion.lost_counts > 1 else ''} "
-            "(marked, not repaired): look for a bouncing encoder wheel or a slipping coupling"
+            f"counts went missing {motion.lost_counts} time{'s' if motion.lost_counts > 1 else ''} "
+            f"({'put back' if motion.repaired else 'marked, not repaired'}): "
+            "look for a bouncing encoder wheel or a slipping coupling"
         )
     if motion.phases and not motion.sticks and motion.plateau_speed == motion.plateau_speed:
         found.append(
@@ -188,7 +212,7 @@ def _warnings(motion: "Kinematics") -> list[str]:
 def _sentences(motion: "Kinematics", data: dict[str, Any], chosen: bool) -> list[str]:
     unit = motion.recording.unit
     how = NAMES[motion.method]
-    if motion.method != "fd":
+    if motion.method == "sg":
         span = 1e3 * (motion.window - 1) * float(motion.time[-1] - motion.time[0]) / max(motion.time.size - 1, 1)
         how += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
         how += ", chosen from the record" if chosen else ""
@@ -201,7 +225,15 @@ def _sentences(motion: "Kinematics", data: dict[str, Any], chosen: bool) -> list
         f"stuck for {100 * motion.plateau_fraction:.0f} % of the record",
         f"{data['samples']} samples in {motion.cpu_s:.2f} s of CPU time",
     ]
+    if motion.method == "segment" and motion.sticks:
+        landing, onset = (_usual([getattr(stick, name) for stick in motion.sticks]) for name in ("start_sd", "end_sd"))
+        lines.insert(2, f"corners are told to {landing} (landings) and {onset} (onsets)")
     return lines + [f"warning: {warning}" for warning in data["warnings"]]
+
+
+def _usual(spreads: list[float]) -> str:
+    known = sorted(spread for spread in spreads if spread < math.inf)
+    return f"{1e3 * known[len(known) // 2]:.2g} ms" if known else "nothing"
 
 
 def _table(rows: "list[Row]", file: Path, unit: str, told: bool) -> Any:

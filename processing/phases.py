@@ -12,26 +12,29 @@ The mass may creep against the belt inside a plateau (friction with a ramp): the
 belt's, and where the belt's own was measured, that one is reported.
 
 Corners: a landing is sharp, and lies where the acceleration has fallen to half of the slip's last peak; an onset is
-soft (only the jerk jumps), and is found by carrying the acceleration's rise back to zero.  Not modelled here: belt
-ripple, and kicks of a belt joint, which split a stick in two when they exceed the tolerance.
+soft (only the jerk jumps), and is found by carrying the acceleration's rise back to zero.  A method that fits corners
+itself (`processing.segment`) is taken at its word, uncertainties included.  Not modelled here: belt ripple, and kicks
+of a belt joint, which split a stick in two when they exceed the tolerance.
 """
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
 from daq.rig import Measured
-from processing import methods
+from processing import rts
 from processing.differences import reading_error
 from processing.kinematics import Phase
-from processing.methods import Motion, Setting
+from processing.methods import Corner, Motion
 from processing.series import Series
 
 Array = NDArray[np.float64]
 Runs = list[tuple[int, int]]  # first and last sample, both included
+Stick = tuple[float, float, float, float]  # start, end, and their standard deviations, s
 
 LEAST_STICK = 0.03  # s
 FLAT = 0.05  # of the largest accelerations: what counts as none
@@ -56,7 +59,6 @@ def find(
     motion: Motion,
     measured: Measured | None = None,
     belt_speed: float | str = "auto",
-    jumps: tuple[int, ...] = (),
 ) -> Found:
     """Find sticks, slips and belt speed.
 
@@ -68,41 +70,78 @@ def find(
         The belt speed as the rig's calibration has it.
     belt_speed : float or "auto"
         m/s, signed: a number settles it, and sticks are looked for at that speed alone.
-    jumps : tuple of int
-        Samples where counts went missing: the disturbance around them does not end a stick.
 
     Raises
     ------
     InputError
         When ``belt_speed`` is neither "auto" nor a finite number.
     """
-    given = _given(belt_speed)
+    stated = given(belt_speed)
     moving = in_motion(series)
+    if motion.corners:
+        return _cut_at_corners(series, motion, motion.corners, moving, stated, measured)
     seen = _clear(series, motion, moving)
     tolerance = _tolerance(seen, moving)
     size = _centred(seen, series.pieces)
     flat = (size <= tolerance) & moving
     wide = (size <= WIDER * tolerance) & moving
-    for jump in jumps:
-        _bridge(flat, jump, seen.window)
-        _bridge(wide, jump, seen.window)
     least = max(round(LEAST_STICK / series.interval), 3)
     candidates = _joined(_runs(flat, series.pieces), _runs(wide, series.pieces))
     plateaus = [
         run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, seen)
     ]
     common = _level(seen, plateaus)
-    level = given if given is not None else common
-    sticks = []
+    level = stated if stated is not None else common
+    sticks: list[Stick] = []
     for run in plateaus:
         speed = float(np.median(seen.velocity[run[0] : run[1] + 1]))
         if abs(speed - level) <= SAME_SPEED * abs(level):
-            sticks.append(_corners(run, series, size, seen.window, tolerance, moving))
+            start, end = _corners(run, series, size, seen.window, tolerance, moving)
+            sticks.append((start, end, math.inf, math.inf))
     phases, stick = _phases(series, moving, sticks)
-    return Found(_speed(given, measured, level, bool(sticks)), stick, phases, common)
+    return Found(_speed(stated, measured, level, bool(sticks)), stick, phases, common)
 
 
-def _given(belt_speed: float | str) -> float | None:
+def _cut_at_corners(
+    series: Series,
+    motion: Motion,
+    corners: tuple[Corner, ...],
+    moving: NDArray[np.bool_],
+    stated: float | None,
+    measured: Measured | None,
+) -> Found:
+    """Lay out the phases between corners that a method has fitted, with the uncertainties of their times."""
+    moving = moving.copy()
+    sticks: list[Stick] = []
+    time = series.time
+    for piece in series.pieces:
+        begin, end = float(time[piece.start]), float(time[piece.stop - 1])
+        inside = [corner for corner in corners if begin <= corner.time <= end]
+        if inside and inside[0].what == "start":
+            moving[piece.start : np.searchsorted(time, inside[0].time)] = False
+        if inside and inside[-1].what == "stop":
+            moving[np.searchsorted(time, inside[-1].time) : piece.stop] = False
+        landed = Corner(begin, math.inf, "land")
+        stuck = bool(inside) and inside[0].what == "leave"
+        for corner in inside:
+            if corner.what == "land":
+                landed, stuck = corner, True
+            elif stuck:
+                sticks.append((landed.time, corner.time, landed.sd, corner.sd))
+                stuck = False
+        if stuck:
+            sticks.append((landed.time, end, landed.sd, math.inf))
+    velocity = [motion.velocity[(time >= stick[0]) & (time <= stick[1])] for stick in sticks]
+    held = np.concatenate(velocity) if velocity else np.empty(0)
+    level = math.nan
+    if held.size:
+        level = float(held[np.abs(held - np.median(held)) <= SAME_SPEED * abs(np.median(held))].mean())
+    phases, stick = _phases(series, moving, sticks)
+    return Found(_speed(stated, measured, level, bool(sticks)), stick, phases, level)
+
+
+def given(belt_speed: float | str) -> float | None:
+    """Return the belt speed a person states, m/s, or None for "auto"; InputError unless it is a finite number."""
     if belt_speed == "auto":
         return None
     try:
@@ -139,26 +178,34 @@ def _peak(motion: Motion, moving: NDArray[np.bool_]) -> float:
 
 
 def _noise(motion: Motion, moving: NDArray[np.bool_]) -> float:
-    return float(np.median(motion.acceleration_errors[moving])) if moving.any() else 0.0
+    """Return how much the acceleration of a plateau scatters, m/s^2."""
+    if not moving.any():
+        return 0.0
+    # A smoother's error also allows for motion that a plateau does not have.
+    share = math.sqrt(1 / 6) if motion.method == "rts" else 1.0
+    return share * float(np.median(motion.acceleration_errors[moving]))
 
 
 def _clear(series: Series, motion: Motion, moving: NDArray[np.bool_]) -> Motion:
     """Return a motion whose acceleration is clear enough of noise to show a plateau.
 
-    The best window for the velocity can be too short for that, and differences never show one: then the record is
-    smoothed again, for the search alone, in ever longer windows.
+    What is best for the velocity can be too rough for that, and differences never show one: then the record is
+    smoothed again, for the search alone, by `processing.rts` with ever less jerk.
     """
     seen = motion
     longest = max(own.stop - own.start for own in series.pieces) // 8
+    noise = None
     for _ in range(6):
         if seen.order >= 2 and 5 * _noise(seen, moving) <= CLEAR * _peak(seen, moving):
             break
-        if seen.order < 2:
-            seen = methods.estimate("sg", series, Setting())
-        elif seen.window * 3 // 2 <= longest:
-            seen = methods.estimate("sg", series, Setting(seen.window * 3 // 2 | 1, 4))
-        else:
+        if seen.order >= 2 and seen.window * 3 // 2 > longest:
             break
+        if noise is None:
+            noise = rts.fit(series)
+        if seen.order >= 2:
+            while rts.equivalent_window(noise.rho(series.interval), longest) < min(seen.window * 3 // 2, longest):
+                noise = rts.Noise(noise.jerk / 2, noise.reading)
+        seen = rts.smooth(series, noise)
     return seen
 
 
@@ -175,12 +222,6 @@ def _centred(motion: Motion, pieces: tuple[slice, ...]) -> Array:
 
 def _tolerance(motion: Motion, moving: NDArray[np.bool_]) -> float:
     return max(FLAT * _peak(motion, moving), 5 * _noise(motion, moving))
-
-
-def _bridge(mask: NDArray[np.bool_], jump: int, window: int) -> None:
-    low, high = max(jump - window, 0), min(jump + window, mask.size - 1)
-    if mask[low] and mask[high]:
-        mask[low:high] = True
 
 
 def _runs(mask: NDArray[np.bool_], pieces: tuple[slice, ...]) -> Runs:
@@ -276,7 +317,7 @@ def _crossing(time: Array, size: Array, at: int, level: float) -> float:
 
 
 def _phases(
-    series: Series, moving: NDArray[np.bool_], sticks: list[tuple[float, float]]
+    series: Series, moving: NDArray[np.bool_], sticks: list[Stick]
 ) -> tuple[tuple[Phase, ...], NDArray[np.bool_]]:
     """Lay out sticks, and slips between them, over the pieces of the record that are in motion."""
     stick = np.zeros(series.time.size, bool)
@@ -284,25 +325,26 @@ def _phases(
     for first, last in _runs(moving, series.pieces):
         time = series.time[first : last + 1]
         at = float(time[0])
+        end = float(time[-1])
         inside = [own for own in sticks if time[0] <= own[0] and own[1] <= time[-1]]
-        bounds = [(at, at), *inside, (float(time[-1]), float(time[-1]))]
-        for k, (start, end) in enumerate(bounds):
-            if 0 < k:
-                phases += _phase("slip", bounds[k - 1][1], start, series.time, first, last)
-            if 0 < k < len(bounds) - 1:
-                phases += _phase("stick", start, end, series.time, first, last)
+        bounds = [(at, at, math.inf, math.inf), *inside, (end, end, math.inf, math.inf)]
+        for before, own in pairwise(bounds):
+            phases += _phase("slip", (before[1], own[0], before[3], own[2]), series.time, first, last)
+            if own is not bounds[-1]:
+                phases += _phase("stick", own, series.time, first, last)
     for phase in phases:
         if phase.kind == "stick":
             stick[phase.first : phase.last + 1] = True
     return tuple(phases), stick
 
 
-def _phase(kind: str, start: float, end: float, time: Array, first: int, last: int) -> list[Phase]:
+def _phase(kind: str, span: Stick, time: Array, first: int, last: int) -> list[Phase]:
+    start, end, start_sd, end_sd = span
     i = max(int(np.searchsorted(time, start)), first)
     j = min(int(np.searchsorted(time, end, side="right")) - 1, last)
     if end <= start or j < i:
         return []
-    return [Phase("stick" if kind == "stick" else "slip", start, end, i, j)]
+    return [Phase("stick" if kind == "stick" else "slip", start, end, i, j, start_sd, end_sd)]
 
 
 def _speed(given: float | None, measured: Measured | None, level: float, stuck: bool) -> float:

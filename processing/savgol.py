@@ -78,6 +78,7 @@ def estimate(series: Series, setting: Setting) -> Motion:
         acceleration_errors=errors[2],
         window=length,
         order=order,
+        method="sg",
     )
 
 

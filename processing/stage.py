@@ -6,7 +6,8 @@
       parameters      NXparameters  how it was made, and the sha256 of what it was made from
       kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time
       phase_portrait  NXdata      velocity against position: hard links, no copy
-      phases          NXdata      one row a stick or slip: start, end, first, last, stick (1) or slip (0)
+      phases          NXdata      one row a stick or slip: start, end, their errors, first, last, stick (1) or slip (0)
+      losses          NXdata      one row a place where counts went missing: first, last, counts (absent without any)
 """
 
 from datetime import UTC, datetime
@@ -18,6 +19,7 @@ import numpy as np
 from daq import nexus, nexus_read, runfile
 from daq.errors import InputError
 from daq.version import VERSION
+from processing.faults import Loss
 from processing.kinematics import Kinematics, Phase
 
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
@@ -42,6 +44,7 @@ def _write(entry: h5py.Group, motion: Kinematics) -> None:
     nexus.field(parameters, "times", motion.times)
     nexus.field(parameters, "belt_speed", np.float64(motion.belt_speed), f"{unit}/s")
     nexus.field(parameters, "lost_counts", np.int64(motion.lost_counts))
+    nexus.field(parameters, "repaired", np.int64(motion.repaired))
     nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
     nexus.field(parameters, "sha256_input", motion.recording.digest)
     columns: dict[str, tuple[np.ndarray, str]] = {"time": (motion.time, "s")}
@@ -70,6 +73,8 @@ def _write(entry: h5py.Group, motion: Kinematics) -> None:
             {
                 "start": (np.array([phase.start for phase in motion.phases]), "s"),
                 "end": (np.array([phase.end for phase in motion.phases]), "s"),
+                "start_errors": (np.array([phase.start_sd for phase in motion.phases], np.float32), "s"),
+                "end_errors": (np.array([phase.end_sd for phase in motion.phases], np.float32), "s"),
                 "first": (np.array([phase.first for phase in motion.phases], np.uint32), ""),
                 "last": (np.array([phase.last for phase in motion.phases], np.uint32), ""),
                 "stick": (np.array([phase.kind == "stick" for phase in motion.phases], np.uint8), ""),
@@ -77,6 +82,19 @@ def _write(entry: h5py.Group, motion: Kinematics) -> None:
             axis="start",
             signal="stick",
             title="sticks and slips",
+        )
+    if motion.losses:
+        nexus.table(
+            smooth,
+            "losses",
+            {
+                "first": (np.array([loss.first for loss in motion.losses], np.uint32), ""),
+                "last": (np.array([loss.last for loss in motion.losses], np.uint32), ""),
+                "counts": (np.array([loss.counts for loss in motion.losses], np.int64), ""),
+            },
+            axis="first",
+            signal="counts",
+            title="lost counts",
         )
 
 
@@ -118,7 +136,8 @@ def load(path: Path) -> Kinematics | None:
             belt_speed=nexus_read.scalar(entry, f"{parameters}/belt_speed", path),
             stick=stick,
             phases=phases,
-            lost_counts=int(nexus_read.scalar(entry, f"{parameters}/lost_counts", path)),
+            losses=_losses(entry, path),
+            repaired="repaired" in entry[parameters] and bool(nexus_read.scalar(entry, f"{parameters}/repaired", path)),
             cpu_s=nexus_read.scalar(entry, f"{parameters}/cpu_time", path),
         )
 
@@ -130,7 +149,20 @@ def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:
     first, last, stick = (
         nexus_read.array(entry, f"smooth/phases/{name}", np.int64, path) for name in ("first", "last", "stick")
     )
-    return tuple(
-        Phase("stick" if row[4] else "slip", float(row[0]), float(row[1]), int(row[2]), int(row[3]))
-        for row in zip(start, end, first, last, stick, strict=True)
+    start_sd, end_sd = (
+        nexus_read.array(entry, f"smooth/phases/{name}_errors", np.float64, path)
+        if f"smooth/phases/{name}_errors" in entry
+        else np.full(start.size, np.nan)  # written before the corners' errors were
+        for name in ("start", "end")
     )
+    return tuple(
+        Phase("stick" if stuck else "slip", float(t0), float(t1), int(i), int(j), float(sd0), float(sd1))
+        for t0, t1, i, j, stuck, sd0, sd1 in zip(start, end, first, last, stick, start_sd, end_sd, strict=True)
+    )
+
+
+def _losses(entry: h5py.Group, path: Path) -> tuple[Loss, ...]:
+    if "smooth/losses" not in entry:
+        return ()
+    columns = [nexus_read.array(entry, f"smooth/losses/{name}", np.int64, path) for name in ("first", "last", "counts")]
+    return tuple(Loss(*map(int, row)) for row in zip(*columns, strict=True))

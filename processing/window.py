@@ -131,7 +131,7 @@ def choose(series: Series, order: int | None = None) -> Choice:
         Never longer than the longest piece.  A record without anything to tell (at rest, or a few samples) gets
         window 41 and order 4.
     """
-    grids = [even_grid(series.time[own], series.position[own]) for own in _looked_at(series)]
+    grids = [even_grid(series.time[own], series.position[own]) for own in looked_at(series, MOST)]
     usable = [grid for grid in grids if np.any(np.diff(grid, 3))]
     limit = min(_longest(series), LONGEST)
     if not usable:
@@ -146,8 +146,8 @@ def _within(window: int, order: int, limit: int) -> int:
     return max(min(window, limit - 1 + limit % 2), order + 1 + order % 2)
 
 
-def _looked_at(series: Series) -> list[slice]:
-    """Return the pieces from the first motion on, without holes; of a long record, eight stretches spread over it."""
+def looked_at(series: Series, most: int, parts: int = 8) -> list[slice]:
+    """Return the pieces from the first motion on, without holes; of more than ``most`` samples, ``parts`` stretches."""
     # A mass at rest tells nothing of the noise: its count does not move.
     moving = np.flatnonzero(np.abs(series.position) > 1.5 * series.pitch)
     begin = max(int(moving[0]) - 1, 0) if moving.size else 0
@@ -157,10 +157,10 @@ def _looked_at(series: Series) -> list[slice]:
     cut = sorted(cuts | set((np.flatnonzero(steps > 1.5 * usual) + 1 + begin).tolist()))
     edges = [begin, *cut, series.time.size]
     runs = [slice(first, last) for first, last in pairwise(edges) if last - first >= 16]
-    if sum(run.stop - run.start for run in runs) <= MOST:
+    if sum(run.stop - run.start for run in runs) <= most:
         return runs
-    length = MOST // 8
-    at = np.linspace(begin, series.time.size - length, 8).astype(int)
+    length = most // parts
+    at = np.linspace(begin, series.time.size - length, parts).astype(int)
     windows = [(int(first), int(first) + length) for first in at]
     inside = [slice(max(run.start, low), min(run.stop, high)) for run in runs for low, high in windows]
     return [own for own in inside if own.stop - own.start >= 16]
