@@ -79,7 +79,9 @@ def missing(segment: NDArray[np.integer], found: tuple[Loss, ...]) -> Array:
 
 def without(series: Series, behind: Array) -> Series:
     """Return the record with the counts that were lost put back: ``behind`` is that of `missing`."""
-    return replace(series, position=series.position - series.pitch * behind)
+    if not behind.any():
+        return series
+    return replace(series, position=series.position - series.pitch * behind, count=None)
 
 
 def _ramp(since: NDArray[np.floating], width: Array | float) -> Array:

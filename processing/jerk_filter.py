@@ -168,24 +168,29 @@ def smooth(time: Array, position: Array, q: float, r: float, block: int, reach: 
         at = end
 
 
-def surprise(time: Array, position: Array, q: float, sums: Array) -> None:
-    """Add to ``sums``: log of the surprises' variances, their squares over these (reading variance 1), their number."""
+def surprise(time: Array, position: Array, edges: NDArray[np.int64], some: int, q: float, sums: Array) -> None:
+    """Add to ``sums`` the log of the surprises' variances, their squares over these, and their number.
+
+    The reading variance is 1; the stretches are the samples edges[k]..edges[k + 1] - 1 of every ``some``-th k.
+    """
     state = np.empty(STATE)
-    start(time, position, 1.0, state)
-    S: State = (state[0], state[1], state[2], state[3], state[4], state[5], state[6], state[7], state[8])
-    last = state[9]
     product = 1.0
-    for i in range(time.size):
-        S = predict(time[i] - last, q, S)
-        last = time[i]
-        s = 1.0 / (S[3] + 1.0)
-        e = position[i] - S[0]
-        if i >= 4:
-            product *= s
-            sums[1] += e * e * s
-            sums[2] += 1.0
-            if product < 1e-200:
-                sums[0] -= math.log(product)
-                product = 1.0
-        S = update(e, s, 1.0, S)
+    for k in range(0, edges.size - 1, some):
+        begin, end = edges[k], edges[k + 1]
+        start(time[begin:end], position[begin:end], 1.0, state)
+        S: State = (state[0], state[1], state[2], state[3], state[4], state[5], state[6], state[7], state[8])
+        last = state[9]
+        for i in range(begin, end):
+            S = predict(time[i] - last, q, S)
+            last = time[i]
+            s = 1.0 / (S[3] + 1.0)
+            e = position[i] - S[0]
+            if i >= begin + 4:
+                product *= s
+                sums[1] += e * e * s
+                sums[2] += 1.0
+                if product < 1e-200:
+                    sums[0] -= math.log(product)
+                    product = 1.0
+            S = update(e, s, 1.0, S)
     sums[0] -= math.log(product)

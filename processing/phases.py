@@ -80,8 +80,7 @@ def find(
     moving = in_motion(series)
     if motion.corners:
         return _cut_at_corners(series, motion, motion.corners, moving, stated, measured)
-    seen = _clear(series, motion, moving)
-    tolerance = _tolerance(seen, moving)
+    seen, tolerance = _clear(series, motion, moving)
     size = _centred(seen, series.pieces)
     flat = (size <= tolerance) & moving
     wide = (size <= WIDER * tolerance) & moving
@@ -174,20 +173,28 @@ def in_motion(series: Series) -> NDArray[np.bool_]:
 
 
 def _peak(motion: Motion, moving: NDArray[np.bool_]) -> float:
-    return float(np.percentile(np.abs(motion.acceleration[moving]), 95)) if moving.any() else 0.0
+    some = _some(motion.acceleration, moving)
+    return float(np.percentile(np.abs(some), 95)) if some.size else 0.0
+
+
+def _some(values: Array, moving: NDArray[np.bool_]) -> Array:
+    """Return the values in motion; of very many, some."""
+    stride = max(values.size // 2**14, 1)
+    return np.asarray(values[::stride][moving[::stride]])
 
 
 def _noise(motion: Motion, moving: NDArray[np.bool_]) -> float:
     """Return how much the acceleration of a plateau scatters, m/s^2."""
-    if not moving.any():
+    some = _some(motion.acceleration_errors, moving)
+    if not some.size:
         return 0.0
     # A smoother's error also allows for motion that a plateau does not have.
     share = math.sqrt(1 / 6) if motion.method == "rts" else 1.0
-    return share * float(np.median(motion.acceleration_errors[moving]))
+    return share * float(np.median(some))
 
 
-def _clear(series: Series, motion: Motion, moving: NDArray[np.bool_]) -> Motion:
-    """Return a motion whose acceleration is clear enough of noise to show a plateau.
+def _clear(series: Series, motion: Motion, moving: NDArray[np.bool_]) -> tuple[Motion, float]:
+    """Return a motion whose acceleration is clear enough of noise to show a plateau, and what counts as none, m/s^2.
 
     What is best for the velocity can be too rough for that, and differences never show one: then the record is
     smoothed again, for the search alone, by `processing.rts` with ever less jerk.
@@ -195,10 +202,9 @@ def _clear(series: Series, motion: Motion, moving: NDArray[np.bool_]) -> Motion:
     seen = motion
     longest = max(own.stop - own.start for own in series.pieces) // 8
     noise = None
-    for _ in range(6):
-        if seen.order >= 2 and 5 * _noise(seen, moving) <= CLEAR * _peak(seen, moving):
-            break
-        if seen.order >= 2 and seen.window * 3 // 2 > longest:
+    for attempt in range(7):
+        scatter, peak = _noise(seen, moving), _peak(seen, moving)
+        if seen.order >= 2 and (5 * scatter <= CLEAR * peak or seen.window * 3 // 2 > longest or attempt == 6):
             break
         if noise is None:
             noise = rts.fit(series)
@@ -206,7 +212,7 @@ def _clear(series: Series, motion: Motion, moving: NDArray[np.bool_]) -> Motion:
             while rts.equivalent_window(noise.rho(series.interval), longest) < min(seen.window * 3 // 2, longest):
                 noise = rts.Noise(noise.jerk / 2, noise.reading)
         seen = rts.smooth(series, noise)
-    return seen
+    return seen, max(FLAT * peak, 5 * scatter)
 
 
 def _centred(motion: Motion, pieces: tuple[slice, ...]) -> Array:
@@ -218,10 +224,6 @@ def _centred(motion: Motion, pieces: tuple[slice, ...]) -> Array:
             size[piece.start : piece.start + half] = size[piece.start + half]
             size[piece.stop - half : piece.stop] = size[piece.stop - half - 1]
     return size
-
-
-def _tolerance(motion: Motion, moving: NDArray[np.bool_]) -> float:
-    return max(FLAT * _peak(motion, moving), 5 * _noise(motion, moving))
 
 
 def _runs(mask: NDArray[np.bool_], pieces: tuple[slice, ...]) -> Runs:

@@ -121,18 +121,19 @@ def _stretches(series: Series, length: int) -> list[tuple[Array, Array]]:
 def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
     """Return log rho of the greatest likelihood and the variance of a reading there."""
     surprise = compiled(jerk_filter.surprise, KERNELS)
+    edges = np.cumsum([0, *(time.size for time, _ in stretches)])
+    time, position = (np.concatenate([stretch[k] for stretch in stretches]) for k in (0, 1))
 
-    def cost(log_rho: float, some: list[tuple[Array, Array]]) -> tuple[float, float]:
+    def cost(log_rho: float, some: int) -> tuple[float, float]:
         sums = np.zeros(3)
-        for time, position in some:
-            surprise(time, position, math.exp(log_rho), sums)
+        surprise(time, position, edges, some, math.exp(log_rho), sums)
         variance = max(sums[1] / sums[2], 1e-30)
         return 0.5 * (sums[0] + sums[2] * math.log(variance)), variance
 
-    few = stretches[:: max(len(stretches) // 16, 1)]
-    middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 4.0, 1.0)
-    log_rho = lowest(lambda log_rho: cost(log_rho, stretches)[0], (middle - 4.0, middle + 4.0), 4.0, 0.1)
-    return log_rho, cost(log_rho, stretches)[1]
+    few = max(len(stretches) // 16, 1)
+    middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 6.0, 1.5)
+    log_rho = lowest(lambda log_rho: cost(log_rho, 1)[0], (middle - 2.0, middle + 2.0), 2.0, 0.3)
+    return log_rho, cost(log_rho, 1)[1]
 
 
 def least_variance(series: Series) -> float:

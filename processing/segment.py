@@ -19,6 +19,7 @@ Not modelled: corners within a slip other than kicks, and counts that hardly cha
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,7 +59,9 @@ LINES = ("processing.line_fit",)
 ORDER = 7  # of the spline
 GATE = 1.5  # times ln n: what a corner has to gain in log likelihood
 FITTED = 12_000  # samples the noise levels are fitted to
-LINE = 1 / 2  # of a slip: the longest straight line through a stick
+WIDTHS = (0.25,)
+SHARP = 1.5  # times the spread of a landing's likelihood: the levels it is taken at were learned with it
+LINE = 1 / 3  # of a slip: the longest straight line through a stick
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,17 +129,18 @@ def segmented(series: Series, noise: rts.Noise, pilot: Motion, setting: Setting,
     layout = _layout(series, found)
     if not layout.at.size:
         return None
+    room = Room()
     begun, levels = layout, _first_levels(series, noise, pilot, layout.unit)
-    layout = _placed(series, layout, levels, 1.0)
-    for _ in range(2):
-        levels = _learned(series, layout, levels, 2)
-        layout = _placed(series, layout, levels, 0.25)
+    layout = _placed(series, room, layout, levels, 1.0)
+    for width in WIDTHS:
+        levels = _learned(series, room, layout, levels, 2)
+        layout = _placed(series, room, layout, levels, width)
     if gated:
-        kept = _gate(series, layout, levels, noise, begun)
+        kept = _gate(series, room, layout, levels, noise, begun)
         if kept is None:
             return None
         layout, levels = kept
-    return _averaged(series, layout, levels, pilot.window)
+    return _averaged(series, room, layout, levels, pilot.window)
 
 
 def _layout(series: Series, found: Found) -> Layout:
@@ -189,8 +193,9 @@ def _first_levels(series: Series, noise: rts.Noise, pilot: Motion, unit: float) 
     q[MET] = rough
     q[LEAVING] = rough * math.exp(-5)
     q[STICK] = q[REST] = 0.0
-    peak = float(np.percentile(np.abs(pilot.acceleration), 99))
-    kick = 0.1 * float(np.percentile(np.abs(pilot.velocity), 99))
+    stride = max(series.time.size // 2**14, 1)
+    peak = float(np.percentile(np.abs(pilot.acceleration[::stride]), 99))
+    kick = 0.1 * float(np.percentile(np.abs(pilot.velocity[::stride]), 99))
     step = [0.01 * peak, peak / unit, peak, 8 * peak / unit, kick, peak, 8 * peak / unit, peak, 8 * peak / unit]
     return Levels(q, np.full(LABELS, noise.reading), np.array(step) ** 2)
 
@@ -247,12 +252,25 @@ def _labels(series: Series, layout: Layout, stretch: Stretch) -> Labels:
     return label
 
 
-def _filtered(series: Series, layout: Layout, levels: Levels, stretch: Stretch) -> tuple[Labels, Array]:
+class Room:
+    """Memory for what the filters write down, used again and again: fresh pages cost more than filtering."""
+
+    def __init__(self) -> None:
+        self._held = np.empty(0)
+
+    def stored(self, n: int, columns: int) -> Array:
+        """Return an array (n, columns); what it held before is gone."""
+        if self._held.size < n * columns:
+            self._held = np.empty(n * columns)
+        return self._held[: n * columns].reshape(n, columns)
+
+
+def _filtered(series: Series, layout: Layout, levels: Levels, stretch: Stretch, room: Room) -> tuple[Labels, Array]:
     """Filter a stretch; return its labels and what was expected of each sample."""
     time, position = series.time[stretch.own], series.position[stretch.own]
     label = _labels(series, layout, stretch)
     state = np.empty(snap_filter.STATE)
-    stored = np.empty((time.size, snap_filter.STORED))
+    stored = room.stored(time.size, snap_filter.STORED)
     still = stretch.first in (STICK, REST)
     compiled(snap_filter.start, KERNELS)(time, position, float(levels.r[stretch.first]), still, state)
     compiled(snap_filter.forward, KERNELS)(
@@ -270,7 +288,7 @@ def _filtered(series: Series, layout: Layout, levels: Levels, stretch: Stretch) 
     return label, stored
 
 
-def _learned(series: Series, layout: Layout, levels: Levels, times: int, *, bare: bool = False) -> Levels:
+def _learned(series: Series, room: Room, layout: Layout, levels: Levels, times: int, *, bare: bool = False) -> Levels:
     """Return noise levels under which the record is more likely; ``bare``: as if it had no corners."""
     back = compiled(snap_filter.backward, KERNELS)
     stretches = _looked_at(series, layout)
@@ -281,7 +299,7 @@ def _learned(series: Series, layout: Layout, levels: Levels, times: int, *, bare
     for _ in range(times):
         noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_filter.JUMPS, 2))
         for stretch in stretches:
-            label, stored = _filtered(series, layout, levels, stretch)
+            label, stored = _filtered(series, layout, levels, stretch, room)
             at, kind = layout.at[stretch.corners], layout.kind[stretch.corners]
             back(series.time[stretch.own], label, at, kind, stored, False, np.empty((6, 0)), noise, steps)
         q = levels.q * _ratio(levels.q, noise[:, 0], noise[:, 1])
@@ -302,10 +320,11 @@ def _ratio(level: Array, square: Array, expected: Array) -> Array:
     return np.asarray(np.clip(ratio, 1e-4, 1e4))
 
 
-def _placed(series: Series, layout: Layout, levels: Levels, width: float) -> Layout:
+def _placed(series: Series, room: Room, layout: Layout, levels: Levels, width: float) -> Layout:
     """Return the layout with each corner where it is most likely; ``width`` scales how far away it may lie."""
     place = compiled(snap_filter.place, KERNELS)
     unit = layout.unit
+    finest = series.interval / 4 if width >= 1 else 0.0
     at, sd = layout.at.copy(), layout.sd.copy()
     near, far = unit * np.array(NEAR_LANDING), unit * np.array(NEAR_ONSET)
     landing = [SLIP, LANDING + 3, LANDING + 2, LANDING + 1, LANDING]
@@ -314,7 +333,7 @@ def _placed(series: Series, layout: Layout, levels: Levels, width: float) -> Lay
         if stretch.corners.start == stretch.corners.stop:
             continue
         time, position = series.time[stretch.own], series.position[stretch.own]
-        _, stored = _filtered(series, layout, levels, stretch)
+        _, stored = _filtered(series, layout, levels, stretch, room)
         now, kinds = layout.at[stretch.corners], layout.kind[stretch.corners]
         before = np.concatenate(([time[0]], now[:-1]))
         behind = np.concatenate((now[1:], [time[-1]]))
@@ -326,28 +345,28 @@ def _placed(series: Series, layout: Layout, levels: Levels, width: float) -> Lay
                 if kind in (LAND, STOP, MEET):
                     edges = np.concatenate((-near[::-1], [0.0]))
                     parts = [*landing, {LAND: STICK, STOP: REST, MEET: MET}[int(kind)]]
-                    corner, half, back, on = 4, unit / 64, unit / 16, unit / 5
+                    corner, half, back, on = 4, unit / 64, unit / 64, unit / 12
                     if kind == MEET:
                         edges, parts = np.append(edges, far[0]), [*parts, RIDE]
                 else:
                     edges = np.concatenate(([0.0], far))
                     parts = [int(state), *onset]
-                    corner, half, back, on = 0, unit / 16, unit / 8, unit / 6
+                    corner, half, back, on = 0, unit / 16, unit / 64, unit / 8
                     if state == RIDE:
                         edges, parts, corner = np.concatenate(([-far[0]], edges)), [RIDE, LEAVING, *onset], 1
                 found = np.empty((pick.size, 2))
                 place(
                     *(time, position, stored, now, pick, int(kind), low[pick], high[pick]),
-                    *(max(width * half, series.interval), back, on, edges, np.array(parts, np.uint8), corner),
+                    *(max(width * half, series.interval), finest, back, on, edges, np.array(parts, np.uint8), corner),
                     *(levels.q, levels.r, levels.jump, found),
                 )
                 at[stretch.corners.start + pick] = found[:, 0]
-                sd[stretch.corners.start + pick] = found[:, 1]
+                sd[stretch.corners.start + pick] = found[:, 1] * (SHARP if kind in (LAND, STOP) else 1.0)
     return replace(layout, at=at, sd=sd)
 
 
 def _gate(
-    series: Series, layout: Layout, levels: Levels, noise: rts.Noise, begun: Layout
+    series: Series, room: Room, layout: Layout, levels: Levels, noise: rts.Noise, begun: Layout
 ) -> tuple[Layout, Levels] | None:
     """Keep the sticks that make the record more likely, each on the belt that does: even, or not.
 
@@ -357,20 +376,18 @@ def _gate(
     if not sticks:
         return None
     bare = _without(layout, np.ones(layout.at.size, bool))
-    plain = np.concatenate([_jerk_gain(series, noise, own) for own in _stretches(series, layout)])
     snap = _snap_levels(levels)
     for _ in range(3):
-        snap = _learned(series, layout, snap, 1, bare=True)
-    smooth = np.concatenate([_gain(series, bare, snap, own) for own in _stretches(series, bare)])
-    even = np.concatenate([_gain(series, layout, levels, own) for own in _stretches(series, layout)])
-    time = np.concatenate([series.time[own.own] for own in _stretches(series, layout)])
+        snap = _learned(series, room, layout, snap, 1, bare=True)
+    spans = _spans(series, layout, sticks)
+    plain = _jerk_gains(series, noise, room, spans)
+    smooth = _gains(series, bare, snap, room, spans)
+    even = _gains(series, layout, levels, room, spans)
     needed = GATE * math.log(series.time.size)
-    sums = [np.concatenate(([0.0], np.cumsum(gain))) for gain in (plain, smooth, even)]
-    spans = _spans(time, layout, sticks)
-    by_stick = np.array([[own[end] - own[begin] for own in sums] for begin, end in spans])
     corners = np.array([len(stick) for stick in sticks])
     ridden = np.zeros(len(sticks), bool)
-    gained = by_stick[:, 2] - np.maximum(by_stick[:, 0], by_stick[:, 1])
+    other_way = np.maximum(plain, smooth)
+    gained = (even - other_way)[:-1]
     uneven = levels.r[STICK] > 1.3 * levels.r[SLIP]
     if uneven or (gained < needed * corners).any():
         kinds = np.where(begun.kind == LAND, MEET, begun.kind).astype(np.uint8)
@@ -378,14 +395,12 @@ def _gate(
         other = replace(begun, kind=kinds, first=firsts)
         riding = replace(levels, r=np.full(LABELS, levels.r[SLIP]))
         for width in (1.0, 0.25):
-            riding = _learned(series, other, riding, 2)
-            other = _placed(series, other, riding, width)
-        riding = _learned(series, other, riding, 2)
-        ride = np.concatenate([_gain(series, other, riding, own) for own in _stretches(series, other)])
-        total = np.concatenate(([0.0], np.cumsum(ride)))
-        rides = np.array([total[end] - total[begin] for begin, end in spans])
-        ridden = rides > by_stick[:, 2] + needed
-        gained = np.maximum(gained, rides - np.maximum(by_stick[:, 0], by_stick[:, 1]))
+            riding = _learned(series, room, other, riding, 2)
+            other = _placed(series, room, other, riding, width)
+        riding = _learned(series, room, other, riding, 2)
+        rides = _gains(series, other, riding, room, spans)
+        ridden = (rides > even + needed)[:-1]
+        gained = np.maximum(gained, (rides - other_way)[:-1])
         if ridden.any():
             levels = riding if ridden.all() else _merged(levels, riding)
             taken = np.array([k for stick, ride in zip(sticks, ridden, strict=True) if ride for k in stick])
@@ -399,11 +414,10 @@ def _gate(
     if dropped.mean() > 1 / 2:
         return None
     if dropped.any() or ridden.any():
-        layout, levels = _rebuilt(series, layout, levels, sticks, dropped, ridden)
-        even = np.concatenate([_gain(series, layout, levels, own) for own in _stretches(series, layout)])
+        layout, levels = _rebuilt(series, room, layout, levels, sticks, dropped, ridden)
+        even = _gains(series, layout, levels, room, spans[-1:])
     # What the sticks that are left gain must not be lost where the others were dropped.
-    gain = float(even.sum() - max(plain.sum(), smooth.sum()))
-    return (layout, levels) if gain > needed * layout.at.size else None
+    return (layout, levels) if even[-1] - max(plain[-1], smooth[-1]) > needed * layout.at.size else None
 
 
 def _sticks(layout: Layout) -> list[list[int]]:
@@ -418,29 +432,44 @@ def _sticks(layout: Layout) -> list[list[int]]:
     return found
 
 
-def _spans(time: Array, layout: Layout, sticks: list[list[int]]) -> list[tuple[int, int]]:
-    """Return the samples by which a stick is judged: its own and some to either side."""
+def _spans(series: Series, layout: Layout, sticks: list[list[int]]) -> NDArray[np.int64]:
+    """Return the samples by which each stick is judged, its own and some to either side; and last, all: (s + 1, 2)."""
     spans = []
     for stick in sticks:
         begin = layout.at[stick[0]] if layout.kind[stick[0]] != LEAVE else layout.at[stick[0]] - layout.unit
         end = layout.at[stick[-1]] if layout.kind[stick[-1]] == LEAVE else layout.at[stick[-1]] + layout.unit
-        spans.append(tuple(np.searchsorted(time, (begin - layout.unit / 16, end + layout.unit / 8)).tolist()))
-    return spans
+        spans.append(np.searchsorted(series.time, (begin - layout.unit / 16, end + layout.unit / 8)))
+    return np.array([*spans, (0, series.time.size)], np.int64)
 
 
-def _gain(series: Series, layout: Layout, levels: Levels, stretch: Stretch) -> Array:
-    """Return the log likelihood of every sample given those before, up to a constant."""
-    stored = _filtered(series, layout, levels, stretch)[1]
-    return np.asarray(0.5 * (np.log(stored[:, 14]) - stored[:, 15] ** 2 / stored[:, 14]))
+def _gains(series: Series, layout: Layout, levels: Levels, room: Room, spans: NDArray[np.int64]) -> Array:
+    """Return the log likelihood of the samples of every span given those before, up to a constant."""
+    total = np.zeros(len(spans))
+    for stretch in _stretches(series, layout):
+        stored = _filtered(series, layout, levels, stretch, room)[1]
+        total += _summed(stored, 14, stretch, spans)
+    return total
 
 
-def _jerk_gain(series: Series, noise: rts.Noise, stretch: Stretch) -> Array:
-    """As `_gain`, for the motion of white jerk."""
-    time, position = series.time[stretch.own], series.position[stretch.own]
-    state, stored = np.empty(jerk_filter.STATE), np.empty((time.size, jerk_filter.STORED))
-    compiled(jerk_filter.start, rts.KERNELS)(time, position, noise.reading, state)
-    compiled(jerk_filter.forward, rts.KERNELS)(time, position, noise.jerk, noise.reading, state, stored)
-    return np.asarray(0.5 * (np.log(stored[:, 9]) - stored[:, 10] ** 2 / stored[:, 9]))
+def _jerk_gains(series: Series, noise: rts.Noise, room: Room, spans: NDArray[np.int64]) -> Array:
+    """As `_gains`, for the motion of white jerk."""
+    total = np.zeros(len(spans))
+    for piece in series.pieces:
+        if piece.stop - piece.start < rts.SHORT:
+            continue
+        time, position = series.time[piece], series.position[piece]
+        state, stored = np.empty(jerk_filter.STATE), room.stored(time.size, jerk_filter.STORED)
+        compiled(jerk_filter.start, rts.KERNELS)(time, position, noise.reading, state)
+        compiled(jerk_filter.forward, rts.KERNELS)(time, position, noise.jerk, noise.reading, state, stored)
+        total += _summed(stored, 9, Stretch(piece, SLIP, slice(0, 0)), spans)
+    return total
+
+
+def _summed(stored: Array, surprise: int, stretch: Stretch, spans: NDArray[np.int64]) -> Array:
+    inside = np.clip(spans - stretch.own.start, 0, stretch.own.stop - stretch.own.start)
+    gain = np.zeros(len(spans))
+    compiled(snap_filter.gains, KERNELS)(stored, surprise, inside, gain)
+    return gain
 
 
 def _snap_levels(levels: Levels) -> Levels:
@@ -470,6 +499,7 @@ def _without(layout: Layout, gone: NDArray[np.bool_]) -> Layout:
 
 def _rebuilt(
     series: Series,
+    room: Room,
     layout: Layout,
     levels: Levels,
     sticks: list[list[int]],
@@ -492,21 +522,19 @@ def _rebuilt(
     kept = ~gone
     layout = replace(layout, at=layout.at[kept], sd=layout.sd[kept], kind=kind[kept], first=tuple(first))
     for _ in range(2):
-        levels = _learned(series, layout, levels, 2)
-        layout = _placed(series, layout, levels, 0.25)
+        levels = _learned(series, room, layout, levels, 2)
+        layout = _placed(series, room, layout, levels, 0.25)
     return layout, levels
 
 
-def _averaged(series: Series, layout: Layout, levels: Levels, window: int) -> Motion:
+def _averaged(series: Series, room: Room, layout: Layout, levels: Levels, window: int) -> Motion:
     """Smooth, averaging over what is open of the corners' times."""
     back = compiled(snap_filter.backward, KERNELS)
-    n = series.time.size
-    total = np.zeros((6, n))
-    nodes = [_run(series, replace(layout, at=_moved(layout, shift)), levels, back) for shift in (0.0, -1.0, 1.0)]
-    mean = (4 * nodes[0][:3] + nodes[1][:3] + nodes[2][:3]) / 6
-    variance = (4 * nodes[0][3:] + nodes[1][3:] + nodes[2][3:]) / 6
-    variance += (4 * (nodes[0][:3] - mean) ** 2 + (nodes[1][:3] - mean) ** 2 + (nodes[2][:3] - mean) ** 2) / 6
-    total[:3], total[3:] = mean, np.sqrt(np.maximum(variance, 0.0))
+    total, still = _run(series, room, layout, levels, back, lines=True)
+    before, still_before = _run(series, room, replace(layout, at=_moved(layout, -1.0)), levels, back, lines=False)
+    behind, still_behind = _run(series, room, replace(layout, at=_moved(layout, 1.0)), levels, back, lines=False)
+    sure = still & still_before & still_behind
+    compiled(snap_filter.average, KERNELS)(total, before, behind, sure)
     return Motion(
         position=series.origin + total[0],
         velocity=total[1],
@@ -530,18 +558,23 @@ def _moved(layout: Layout, shift: float) -> Array:
     return np.asarray(np.maximum.accumulate(at))
 
 
-def _run(series: Series, layout: Layout, levels: Levels, back) -> Array:  # type: ignore[no-untyped-def]
-    motion = np.empty((6, series.time.size))
+def _run(
+    series: Series, room: Room, layout: Layout, levels: Levels, back: Callable[..., None], *, lines: bool
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Smooth with the corners where they are; return the motion and its variances (6, n), and what lies in sticks."""
+    motion, still = np.empty((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:
         if piece.stop - piece.start < rts.SHORT:
             motion[:, piece] = rts.parabola(series.time[piece], series.position[piece], float(levels.r[SLIP]))
     for stretch in _stretches(series, layout):
-        label, stored = _filtered(series, layout, levels, stretch)
+        label, stored = _filtered(series, layout, levels, stretch, room)
         at, kind = layout.at[stretch.corners], layout.kind[stretch.corners]
         noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_filter.JUMPS, 2))
         back(series.time[stretch.own], label, at, kind, stored, True, motion[:, stretch.own], noise, steps)
-        _straighten(series, stretch, label, layout, levels, motion)
-    return motion
+        still[stretch.own] = label == STICK
+        if lines:
+            _straighten(series, stretch, label, layout, levels, motion)
+    return motion, still
 
 
 def _straighten(series: Series, stretch: Stretch, label: Labels, layout: Layout, levels: Levels, motion: Array) -> None:

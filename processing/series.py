@@ -44,6 +44,8 @@ class Series:
         Stretches without a gap, in order; together they are the record.
     source : str
         The file, for messages.
+    count : array of int64 or None
+        The position in counts, seen from the first; None for a record without, or one that was mended.
     """
 
     time: Array
@@ -53,6 +55,7 @@ class Series:
     interval: float
     pieces: tuple[slice, ...]
     source: str = ""
+    count: NDArray[np.int64] | None = None
 
 
 def of(recording: "Recording", times: str = "recorded") -> Series:
@@ -80,12 +83,14 @@ def of(recording: "Recording", times: str = "recorded") -> Series:
     segment = recording.segment
     time = recorded if times == "recorded" else nominal(recording)
     check(time, positions, where)
-    pitch = 0.0
+    pitch, count = 0.0, None
     if recording.count is not None:
         metres = recording.rig.metres_per_count
         scale = metres.value if metres is not None else 1.0
         pitch = abs(scale)
-        position = (recording.count - recording.count[0]) * scale
+        count = recording.count - recording.count[0]
+        position = count * scale
+        count = count if scale > 0 else -count
     else:
         position = positions - positions[0]
     interval = float(np.median(np.diff(time)))
@@ -97,6 +102,7 @@ def of(recording: "Recording", times: str = "recorded") -> Series:
         interval=interval,
         pieces=pieces(time, segment, interval),
         source=where,
+        count=count,
     )
 
 

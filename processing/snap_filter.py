@@ -34,7 +34,7 @@ STORED = 16  # numbers kept of a sample: the state as expected, 1/s, e/s
 LAND, LEAVE, MEET, KICK, START, STOP = 1, 2, 3, 4, 5, 6
 STICK, LANDING, SLIP, ONSET, RIDE, MET, LEAVING, REST = 0, 1, 5, 6, 10, 11, 12, 13  # LANDING and ONSET: four each
 LABELS = 14
-NEAR_LANDING = (1 / 64, 1 / 32, 1 / 16, 1 / 8)  # of a slip's length: where its parts near a landing begin
+NEAR_LANDING = (1 / 128, 1 / 48, 1 / 24, 1 / 8)  # of a slip's length: where its parts near a landing begin
 NEAR_ONSET = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
 JUMPS = 9  # variances: LEAVE a j, MEET a j, KICK v a j, START a j
 
@@ -120,6 +120,19 @@ def update(e: float, s: float, r: float, S: State) -> State:
     )
 
 
+def line_predict(h: float, S: State) -> State:
+    """As `predict`, on an even belt or at rest, where a = j = 0 are known and there is no noise."""
+    p01 = S[5] + h * S[8]
+    return (S[0] + h * S[1], S[1], 0.0, 0.0, S[4] + h * (S[5] + p01), p01, 0.0, 0.0, S[8], 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def line_update(e: float, s: float, r: float, S: State) -> State:
+    """As `update`, where a = j = 0 are known."""
+    g, f = e * s, r * s
+    p11 = S[8] - S[5] * s * S[5]
+    return (S[0] + S[4] * g, S[1] + S[5] * g, 0.0, 0.0, S[4] * f, S[5] * f, 0.0, 0.0, p11, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
 def turn(kind: int, jump: Array, S: State) -> State:
     """Go through a corner."""
     x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = S
@@ -171,15 +184,21 @@ def forward(
             S = turn(kind[c], jump, S)
             last = at[c]
             c += 1
-        S = predict(time[i] - last, q[label[i]], S)
-        last = time[i]
+        b = label[i]
         w = stored[i]
+        if b == STICK or b == REST:
+            S = line_predict(time[i] - last, S)
+        else:
+            S = predict(time[i] - last, q[b], S)
+        last = time[i]
         pack(w, S)
-        own = r[label[i]]
-        s = 1.0 / (S[4] + own)
+        s = 1.0 / (S[4] + r[b])
         e = position[i] - S[0]
         w[14], w[15] = s, e * s
-        S = update(e, s, own, S)
+        if b == STICK or b == REST:
+            S = line_update(e, s, r[b], S)
+        else:
+            S = update(e, s, r[b], S)
     pack(state, S)
     state[14] = last
 
@@ -206,51 +225,76 @@ def backward(
     for i in range(time.size - 1, -1, -1):
         w = stored[i]
         b = label[i]
-        p00, p01, p02, p03, p11, p12, p13, p22, p23, s = (
-            w[4],
-            w[5],
-            w[6],
-            w[7],
-            w[8],
-            w[9],
-            w[10],
-            w[11],
-            w[12],
-            w[14],
-        )
-        k0, k1, k2, k3 = p00 * s, p01 * s, p02 * s, p03 * s
-        u0 = k0 * m00 + k1 * m01 + k2 * m02 + k3 * m03
-        u1 = k0 * m01 + k1 * m11 + k2 * m12 + k3 * m13
-        u2 = k0 * m02 + k1 * m12 + k2 * m22 + k3 * m23
-        u3 = k0 * m03 + k1 * m13 + k2 * m23 + k3 * m33
-        u = k0 * l0 + k1 * l1 + k2 * l2 + k3 * l3 + w[15]
-        d = k0 * u0 + k1 * u1 + k2 * u2 + k3 * u3 + s
-        l0 -= u
-        m00 += d - 2 * u0
-        m01 -= u1
-        m02 -= u2
-        m03 -= u3
-        noise[b, 2] += u * u
-        noise[b, 3] += d
-        if wanted:
-            motion[0, i] = w[0] - (p00 * l0 + p01 * l1 + p02 * l2 + p03 * l3)
-            motion[1, i] = w[1] - (p01 * l0 + p11 * l1 + p12 * l2 + p13 * l3)
-            motion[2, i] = w[2] - (p02 * l0 + p12 * l1 + p22 * l2 + p23 * l3)
-            c0 = p00 * m00 + p01 * m01 + p02 * m02 + p03 * m03
-            c1 = p00 * m01 + p01 * m11 + p02 * m12 + p03 * m13
-            c2 = p00 * m02 + p01 * m12 + p02 * m22 + p03 * m23
-            c3 = p00 * m03 + p01 * m13 + p02 * m23 + p03 * m33
-            motion[3, i] = p00 - (p00 * c0 + p01 * c1 + p02 * c2 + p03 * c3)
-            c0 = p01 * m00 + p11 * m01 + p12 * m02 + p13 * m03
-            c1 = p01 * m01 + p11 * m11 + p12 * m12 + p13 * m13
-            c2 = p01 * m02 + p11 * m12 + p12 * m22 + p13 * m23
-            c3 = p01 * m03 + p11 * m13 + p12 * m23 + p13 * m33
-            motion[4, i] = p11 - (p01 * c0 + p11 * c1 + p12 * c2 + p13 * c3)
-            c0 = p02 * m00 + p12 * m01 + p22 * m02 + p23 * m03
-            c1 = p02 * m01 + p12 * m11 + p22 * m12 + p23 * m13
-            c2 = p02 * m02 + p12 * m12 + p22 * m22 + p23 * m23
-            c3 = p02 * m03 + p12 * m13 + p22 * m23 + p23 * m33
-            motion[5, i] = p22 - (p02 * c0 + p12 * c1 + p22 * c2 + p23 * c3)
+        if b == STICK or b == REST:
+            # a and j are known: what would be learned of them is not asked for.
+            p00, p01, s = w[4], w[5], w[14]
+            k0, k1 = p00 * s, p01 * s
+            u0, u1 = k0 * m00 + k1 * m01, k0 * m01 + k1 * m11
+            u, d = k0 * l0 + k1 * l1 + w[15], k0 * u0 + k1 * u1 + s
+            l0 -= u
+            m00 += d - 2 * u0
+            m01 -= u1
+            noise[b, 2] += u * u
+            noise[b, 3] += d
+            if wanted:
+                motion[0, i] = w[0] - (p00 * l0 + p01 * l1)
+                motion[1, i] = w[1] - (p01 * l0 + w[8] * l1)
+                motion[2, i] = 0.0
+                motion[3, i] = p00 - (p00 * p00 * m00 + 2 * p00 * p01 * m01 + p01 * p01 * m11)
+                motion[4, i] = w[8] - (p01 * p01 * m00 + 2 * p01 * w[8] * m01 + w[8] * w[8] * m11)
+                motion[5, i] = 0.0
+            if i > 0 and (c < 0 or at[c] <= time[i - 1]):
+                h = time[i] - time[i - 1]
+                l1 += h * l0
+                m11 += h * (2 * m01 + h * m00)
+                m01 += h * m00
+                continue
+        else:
+            p00, p01, p02, p03, p11, p12, p13, p22, p23, s = (
+                w[4],
+                w[5],
+                w[6],
+                w[7],
+                w[8],
+                w[9],
+                w[10],
+                w[11],
+                w[12],
+                w[14],
+            )
+            k0, k1, k2, k3 = p00 * s, p01 * s, p02 * s, p03 * s
+            u0 = k0 * m00 + k1 * m01 + k2 * m02 + k3 * m03
+            u1 = k0 * m01 + k1 * m11 + k2 * m12 + k3 * m13
+            u2 = k0 * m02 + k1 * m12 + k2 * m22 + k3 * m23
+            u3 = k0 * m03 + k1 * m13 + k2 * m23 + k3 * m33
+            u = k0 * l0 + k1 * l1 + k2 * l2 + k3 * l3 + w[15]
+            d = k0 * u0 + k1 * u1 + k2 * u2 + k3 * u3 + s
+            l0 -= u
+            m00 += d - 2 * u0
+            m01 -= u1
+            m02 -= u2
+            m03 -= u3
+            noise[b, 2] += u * u
+            noise[b, 3] += d
+            if wanted:
+                motion[0, i] = w[0] - (p00 * l0 + p01 * l1 + p02 * l2 + p03 * l3)
+                motion[1, i] = w[1] - (p01 * l0 + p11 * l1 + p12 * l2 + p13 * l3)
+                motion[2, i] = w[2] - (p02 * l0 + p12 * l1 + p22 * l2 + p23 * l3)
+                c0 = p00 * m00 + p01 * m01 + p02 * m02 + p03 * m03
+                c1 = p00 * m01 + p01 * m11 + p02 * m12 + p03 * m13
+                c2 = p00 * m02 + p01 * m12 + p02 * m22 + p03 * m23
+                c3 = p00 * m03 + p01 * m13 + p02 * m23 + p03 * m33
+                motion[3, i] = p00 - (p00 * c0 + p01 * c1 + p02 * c2 + p03 * c3)
+                c0 = p01 * m00 + p11 * m01 + p12 * m02 + p13 * m03
+                c1 = p01 * m01 + p11 * m11 + p12 * m12 + p13 * m13
+                c2 = p01 * m02 + p11 * m12 + p12 * m22 + p13 * m23
+                c3 = p01 * m03 + p11 * m13 + p12 * m23 + p13 * m33
+                motion[4, i] = p11 - (p01 * c0 + p11 * c1 + p12 * c2 + p13 * c3)
+                c0 = p02 * m00 + p12 * m01 + p22 * m02 + p23 * m03
+                c1 = p02 * m01 + p12 * m11 + p22 * m12 + p23 * m13
+                c2 = p02 * m02 + p12 * m12 + p22 * m22 + p23 * m23
+                c3 = p02 * m03 + p12 * m13 + p22 * m23 + p23 * m33
+                motion[5, i] = p22 - (p02 * c0 + p12 * c1 + p22 * c2 + p23 * c3)
         if i == 0:
             break
         now = time[i]
@@ -346,6 +390,7 @@ def place(
     low: Array,
     high: Array,
     half: float,
+    finest: float,
     back: float,
     on: float,
     edges: Array,
@@ -361,9 +406,9 @@ def place(
     Only the corners ``pick``, all of kind ``what``, each within ``low`` and ``high``; looked for within ``half`` (s)
     of where it stands, on the samples from ``back`` before to ``on`` behind it.  ``parts`` are the labels around the
     corner by the time from it, cut at ``edges`` (s), of which number ``corner`` is the corner itself (0).  The grid
-    of times is refined until the likelihood is wider than its step.
+    of times is refined until the likelihood is wider than its step, or the step below ``finest`` (s).
     """
-    n = 8
+    n = 4
     gain, tried = np.empty(2 * n + 1), np.empty(2 * n + 1)
     for k in range(pick.size):
         middle, step = at[pick[k]], half / n
@@ -390,11 +435,11 @@ def place(
             mean /= weight
             spread = math.sqrt(max(square / weight - mean * mean, 0.0))
             found[k, 0], found[k, 1] = middle + mean, max(spread, 0.3 * step)
-            if spread > 1.2 * step:
+            if spread > 1.2 * step or step < finest:
                 break
             middle = tried[best]
             if 0 < best < 2 * n:
-                step /= 4
+                step /= 3
 
 
 def try_corner(
@@ -441,4 +486,41 @@ def try_corner(
                 total += math.log(product)
                 product = 1.0
             S = update(e, s, r[b], S)
+        gain[k] = 0.5 * (total + math.log(product))
+
+
+def average(motion: Array, before: Array, behind: Array, sure: NDArray[np.bool_]) -> None:
+    """Average three motions (6, n), the first of weight 4/6, or 1 where it is ``sure``; variances become errors.
+
+    The smoother's variance is that of readings and of the motion's own noise; of a motion that is smooth indeed the
+    readings' share alone, 1 - (2 d + 1)/8 of it in the d-th derivative, would be right.  Half-way is told.
+    """
+    for row in range(3):
+        share = 1 - (2 * row + 1) / 16
+        for i in range(motion.shape[1]):
+            if sure[i]:
+                motion[row + 3, i] = math.sqrt(max(motion[row + 3, i], 0.0))
+                continue
+            mean = (4 * motion[row, i] + before[row, i] + behind[row, i]) / 6
+            apart = 4 * (motion[row, i] - mean) ** 2 + (before[row, i] - mean) ** 2 + (behind[row, i] - mean) ** 2
+            variance = share * (4 * motion[row + 3, i] + before[row + 3, i] + behind[row + 3, i])
+            motion[row, i] = mean
+            motion[row + 3, i] = math.sqrt(max((variance + apart) / 6, 0.0))
+
+
+def gains(stored: Array, surprise: int, spans: NDArray[np.int64], gain: Array) -> None:
+    """Sum the log likelihoods of the samples in each span, up to a constant, into ``gain``.
+
+    ``stored`` is what a filter wrote down, here or in `processing.jerk_filter`; its column ``surprise`` holds 1/s, the
+    next one e/s.
+    """
+    for k in range(spans.shape[0]):
+        total, product = 0.0, 1.0
+        for i in range(spans[k, 0], spans[k, 1]):
+            s = stored[i, surprise]
+            total -= stored[i, surprise + 1] ** 2 / s
+            product *= s
+            if product > 1e200 or product < 1e-200:
+                total += math.log(product)
+                product = 1.0
         gain[k] = 0.5 * (total + math.log(product))
