@@ -11,6 +11,7 @@ from daq.errors import InputError
 from daq.terminal import Answer, Json
 
 if TYPE_CHECKING:
+    from processing.chunked import Told
     from processing.compare import Row
     from processing.kinematics import Kinematics
 
@@ -57,12 +58,19 @@ def smooth(
     Example: process smooth run.h5 --window 20ms
     """
     from daq import runfile
-    from processing import stage
+    from processing import chunked, stage
     from processing.smoothing import smooth as rebuild
 
-    recording = runfile.load(file)
-    motion = rebuild(recording, method, window, order, times, belt_speed, repair_counts)
-    stage.save(motion, file)
+    asked = (method, window, order, times, belt_speed, repair_counts)
+    motion: Kinematics | Told
+    n = runfile.samples(file)
+    if n > chunked.LARGE:
+        with terminal.progress("smoothing", n, "samples") as tell:
+            motion = chunked.smooth(file, *asked, progress=tell)
+    else:
+        made = rebuild(runfile.load(file), *asked)
+        stage.save(made, file)
+        motion = made
     chosen = window == "auto" and motion.method == "sg"
     data = _summary(motion)
     return Answer(data, [*_sentences(motion, data, chosen), f"written to /entry/smooth of {file}"])
@@ -168,7 +176,7 @@ def _motion(file: Path) -> "tuple[Kinematics, bool]":
     return rebuild(runfile.load(file)), True
 
 
-def _summary(motion: "Kinematics") -> dict[str, Any]:
+def _summary(motion: "Kinematics | Told") -> dict[str, Any]:
     return {
         "method": motion.method,
         "window": motion.window,
@@ -180,18 +188,18 @@ def _summary(motion: "Kinematics") -> dict[str, Any]:
         "plateau_fraction": motion.plateau_fraction,
         "lost_counts": motion.lost_counts,
         "repaired": motion.repaired,
-        "losses": [vars(loss) | {"time": float(motion.time[loss.first])} for loss in motion.losses],
+        "losses": [vars(loss) for loss in motion.losses],
         "phases": [
             {name: getattr(phase, name) for name in ("kind", "start", "start_sd", "end", "end_sd")}
             for phase in motion.phases
         ],
         "cpu_s": motion.cpu_s,
-        "samples": int(motion.time.size),
+        "samples": motion.samples,
         "warnings": _warnings(motion),
     }
 
 
-def _warnings(motion: "Kinematics") -> list[str]:
+def _warnings(motion: "Kinematics | Told") -> list[str]:
     found = []
     if motion.lost_counts:
         found.append(
@@ -209,11 +217,11 @@ def _warnings(motion: "Kinematics") -> list[str]:
     return found
 
 
-def _sentences(motion: "Kinematics", data: dict[str, Any], chosen: bool) -> list[str]:
-    unit = motion.recording.unit
+def _sentences(motion: "Kinematics | Told", data: dict[str, Any], chosen: bool) -> list[str]:
+    unit = motion.unit
     how = NAMES[motion.method]
     if motion.method == "sg":
-        span = 1e3 * (motion.window - 1) * float(motion.time[-1] - motion.time[0]) / max(motion.time.size - 1, 1)
+        span = 1e3 * (motion.window - 1) * motion.span / max(motion.samples - 1, 1)
         how += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
         how += ", chosen from the record" if chosen else ""
     speed = motion.belt_speed

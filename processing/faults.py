@@ -141,14 +141,17 @@ def _judged(count: Array, low: int, high: int) -> Loss | None:
         first, width = (part.ravel() for part in np.meshgrid(*own))
         at = int(np.argmin(_left(_beside(smooth, _ramps(j, first, width)), y)))
     step = _beside(smooth, _ramps(j, first[at : at + 1], width[at : at + 1]))[0]
+    if step @ step < 1e-9:
+        return None
     squares = float(_left(step[None], y)[0])
     size = float(step @ y / (step @ step))
     if squares * BETTER > best_bent:
         # Perhaps a loss beside a corner: both together, against any two corners.
-        both = [_pair(step, own, y) for own in bent]
-        squares, size = min(both)
-        two = min(_pair(own, other, y)[0] for k, own in enumerate(bent) for other in bent[k + 1 :])
-        if squares * BETTER > min(two, best_bent):
+        with_step, sizes = _pairs(step[None], bent, y)
+        of_bent, _ = _pairs(bent, bent, y)
+        both = int(np.argmin(with_step[0]))
+        squares, size = float(with_step[0, both]), float(sizes[0, both])
+        if squares * BETTER > min(float(of_bent.min()), best_bent):
             return None
     if abs(size) < LEAST - ROUNDING:
         return None
@@ -170,11 +173,15 @@ def _left(columns: Array, y: Array) -> Array:
     return np.asarray(np.maximum((y @ y - followed) / y.size, 1 / 12))
 
 
-def _pair(one: Array, other: Array, y: Array) -> tuple[float, float]:
-    """Return the mean square that two columns together leave of y, and the coefficient of the first."""
-    a, b, c, d, e = one @ one, one @ other, other @ other, one @ y, other @ y
+def _pairs(one: Array, other: Array, y: Array) -> tuple[Array, Array]:
+    """Return the mean squares that pairs of columns leave of y, (ones, others), and the coefficients of the first."""
+    a = np.einsum("ij,ij->i", one, one)[:, None]
+    b = one @ other.T
+    c = np.einsum("ij,ij->i", other, other)[None, :]
+    d, e = (one @ y)[:, None], (other @ y)[None, :]
     determinant = a * c - b * b
-    if determinant < 1e-9 * a * c:
-        return math.inf, 0.0
-    first, second = (c * d - b * e) / determinant, (a * e - b * d) / determinant
-    return max(float(y @ y - first * d - second * e) / y.size, 1 / 12), float(first)
+    apart = determinant > 1e-9 * a * c + 1e-30
+    safe = np.where(apart, determinant, 1.0)
+    first, second = (c * d - b * e) / safe, (a * e - b * d) / safe
+    squares = np.where(apart, np.maximum((y @ y - first * d - second * e) / y.size, 1 / 12), np.inf)
+    return squares, first

@@ -118,6 +118,21 @@ class Kinematics:
         return tuple(phase for phase in self.phases if phase.kind == "slip")
 
     @property
+    def samples(self) -> int:
+        """How many samples there are."""
+        return int(self.time.size)
+
+    @property
+    def span(self) -> float:
+        """From the first sample to the last, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def unit(self) -> str:
+        """Unit of the position: "m", or "count"."""
+        return self.recording.unit
+
+    @property
     def lost_counts(self) -> int:
         """How many times counts went missing."""
         return len(self.losses)

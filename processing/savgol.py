@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from daq.compiled import compiled
@@ -202,10 +201,19 @@ def standard_errors(
     expected = noise * np.maximum(probing**2 - weights**2, 0.0)
     corner = np.maximum(difference - 9 * expected, 0.0)
     reach = max(window // 4, 1)
-    around = np.pad(corner, ((0, 0), (reach, reach)))
-    corner = sliding_window_view(around, 2 * reach + 1, axis=1).max(axis=-1)
+    corner = _largest(np.pad(corner, ((0, 0), (reach, reach))), 2 * reach + 1)
     errors: Array = np.where(known, np.sqrt(noise * weights**2 + corner), np.inf)
     return errors
+
+
+def _largest(rows: Array, width: int) -> Array:
+    """Return the largest of every ``width`` neighbours, (3, n - width + 1), by ever longer runs of them."""
+    done = 1
+    while 2 * done <= width:
+        rows = np.maximum(rows[:, :-done], rows[:, done:])
+        done *= 2
+    rest = width - done
+    return np.maximum(rows[:, : rows.shape[1] - rest], rows[:, rest:])
 
 
 def _reading_variance(position: Array, fitted: tuple[Array, Array], window: int) -> Array:

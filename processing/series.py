@@ -58,7 +58,7 @@ class Series:
     count: NDArray[np.int64] | None = None
 
 
-def of(recording: "Recording", times: str = "recorded") -> Series:
+def of(recording: "Recording", times: str = "recorded", anchor: "tuple[float, int] | None" = None) -> Series:
     """Return the series of a recording.
 
     Parameters
@@ -67,6 +67,8 @@ def of(recording: "Recording", times: str = "recorded") -> Series:
         The run.
     times : {"recorded", "nominal"}
         The board's sample times, or an even grid at the nominal rate that starts with each segment.
+    anchor : (float, int), optional
+        Time and number of the sample at which the first segment's even grid starts; by default the first.
 
     Raises
     ------
@@ -81,7 +83,7 @@ def of(recording: "Recording", times: str = "recorded") -> Series:
     if recorded.size < LEAST:
         raise InputError(f"holds {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
     segment = recording.segment
-    time = recorded if times == "recorded" else nominal(recording)
+    time = recorded if times == "recorded" else nominal(recording, anchor)
     check(time, positions, where)
     pitch, count = 0.0, None
     if recording.count is not None:
@@ -134,7 +136,7 @@ def pieces(time: Array, segment: NDArray[np.integer], interval: float) -> tuple[
     return tuple(slice(first, last) for first, last in pairwise(edges))
 
 
-def nominal(recording: "Recording") -> Array:
+def nominal(recording: "Recording", anchor: "tuple[float, int] | None" = None) -> Array:
     """Return an even grid, s: the first recorded time of each segment plus sample number over rate.
 
     Lost samples keep their place, by the sequence number where there is one, else by the length of the hole.
@@ -147,7 +149,9 @@ def nominal(recording: "Recording") -> Array:
         if recording.raw is not None:
             step = 1.0 / recording.rate_hz
             number = recording.raw.sample[own].astype(np.int64)
-            number = number - number[0]
+            start, zero = (recorded[first], number[0]) if anchor is None or first else anchor
+            time[own] = start + (number - zero) * step
+            continue
         else:
             gaps = np.diff(recorded[own])
             step = float(np.median(gaps)) if gaps.size else 1.0 / recording.rate_hz

@@ -12,6 +12,7 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -22,6 +23,10 @@ from daq.version import VERSION
 from processing.faults import Loss
 from processing.kinematics import Kinematics, Phase
 
+if TYPE_CHECKING:
+    from processing.chunked import Told
+
+KINEMATICS: dict[str, Any] = {"auxiliary": ("position", "acceleration"), "title": "kinematics"}
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 
 
@@ -31,12 +36,41 @@ def save(kinematics: Kinematics, path: Path) -> None:
 
 
 def _write(entry: h5py.Group, motion: Kinematics) -> None:
+    smooth = begin(entry)
+    unit = motion.recording.unit
+    columns: dict[str, tuple[np.ndarray, str]] = {"time": (motion.time, "s")}
+    for name, per in DERIVATIVES.items():
+        columns[name] = (getattr(motion, name), unit + per)
+        columns[f"{name}_errors"] = (getattr(motion, f"{name}_errors").astype(np.float32), unit + per)
+    nexus.table(smooth, "kinematics", columns, axis="time", signal="velocity", **KINEMATICS)
+    finish(smooth, motion, unit, motion.recording.digest)
+
+
+def begin(entry: h5py.Group) -> h5py.Group:
+    """Make the group of the stage."""
     smooth = nexus.group(entry, "smooth", "NXprocess", default="phase_portrait")
     nexus.field(smooth, "program", "process smooth")
     nexus.field(smooth, "version", VERSION)
     nexus.field(smooth, "date", datetime.now(UTC).isoformat(timespec="seconds"))
     nexus.field(smooth, "sequence_index", np.int64(1))
-    unit = motion.recording.unit
+    return smooth
+
+
+def empty(smooth: h5py.Group, n: int, unit: str) -> h5py.Group:
+    """Make the table of the kinematics for ``n`` samples yet to be written."""
+    made = nexus.group(smooth, "kinematics", "NXdata", signal="velocity", axes="time", title="kinematics")
+    made.attrs["time_indices"] = np.int64(0)
+    made.attrs["auxiliary_signals"] = list(KINEMATICS["auxiliary"])
+    nexus.column(made, "time", n, "f8", "s")
+    for name, per in DERIVATIVES.items():
+        nexus.column(made, name, n, "f8", unit + per)
+        nexus.column(made, f"{name}_errors", n, "f4", unit + per)
+    nexus.scale(made, "time")
+    return made
+
+
+def finish(smooth: h5py.Group, motion: "Kinematics | Told", unit: str, digest: str) -> None:
+    """Write how the motion was made, its portrait, and its phases, beside the kinematics."""
     parameters = nexus.group(smooth, "parameters", "NXparameters")
     nexus.field(parameters, "method", motion.method)
     nexus.field(parameters, "window", np.int64(motion.window))
@@ -46,26 +80,13 @@ def _write(entry: h5py.Group, motion: Kinematics) -> None:
     nexus.field(parameters, "lost_counts", np.int64(motion.lost_counts))
     nexus.field(parameters, "repaired", np.int64(motion.repaired))
     nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
-    nexus.field(parameters, "sha256_input", motion.recording.digest)
-    columns: dict[str, tuple[np.ndarray, str]] = {"time": (motion.time, "s")}
-    for name, per in DERIVATIVES.items():
-        columns[name] = (getattr(motion, name), unit + per)
-        columns[f"{name}_errors"] = (getattr(motion, f"{name}_errors").astype(np.float32), unit + per)
-    table = nexus.table(
-        smooth,
-        "kinematics",
-        columns,
-        axis="time",
-        signal="velocity",
-        auxiliary=("position", "acceleration"),
-        title="kinematics",
-    )
+    nexus.field(parameters, "sha256_input", digest)
     portrait = nexus.group(
         smooth, "phase_portrait", "NXdata", signal="velocity", axes="position", title="phase portrait"
     )
     portrait.attrs["position_indices"] = np.int64(0)
     for name in ("position", "velocity"):
-        nexus.link(portrait, name, table[name])
+        nexus.link(portrait, name, smooth["kinematics"][name])
     if motion.phases:
         nexus.table(
             smooth,
