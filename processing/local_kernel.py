@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-LANES = 8
+LANES = 32
 
 
 def fit(

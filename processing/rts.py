@@ -168,13 +168,13 @@ def smooth(series: Series, noise: Noise) -> Motion:
     motion = np.empty((6, n))
     run = compiled(jerk_filter.smooth, KERNELS)
     rho = noise.rho(series.interval)
-    reach = math.ceil(2 * jerk_filter.SETTLED / rho ** (1 / 6)) + 8
-    block = max(BLOCK, 4 * reach)
+    behind = reach(rho)
+    block = max(BLOCK, 4 * behind)
     for piece in series.pieces:
         if piece.stop - piece.start < SHORT:
             motion[:, piece] = parabola(series.time[piece], series.position[piece], noise.reading)
         else:
-            run(series.time[piece], series.position[piece], noise.jerk, noise.reading, block, reach, motion[:, piece])
+            run(series.time[piece], series.position[piece], noise.jerk, noise.reading, block, behind, motion[:, piece])
     errors = np.sqrt(np.maximum(motion[3:], 0.0))
     return Motion(
         position=series.origin + motion[0],
@@ -187,6 +187,11 @@ def smooth(series: Series, noise: Noise) -> Motion:
         order=ORDER,
         method="rts",
     )
+
+
+def reach(rho: float) -> int:
+    """Return after how many samples what a smoother starts from has faded."""
+    return math.ceil(2 * jerk_filter.SETTLED / float(rho ** (1 / 6))) + 8
 
 
 def equivalent_window(rho: float, n: int) -> int:

@@ -355,6 +355,8 @@ def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float,
     """
     c = 0
     state = first
+    # Where a slip is cut off a landing may lie within the last samples, unseen: as rough as there.
+    ended = time[time.size - 1]
     behind, before = -math.inf, math.inf
     for i in range(time.size):
         while c < at.size and at[c] <= time[i]:
@@ -362,7 +364,7 @@ def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float,
             k = kind[c]
             state = STICK if k == LAND else RIDE if k == MEET else REST if k == STOP else SLIP
             c += 1
-        before = at[c] if c < at.size else math.inf
+        before = at[c] if c < at.size else ended
         label[i] = state
         since, left = (time[i] - behind) / unit, (before - time[i]) / unit
         if state == SLIP:
@@ -492,11 +494,11 @@ def try_corner(
 def average(motion: Array, before: Array, behind: Array, sure: NDArray[np.bool_]) -> None:
     """Average three motions (6, n), the first of weight 4/6, or 1 where it is ``sure``; variances become errors.
 
-    The smoother's variance is that of readings and of the motion's own noise; of a motion that is smooth indeed the
-    readings' share alone, 1 - (2 d + 1)/8 of it in the d-th derivative, would be right.  Half-way is told.
+    The smoother's variance is that of readings and of the motion's own noise.  A slip is smooth but for its ends, and
+    errs by its readings' share alone: 1 - (2 d + 1)/8 of that variance in the d-th derivative.
     """
     for row in range(3):
-        share = 1 - (2 * row + 1) / 16
+        share = 1 - (2 * row + 1) / 8
         for i in range(motion.shape[1]):
             if sure[i]:
                 motion[row + 3, i] = math.sqrt(max(motion[row + 3, i], 0.0))
