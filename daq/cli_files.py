@@ -55,7 +55,7 @@ def import_table(
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Make a run file of a table of times and positions, from a camera for instance.
+    """Make a run file of a table of times and positions: a CSV, from a camera for instance, or a MATLAB file.
 
     Delimiter, decimal sign, header and units in it are found; bare numbers are SI.  With mass and stiffness the
     frame rate is checked against the slips.

@@ -72,6 +72,14 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     return made
 
 
+def column(parent: h5py.Group, name: str, n: int, dtype: str, units: str) -> h5py.Dataset:
+    """Make a column of ``n`` numbers yet to be written, stored as `field` stores one."""
+    filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+    made = parent.create_dataset(name, (n,), dtype, chunks=(min(n, CHUNK),), track_times=False, **filters)
+    made.attrs["units"] = units
+    return made
+
+
 def table(
     parent: h5py.Group,
     name: str,

@@ -11,6 +11,7 @@ import numpy as np
 
 from daq.errors import InputError
 
+EVERY = slice(None)  # rows
 AGAIN = "the file was damaged or made by another program; record or import it again"
 
 
@@ -36,13 +37,13 @@ def dataset(entry: h5py.Group, name: str, where: Path) -> h5py.Dataset:
     return item
 
 
-def array(entry: h5py.Group, name: str, dtype: Any, where: Path) -> Any:
-    """Return a column of numbers as ``dtype``; integers are never read out of a column of floats."""
+def array(entry: h5py.Group, name: str, dtype: Any, where: Path, own: slice = EVERY) -> Any:
+    """Return a column of numbers, or ``own`` rows of it, as ``dtype``; integers are never read out of floats."""
     item = dataset(entry, name, where)
     if item.ndim != 1 or item.dtype.kind not in "iuf" or not np.can_cast(item.dtype, dtype, "same_kind"):
         found = f"{item.ndim}-dimensional {item.dtype}"
         raise InputError(f"/entry/{name} is {found}, not one column of {np.dtype(dtype)}", str(where), AGAIN)
-    return item[()].astype(dtype, copy=False)
+    return item[own].astype(dtype, copy=False)
 
 
 def scalar(entry: h5py.Group, name: str, where: Path) -> float:

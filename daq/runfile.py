@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from daq import layout
 from daq.errors import InputError
-from daq.nexus_read import AGAIN, array, group, same_length, scalar, string, text
+from daq.nexus_read import AGAIN, EVERY, array, dataset, group, same_length, scalar, string, text
 from daq.recording import EVENT_NAMES as EVENT_NAMES
 from daq.recording import EVENTS as EVENTS
 from daq.recording import Raw as Raw
@@ -38,13 +38,22 @@ SCHEMA = 1
 STAGES = ("data", "smooth", "fit")
 
 
-def load(path: str | os.PathLike[str]) -> Recording:
+def samples(path: str | os.PathLike[str]) -> int:
+    """Return how many samples a run holds; InputError as for `load`."""
+    where = Path(path)
+    with opened(where) as file, _damage(where):
+        return int(dataset(group(file, "entry", where), "instrument/encoder/value_log/time", where).size)
+
+
+def load(path: str | os.PathLike[str], own: slice = EVERY) -> Recording:
     """Read a run.
 
     Parameters
     ----------
     path : path
         A run file.
+    own : slice
+        Samples to read; by default all.  Events and clock are those of the whole run, numbered as there.
 
     Raises
     ------
@@ -56,8 +65,8 @@ def load(path: str | os.PathLike[str]) -> Recording:
     with opened(where) as file, _damage(where):
         entry = group(file, "entry", where)
         log = "instrument/encoder/value_log"
-        time = array(entry, f"{log}/time", np.float64, where)
-        position = array(entry, f"{log}/value", np.float64, where)
+        time = array(entry, f"{log}/time", np.float64, where, own)
+        position = array(entry, f"{log}/value", np.float64, where, own)
         unit = text(entry[f"{log}/value"].attrs.get("units", "m"))
         n = time.size
         _check_times(time, where)
@@ -70,16 +79,16 @@ def load(path: str | os.PathLike[str]) -> Recording:
             )
         count = None
         if f"{log}/raw_value" in entry:
-            count = array(entry, f"{log}/raw_value", np.int64, where)
+            count = array(entry, f"{log}/raw_value", np.int64, where, own)
             same_length(count.size, n, f"{log}/raw_value", where)
-        raw, segment = _raw(entry, n, where)
+        raw, segment = _raw(entry, n, where, own)
         belt = belt_count = None
         belt_log = "instrument/belt/value_log"
         if belt_log in entry:
-            belt = array(entry, f"{belt_log}/value", np.float64, where)
+            belt = array(entry, f"{belt_log}/value", np.float64, where, own)
             same_length(belt.size, n, f"{belt_log}/value", where)
             if f"{belt_log}/raw_value" in entry:
-                belt_count = array(entry, f"{belt_log}/raw_value", np.int64, where)
+                belt_count = array(entry, f"{belt_log}/raw_value", np.int64, where, own)
                 same_length(belt_count.size, n, f"{belt_log}/raw_value", where)
         events = array(entry, "events/sample", np.uint32, where)
         kinds = array(entry, "events/kind", np.uint8, where)
@@ -345,7 +354,7 @@ def _check(data: RunData) -> None:
             raise ValueError(f"{name} is {getattr(data, name)!r}; it needs its zone")
 
 
-def _raw(entry: h5py.Group, n: int, where: Path) -> tuple[Raw | None, Any]:
+def _raw(entry: h5py.Group, n: int, where: Path, own: slice) -> tuple[Raw | None, Any]:
     if "raw" not in entry:
         return None, np.zeros(n, np.uint16)
     types = {"sample": np.uint32, "device_time": np.uint32, "levels": np.uint8}
@@ -356,7 +365,7 @@ def _raw(entry: h5py.Group, n: int, where: Path) -> tuple[Raw | None, Any]:
             continue
         item = entry.get(f"raw/{name}")
         wide = name in ("count_up", "count_down") and isinstance(item, h5py.Dataset) and item.dtype.itemsize > 2
-        columns[name] = array(entry, f"raw/{name}", np.uint32 if wide else types.get(name, np.uint16), where)
+        columns[name] = array(entry, f"raw/{name}", np.uint32 if wide else types.get(name, np.uint16), where, own)
         same_length(columns[name].size, n, f"raw/{name}", where)
     segment = columns.pop("segment")
     return Raw(**columns), segment

@@ -1,4 +1,4 @@
-"""A camera's table of t, x made into a run file: columns and units found, times checked, the frame rate doubted.
+"""A table of t, x (a CSV, a MATLAB file) made into a run file: columns, units and frame rate found or doubted.
 
 Times must increase; they need not be even.  Nothing is repaired: a bad line is refused by its number.
 """
@@ -76,7 +76,7 @@ def read(path: Path, wishes: Wishes) -> Imported:
         For an unreadable table, an unknown column or unit, a cell that is no number, or times that do not increase:
         each naming the line and what to do.
     """
-    cells = table.read(path)
+    cells = _cells(path)
     warnings: list[str] = []
     t_column, x_column, frames = find(cells, wishes.time, wishes.position, wishes.frame_rate_hz is not None)
     x_size, x_unit = unit(cells, x_column, wishes.x_unit, "length", "--x-unit", warnings)
@@ -115,6 +115,14 @@ def read(path: Path, wishes: Wishes) -> Imported:
     run = _run(path, wishes, RunData("", "", "", rate, rig, time, position), cells, columns)
     even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
     return Imported(run, columns, cells.delimiter_name, cells.decimal, even, tuple(warnings))
+
+
+def _cells(path: Path) -> table.Table:
+    if path.suffix.lower() != ".mat":
+        return table.read(path)
+    from daq import matfile
+
+    return matfile.read(path)
 
 
 def _plausible(position: NDArray[np.float64], cells: table.Table) -> None:

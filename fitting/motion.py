@@ -117,7 +117,7 @@ def of(kinematics: Kinematics, rig: Rig, belt_speed: float | None) -> Motion:
     stated = Measured(belt_speed) if belt_speed is not None else rig.belt_speed
     return Motion(
         time=kinematics.time,
-        measured=sign * recording.position,
+        measured=sign * kinematics.measured,
         position=sign * kinematics.position,
         velocity=sign * kinematics.velocity,
         acceleration=sign * kinematics.acceleration,

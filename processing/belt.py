@@ -1,16 +1,17 @@
 """The belt's own motion, where the board counts it: smoothed as the mass's is, and the mass as the belt sees it.
 
-Both go through the same filter, so that what the filter blurs at a corner it blurs alike, and in stick their difference
-is the noise of two counters and nothing else.
+The mass seen from the belt is smoothed as one record, their difference: in stick it stands, whatever the belt does, and
+what a filter blurs at a corner it blurs in both alike.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing import methods
+from processing import methods, rts
 from processing.methods import Motion, Setting
 from processing.series import Series
 
@@ -37,9 +38,17 @@ class Belt:
     series: Series
     motion: Motion
 
+    def speed(self, moving: NDArray[np.bool_]) -> float:
+        """Return the belt's median speed while the mass is in motion, m/s, signed; NaN when it never is."""
+        return float(np.median(self.velocity[moving])) if moving.any() else math.nan
 
-def beside(recording: "Recording", series: Series, method: str, motion: Motion) -> Belt | None:
-    """Return the belt of a recording, smoothed as ``motion`` was; None without a channel or a common unit.
+
+def beside(recording: "Recording", series: Series, motion: Motion) -> Belt | None:
+    """Return the belt of a recording; None without a channel or a common unit.
+
+    Savitzky-Golay and differences take the belt as they took the mass; for the others it is `processing.rts` with the
+    mass's own jerk, as a belt knows no corners, or softer ones.  The mass seen from the belt goes through a
+    Savitzky-Golay filter as wide: sharper at the landings, which are looked for there.
 
     Parameters
     ----------
@@ -47,19 +56,26 @@ def beside(recording: "Recording", series: Series, method: str, motion: Motion) 
         The run.
     series : Series
         Its positions, made ready.
-    method : str
-        "sg" or "fd".
     motion : Motion
-        What that method made of the positions: its window and order are taken.
+        What a method made of the positions.
     """
     pitch = recording.rig.belt_metres_per_count
     if recording.belt_count is None or pitch is None or recording.unit != "m":
         return None
-    setting = Setting() if method == "fd" else Setting(motion.window, motion.order)
     travel = (recording.belt_count - recording.belt_count[0]) * pitch.value
     own = replace(series, position=travel, origin=0.0, pitch=abs(pitch.value))
     seen = replace(
         series, position=series.position - travel, origin=0.0, pitch=float(np.hypot(series.pitch, pitch.value))
     )
-    smoothed = methods.estimate(method, own, setting)
-    return Belt(smoothed.velocity, smoothed.velocity_errors, seen, methods.estimate(method, seen, setting))
+    if motion.method == "fd":
+        belt, relative = (methods.estimate("fd", other, Setting()) for other in (own, seen))
+        return Belt(belt.velocity, belt.velocity_errors, seen, relative)
+    setting = Setting(motion.window, motion.order if motion.method == "sg" else 4)
+    relative = methods.estimate("sg", seen, setting)
+    if motion.method == "sg":
+        belt = methods.estimate("sg", own, setting)
+    else:
+        noise = rts.fit(series)
+        finer = (own.pitch / series.pitch) ** 2 if series.pitch else 1.0
+        belt = rts.smooth(own, rts.Noise(noise.jerk, noise.reading * finer))
+    return Belt(belt.velocity, belt.velocity_errors, seen, relative)

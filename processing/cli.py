@@ -1,5 +1,6 @@
 """`process`: make the motion out of a recorded run, compare the ways to, look at it, hand it on."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -10,13 +11,19 @@ from daq.errors import InputError
 from daq.terminal import Answer, Json
 
 if TYPE_CHECKING:
+    from processing.chunked import Told
     from processing.compare import Row
     from processing.kinematics import Kinematics
 
 Run = Annotated[Path, Parameter(help="Run file, as daq record, import or replay made it.")]
 Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]
 
-NAMES = {"sg": "Savitzky-Golay", "fd": "finite differences"}
+NAMES = {
+    "segment": "sticks and slips smoothed apart, corners fitted",
+    "rts": "fixed-interval smoother, noise levels by likelihood",
+    "sg": "Savitzky-Golay",
+    "fd": "finite differences",
+}
 
 app = terminal.application(
     "process", "Position, velocity and acceleration from a recorded run.", "process smooth run.h5"
@@ -28,10 +35,21 @@ def smooth(
     file: Run,
     /,
     *,
-    method: Annotated[str, Parameter(help="auto (Savitzky-Golay), sg, or fd (differences, the baseline).")] = "auto",
-    window: Annotated[str, Parameter(help="auto, an odd number of samples, or a duration: 20ms.")] = "auto",
+    method: Annotated[
+        str,
+        Parameter(
+            help="auto (segment where sticks are beyond doubt, else rts), segment, rts, "
+            "sg (Savitzky-Golay) or fd (differences, the baseline)."
+        ),
+    ] = "auto",
+    window: Annotated[
+        str, Parameter(help="Of Savitzky-Golay: auto, an odd number of samples, or a duration: 20ms.")
+    ] = "auto",
     order: Annotated[int | None, Parameter(help="Degree of the polynomial; default chosen with the window.")] = None,
     times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
+    repair_counts: Annotated[
+        str, Parameter(help="Lost counts: off (not looked for), flag (marked), fix (marked and put back).")
+    ] = "flag",
     belt_speed: Annotated[str, Parameter(help="auto (belt counts, else plateaus), or m/s with its sign.")] = "auto",
     json: Json = False,
 ) -> Answer:
@@ -40,13 +58,20 @@ def smooth(
     Example: process smooth run.h5 --window 20ms
     """
     from daq import runfile
-    from processing import stage
+    from processing import chunked, stage
     from processing.smoothing import smooth as rebuild
 
-    recording = runfile.load(file)
-    motion = rebuild(recording, method, window, order, times, belt_speed)
-    stage.save(motion, file)
-    chosen = window == "auto" and motion.method != "fd"
+    asked = (method, window, order, times, belt_speed, repair_counts)
+    motion: Kinematics | Told
+    n = runfile.samples(file)
+    if n > chunked.LARGE:
+        with terminal.progress("smoothing", n, "samples") as tell:
+            motion = chunked.smooth(file, *asked, progress=tell)
+    else:
+        made = rebuild(runfile.load(file), *asked)
+        stage.save(made, file)
+        motion = made
+    chosen = window == "auto" and motion.method == "sg"
     data = _summary(motion)
     return Answer(data, [*_sentences(motion, data, chosen), f"written to /entry/smooth of {file}"])
 
@@ -151,7 +176,7 @@ def _motion(file: Path) -> "tuple[Kinematics, bool]":
     return rebuild(runfile.load(file)), True
 
 
-def _summary(motion: "Kinematics") -> dict[str, Any]:
+def _summary(motion: "Kinematics | Told") -> dict[str, Any]:
     return {
         "method": motion.method,
         "window": motion.window,
@@ -163,18 +188,25 @@ def _summary(motion: "Kinematics") -> dict[str, Any]:
         "belt_channel": motion.belt_velocity is not None,
         "plateau_fraction": motion.plateau_fraction,
         "lost_counts": motion.lost_counts,
+        "repaired": motion.repaired,
+        "losses": [vars(loss) for loss in motion.losses],
+        "phases": [
+            {name: getattr(phase, name) for name in ("kind", "start", "start_sd", "end", "end_sd")}
+            for phase in motion.phases
+        ],
         "cpu_s": motion.cpu_s,
-        "samples": int(motion.time.size),
+        "samples": motion.samples,
         "warnings": _warnings(motion),
     }
 
 
-def _warnings(motion: "Kinematics") -> list[str]:
+def _warnings(motion: "Kinematics | Told") -> list[str]:
     found = []
     if motion.lost_counts:
         found.append(
-            f"counts went missing at {motion.lost_counts} sample{'s' if motion.lost_counts > 1 else ''} "
-            "(marked, not repaired): look for a bouncing encoder wheel or a slipping coupling"
+            f"counts went missing {motion.lost_counts} time{'s' if motion.lost_counts > 1 else ''} "
+            f"({'put back' if motion.repaired else 'marked, not repaired'}): "
+            "look for a bouncing encoder wheel or a slipping coupling"
         )
     if motion.phases and not motion.sticks and motion.plateau_speed == motion.plateau_speed:
         found.append(
@@ -186,11 +218,11 @@ def _warnings(motion: "Kinematics") -> list[str]:
     return found
 
 
-def _sentences(motion: "Kinematics", data: dict[str, Any], chosen: bool) -> list[str]:
-    unit = motion.recording.unit
+def _sentences(motion: "Kinematics | Told", data: dict[str, Any], chosen: bool) -> list[str]:
+    unit = motion.unit
     how = NAMES[motion.method]
-    if motion.method != "fd":
-        span = 1e3 * (motion.window - 1) * float(motion.time[-1] - motion.time[0]) / max(motion.time.size - 1, 1)
+    if motion.method == "sg":
+        span = 1e3 * (motion.window - 1) * motion.span / max(motion.samples - 1, 1)
         how += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
         how += ", chosen from the record" if chosen else ""
     speed = motion.belt_speed
@@ -203,7 +235,15 @@ def _sentences(motion: "Kinematics", data: dict[str, Any], chosen: bool) -> list
         f"stuck for {100 * motion.plateau_fraction:.0f} % of the record",
         f"{data['samples']} samples in {motion.cpu_s:.2f} s of CPU time",
     ]
+    if motion.method == "segment" and motion.sticks:
+        landing, onset = (_usual([getattr(stick, name) for stick in motion.sticks]) for name in ("start_sd", "end_sd"))
+        lines.insert(2, f"corners are told to {landing} (landings) and {onset} (onsets)")
     return lines + [f"warning: {warning}" for warning in data["warnings"]]
+
+
+def _usual(spreads: list[float]) -> str:
+    known = sorted(spread for spread in spreads if spread < math.inf)
+    return f"{1e3 * known[len(known) // 2]:.2g} ms" if known else "nothing"
 
 
 def _table(rows: "list[Row]", file: Path, unit: str, told: bool) -> Any:

@@ -60,10 +60,12 @@ def rows(recording: Recording, truth: Truth | None) -> list[Row]:
     Returns
     -------
     list of Row
-        Finite differences and Savitzky-Golay, on nominal and on recorded times.
+        Finite differences, Savitzky-Golay and both smoothers, on nominal and on recorded times.
     """
     from processing import whitejerk  # noqa: F401  (loads scipy now, not while the clock runs)
 
+    for method in ("sg", "segment"):  # compiles what it needs now
+        methods.estimate(method, series.of(recording), Setting())
     true = velocity_at(recording, truth) if truth is not None else None
     found = []
     for times in reversed(series.TIMES):
@@ -73,6 +75,7 @@ def rows(recording: Recording, truth: Truth | None) -> list[Row]:
         for window in (length for length in WINDOWS if length <= longest):
             found.append(_row("sg", f"{window},{ORDER} {times}", data, Setting(window, ORDER), true))
         found.append(_row("sg", f"auto {times}", data, windows.setting("auto", None, data), true))
+        found += [_row(method, times, data, Setting(), true) for method in ("rts", "segment")]
     return found
 
 

@@ -71,6 +71,7 @@ def estimate(series: Series, setting: Setting) -> Motion:
         acceleration_errors=acceleration_errors,
         window=WINDOW,
         order=1,
+        method="fd",
     )
 
 

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from processing import faults
+from processing.faults import Loss
+
 if TYPE_CHECKING:
     from daq.recording import Recording
 
@@ -27,6 +30,9 @@ class Phase:
         Times, s, on the recording's axis; corners are placed between samples.
     first, last : int
         First and last sample that lie inside (both included).
+    start_sd, end_sd : float
+        Standard deviations of the times, s; infinite where they were not fitted, or where the phase is cut off by
+        the end of a stretch.
     """
 
     kind: Literal["stick", "slip"]
@@ -34,6 +40,8 @@ class Phase:
     end: float
     first: int
     last: int
+    start_sd: float = math.inf
+    end_sd: float = math.inf
 
     @property
     def duration(self) -> float:
@@ -56,9 +64,10 @@ class Kinematics:
     position_errors, velocity_errors, acceleration_errors : array
         One standard error each; infinite where a derivative cannot be known (a lone sample between two gaps).
     method : str
-        "sg" or "fd": what `auto` chose, never "auto" itself.
+        "segment", "rts", "sg" or "fd": what `auto` chose, never "auto" itself.
     window, order : int
-        Samples in the smoothing window (2 for finite differences) and degree of its polynomial.
+        Samples in the smoothing window (2 for finite differences) and degree of its polynomial.  A smoother has no
+        window: that of the Savitzky-Golay filter of order 4 that resembles "rts" is told; "segment" blurs less.
     times : str
         "recorded" or "nominal".
     belt_speed : float
@@ -68,8 +77,10 @@ class Kinematics:
         True while the mass rides on the belt.
     phases : tuple of Phase
         Sticks and slips in order of time; rest before the belt starts belongs to neither.
-    lost_counts : int
-        Samples at which ten or more counts seem to have gone missing; marked, not repaired.
+    losses : tuple of Loss
+        Where ten or more counts went missing (`processing.faults`).
+    repaired : bool
+        Whether they were put back into the position.
     cpu_s : float
         CPU time spent, s.
     plateau_speed : float
@@ -94,7 +105,8 @@ class Kinematics:
     belt_speed: float
     stick: NDArray[np.bool_]
     phases: tuple[Phase, ...]
-    lost_counts: int
+    losses: tuple[Loss, ...]
+    repaired: bool
     cpu_s: float
     plateau_speed: float = math.nan
     belt_velocity: Array | None = None
@@ -109,6 +121,36 @@ class Kinematics:
     def slips(self) -> tuple[Phase, ...]:
         """The slips, in order of time."""
         return tuple(phase for phase in self.phases if phase.kind == "slip")
+
+    @property
+    def samples(self) -> int:
+        """How many samples there are."""
+        return int(self.time.size)
+
+    @property
+    def span(self) -> float:
+        """From the first sample to the last, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def unit(self) -> str:
+        """Unit of the position: "m", or "count"."""
+        return self.recording.unit
+
+    @property
+    def lost_counts(self) -> int:
+        """How many times counts went missing."""
+        return len(self.losses)
+
+    @property
+    def measured(self) -> Array:
+        """The recorded positions, m; with the lost counts where they were put back."""
+        recording = self.recording
+        if not self.repaired:
+            return recording.position
+        metres = recording.rig.metres_per_count
+        pitch = abs(metres.value) if metres is not None else 1.0
+        return recording.position - pitch * faults.missing(recording.segment, self.losses)
 
     @property
     def plateau_fraction(self) -> float:

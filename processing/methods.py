@@ -17,21 +17,45 @@ from processing.series import Series
 
 Array = NDArray[np.float64]
 
-METHODS = {"sg": "processing.savgol", "fd": "processing.differences"}
-AUTO = "sg"  # what "auto" stands for
+METHODS = {
+    "auto": "processing.automatic",
+    "segment": "processing.segment",
+    "rts": "processing.rts",
+    "sg": "processing.savgol",
+    "fd": "processing.differences",
+}
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What was asked of a method: samples in the window and degree of the polynomial; None lets it choose."""
+    """What was asked of a method: samples in the window, degree of the polynomial, belt speed (m/s, signed).
+
+    None lets the method choose.
+    """
 
     window: int | None = None
     order: int | None = None
+    belt_speed: float | None = None
+
+
+@dataclass(frozen=True)
+class Corner:
+    """Where stick and slip meet: time and its standard deviation, s, and what happens there.
+
+    ``what`` is "land" (on the belt), "leave" (it), "start" (from rest), "stop" or "kick".
+    """
+
+    time: float
+    sd: float
+    what: str
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What a method gives: x, v, a (m, m/s, m/s^2) with one standard error each, all of shape (n,)."""
+    """What a method gives: x, v, a (m, m/s, m/s^2) with one standard error each, all of shape (n,).
+
+    ``corners`` are those the method has fitted; None or none when it knows nothing of corners.
+    """
 
     position: Array
     velocity: Array
@@ -41,6 +65,8 @@ class Motion:
     acceleration_errors: Array
     window: int
     order: int
+    method: str
+    corners: tuple[Corner, ...] = ()
 
 
 class Method(Protocol):
@@ -50,16 +76,14 @@ class Method(Protocol):
         """Rebuild the motion of ``series``; InputError for a setting that the method cannot carry out."""
 
 
-def resolve(name: str) -> str:
-    """Return the method that ``name`` stands for, or raise InputError for an unknown one."""
-    if name == "auto":
-        return AUTO
+def check(name: str) -> None:
+    """Raise InputError for an unknown method."""
     if name not in METHODS:
-        raise InputError(f"method is {name!r}", "--method", nearest(name, ("auto", *METHODS)))
-    return name
+        raise InputError(f"method is {name!r}", "--method", nearest(name, tuple(METHODS)))
 
 
 def estimate(name: str, series: Series, setting: Setting) -> Motion:
-    """Run the method ``name`` ("auto" included)."""
-    module = cast(Method, import_module(METHODS[resolve(name)]))
+    """Run the method ``name``; which one that was in the end is in the result's ``method``."""
+    check(name)
+    module = cast(Method, import_module(METHODS[name]))
     return module.estimate(series, setting)

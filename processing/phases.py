@@ -15,27 +15,30 @@ Where the belt has an encoder of its own, all this is asked of the mass as the b
 of their relative velocity at zero, however the belt swings or slows, and its speed is what its counts say.
 
 Corners: a landing is sharp, and lies where the acceleration has fallen to half of the slip's last peak; an onset is
-soft (only the jerk jumps), and is found by carrying the acceleration's rise back to zero.  Not modelled here: ripple of
-a belt that is not counted, and kicks of a belt joint, which split a stick in two when they exceed the tolerance.
+soft (only the jerk jumps), and is found by carrying the acceleration's rise back to zero.  A method that fits corners
+itself (`processing.segment`) is taken at its word, uncertainties included.  Not modelled here: ripple of a
+belt that is not counted, and kicks of a belt joint, which split a stick in two when they exceed the tolerance.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
 from daq.rig import Measured
-from processing import methods
+from processing import rts
 from processing.belt import Belt
 from processing.differences import reading_error
 from processing.kinematics import Phase
-from processing.methods import Motion, Setting
+from processing.methods import Corner, Motion
 from processing.series import Series
 
 Array = NDArray[np.float64]
 Runs = list[tuple[int, int]]  # first and last sample, both included
+Stick = tuple[float, float, float, float]  # start, end, and their standard deviations, s
 
 LEAST_STICK = 0.03  # s
 FLAT = 0.05  # of the largest accelerations: what counts as none
@@ -60,7 +63,6 @@ def find(
     motion: Motion,
     measured: Measured | None = None,
     belt_speed: float | str = "auto",
-    jumps: tuple[int, ...] = (),
     belt: Belt | None = None,
 ) -> Found:
     """Find sticks, slips and belt speed.
@@ -73,8 +75,6 @@ def find(
         The belt speed as the rig's calibration has it.
     belt_speed : float or "auto"
         m/s, signed: a number settles it, and sticks are looked for at that speed alone.
-    jumps : tuple of int
-        Samples where counts went missing: the disturbance around them does not end a stick.
     belt : Belt, optional
         The belt's own motion, where it was counted; a number in ``belt_speed`` goes before it.
 
@@ -83,40 +83,78 @@ def find(
     InputError
         When ``belt_speed`` is neither "auto" nor a finite number.
     """
-    given = _given(belt_speed)
-    if given is not None:
+    stated = given(belt_speed)
+    if stated is not None:
         belt = None
     moving = in_motion(series)
-    seen = _clear(series, motion, moving) if belt is None else _clear(belt.series, belt.motion, moving)
+    if motion.corners:
+        cut = _cut_at_corners(series, motion, motion.corners, moving, stated, measured)
+        return cut if belt is None else replace(cut, belt_speed=belt.speed(moving))
+    seen, tolerance = _clear(series, motion, moving) if belt is None else _clear(belt.series, belt.motion, moving)
     rides = seen if belt is None else motion
-    tolerance = _tolerance(seen, moving)
     size = _centred(seen, series.pieces)
     flat = (size <= tolerance) & moving
     wide = (size <= WIDER * tolerance) & moving
-    for jump in jumps:
-        _bridge(flat, jump, seen.window)
-        _bridge(wide, jump, seen.window)
     least = max(round(LEAST_STICK / series.interval), 3)
     candidates = _joined(_runs(flat, series.pieces), _runs(wide, series.pieces))
     plateaus = [
         run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, rides)
     ]
     common = _level(rides, plateaus)
-    level = given if given is not None else common
-    sticks = []
+    level = stated if stated is not None else common
+    sticks: list[Stick] = []
     for run in plateaus:
         speed = float(np.median(seen.velocity[run[0] : run[1] + 1]))
         # Seen from the belt, a mass that rides on it stands.
         aim, slack = (level, level) if belt is None else (0.0, float(np.median(belt.velocity[run[0] : run[1] + 1])))
         if abs(speed - aim) <= SAME_SPEED * abs(slack):
-            sticks.append(_corners(run, series, size, seen.window, tolerance, moving))
+            start, end = _corners(run, series, size, seen.window, tolerance, moving)
+            sticks.append((start, end, math.inf, math.inf))
     phases, stick = _phases(series, moving, sticks)
-    if belt is not None and moving.any():
-        return Found(float(np.median(belt.velocity[moving])), stick, phases, common)
-    return Found(_speed(given, measured, level, bool(sticks)), stick, phases, common)
+    speed = _speed(stated, measured, level, bool(sticks)) if belt is None else belt.speed(moving)
+    return Found(speed, stick, phases, common)
 
 
-def _given(belt_speed: float | str) -> float | None:
+def _cut_at_corners(
+    series: Series,
+    motion: Motion,
+    corners: tuple[Corner, ...],
+    moving: NDArray[np.bool_],
+    stated: float | None,
+    measured: Measured | None,
+) -> Found:
+    """Lay out the phases between corners that a method has fitted, with the uncertainties of their times."""
+    moving = moving.copy()
+    sticks: list[Stick] = []
+    time = series.time
+    for piece in series.pieces:
+        begin, end = float(time[piece.start]), float(time[piece.stop - 1])
+        inside = [corner for corner in corners if begin <= corner.time <= end]
+        if inside and inside[0].what == "start":
+            moving[piece.start : np.searchsorted(time, inside[0].time)] = False
+        if inside and inside[-1].what == "stop":
+            moving[np.searchsorted(time, inside[-1].time) : piece.stop] = False
+        landed = Corner(begin, math.inf, "land")
+        stuck = bool(inside) and inside[0].what == "leave"
+        for corner in inside:
+            if corner.what == "land":
+                landed, stuck = corner, True
+            elif stuck:
+                sticks.append((landed.time, corner.time, landed.sd, corner.sd))
+                stuck = False
+        if stuck:
+            sticks.append((landed.time, end, landed.sd, math.inf))
+    velocity = [motion.velocity[(time >= stick[0]) & (time <= stick[1])] for stick in sticks]
+    held = np.concatenate(velocity) if velocity else np.empty(0)
+    level = math.nan
+    if held.size:
+        level = float(held[np.abs(held - np.median(held)) <= SAME_SPEED * abs(np.median(held))].mean())
+    phases, stick = _phases(series, moving, sticks)
+    return Found(_speed(stated, measured, level, bool(sticks)), stick, phases, level)
+
+
+def given(belt_speed: float | str) -> float | None:
+    """Return the belt speed a person states, m/s, or None for "auto"; InputError unless it is a finite number."""
     if belt_speed == "auto":
         return None
     try:
@@ -149,31 +187,46 @@ def in_motion(series: Series) -> NDArray[np.bool_]:
 
 
 def _peak(motion: Motion, moving: NDArray[np.bool_]) -> float:
-    return float(np.percentile(np.abs(motion.acceleration[moving]), 95)) if moving.any() else 0.0
+    some = _some(motion.acceleration, moving)
+    return float(np.percentile(np.abs(some), 95)) if some.size else 0.0
+
+
+def _some(values: Array, moving: NDArray[np.bool_]) -> Array:
+    """Return the values in motion; of very many, some."""
+    stride = max(values.size // 2**14, 1)
+    return np.asarray(values[::stride][moving[::stride]])
 
 
 def _noise(motion: Motion, moving: NDArray[np.bool_]) -> float:
-    return float(np.median(motion.acceleration_errors[moving])) if moving.any() else 0.0
+    """Return how much the acceleration of a plateau scatters, m/s^2."""
+    some = _some(motion.acceleration_errors, moving)
+    if not some.size:
+        return 0.0
+    # A smoother's error also allows for motion that a plateau does not have.
+    share = math.sqrt(1 / 6) if motion.method == "rts" else 1.0
+    return share * float(np.median(some))
 
 
-def _clear(series: Series, motion: Motion, moving: NDArray[np.bool_]) -> Motion:
-    """Return a motion whose acceleration is clear enough of noise to show a plateau.
+def _clear(series: Series, motion: Motion, moving: NDArray[np.bool_]) -> tuple[Motion, float]:
+    """Return a motion whose acceleration is clear enough of noise to show a plateau, and what counts as none, m/s^2.
 
-    The best window for the velocity can be too short for that, and differences never show one: then the record is
-    smoothed again, for the search alone, in ever longer windows.
+    What is best for the velocity can be too rough for that, and differences never show one: then the record is
+    smoothed again, for the search alone, by `processing.rts` with ever less jerk.
     """
     seen = motion
     longest = max(own.stop - own.start for own in series.pieces) // 8
-    for _ in range(6):
-        if seen.order >= 2 and 5 * _noise(seen, moving) <= CLEAR * _peak(seen, moving):
+    noise = None
+    for attempt in range(7):
+        scatter, peak = _noise(seen, moving), _peak(seen, moving)
+        if seen.order >= 2 and (5 * scatter <= CLEAR * peak or seen.window * 3 // 2 > longest or attempt == 6):
             break
-        if seen.order < 2:
-            seen = methods.estimate("sg", series, Setting())
-        elif seen.window * 3 // 2 <= longest:
-            seen = methods.estimate("sg", series, Setting(seen.window * 3 // 2 | 1, 4))
-        else:
-            break
-    return seen
+        if noise is None:
+            noise = rts.fit(series)
+        if seen.order >= 2:
+            while rts.equivalent_window(noise.rho(series.interval), longest) < min(seen.window * 3 // 2, longest):
+                noise = rts.Noise(noise.jerk / 2, noise.reading)
+        seen = rts.smooth(series, noise)
+    return seen, max(FLAT * peak, 5 * scatter)
 
 
 def _centred(motion: Motion, pieces: tuple[slice, ...]) -> Array:
@@ -185,16 +238,6 @@ def _centred(motion: Motion, pieces: tuple[slice, ...]) -> Array:
             size[piece.start : piece.start + half] = size[piece.start + half]
             size[piece.stop - half : piece.stop] = size[piece.stop - half - 1]
     return size
-
-
-def _tolerance(motion: Motion, moving: NDArray[np.bool_]) -> float:
-    return max(FLAT * _peak(motion, moving), 5 * _noise(motion, moving))
-
-
-def _bridge(mask: NDArray[np.bool_], jump: int, window: int) -> None:
-    low, high = max(jump - window, 0), min(jump + window, mask.size - 1)
-    if mask[low] and mask[high]:
-        mask[low:high] = True
 
 
 def _runs(mask: NDArray[np.bool_], pieces: tuple[slice, ...]) -> Runs:
@@ -290,7 +333,7 @@ def _crossing(time: Array, size: Array, at: int, level: float) -> float:
 
 
 def _phases(
-    series: Series, moving: NDArray[np.bool_], sticks: list[tuple[float, float]]
+    series: Series, moving: NDArray[np.bool_], sticks: list[Stick]
 ) -> tuple[tuple[Phase, ...], NDArray[np.bool_]]:
     """Lay out sticks, and slips between them, over the pieces of the record that are in motion."""
     stick = np.zeros(series.time.size, bool)
@@ -298,25 +341,26 @@ def _phases(
     for first, last in _runs(moving, series.pieces):
         time = series.time[first : last + 1]
         at = float(time[0])
+        end = float(time[-1])
         inside = [own for own in sticks if time[0] <= own[0] and own[1] <= time[-1]]
-        bounds = [(at, at), *inside, (float(time[-1]), float(time[-1]))]
-        for k, (start, end) in enumerate(bounds):
-            if 0 < k:
-                phases += _phase("slip", bounds[k - 1][1], start, series.time, first, last)
-            if 0 < k < len(bounds) - 1:
-                phases += _phase("stick", start, end, series.time, first, last)
+        bounds = [(at, at, math.inf, math.inf), *inside, (end, end, math.inf, math.inf)]
+        for before, own in pairwise(bounds):
+            phases += _phase("slip", (before[1], own[0], before[3], own[2]), series.time, first, last)
+            if own is not bounds[-1]:
+                phases += _phase("stick", own, series.time, first, last)
     for phase in phases:
         if phase.kind == "stick":
             stick[phase.first : phase.last + 1] = True
     return tuple(phases), stick
 
 
-def _phase(kind: str, start: float, end: float, time: Array, first: int, last: int) -> list[Phase]:
+def _phase(kind: str, span: Stick, time: Array, first: int, last: int) -> list[Phase]:
+    start, end, start_sd, end_sd = span
     i = max(int(np.searchsorted(time, start)), first)
     j = min(int(np.searchsorted(time, end, side="right")) - 1, last)
     if end <= start or j < i:
         return []
-    return [Phase("stick" if kind == "stick" else "slip", start, end, i, j)]
+    return [Phase("stick" if kind == "stick" else "slip", start, end, i, j, start_sd, end_sd)]
 
 
 def _speed(given: float | None, measured: Measured | None, level: float, stuck: bool) -> float:

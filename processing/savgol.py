@@ -1,6 +1,7 @@
 """Savitzky-Golay: position, velocity and acceleration as one local polynomial at every sample.
 
-On an even grid the fit is a convolution with the weights of `processing.gram`; where recorded times are uneven it is
+On an even grid the fit is a convolution with the weights of `processing.gram`, of counts one in whole numbers
+(`processing.sliding`); where recorded times are uneven it is
 made on those times by `processing.localfit`.  Sample times matter more than encoder pitch: at 0.8 m/s, 30 us of
 jitter taken for an even grid is 24 um.  Ends of a piece are one-sided fits with their larger errors; a piece shorter
 than the window is one polynomial over all of it.
@@ -13,11 +14,14 @@ Not modelled: the slow sawtooth of a count that changes less than once per windo
 window.
 """
 
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from processing import localfit
+from daq.compiled import compiled
+from processing import localfit, sliding
 from processing import window as windows
 from processing.differences import reading_error
 from processing.gram import coefficients
@@ -26,6 +30,7 @@ from processing.series import Series, evenly
 
 Array = NDArray[np.float64]
 
+KERNELS = ("processing.sliding",)
 ORDER = 4  # beside a window that was given: as in the thesis's own filter class, it keeps the curvature of v
 
 
@@ -56,9 +61,10 @@ def estimate(series: Series, setting: Setting) -> Motion:
     windows.check(length, order)
     values, norms, probe, probe_norms = (np.empty((3, series.time.size)) for _ in range(4))
     for piece in series.pieces:
-        time, position = series.time[piece], series.position[piece]
-        values[:, piece], norms[:, piece] = fit(time, position, length, order)
-        probe[:, piece], probe_norms[:, piece] = fit(time, position, half(length, order), order)
+        own = series.time[piece], series.position[piece]
+        counted = None if series.count is None else Counted(series.count[piece], series.pitch)
+        values[:, piece], norms[:, piece] = fit(*own, length, order, counted)
+        probe[:, piece], probe_norms[:, piece] = fit(*own, half(length, order), order, counted)
     errors = np.empty_like(values)
     floor = series.pitch / np.sqrt(12) if length > order + 3 else reading_error(series)
     for piece in series.pieces:
@@ -78,17 +84,27 @@ def estimate(series: Series, setting: Setting) -> Motion:
         acceleration_errors=errors[2],
         window=length,
         order=order,
+        method="sg",
     )
 
 
-def fit(time: Array, position: Array, window: int, order: int) -> tuple[Array, Array]:
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """Positions as counts (n,) of ``pitch`` metres each."""
+
+    count: NDArray[np.int64]
+    pitch: float
+
+
+def fit(time: Array, position: Array, window: int, order: int, counted: Counted | None = None) -> tuple[Array, Array]:
     """Fit one piece; values and norms as in `processing.localfit.fit`, a shorter piece as one polynomial.
 
-    A derivative that the samples cannot give has an infinite norm.
+    A derivative that the samples cannot give has an infinite norm.  ``counted`` says the positions again as counts:
+    then even times take `processing.sliding`, whose cost does not depend on the window, wherever it is exact.
     """
     n = time.size
     if n >= window and evenly(time):
-        return _convolve(position, window, order, (time[-1] - time[0]) / max(n - 1, 1))
+        return _convolve(position, window, order, (time[-1] - time[0]) / max(n - 1, 1), counted)
     degree = min(order, n - 1)
     values, norms = localfit.fit(time, position, min(window, n), degree)
     if degree < order:
@@ -96,23 +112,61 @@ def fit(time: Array, position: Array, window: int, order: int) -> tuple[Array, A
     return values, norms
 
 
-def _convolve(position: Array, window: int, order: int, interval: float) -> tuple[Array, Array]:
+def _convolve(
+    position: Array, window: int, order: int, interval: float, counted: Counted | None
+) -> tuple[Array, Array]:
     half_window = window // 2
-    values, norms = np.empty((3, position.size)), np.empty((3, position.size))
-    weights = coefficients(window, order)
-    inner = slice(half_window, position.size - half_window)
-    for row in range(3):
-        values[row, inner] = np.correlate(position, weights[row], "valid")
-    norms[:, inner] = np.linalg.norm(weights, axis=1)[:, None]
+    norms = np.empty((3, position.size))
+    values = np.empty((3, position.size))
+    inside(position, window, order, counted, values)
+    norms[:, half_window : position.size - half_window] = np.linalg.norm(coefficients(window, order), axis=1)[:, None]
+    begin, end = ends(position[:window], position[position.size - window :], order)
+    if half_window:
+        values[:, :half_window], values[:, -half_window:] = begin, end
+        for k in range(half_window):
+            norms[:, k] = norms[:, -1 - k] = np.linalg.norm(coefficients(window, order, k - half_window), axis=1)
+    scale = np.array([1.0, 1.0 / interval, 1.0 / interval**2])[:, None]
+    values *= scale
+    return values, norms * scale
+
+
+def inside(position: Array, window: int, order: int, counted: Counted | None, values: Array) -> None:
+    """Fit around every sample that has half a window to either side, into those columns of ``values``, (3, n).
+
+    Derivatives are per sample interval.
+    """
+    half_window = window // 2
+    own = slice(half_window, position.size - half_window)
+    if counted is not None and sliding.fits(counted.count, window, order):
+        weights, even = _power_weights(window, order)
+        compiled(sliding.slide, KERNELS)(counted.count, half_window, weights, even, values)
+        values[:, own] *= counted.pitch
+        values[0, own] += position[own]
+        return
+    for row, weights in enumerate(coefficients(window, order)):
+        values[row, own] = np.correlate(position, weights, "valid")
+
+
+def ends(first: Array, last: Array, order: int) -> tuple[Array, Array]:
+    """Return the one-sided fits of the first and the last half of a window, (3, half) each, from a window of samples.
+
+    Derivatives are per sample interval.
+    """
+    window = first.size
+    half_window = window // 2
+    begin, end = np.empty((3, half_window)), np.empty((3, half_window))
+    first, mirrored = first.copy(), last[::-1].copy()
     for k in range(half_window):
         at = coefficients(window, order, k - half_window)
-        size = np.linalg.norm(at, axis=1)
-        values[:, k] = at @ position[:window]
+        begin[:, k] = at @ first
         # The far end is the mirror image: reversed weights, odd derivatives change sign.
-        values[:, -1 - k] = (at @ position[-1 : -window - 1 : -1]) * (1, -1, 1)
-        norms[:, k] = norms[:, -1 - k] = size
-    scale = np.array([1.0, 1.0 / interval, 1.0 / interval**2])[:, None]
-    return values * scale, norms * scale
+        end[:, -1 - k] = (at @ mirrored) * (1, -1, 1)
+    return begin, end
+
+
+@lru_cache(maxsize=64)
+def _power_weights(window: int, order: int) -> tuple[Array, NDArray[np.int64]]:
+    return sliding.power_weights(window, order), sliding.sums(window)
 
 
 def half(window: int, order: int) -> int:
@@ -147,10 +201,19 @@ def standard_errors(
     expected = noise * np.maximum(probing**2 - weights**2, 0.0)
     corner = np.maximum(difference - 9 * expected, 0.0)
     reach = max(window // 4, 1)
-    around = np.pad(corner, ((0, 0), (reach, reach)))
-    corner = sliding_window_view(around, 2 * reach + 1, axis=1).max(axis=-1)
+    corner = _largest(np.pad(corner, ((0, 0), (reach, reach))), 2 * reach + 1)
     errors: Array = np.where(known, np.sqrt(noise * weights**2 + corner), np.inf)
     return errors
+
+
+def _largest(rows: Array, width: int) -> Array:
+    """Return the largest of every ``width`` neighbours, (3, n - width + 1), by ever longer runs of them."""
+    done = 1
+    while 2 * done <= width:
+        rows = np.maximum(rows[:, :-done], rows[:, done:])
+        done *= 2
+    rest = width - done
+    return np.maximum(rows[:, : rows.shape[1] - rest], rows[:, rest:])
 
 
 def _reading_variance(position: Array, fitted: tuple[Array, Array], window: int) -> Array:

@@ -44,6 +44,8 @@ class Series:
         Stretches without a gap, in order; together they are the record.
     source : str
         The file, for messages.
+    count : array of int64 or None
+        The position in counts, seen from the first; None for a record without, or one that was mended.
     """
 
     time: Array
@@ -53,9 +55,10 @@ class Series:
     interval: float
     pieces: tuple[slice, ...]
     source: str = ""
+    count: NDArray[np.int64] | None = None
 
 
-def of(recording: "Recording", times: str = "recorded") -> Series:
+def of(recording: "Recording", times: str = "recorded", anchor: "tuple[float, int] | None" = None) -> Series:
     """Return the series of a recording.
 
     Parameters
@@ -64,6 +67,8 @@ def of(recording: "Recording", times: str = "recorded") -> Series:
         The run.
     times : {"recorded", "nominal"}
         The board's sample times, or an even grid at the nominal rate that starts with each segment.
+    anchor : (float, int), optional
+        Time and number of the sample at which the first segment's even grid starts; by default the first.
 
     Raises
     ------
@@ -78,14 +83,16 @@ def of(recording: "Recording", times: str = "recorded") -> Series:
     if recorded.size < LEAST:
         raise InputError(f"holds {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
     segment = recording.segment
-    time = recorded if times == "recorded" else nominal(recording)
+    time = recorded if times == "recorded" else nominal(recording, anchor)
     check(time, positions, where)
-    pitch = 0.0
+    pitch, count = 0.0, None
     if recording.count is not None:
         metres = recording.rig.metres_per_count
         scale = metres.value if metres is not None else 1.0
         pitch = abs(scale)
-        position = (recording.count - recording.count[0]) * scale
+        count = recording.count - recording.count[0]
+        position = count * scale
+        count = count if scale > 0 else -count
     else:
         position = positions - positions[0]
     interval = float(np.median(np.diff(time)))
@@ -97,6 +104,7 @@ def of(recording: "Recording", times: str = "recorded") -> Series:
         interval=interval,
         pieces=pieces(time, segment, interval),
         source=where,
+        count=count,
     )
 
 
@@ -128,7 +136,7 @@ def pieces(time: Array, segment: NDArray[np.integer], interval: float) -> tuple[
     return tuple(slice(first, last) for first, last in pairwise(edges))
 
 
-def nominal(recording: "Recording") -> Array:
+def nominal(recording: "Recording", anchor: "tuple[float, int] | None" = None) -> Array:
     """Return an even grid, s: the first recorded time of each segment plus sample number over rate.
 
     Lost samples keep their place, by the sequence number where there is one, else by the length of the hole.
@@ -141,7 +149,9 @@ def nominal(recording: "Recording") -> Array:
         if recording.raw is not None:
             step = 1.0 / recording.rate_hz
             number = recording.raw.sample[own].astype(np.int64)
-            number = number - number[0]
+            start, zero = (recorded[first], number[0]) if anchor is None or first else anchor
+            time[own] = start + (number - zero) * step
+            continue
         else:
             gaps = np.diff(recorded[own])
             step = float(np.median(gaps)) if gaps.size else 1.0 / recording.rate_hz

@@ -4,12 +4,16 @@ The rig's scene and its truth are never looked at here.
 """
 
 import time as clock
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from daq.errors import InputError, nearest
 from processing import belt as belts
 from processing import faults, methods, phases, series
 from processing import window as windows
 from processing.kinematics import Kinematics
+
+REPAIRS = ("off", "flag", "fix")
 
 if TYPE_CHECKING:
     from daq.recording import Recording
@@ -22,6 +26,7 @@ def smooth(
     order: int | None = None,
     times: str = "recorded",
     belt_speed: float | str = "auto",
+    repair_counts: str = "flag",
 ) -> Kinematics:
     """Rebuild position, velocity and acceleration from a recording.
 
@@ -29,10 +34,12 @@ def smooth(
     ----------
     recording : Recording
         Positions in metres (or counts) at times in seconds.
-    method : {"auto", "sg", "fd"}
-        "auto" takes Savitzky-Golay ("sg"); "fd" is the plain two-point difference, a baseline.
+    method : {"auto", "segment", "rts", "sg", "fd"}
+        "segment" smooths sticks and slips apart, with fitted corners; "rts" smooths all alike; "auto" takes "segment"
+        where its sticks are beyond doubt, else "rts" ("sg" where a window or an order is asked for); "sg" is
+        Savitzky-Golay; "fd" the plain two-point difference, a baseline.
     window : int, "auto" or a duration such as "20ms"
-        Length of the smoothing window: an odd number of samples above the order, or chosen from the record.
+        Length of the Savitzky-Golay window: an odd number of samples above the order, or chosen from the record.
     order : int, optional
         Degree of the local polynomial; by default chosen with the window, or 4 beside a window that was given.
     times : {"recorded", "nominal"}
@@ -40,6 +47,10 @@ def smooth(
     belt_speed : float or "auto"
         m/s, signed; "auto" takes it from the belt's own counts where there are any, else finds it in the plateaus of
         the velocity.
+    repair_counts : {"off", "flag", "fix"}
+        What to do about lost counts (`processing.faults`): not to look for them; to mark them, and leave the position
+        as it was counted; or to mark them and put them back.  Where they are looked for, velocity and acceleration
+        are those of the motion on either side, without the jump of the count.
 
     Returns
     -------
@@ -48,39 +59,44 @@ def smooth(
     Raises
     ------
     InputError
-        For an unknown method, an even window, an order that the window cannot carry, a record with a number that
-        is not finite or with times that do not increase (naming the sample), or fewer than 5 samples.
+        For an unknown method or repair, an even window, an order that the window cannot carry, a record with a number
+        that is not finite or with times that do not increase (naming the sample), or fewer than 5 samples.
 
     Notes
     -----
     Gaps and segments are never smoothed across: each piece ends in one-sided fits, with their larger errors.
-    Lost counts are marked, not repaired.
     """
     begun = clock.process_time()
+    methods.check(method)
+    if repair_counts not in REPAIRS:
+        raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
     data = series.of(recording, times)
-    name = methods.resolve(method)
+    losses = faults.losses(data) if repair_counts != "off" else ()
+    behind = faults.missing(recording.segment, losses)
+    data = faults.without(data, behind)
     setting = windows.setting(window, order, data)
-    motion = methods.estimate(name, data, setting)
-    jumps = faults.lost_counts(data)
-    belt = belts.beside(recording, data, name, motion)
-    found = phases.find(data, motion, recording.rig.belt_speed, belt_speed, jumps, belt)
+    setting = replace(setting, belt_speed=phases.given(belt_speed))
+    motion = methods.estimate(method, data, setting)
+    belt = belts.beside(recording, data, motion)
+    found = phases.find(data, motion, recording.rig.belt_speed, belt_speed, belt)
     return Kinematics(
         recording=recording,
         time=data.time,
-        position=motion.position,
+        position=motion.position if repair_counts == "fix" else motion.position + data.pitch * behind,
         velocity=motion.velocity,
         acceleration=motion.acceleration,
         position_errors=motion.position_errors,
         velocity_errors=motion.velocity_errors,
         acceleration_errors=motion.acceleration_errors,
-        method=name,
+        method=motion.method,
         window=motion.window,
         order=motion.order,
         times=times,
         belt_speed=found.belt_speed,
         stick=found.stick,
         phases=found.phases,
-        lost_counts=len(jumps),
+        losses=losses,
+        repaired=repair_counts == "fix" and bool(losses),
         cpu_s=clock.process_time() - begun,
         plateau_speed=found.plateau_speed,
         belt_velocity=None if belt is None else belt.velocity,

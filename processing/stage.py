@@ -7,11 +7,13 @@
       kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time; with a belt
                                   channel belt_velocity and its errors too
       phase_portrait  NXdata      velocity against position: hard links, no copy
-      phases          NXdata      one row a stick or slip: start, end, first, last, stick (1) or slip (0)
+      phases          NXdata      one row a stick or slip: start, end, their errors, first, last, stick (1) or slip (0)
+      losses          NXdata      one row a place where counts went missing: first, last, counts (absent without any)
 """
 
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
@@ -19,8 +21,13 @@ import numpy as np
 from daq import nexus, nexus_read, runfile
 from daq.errors import InputError
 from daq.version import VERSION
+from processing.faults import Loss
 from processing.kinematics import Kinematics, Phase
 
+if TYPE_CHECKING:
+    from processing.chunked import Told
+
+KINEMATICS: dict[str, Any] = {"auxiliary": ("position", "acceleration"), "title": "kinematics"}
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 
 
@@ -30,21 +37,8 @@ def save(kinematics: Kinematics, path: Path) -> None:
 
 
 def _write(entry: h5py.Group, motion: Kinematics) -> None:
-    smooth = nexus.group(entry, "smooth", "NXprocess", default="phase_portrait")
-    nexus.field(smooth, "program", "process smooth")
-    nexus.field(smooth, "version", VERSION)
-    nexus.field(smooth, "date", datetime.now(UTC).isoformat(timespec="seconds"))
-    nexus.field(smooth, "sequence_index", np.int64(1))
+    smooth = begin(entry)
     unit = motion.recording.unit
-    parameters = nexus.group(smooth, "parameters", "NXparameters")
-    nexus.field(parameters, "method", motion.method)
-    nexus.field(parameters, "window", np.int64(motion.window))
-    nexus.field(parameters, "order", np.int64(motion.order))
-    nexus.field(parameters, "times", motion.times)
-    nexus.field(parameters, "belt_speed", np.float64(motion.belt_speed), f"{unit}/s")
-    nexus.field(parameters, "lost_counts", np.int64(motion.lost_counts))
-    nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
-    nexus.field(parameters, "sha256_input", motion.recording.digest)
     columns: dict[str, tuple[np.ndarray, str]] = {"time": (motion.time, "s")}
     for name, per in DERIVATIVES.items():
         columns[name] = (getattr(motion, name), unit + per)
@@ -52,21 +46,51 @@ def _write(entry: h5py.Group, motion: Kinematics) -> None:
     if motion.belt_velocity is not None and motion.belt_velocity_errors is not None:
         columns["belt_velocity"] = (motion.belt_velocity, f"{unit}/s")
         columns["belt_velocity_errors"] = (motion.belt_velocity_errors.astype(np.float32), f"{unit}/s")
-    table = nexus.table(
-        smooth,
-        "kinematics",
-        columns,
-        axis="time",
-        signal="velocity",
-        auxiliary=("position", "acceleration"),
-        title="kinematics",
-    )
+    nexus.table(smooth, "kinematics", columns, axis="time", signal="velocity", **KINEMATICS)
+    finish(smooth, motion, unit, motion.recording.digest)
+
+
+def begin(entry: h5py.Group) -> h5py.Group:
+    """Make the group of the stage."""
+    smooth = nexus.group(entry, "smooth", "NXprocess", default="phase_portrait")
+    nexus.field(smooth, "program", "process smooth")
+    nexus.field(smooth, "version", VERSION)
+    nexus.field(smooth, "date", datetime.now(UTC).isoformat(timespec="seconds"))
+    nexus.field(smooth, "sequence_index", np.int64(1))
+    return smooth
+
+
+def empty(smooth: h5py.Group, n: int, unit: str) -> h5py.Group:
+    """Make the table of the kinematics for ``n`` samples yet to be written."""
+    made = nexus.group(smooth, "kinematics", "NXdata", signal="velocity", axes="time", title="kinematics")
+    made.attrs["time_indices"] = np.int64(0)
+    made.attrs["auxiliary_signals"] = list(KINEMATICS["auxiliary"])
+    nexus.column(made, "time", n, "f8", "s")
+    for name, per in DERIVATIVES.items():
+        nexus.column(made, name, n, "f8", unit + per)
+        nexus.column(made, f"{name}_errors", n, "f4", unit + per)
+    nexus.scale(made, "time")
+    return made
+
+
+def finish(smooth: h5py.Group, motion: "Kinematics | Told", unit: str, digest: str) -> None:
+    """Write how the motion was made, its portrait, and its phases, beside the kinematics."""
+    parameters = nexus.group(smooth, "parameters", "NXparameters")
+    nexus.field(parameters, "method", motion.method)
+    nexus.field(parameters, "window", np.int64(motion.window))
+    nexus.field(parameters, "order", np.int64(motion.order))
+    nexus.field(parameters, "times", motion.times)
+    nexus.field(parameters, "belt_speed", np.float64(motion.belt_speed), f"{unit}/s")
+    nexus.field(parameters, "lost_counts", np.int64(motion.lost_counts))
+    nexus.field(parameters, "repaired", np.int64(motion.repaired))
+    nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
+    nexus.field(parameters, "sha256_input", digest)
     portrait = nexus.group(
         smooth, "phase_portrait", "NXdata", signal="velocity", axes="position", title="phase portrait"
     )
     portrait.attrs["position_indices"] = np.int64(0)
     for name in ("position", "velocity"):
-        nexus.link(portrait, name, table[name])
+        nexus.link(portrait, name, smooth["kinematics"][name])
     if motion.phases:
         nexus.table(
             smooth,
@@ -74,6 +98,8 @@ def _write(entry: h5py.Group, motion: Kinematics) -> None:
             {
                 "start": (np.array([phase.start for phase in motion.phases]), "s"),
                 "end": (np.array([phase.end for phase in motion.phases]), "s"),
+                "start_errors": (np.array([phase.start_sd for phase in motion.phases], np.float32), "s"),
+                "end_errors": (np.array([phase.end_sd for phase in motion.phases], np.float32), "s"),
                 "first": (np.array([phase.first for phase in motion.phases], np.uint32), ""),
                 "last": (np.array([phase.last for phase in motion.phases], np.uint32), ""),
                 "stick": (np.array([phase.kind == "stick" for phase in motion.phases], np.uint8), ""),
@@ -81,6 +107,19 @@ def _write(entry: h5py.Group, motion: Kinematics) -> None:
             axis="start",
             signal="stick",
             title="sticks and slips",
+        )
+    if motion.losses:
+        nexus.table(
+            smooth,
+            "losses",
+            {
+                "first": (np.array([loss.first for loss in motion.losses], np.uint32), ""),
+                "last": (np.array([loss.last for loss in motion.losses], np.uint32), ""),
+                "counts": (np.array([loss.counts for loss in motion.losses], np.int64), ""),
+            },
+            axis="first",
+            signal="counts",
+            title="lost counts",
         )
 
 
@@ -123,7 +162,8 @@ def load(path: Path) -> Kinematics | None:
             belt_speed=nexus_read.scalar(entry, f"{parameters}/belt_speed", path),
             stick=stick,
             phases=phases,
-            lost_counts=int(nexus_read.scalar(entry, f"{parameters}/lost_counts", path)),
+            losses=_losses(entry, path),
+            repaired="repaired" in entry[parameters] and bool(nexus_read.scalar(entry, f"{parameters}/repaired", path)),
             cpu_s=nexus_read.scalar(entry, f"{parameters}/cpu_time", path),
         )
 
@@ -135,7 +175,20 @@ def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:
     first, last, stick = (
         nexus_read.array(entry, f"smooth/phases/{name}", np.int64, path) for name in ("first", "last", "stick")
     )
-    return tuple(
-        Phase("stick" if row[4] else "slip", float(row[0]), float(row[1]), int(row[2]), int(row[3]))
-        for row in zip(start, end, first, last, stick, strict=True)
+    start_sd, end_sd = (
+        nexus_read.array(entry, f"smooth/phases/{name}_errors", np.float64, path)
+        if f"smooth/phases/{name}_errors" in entry
+        else np.full(start.size, np.nan)  # written before the corners' errors were
+        for name in ("start", "end")
     )
+    return tuple(
+        Phase("stick" if stuck else "slip", float(t0), float(t1), int(i), int(j), float(sd0), float(sd1))
+        for t0, t1, i, j, stuck, sd0, sd1 in zip(start, end, first, last, stick, start_sd, end_sd, strict=True)
+    )
+
+
+def _losses(entry: h5py.Group, path: Path) -> tuple[Loss, ...]:
+    if "smooth/losses" not in entry:
+        return ()
+    columns = [nexus_read.array(entry, f"smooth/losses/{name}", np.int64, path) for name in ("first", "last", "counts")]
+    return tuple(Loss(*map(int, row)) for row in zip(*columns, strict=True))

@@ -2,9 +2,9 @@
 
 How it is chosen.  Cross-validation fails at coarse counts, whose error is a slow sawtooth instead of white noise.
 A motion of white jerk does not: its smoother is fitted to the record by likelihood (`processing.whitejerk`), and of the
-Savitzky-Golay filters (window, order) that one is taken whose velocity comes closest to the smoother's.  It lies
-within a few per cent of the best window known with truth, from 1 to 200 um a count, with and without jitter
-(tests/processing/test_window.py).
+Savitzky-Golay filters (window, order) that one is taken whose velocity comes closest to the smoother's; where the
+record shows sticks beyond doubt, to that of `processing.segment`.  It lies within a few per cent of the best window
+known with truth, from 1 to 200 um a count, with and without jitter (tests/processing/test_window.py).
 
 Uneven times are brought to the even grid for this choice alone (`processing.evengrid`); the smoothing itself uses the
 times as recorded.
@@ -131,13 +131,14 @@ def choose(series: Series, order: int | None = None) -> Choice:
         Never longer than the longest piece.  A record without anything to tell (at rest, or a few samples) gets
         window 41 and order 4.
     """
-    grids = [even_grid(series.time[own], series.position[own]) for own in _looked_at(series)]
+    grids = [even_grid(series.time[own], series.position[own]) for own in looked_at(series, MOST)]
     usable = [grid for grid in grids if np.any(np.diff(grid, 3))]
     limit = min(_longest(series), LONGEST)
     if not usable:
         degree = 4 if order is None else order
         return Choice(_within(max(41, degree + 1 | 1), degree, limit), degree, 0.0)
-    window, degree, error = _choose(usable, (order,) if order is not None else ORDERS)
+    orders = (order,) if order is not None else ORDERS
+    window, degree, error = _choose_by_segments(series, orders) or _choose(usable, orders)
     return Choice(_within(window, degree, limit), degree, error)
 
 
@@ -146,8 +147,8 @@ def _within(window: int, order: int, limit: int) -> int:
     return max(min(window, limit - 1 + limit % 2), order + 1 + order % 2)
 
 
-def _looked_at(series: Series) -> list[slice]:
-    """Return the pieces from the first motion on, without holes; of a long record, eight stretches spread over it."""
+def looked_at(series: Series, most: int, parts: int = 8) -> list[slice]:
+    """Return the pieces from the first motion on, without holes; of more than ``most`` samples, ``parts`` stretches."""
     # A mass at rest tells nothing of the noise: its count does not move.
     moving = np.flatnonzero(np.abs(series.position) > 1.5 * series.pitch)
     begin = max(int(moving[0]) - 1, 0) if moving.size else 0
@@ -157,13 +158,34 @@ def _looked_at(series: Series) -> list[slice]:
     cut = sorted(cuts | set((np.flatnonzero(steps > 1.5 * usual) + 1 + begin).tolist()))
     edges = [begin, *cut, series.time.size]
     runs = [slice(first, last) for first, last in pairwise(edges) if last - first >= 16]
-    if sum(run.stop - run.start for run in runs) <= MOST:
+    if sum(run.stop - run.start for run in runs) <= most:
         return runs
-    length = MOST // 8
-    at = np.linspace(begin, series.time.size - length, 8).astype(int)
+    length = most // parts
+    at = np.linspace(begin, series.time.size - length, parts).astype(int)
     windows = [(int(first), int(first) + length) for first in at]
     inside = [slice(max(run.start, low), min(run.stop, high)) for run in runs for low, high in windows]
     return [own for own in inside if own.stop - own.start >= 16]
+
+
+def _choose_by_segments(series: Series, orders: tuple[int, ...]) -> tuple[int, int, float] | None:
+    """Choose by the motion smoothed by segments, which is nearer to the truth; None where there is none."""
+    if series.time.size > MOST:
+        return None
+    from processing import automatic, rts
+
+    noise = rts.fit(series)
+    motion = automatic.estimate(series, Setting())
+    if motion.method != "segment":
+        return None
+    grids, target = [], []
+    for own in looked_at(series, MOST):
+        time = series.time[own]
+        step = (time[-1] - time[0]) / (time.size - 1)
+        off = time - (time[0] + step * np.arange(time.size))
+        grids.append(even_grid(time, series.position[own]))
+        target.append((motion.velocity[own] - off * motion.acceleration[own])[4:-4] * step)
+    window, degree = _closest(grids, target, math.log(noise.rho(series.interval)), orders)
+    return window, degree, math.sqrt(noise.reading)
 
 
 def _choose(grids: list[Array], orders: tuple[int, ...]) -> tuple[int, int, float]:
@@ -178,6 +200,11 @@ def _choose(grids: list[Array], orders: tuple[int, ...]) -> tuple[int, int, floa
         return AVERAGED * (window - 1) + 1, degree, error * math.sqrt(AVERAGED)
     derivative = coefficients(9, 8)[1]
     target = [np.correlate(whitejerk.smoothed(grid, log_rho), derivative, "valid") for grid in grids]
+    return *_closest(grids, target, log_rho, orders), error
+
+
+def _closest(grids: list[Array], target: list[Array], log_rho: float, orders: tuple[int, ...]) -> tuple[int, int]:
+    """Return window and order of the filter whose velocity comes closest to the target, which starts 4 samples in."""
     best = (math.inf, 41, 4)
     for degree in orders:
         even = degree + degree % 2
@@ -190,7 +217,7 @@ def _choose(grids: list[Array], orders: tuple[int, ...]) -> tuple[int, int, floa
             tried = window
             distance = _distance(grids, target, window, degree)
             best = min(best, (distance, window, degree))
-    return best[1], best[2], error
+    return best[1], best[2]
 
 
 def _distance(grids: list[Array], target: list[Array], window: int, order: int) -> float:

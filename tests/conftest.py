@@ -16,6 +16,17 @@ hypothesis.settings.load_profile("stickslip")
 
 
 @pytest.fixture(scope="session")
+def smoothing_kernels() -> None:
+    """Compile what smoothing needs, which says so on stderr the first time, before a test reads stderr."""
+    import daq
+    import processing
+
+    recording = daq.load(Path(__file__).resolve().parent.parent / "data_samples" / "law5.h5")
+    for method in ("auto", "sg"):
+        processing.smooth(recording, method)
+
+
+@pytest.fixture(scope="session")
 def captures() -> Path:
     """Return the folder of real logic-analyser captures, which are not part of the project."""
     root = Path(__file__).resolve().parent.parent

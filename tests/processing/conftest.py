@@ -177,6 +177,11 @@ def run_data(true: Motion, told: bool = False) -> RunData:
     )
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _compiled(smoothing_kernels: None) -> None:
+    """Nothing here speaks of compiling on stderr."""
+
+
 @pytest.fixture(name="motion")
 def _motion() -> Callable[..., Motion]:
     return motion

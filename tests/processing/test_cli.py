@@ -38,7 +38,7 @@ def document(typed, *arguments):
 def test_smooth_says_what_it_chose_and_found(typed, path):
     data = document(typed, "smooth", path)
     assert {"method", "window", "order", "sticks", "slips", "belt_speed", "lost_counts", "cpu_s"} <= set(data)
-    assert (data["method"], data["lost_counts"]) == ("sg", 0)
+    assert (data["method"], data["lost_counts"]) == ("segment", 0)
     assert data["window"] % 2 == 1
     assert data["belt_speed"] == pytest.approx(0.22, abs=2e-4)
     assert (data["sticks"], data["slips"]) == (4, 4)
@@ -68,11 +68,13 @@ def test_settings_are_carried_out(typed, path):
     [
         (["--window", "40"], "--window: window is 40; need an odd number above order 4; take 41"),
         (["--window", "broad"], "--window: window is 'broad'"),
-        (["--method", "rts"], "--method: method is 'rts'; known: auto, sg, fd"),
+        (["--method", "spline"], "--method: method is 'spline'; known: auto, segment, rts, sg, fd"),
         (["--times", "guessed"], "--times: times is 'guessed'; known: recorded, nominal"),
         (["--belt-speed", "fast"], "--belt-speed: belt speed is 'fast'"),
         (["--order", "0"], "--order: order is 0; give 1 to 20"),
         (["--order", "two"], "see 'process smooth --help'"),
+        (["--method", "rts", "--order", "4"], "rts has no window"),
+        (["--repair-counts", "yes"], "--repair-counts: is 'yes'; known: off, flag, fix"),
         (["--method", "fd", "--window", "41"], "finite differences have no window"),
     ],
 )

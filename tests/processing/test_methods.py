@@ -9,7 +9,7 @@ from daq.errors import InputError
 from processing import methods, series
 from processing.methods import METHODS, Motion, Setting
 
-FIELDS = [name for name in Motion.__dataclass_fields__ if name not in ("window", "order")]
+FIELDS = [name for name in Motion.__dataclass_fields__ if name not in ("window", "order", "method", "corners")]
 
 
 @pytest.fixture(params=METHODS)
@@ -144,8 +144,8 @@ def test_an_offset_of_2_to_the_60_counts_changes_nothing(method, motion, recorde
 
 
 def test_an_unknown_method_names_the_known_ones():
-    with pytest.raises(InputError, match="method is 'spline'; known: auto, sg, fd"):
-        methods.resolve("spline")
+    with pytest.raises(InputError, match="method is 'spline'; known: auto, segment, rts, sg, fd"):
+        methods.check("spline")
 
 
 def test_finite_differences_have_no_window(imported):

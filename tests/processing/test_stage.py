@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -43,8 +44,11 @@ def test_what_was_saved_is_loaded(path):
         assert np.array_equal(getattr(found, name), getattr(made, name))
     for name in ("position_errors", "velocity_errors", "acceleration_errors"):
         assert getattr(found, name) == pytest.approx(getattr(made, name), rel=1e-6)
-    for name in ("method", "window", "order", "times", "belt_speed", "phases", "lost_counts", "cpu_s"):
+    for name in ("method", "window", "order", "times", "belt_speed", "losses", "repaired", "cpu_s"):
         assert getattr(found, name) == getattr(made, name)
+    for one, other in zip(found.phases, made.phases, strict=True):
+        assert replace(one, start_sd=0, end_sd=0) == replace(other, start_sd=0, end_sd=0)
+        assert (one.start_sd, one.end_sd) == pytest.approx((other.start_sd, other.end_sd), rel=1e-6)
     assert found.recording.default == "smooth"
 
 

@@ -24,7 +24,7 @@ def test_the_chosen_window_is_close_to_the_best_one(motion, recorded, pitch, jit
     error = rms(data, true, Setting(chosen.window, chosen.order))
     ladder = sorted({max(int(chosen.window * factor) | 1, 7) for factor in np.geomspace(0.5, 1.6, 9)})
     best = min(rms(data, true, Setting(length, order)) for order in (4, 6) for length in ladder if length > order)
-    assert error < 1.12 * best
+    assert error < 1.08 * best
 
 
 def test_the_reading_error_of_an_encoder_is_found(motion, recorded):

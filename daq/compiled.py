@@ -1,0 +1,84 @@
+"""Kernels compiled by numba from the very source that runs interpreted; numba loads on the first request.
+
+A kernel module holds plain functions on scalars and arrays.  `compiled` registers every function of the modules named
+as callable from machine code and compiles the entry: no second source, no fast-math (it breaks NaN tests).  Machine
+code is kept in a folder named by a hash of the sources, so a changed installation never meets a stale cache.
+"""
+
+import hashlib
+import inspect
+import os
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+
+@cache
+def compiled(function: Callable[..., Any], modules: tuple[str, ...]) -> Callable[..., Any]:
+    """Return ``function`` compiled; called like the plain one.
+
+    The first call of a function whose machine code is not yet cached says on stderr that it compiles.
+
+    Parameters
+    ----------
+    function : callable
+        A plain function; numba's nopython subset.
+    modules : tuple of str
+        Names of the modules whose functions it may call, its own included.
+    """
+    for name in modules:
+        register(name)
+    import numba
+    from numba import config
+
+    folder = cache_folder((*modules, function.__module__))
+    settings = vars(config)  # numba reads the folder when a cache is enabled
+    before = settings["CACHE_DIR"]
+    try:
+        settings["CACHE_DIR"] = str(folder) if folder else before
+        entry = numba.njit(function, cache=folder is not None)
+    finally:
+        settings["CACHE_DIR"] = before
+    if folder is None or not any(folder.rglob(f"*.{function.__name__}-*.nbi")):
+        sys.stderr.write(f"compiling {function.__name__}: once per installation, some seconds\n")
+    return entry  # type: ignore[no-any-return]
+
+
+@cache
+def register(module: str) -> None:
+    """Make every function of a module callable from compiled code."""
+    from numba.extending import register_jitable
+
+    for function in vars(import_module(module)).values():
+        if inspect.isfunction(function) and function.__module__ == module:
+            register_jitable(function)
+
+
+def cache_folder(modules: tuple[str, ...]) -> Path | None:
+    """Return the writable folder for the machine code of these modules, or None when there is none to be had."""
+    digest = hashlib.sha256()
+    for name in modules:
+        digest.update(Path(str(import_module(name).__file__)).read_bytes())
+    folder = cache_root() / f"kernels-{digest.hexdigest()[:16]}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+def cache_root() -> Path:
+    """Return where machine code is kept: $NUMBA_CACHE_DIR, else this user's cache folder."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen:
+        return Path(chosen) / "stickslip"
+    if sys.platform == "win32":
+        base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
+    elif sys.platform == "darwin":
+        base = str(Path.home() / "Library" / "Caches")
+    else:
+        base = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
+    return Path(base) / "stickslip"

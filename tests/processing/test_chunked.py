@@ -1,0 +1,115 @@
+"""A record smoothed in chunks is the record smoothed in one go, in memory that does not grow with it."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import daq
+from daq import runfile
+from daq.errors import InputError
+from processing import chunked, stage
+from processing.smoothing import smooth
+
+
+@pytest.fixture
+def small_chunks(monkeypatch):
+    monkeypatch.setattr(chunked, "CHUNK", 7000)
+    monkeypatch.setattr(chunked, "MARGIN", 2500)
+
+
+@pytest.fixture
+def path(tmp_path, motion, run_data):
+    target = tmp_path / "run.h5"
+    runfile.write(target, run_data(motion(5, 20.0, start=0.5)))
+    return target
+
+
+def test_savitzky_golay_in_chunks_is_that_of_the_whole(path, small_chunks):
+    whole = smooth(daq.load(path), "sg", 41, 4)
+    told = chunked.smooth(path, "sg", 41, 4)
+    found = stage.load(path)
+    assert (told.method, told.window, told.samples) == ("sg", 41, 20_000)
+    assert np.array_equal(found.time, whole.time)
+    assert found.velocity == pytest.approx(whole.velocity, abs=1e-11)
+    assert found.position == pytest.approx(whole.position, abs=1e-13)
+    assert found.velocity_errors == pytest.approx(whole.velocity_errors, rel=0.02)
+
+
+def test_the_smoothers_agree_within_their_errors_and_find_the_same_sticks(path, small_chunks):
+    whole = smooth(daq.load(path))
+    told = chunked.smooth(path)
+    found = stage.load(path)
+    assert told.method == whole.method == "segment"
+    assert (len(told.sticks), len(told.slips)) == (len(whole.sticks), len(whole.slips))
+    assert np.abs([a.start - b.start for a, b in zip(told.sticks, whole.sticks, strict=True)]).max() < 2e-3
+    apart = np.abs(found.velocity - whole.velocity) / (found.velocity_errors + whole.velocity_errors)
+    assert np.mean(apart < 2) > 0.99
+    assert told.belt_speed == pytest.approx(0.22, abs=1e-4)
+
+
+@pytest.mark.parametrize("repair", ["flag", "fix"])
+def test_lost_counts_are_carried_from_chunk_to_chunk(tmp_path, motion, run_data, small_chunks, repair):
+    data = run_data(motion(5, 20.0, start=0.5))
+    count = data.count.copy()
+    for at, size in ((3000, 40), (6950, -25), (15_000, 60)):
+        count[at:] += size
+    target = tmp_path / "run.h5"
+    runfile.write(target, replace(data, count=count, position=count * 7.67e-6 + 7.67e-6 / 2))
+    told = chunked.smooth(target, "rts", repair_counts=repair)
+    found = stage.load(target)
+    assert [(loss.first, loss.counts) for loss in told.losses] == [(3000, 40), (6950, -25), (15_000, 60)]
+    assert found.repaired == (repair == "fix")
+    right = data.position if repair == "fix" else daq.load(target).position
+    assert np.abs(found.position - right).max() < 5e-5
+    assert np.abs(found.measured - right).max() < 1e-9
+
+
+def test_nominal_times_go_on_over_the_chunks(tmp_path, small_chunks):
+    line = [sys.executable, "-m", "daq.cli", "record", "--duration", "20", "-o", "run.h5", "--json"]
+    subprocess.run(line, cwd=tmp_path, check=True, capture_output=True)
+    target = tmp_path / "run.h5"
+    whole = smooth(daq.load(target), "sg", 41, 4, "nominal")
+    chunked.smooth(target, "sg", 41, 4, "nominal")
+    assert stage.load(target).time == pytest.approx(whole.time, abs=1e-12)
+    assert stage.load(target).velocity == pytest.approx(whole.velocity, abs=1e-9)
+
+
+def test_nominal_times_of_a_long_import_are_refused(path):
+    with pytest.raises(InputError, match="nominal times of so long an import"):
+        chunked.smooth(path, times="nominal")
+
+
+def test_memory_stays_below_300_mb_however_long_the_record(tmp_path):
+    if not Path("/proc/self/status").exists():
+        pytest.skip("the peak of a process's own memory is read from Linux's /proc")
+    n = 1_500_000
+    script = """
+import json
+from pathlib import Path
+from processing import chunked
+told = chunked.smooth(Path("long.h5"), "sg", 41, 4, "recorded")
+peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
+print(json.dumps([told.samples, int(peak.split()[1]) / 1024]))
+"""
+    time = np.arange(n) * 1e-3
+    count = np.floor(0.1 / 7.67e-6 * np.sin(2 * np.pi * time / 3)).astype(np.int64)
+    run = runfile.RunData(
+        title="long",
+        started="2026-01-01T00:00:00+00:00",
+        ended="2026-01-01T00:50:00+00:00",
+        rate_hz=1000.0,
+        rig=daq.rig.Rig(metres_per_count=daq.rig.Measured(7.67e-6)),
+        time=time,
+        position=count * 7.67e-6,
+        count=count,
+    )
+    runfile.write(tmp_path / "long.h5", run)
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True)
+    samples, megabytes = json.loads(done.stdout.splitlines()[-1])
+    assert samples == n
+    assert megabytes < 300

@@ -1,0 +1,204 @@
+"""The smoothers on the bench, where the truth is known: what is claimed of their errors, and that errors are told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import processing
+from daq.compiled import compiled
+from daq.errors import InputError
+from processing import jerk_filter, methods, rts, series, snap_filter
+from processing.methods import Setting
+
+
+def velocity_error(found, v):
+    error = 1e3 * (found.velocity - v)
+    return float(np.sqrt(np.mean(error**2))), float(np.abs(error).max())
+
+
+def near_landings(true, within=0.01):
+    near = np.zeros(true.time.size, bool)
+    for start, _ in true.sticks[1:]:
+        near |= np.abs(true.time - start) < within
+    return near
+
+
+# Pitch, jitter, times, and the limits in mm/s of rms and largest error.
+CLAIMED = [
+    (7.67e-6, 30e-6, "recorded", 0.07, 1.8),
+    (50e-6, 30e-6, "recorded", 0.22, 5.0),
+    (7.67e-6, 30e-6, "nominal", 0.30, 3.2),
+]
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize(("pitch", "jitter", "times", "rms", "largest"), CLAIMED)
+def test_sticks_and_slips_smoothed_apart_keep_the_flat_top(motion, recorded, seed, pitch, jitter, times, rms, largest):
+    true = motion(5, 60.0, jitter, seed=seed)
+    found = methods.estimate("auto", series.of(recorded(true, pitch), times), Setting())
+    error = velocity_error(found, true.v)
+    assert found.method == "segment"
+    assert error[0] < rms
+    assert error[1] < largest
+
+
+def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
+    covered, covered_near = [], []
+    for seed in (1, 2, 5):
+        true = motion(5, 60.0, seed=seed)
+        data = series.of(recorded(true))
+        found = methods.estimate("auto", data, Setting())
+        error = found.velocity - true.v
+        near = near_landings(true)
+        assert 1e3 * np.sqrt(np.mean(error[near] ** 2)) < 0.4
+        stuck = np.zeros(true.time.size, bool)
+        for start, end in true.sticks:
+            stuck |= (true.time > start) & (true.time < end)
+        assert 1e3 * np.sqrt(np.mean(error[stuck] ** 2)) < 0.02
+        inside = np.abs(error) <= 2 * found.velocity_errors
+        covered.append(inside.mean())
+        covered_near.append(inside[near].mean())
+        rough, sg = (methods.estimate(name, data, own) for name, own in (("fd", Setting()), ("sg", Setting(41, 4))))
+        assert velocity_error(rough, true.v)[0] > 45 * velocity_error(found, true.v)[0]
+        assert velocity_error(sg, true.v)[0] > 7 * velocity_error(found, true.v)[0]
+    assert 0.93 <= np.mean(covered) <= 0.97
+    assert np.mean(covered_near) >= 0.90
+
+
+def test_corner_times_lie_within_their_uncertainties(motion, recorded):
+    true = motion(5, 60.0)
+    found = processing.smooth(recorded(true))
+    starts = np.array([start for start, _ in true.sticks[1:]]) - true.time[0]
+    ends = np.array([end for _, end in true.sticks[1:-1]]) - true.time[0]
+    for at, told, sd in (
+        (starts, [s.start for s in found.sticks[-starts.size :]], [s.start_sd for s in found.sticks[-starts.size :]]),
+        (ends, [s.end for s in found.sticks[1 : ends.size + 1]], [s.end_sd for s in found.sticks[1 : ends.size + 1]]),
+    ):
+        off = (np.array(told) - at[: len(told)]) / np.array(sd)
+        assert np.mean(np.abs(off) < 3) > 0.9
+    assert np.median([s.start_sd for s in found.sticks[1:]]) < 3e-4
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        *[pytest.param({"law": law}, id=f"law {law}") for law in range(1, 7)],
+        pytest.param({"law": 5, "gap": 20}, id="gaps of 20 ms"),
+        pytest.param({"law": 5, "gap": 50}, id="gaps of 50 ms"),
+        pytest.param({"law": 5, "start": 0.5}, id="rest at first"),
+        pytest.param({"law": 5, "belt": -0.22}, id="belt backwards"),
+        pytest.param({"ripple": 2e-3}, id="ripple of 2 mm/s"),
+        pytest.param({"swing": True}, id="pure sine"),
+        pytest.param({"ride": True}, id="all stick"),
+    ],
+)
+def test_the_default_is_never_worse_than_the_smoother_without_corners(motion, recorded, make):
+    true = motion(make.get("law", 5), 20.0, seed=3, start=make.get("start", 0.0), belt=make.get("belt", 0.22))
+    if "swing" in make:
+        true = type(true)(true.time, 0.1 * np.sin(6 * true.time), 0.6 * np.cos(6 * true.time), ())
+    if "ride" in make:
+        true = type(true)(true.time, 0.22 * true.time, np.full(true.time.size, 0.22), ())
+    if "ripple" in make:
+        size, w = make["ripple"], 2 * np.pi * 3.0
+        own = size * np.sin(w * true.time)
+        x = true.x + np.cumsum(np.where(in_sticks(true), own, 0.0)) * 1e-3
+        true = type(true)(true.time, x, true.v + np.where(in_sticks(true), own, 0.0), true.sticks)
+    kept = np.ones(true.time.size, bool)
+    for at in range(700, kept.size, 2903) if "gap" in make else ():
+        kept[at : at + make["gap"]] = False
+    true = type(true)(true.time[kept], true.x[kept], true.v[kept], true.sticks)
+    data = series.of(recorded(true))
+    plain, default = (methods.estimate(name, data, Setting()) for name in ("rts", "auto"))
+    assert velocity_error(default, true.v)[0] <= 1.03 * velocity_error(plain, true.v)[0]
+
+
+def in_sticks(true):
+    stuck = np.zeros(true.time.size, bool)
+    for start, end in true.sticks:
+        stuck |= (true.time > start) & (true.time < end)
+    return stuck
+
+
+@pytest.mark.parametrize("kernel", ["jerk", "snap"])
+def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
+    data = series.of(recorded(motion(5, 0.5, start=0.1)))
+    time, position = data.time, data.position
+    if kernel == "jerk":
+        one, two = np.empty((6, time.size)), np.empty((6, time.size))
+        asked = (time, position, 100.0, 5e-12, 64, 40)
+        jerk_filter.smooth(*asked, one)
+        compiled(jerk_filter.smooth, rts.KERNELS)(*asked, two)
+    else:
+        at, kind = np.array([0.1, 0.2023]), np.array([snap_filter.START, snap_filter.LAND], np.uint8)
+        label = np.empty(time.size, np.uint8)
+        snap_filter.label_samples(time, at, kind, snap_filter.REST, 0.1, label)
+        q, r = np.full(snap_filter.LABELS, 1e5), np.full(snap_filter.LABELS, 5e-12)
+        jump = np.ones(snap_filter.JUMPS)
+        outcomes = []
+        for make in (lambda function: function, lambda function: compiled(function, ("processing.snap_filter",))):
+            state, stored = np.empty(snap_filter.STATE), np.empty((time.size, snap_filter.STORED))
+            make(snap_filter.start)(time, position, 5e-12, True, state)
+            make(snap_filter.forward)(time, position, label, at, kind, q, r, jump, state, stored)
+            motion_ = np.empty((6, time.size))
+            sums = np.zeros((snap_filter.LABELS, 4)), np.zeros((snap_filter.JUMPS, 2))
+            make(snap_filter.backward)(time, label, at, kind, stored, True, motion_, *sums)
+            outcomes.append(motion_)
+        one, two = outcomes
+    scale = np.abs(one).max(axis=1, keepdims=True)
+    assert (np.abs(one - two) / scale).max() < 1e-12
+
+
+def test_the_smoother_does_not_depend_on_its_blocks(motion, recorded):
+    data = series.of(recorded(motion(5, 6.0)))
+    run = compiled(jerk_filter.smooth, rts.KERNELS)
+    found = []
+    for block in (512, 100_000):
+        out = np.empty((6, data.time.size))
+        run(data.time, data.position, 100.0, 5e-12, block, 400, out)
+        found.append(out)
+    assert np.abs(found[0] - found[1])[1, 20:].max() < 1e-12
+
+
+def test_noise_levels_are_those_that_were_put_in(imported):
+    rng = np.random.default_rng(6)
+    h, q, r = 1e-3, 50.0, (3e-5) ** 2
+    n = 30_000
+    a = np.cumsum(np.sqrt(q * h) * rng.standard_normal(n))
+    a -= np.linspace(0, a[-1], n)
+    v = np.cumsum(a) * h
+    x = np.cumsum(v) * h
+    noise = rts.fit(series.of(imported(np.arange(n) * h, x + np.sqrt(r) * rng.standard_normal(n))))
+    assert noise.reading == pytest.approx(r, rel=0.05)
+    assert noise.jerk == pytest.approx(q, rel=0.5)
+
+
+@pytest.mark.parametrize("method", ["rts", "segment"])
+@pytest.mark.parametrize("setting", [Setting(41, 4), Setting(None, 4)])
+def test_a_smoother_has_no_window(motion, recorded, method, setting):
+    with pytest.raises(InputError, match=f"{method} has no window"):
+        methods.estimate(method, series.of(recorded(motion(5, 3.0))), setting)
+
+
+def test_a_window_that_is_asked_for_means_savitzky_golay(motion, recorded):
+    assert processing.smooth(recorded(motion(5, 3.0)), window=41).method == "sg"
+
+
+def test_counts_put_back_give_the_velocity_of_the_clean_record(motion, recorded):
+    true = motion(5, 20.0)
+    run = recorded(true)
+    count = run.count.copy()
+    for at, size in ((4000, 40), (9500, -15), (14_600, 200)):
+        count[at:] += size
+    lossy = replace(run, count=count, position=count * 7.67e-6 + 7.67e-6 / 2)
+    clean = velocity_error(processing.smooth(run), true.v)
+    for repair in ("flag", "fix"):
+        found = processing.smooth(lossy, repair_counts=repair)
+        assert found.lost_counts == 3
+        assert found.repaired == (repair == "fix")
+        assert velocity_error(found, true.v)[0] < 1.15 * clean[0]
+        right = run.position if repair == "fix" else lossy.position
+        assert np.abs(found.position - right).max() < 3e-5
+    off = processing.smooth(lossy, "rts", repair_counts="off")
+    assert off.losses == ()
+    assert velocity_error(off, true.v)[1] > 10
