@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from processing import faults
 from processing.faults import Loss
+from processing.kicks import Kick
 
 if TYPE_CHECKING:
     from daq.recording import Recording
@@ -85,6 +86,8 @@ class Kinematics:
     plateau_speed : float
         m/s: the speed most plateaus share, whatever the belt's is said to be; NaN without plateaus, or when the
         motion was read back from a file.
+    kicks : tuple of Kick
+        Where the velocity stepped (`processing.kicks`); marked, and smoothed over.
     """
 
     recording: "Recording"
@@ -106,6 +109,7 @@ class Kinematics:
     repaired: bool
     cpu_s: float
     plateau_speed: float = math.nan
+    kicks: tuple[Kick, ...] = ()
 
     @property
     def sticks(self) -> tuple[Phase, ...]:

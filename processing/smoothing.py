@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from daq.errors import InputError, nearest
-from processing import faults, methods, phases, series
+from processing import faults, kicks, methods, phases, series
 from processing import window as windows
 from processing.kinematics import Kinematics
 
@@ -75,6 +75,7 @@ def smooth(
     setting = windows.setting(window, order, data)
     setting = replace(setting, belt_speed=phases.given(belt_speed))
     motion = methods.estimate(method, data, setting)
+    kicked = kicks.kicks(data)
     found = phases.find(data, motion, recording.rig.belt_speed, belt_speed)
     return Kinematics(
         recording=recording,
@@ -96,4 +97,5 @@ def smooth(
         repaired=repair_counts == "fix" and bool(losses),
         cpu_s=clock.process_time() - begun,
         plateau_speed=found.plateau_speed,
+        kicks=kicked,
     )
