@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from daq import runfile
 from daq.errors import InputError, nearest
 from daq.recording import Recording
-from processing import faults, methods, phases, savgol, series, stage
+from processing import faults, kicks, methods, phases, savgol, series, stage
 from processing import window as windows
 from processing.faults import Loss
+from processing.kicks import Kick
 from processing.kinematics import Phase
 from processing.methods import Setting
 from processing.series import Series
@@ -54,6 +55,7 @@ class Told:
     span: float
     unit: str
     plateau_fraction: float
+    kicks: tuple[Kick, ...]
     plateau_speed: float = math.nan
     belt_velocity: None = None  # a belt's own counts are not smoothed in chunks
 
@@ -157,6 +159,7 @@ class _Worker:
         self.times, self.belt_speed, self.repair = times, belt_speed, repair
         self.phases: list[Phase] = []
         self.losses: list[Loss] = []
+        self.kicks: list[Kick] = []
         self.used: dict[str, int] = {}
         self.windows: list[tuple[int, int]] = []
         self.speeds: list[float] = []
@@ -194,6 +197,9 @@ class _Worker:
         ):
             table[name][begin:end] = values
         self.losses += [Loss(loss.first + low, loss.last + low, loss.counts) for loss in mine]
+        self.kicks += [
+            Kick(kick.sample + low, kick.step) for kick in kicks.kicks(data) if own.start <= kick.sample < own.stop
+        ]
         self._join(seen.phases, data, low, begin, end)
         self.used[motion.method] = self.used.get(motion.method, 0) + end - begin
         self.windows.append((motion.window, motion.order))
@@ -260,6 +266,7 @@ class _Worker:
             belt_speed=float(np.median(self.speeds)) if self.speeds else math.nan,
             phases=tuple(self.phases),
             losses=tuple(self.losses),
+            kicks=tuple(self.kicks),
             repaired=self.repair == "fix" and bool(self.losses),
             cpu_s=cpu_s,
             samples=self.n,

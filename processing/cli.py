@@ -190,6 +190,7 @@ def _summary(motion: "Kinematics | Told") -> dict[str, Any]:
         "lost_counts": motion.lost_counts,
         "repaired": motion.repaired,
         "losses": [vars(loss) for loss in motion.losses],
+        "kicks": [vars(kick) for kick in motion.kicks],
         "phases": [
             {name: getattr(phase, name) for name in ("kind", "start", "start_sd", "end", "end_sd")}
             for phase in motion.phases
@@ -207,6 +208,11 @@ def _warnings(motion: "Kinematics | Told") -> list[str]:
             f"counts went missing {motion.lost_counts} time{'s' if motion.lost_counts > 1 else ''} "
             f"({'put back' if motion.repaired else 'marked, not repaired'}): "
             "look for a bouncing encoder wheel or a slipping coupling"
+        )
+    if motion.kicks:
+        found.append(
+            f"the velocity stepped {len(motion.kicks)} time{'s' if len(motion.kicks) > 1 else ''}, as by a belt joint "
+            f"(the first by {motion.kicks[0].step:.2g} {motion.unit}/s); marked"
         )
     if motion.phases and not motion.sticks and motion.plateau_speed == motion.plateau_speed:
         found.append(

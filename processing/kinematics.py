@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from processing import faults
 from processing.faults import Loss
+from processing.kicks import Kick
 
 if TYPE_CHECKING:
     from daq.recording import Recording
@@ -88,6 +89,8 @@ class Kinematics:
         motion was read back from a file.
     belt_velocity, belt_velocity_errors : array or None
         m/s, signed, and one standard error, only with a belt channel: the belt's counts through the same filter.
+    kicks : tuple of Kick
+        Where the velocity stepped (`processing.kicks`); marked, and smoothed over.
     """
 
     recording: "Recording"
@@ -111,6 +114,7 @@ class Kinematics:
     plateau_speed: float = math.nan
     belt_velocity: Array | None = None
     belt_velocity_errors: Array | None = None
+    kicks: tuple[Kick, ...] = ()
 
     @property
     def sticks(self) -> tuple[Phase, ...]:

@@ -42,6 +42,7 @@ Stick = tuple[float, float, float, float]  # start, end, and their standard devi
 
 LEAST_STICK = 0.03  # s
 FLAT = 0.05  # of the largest accelerations: what counts as none
+ROUNDING = 1e-9  # of the fastest speed, gained in a sample: what rounded numbers make of a straight line
 CLEAR = 0.15  # of the largest accelerations: five standard errors must stay below it
 WIDER = 4.0  # the second tolerance of the plateau test
 PLATEAU = 0.5  # share of the wider stretch that must be flat already: 1/4 for a swing, near 1 for a plateau
@@ -226,7 +227,8 @@ def _clear(series: Series, motion: Motion, moving: NDArray[np.bool_]) -> tuple[M
             while rts.equivalent_window(noise.rho(series.interval), longest) < min(seen.window * 3 // 2, longest):
                 noise = rts.Noise(noise.jerk / 2, noise.reading)
         seen = rts.smooth(series, noise)
-    return seen, max(FLAT * peak, 5 * scatter)
+    rounding = ROUNDING * float(np.abs(seen.velocity).max()) / series.interval
+    return seen, max(FLAT * peak, 5 * scatter, rounding)
 
 
 def _centred(motion: Motion, pieces: tuple[slice, ...]) -> Array:

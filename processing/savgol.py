@@ -8,7 +8,7 @@ than the window is one polynomial over all of it.
 
 Standard errors have two parts.  The reading error around each sample (from the residuals, at least pitch/sqrt(12))
 goes through the norm of the weights.  At corners, where a polynomial of that length cannot follow, the fit is set
-against one of half the window; what they differ by beyond three standard errors counts as error of the longer one,
+against one of half the window; what they differ by beyond 2.6 standard errors counts as error of the longer one,
 over a quarter of the window to either side.
 Not modelled: the slow sawtooth of a count that changes less than once per window, and corners shorter than the half
 window.
@@ -199,7 +199,7 @@ def standard_errors(
     weights, probing = np.where(known, long[1], 0.0), np.where(known, short[1], 0.0)
     difference = np.where(known, long[0] - short[0], 0.0) ** 2
     expected = noise * np.maximum(probing**2 - weights**2, 0.0)
-    corner = np.maximum(difference - 9 * expected, 0.0)
+    corner = np.maximum(difference - 7 * expected, 0.0)
     reach = max(window // 4, 1)
     corner = _largest(np.pad(corner, ((0, 0), (reach, reach))), 2 * reach + 1)
     errors: Array = np.where(known, np.sqrt(noise * weights**2 + corner), np.inf)

@@ -148,7 +148,7 @@ def _layout(series: Series, found: Found) -> Layout:
     at: list[float] = []
     kind: list[int] = []
     first = []
-    lengths = []
+    lengths, rides = [], []
     time = series.time
     for piece in series.pieces:
         begin, end = time[piece.start], time[piece.stop - 1]
@@ -165,8 +165,10 @@ def _layout(series: Series, found: Found) -> Layout:
                 kind.append(LAND)
         for phase in inside:
             if phase.kind == "slip":
-                lengths.append(phase.duration)
+                if phase is not inside[-1] and (phase is not inside[0] or begins == REST):
+                    lengths.append(phase.duration)  # whole: no slip that the record cuts off
                 continue
+            rides.append(phase.duration)
             if phase.start > begin and phase is not inside[0]:
                 at.append(phase.start)
                 kind.append(LAND)
@@ -177,7 +179,7 @@ def _layout(series: Series, found: Found) -> Layout:
             at.append(inside[-1].end)
             kind.append(STOP)
         first.append(begins)
-    unit = float(np.median(lengths)) if lengths else float(time[-1] - time[0]) / 4
+    unit = float(np.median(lengths or rides or [(time[-1] - time[0]) / 4]))
     order = np.argsort(at, kind="stable")
     times = np.array(at, float)[order]
     return Layout(times, np.full(times.size, series.interval), np.array(kind, np.uint8)[order], tuple(first), unit)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from daq.errors import InputError, nearest
 from processing import belt as belts
-from processing import faults, methods, phases, series
+from processing import faults, kicks, methods, phases, series
 from processing import window as windows
 from processing.kinematics import Kinematics
 
@@ -78,6 +78,7 @@ def smooth(
     setting = replace(setting, belt_speed=phases.given(belt_speed))
     motion = methods.estimate(method, data, setting)
     belt = belts.beside(recording, data, motion)
+    kicked = kicks.kicks(data)
     found = phases.find(data, motion, recording.rig.belt_speed, belt_speed, belt)
     return Kinematics(
         recording=recording,
@@ -101,4 +102,5 @@ def smooth(
         plateau_speed=found.plateau_speed,
         belt_velocity=None if belt is None else belt.velocity,
         belt_velocity_errors=None if belt is None else belt.velocity_errors,
+        kicks=kicked,
     )

@@ -9,6 +9,7 @@
       phase_portrait  NXdata      velocity against position: hard links, no copy
       phases          NXdata      one row a stick or slip: start, end, their errors, first, last, stick (1) or slip (0)
       losses          NXdata      one row a place where counts went missing: first, last, counts (absent without any)
+      kicks           NXdata      one row a step of the velocity: sample, step (absent without any)
 """
 
 from datetime import UTC, datetime
@@ -22,6 +23,7 @@ from daq import nexus, nexus_read, runfile
 from daq.errors import InputError
 from daq.version import VERSION
 from processing.faults import Loss
+from processing.kicks import Kick
 from processing.kinematics import Kinematics, Phase
 
 if TYPE_CHECKING:
@@ -121,6 +123,18 @@ def finish(smooth: h5py.Group, motion: "Kinematics | Told", unit: str, digest: s
             signal="counts",
             title="lost counts",
         )
+    if motion.kicks:
+        nexus.table(
+            smooth,
+            "kicks",
+            {
+                "sample": (np.array([kick.sample for kick in motion.kicks], np.uint32), ""),
+                "step": (np.array([kick.step for kick in motion.kicks]), f"{unit}/s"),
+            },
+            axis="sample",
+            signal="step",
+            title="steps of the velocity",
+        )
 
 
 def load(path: Path) -> Kinematics | None:
@@ -163,6 +177,7 @@ def load(path: Path) -> Kinematics | None:
             stick=stick,
             phases=phases,
             losses=_losses(entry, path),
+            kicks=_kicks(entry, path),
             repaired="repaired" in entry[parameters] and bool(nexus_read.scalar(entry, f"{parameters}/repaired", path)),
             cpu_s=nexus_read.scalar(entry, f"{parameters}/cpu_time", path),
         )
@@ -192,3 +207,11 @@ def _losses(entry: h5py.Group, path: Path) -> tuple[Loss, ...]:
         return ()
     columns = [nexus_read.array(entry, f"smooth/losses/{name}", np.int64, path) for name in ("first", "last", "counts")]
     return tuple(Loss(*map(int, row)) for row in zip(*columns, strict=True))
+
+
+def _kicks(entry: h5py.Group, path: Path) -> tuple[Kick, ...]:
+    if "smooth/kicks" not in entry:
+        return ()
+    sample = nexus_read.array(entry, "smooth/kicks/sample", np.int64, path)
+    step = nexus_read.array(entry, "smooth/kicks/step", np.float64, path)
+    return tuple(Kick(int(at), float(size)) for at, size in zip(sample, step, strict=True))

@@ -1,0 +1,53 @@
+"""Steps of the velocity are marked with their size, and landings are not taken for them."""
+
+import numpy as np
+import pytest
+
+import daq
+import processing
+import rig_sim
+from processing import kicks, series, stage
+from rig_sim.motion import Motion
+
+
+@pytest.fixture(scope="module")
+def kicked(tmp_path_factory):
+    """Return 60 s of the rig with a belt joint that kicks by 0.05 m/s, its times, and when it does."""
+    scene = rig_sim.scene("rig", seed=2, joint={"kick": 0.05}, belt={"start": 0.0})
+    time = np.arange(1, 60_001) * 1e-3 + 30e-6 * np.random.default_rng(1002).standard_normal(60_000)
+    motion = Motion(scene)
+    motion.events = []
+    path = motion.follow(time)
+    return time, path.nodes.x[path.samples], np.array([event.t for event in motion.events if event.kind == "kick"])
+
+
+def test_kicks_are_marked_with_their_size_and_nothing_else_is(kicked, recorded, motion):
+    time, x, at = kicked
+    plain = motion(5, 1.0)
+    found = kicks.kicks(series.of(recorded(type(plain)(time, x, x, ()))))
+    when = time[[kick.sample for kick in found]]
+    assert len(found) >= 0.7 * at.size
+    assert np.abs(when[:, None] - at).min(axis=1).max() < 4e-3
+    assert np.median([kick.step for kick in found]) == pytest.approx(0.05, rel=0.1)
+
+
+@pytest.mark.parametrize("law", [1, 3, 5, 6])
+def test_landings_are_no_kicks(motion, recorded, law):
+    assert kicks.kicks(series.of(recorded(motion(law, 30.0)))) == ()
+
+
+def test_a_track_without_counts_shows_none(imported):
+    time = np.arange(100) * 1e-3
+    assert kicks.kicks(series.of(imported(time, np.abs(time - 0.05)))) == ()
+
+
+def test_kicks_are_kept_in_the_run_file(tmp_path, kicked, motion, run_data):
+    from daq import runfile
+
+    time, x, _ = kicked
+    target = tmp_path / "run.h5"
+    runfile.write(target, run_data(type(motion(5, 1.0))(time[:20_000], x[:20_000], x[:20_000], ())))
+    made = processing.smooth(daq.load(target))
+    stage.save(made, target)
+    assert made.kicks
+    assert stage.load(target).kicks == made.kicks
