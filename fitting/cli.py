@@ -36,7 +36,11 @@ def fit(
     damping: Annotated[float | None, Parameter(help="Viscous damping from a ring-down, N s/m.")] = None,
     damping_sd: Annotated[float | None, Parameter(help="Its standard deviation, N s/m.")] = None,
     belt_speed: Annotated[
-        str | None, Parameter(help="Belt speed, m/s, with its sign.", allow_leading_hyphen=True)
+        str | None,
+        Parameter(
+            help="Belt speed, m/s, with its sign; channel: the belt's own counts, the default where a run has them.",
+            allow_leading_hyphen=True,
+        ),
     ] = None,
     exclude_cycles: Annotated[str, Parameter(help="Cycles to leave out, counted from 1: 3,7-9.")] = "",
     alpha: Annotated[float, Parameter(help="1 - confidence of intervals and set.")] = 0.05,
@@ -60,10 +64,7 @@ def fit(
 
     wanted, excluded = numbers(laws, "--laws"), numbers(exclude_cycles, "--exclude-cycles")
     page = pages.default_path(file) if report is None else report
-    if belt_speed == "channel":
-        what = "the fit takes one belt speed for the whole run; it cannot use the belt's counts yet"
-        raise InputError(what, "--belt-speed", "give a speed in m/s, or leave it out; process smooth uses the counts")
-    speed = None if belt_speed is None else quantity(belt_speed, "speed", "--belt-speed")
+    speed = belt_speed if belt_speed in (None, "channel") else quantity(belt_speed, "speed", "--belt-speed")
     motion = stage.load(file)
     recording = runfile.load(file) if motion is None else motion.recording
     pages.refuse_stranger(page)
@@ -85,7 +86,7 @@ def fit(
         changes["damping"] = _changed(recording.rig.damping, damping, damping_sd)
     rig = _rig(recording.rig, changes)
     if motion is None:
-        motion = smooth(recording, belt_speed="auto" if speed is None else speed)
+        motion = smooth(recording, belt_speed="auto" if speed in (None, "channel") else speed)
     with terminal.progress("fitting", float(len(wanted)), "laws") as tell:
         ranking = rank(motion, rig, wanted, belt_speed=speed, excluded=excluded, alpha=alpha, progress=tell)
     store.save(ranking, file)

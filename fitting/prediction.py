@@ -178,7 +178,7 @@ def window_positions(
         near = room[2, : end - first]
         for j in range(p + LOCALS):
             # A jump's stick is a straight line: it knows its start and the belt's speed, nothing else.
-            line = riding == 1 and ramp == 0
+            line = riding == 1 and ramp == 0 and u[8] == 0.0
             if line and j != p + 4 and (j >= p or columns[j] != 2):
                 continue
             if j < p:
@@ -225,6 +225,10 @@ def follow(
     depends continuously on where the window starts.  After the landing a jump's stick holds whatever the load: its
     break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on forwards under the new
     level, until that stops it.
+
+    A belt that gives way under load is the flow's own droop, u[8] F/K: a jump then rides on the ramp that the belt
+    makes, and overtakes it as a ramp law would; before a break-away level and width are both raised, so that it holds
+    whatever the load.
     """
     K, F, v_dr, shape, d = u[0], math.exp(u[1]), u[2], u[3], u[4]
     n = times.size
@@ -233,7 +237,19 @@ def follow(
     level, following = math.exp(part[2]), math.exp(part[3])
     w = v - v_dr
     static = 1.0
-    if ramp == 1 and abs(w) <= d:
+    hold = 1.0
+    droop = u[8] * F / K
+    if droop > 0.0:
+        edge = droop + d if ramp == 1 else droop
+        if riding == 1 and ramp == 0:
+            hold = HOLDS
+            mode = RAMP
+            w = min(max(w, -hold * edge), hold * edge)
+        elif abs(w) <= edge:
+            mode = RAMP
+        else:
+            mode = NEGATIVE if w <= 0.0 else POSITIVE
+    elif ramp == 1 and abs(w) <= d:
         mode = RAMP
     elif ramp == 0 and riding == 1:
         mode = STICK
@@ -255,8 +271,10 @@ def follow(
         factor = base * (1.0 - wear * (0.5 * (t + end) - epoch))
         if not factor > 0.0:
             return NOT_FINITE
+        factor *= hold
         # per unit mass; the curve reads the one shape parameter that it has
-        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, shape * F, shape, d, 0.0, 0.0, 0.0, 0.0)
+        G, give = shape * F, hold * droop
+        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, G, shape, d, 0.0, 0.0, 0.0, give)
         before = mode
         kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
         if kind >= FORCE_REVERSAL:
@@ -264,7 +282,7 @@ def follow(
         if not landed and before == NEGATIVE and kind != 0 and t >= firm:
             landed = True
             base = following
-            if ramp == 0:
+            if ramp == 0 and droop == 0.0:
                 static = HOLDS
                 w = 0.0
                 mode = POSITIVE if overtakes == 1 else STICK

@@ -20,7 +20,7 @@ from daq.errors import DataError, InputError
 from daq.rig import Rig
 from fitting import cycles as break_aways
 from fitting import motion as frame
-from fitting import trajectory, uncertainty, verdict, windows
+from fitting import trajectory, twin, uncertainty, verdict, windows
 from fitting.motion import Array, Motion
 from fitting.result import LawResult
 from fitting.result import Ranking as Ranking
@@ -52,7 +52,7 @@ def rank(
     rig: Rig | None = None,
     laws: Sequence[int] = ALL_LAWS,
     *,
-    belt_speed: float | None = None,
+    belt_speed: float | str | None = None,
     excluded: Sequence[int] = (),
     alpha: float = 0.05,
     progress: Callable[[float], None] | None = None,
@@ -67,8 +67,9 @@ def rank(
         Calibration; the recording's own by default.
     laws : sequence of int
         Which of the laws 1 to 6 compete.
-    belt_speed : float, optional
-        m/s, signed, when it is known better than the calibration knows it.
+    belt_speed : float or "channel", optional
+        m/s, signed, when it is known better than the calibration knows it.  By default the belt's own counts are used
+        where the run has any; "channel" asks for them.
     excluded : sequence of int
         Numbers of cycles to leave out (1 is the first break-away).
     alpha : float
@@ -89,7 +90,10 @@ def rank(
 
     Notes
     -----
-    Not modelled: a belt that slows under load (it looks like a ramp), ripple of its speed, friction that remembers.
+    A belt that slows under load looks like a ramp.  With the belt's own counts its give is measured and part of the
+    flow; without, a ramp narrow enough to be such a belt brings its jump law into the set (`fitting.twin`).
+
+    Not modelled: ripple of the belt's speed, friction that remembers.
     """
     begun = clock.process_time()
     laws = tuple(dict.fromkeys(laws))
@@ -128,16 +132,21 @@ def rank(
             source,
             "record again from before the belt starts: the first drag tells law 1 from law 2",
         )
-    units = [_cycle_errors(fit, motion) if sustained else _drag_errors(fit, motion, cut.drag) for fit in fits]
-    penalised = np.array([_penalised(fit, errors) for fit, errors in zip(fits, units, strict=True)])
-    evidence = Evidence(tuple(fit.law for fit in fits), penalised)
-    chosen = choose(evidence, alpha)
+    penalised = np.array([_penalised(fit, _unit_errors(fit, motion, cut, sustained=sustained)) for fit in fits])
+    chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
+    double = twin.of(fits, chosen.members, motion, cut)
+    if double is not None:
+        place, ramp = (next(i for i, fit in enumerate(fits) if fit.law == law) for law in (double.law, double.law + 1))
+        errors = [_unit_errors(fit, motion, cut, sustained=sustained) for fit in (double, fits[ramp])]
+        if twin.as_good(*errors):  # one observable, one piece of evidence
+            fits[place], penalised[place] = double, penalised[ramp]
+            chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
     best = next(fit for fit in fits if fit.law == chosen.order[0])
     rows = tuple(
         _row(next(fit for fit in fits if fit.law == law), chosen, motion, alpha, penalised.shape[1])
         for law in chosen.order
     )
-    words = verdict.sentence(rows, chosen.members, sustained=sustained)
+    words = verdict.sentence(rows, chosen.members, sustained=sustained, measured=motion.belt_measured)
     warnings = verdict.warnings(rows, chosen.members, motion, cut, kinematics, sustained=sustained)
     return Ranking(
         verdict=words,
@@ -201,6 +210,10 @@ def _log_error(residual: Array, motion: Motion) -> float:
 
 def _cycle_errors(fit: Fit, motion: Motion) -> Array:
     return np.array([_log_error(fit.residual[rows], motion) for rows in fit.rows])
+
+
+def _unit_errors(fit: Fit, motion: Motion, cut: Cut, *, sustained: bool) -> Array:
+    return _cycle_errors(fit, motion) if sustained else _drag_errors(fit, motion, cut.drag)
 
 
 def _drag_errors(fit: Fit, motion: Motion, drag: tuple[int, int]) -> Array:

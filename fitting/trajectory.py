@@ -1,10 +1,10 @@
 """One law fitted to the measured positions of every window at once: multiple shooting on the exact flow.
 
 Shared by all windows: k/m, Fs/m, belt speed, the curve's shape, the ramp's half-width, the spring's rest position,
-the damping, and how fast the contact wears.  Each cycle has six unknowns of its own: where its slip window starts
-(x, v), its kinetic level, the level after the next landing, and where its stick window starts (x, v).  The levels are
-factors whose logarithms have mean 0; their prior carries their own scatter, so that Fs/m means the mean level and its
-interval the error of that mean.
+the damping, how fast the contact wears, and how much the belt gives under load.  Each cycle has six unknowns of its
+own: where its slip window starts (x, v), its kinetic level, the level after the next landing, and where its stick
+window starts (x, v).  The levels are factors whose logarithms have mean 0; their prior carries their own scatter, so
+that Fs/m means the mean level and its interval the error of that mean.
 
 The noise of a position is not white: a law that is slightly wrong errs for many samples in a row.  Residuals therefore
 count with sigma^2 = mean square x correlation time, found from the fit before, and a cycle that fits far worse than
@@ -25,8 +25,8 @@ from fitting.windows import Cut, Cycle
 from rig_sim.friction.law import LAWS
 
 # Order of the shared unknowns, and of a cycle's own.
-K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, WEAR = range(8)
-UNKNOWNS = 8
+K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, WEAR, GIVE = range(9)
+UNKNOWNS = 9
 X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)
 
 UNKNOWN_DAMPING = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
@@ -50,9 +50,10 @@ class Fit:
     Attributes
     ----------
     law : int
-    u : (8,) f8
+    u : (9,) f8
         K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s), datum (m),
-        c/m (1/s), wear (fraction of the level lost per second).
+        c/m (1/s), wear (fraction of the level lost per second), give (belt speed lost
+        per metre of spring stretch, 1/s).
     active : tuple of int
         Which of them this law has.
     local : (cycles, 6) f8
@@ -102,16 +103,16 @@ class Fit:
 
     @property
     def free(self) -> int:
-        """Number of the law's own shared unknowns; what every law has besides (datum, damping, wear) is not counted."""
-        return sum(index not in (DATUM, DAMPING, WEAR) for index in self.active)
+        """Number of the law's own shared unknowns; what every law has besides (datum, damping, wear, give) not."""
+        return sum(index not in (DATUM, DAMPING, WEAR, GIVE) for index in self.active)
 
 
-def active_unknowns(law: int) -> tuple[int, ...]:
-    """Return the shared unknowns that a law has."""
+def active_unknowns(law: int, give: Measured | None = None) -> tuple[int, ...]:
+    """Return the shared unknowns that a law has on a belt that gives way, or on a stiff one (None)."""
     kind = LAWS[law]
     shape = () if kind.curve == "constant" else (SHAPE,)
     ramp = () if kind.contact == "jump" else (D,)
-    return (K, LOG_F, V_DR, *shape, *ramp, DATUM, DAMPING, WEAR)
+    return (K, LOG_F, V_DR, *shape, *ramp, DATUM, DAMPING, WEAR, *(() if give is None else (GIVE,)))
 
 
 def datum_guess(motion: Motion) -> Measured:
@@ -205,7 +206,7 @@ def _fit(law: int, setting: "Setting", windows: Windows, state: "State", cut: Cu
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What stays the same through a law's passes; arrays over the 8 shared unknowns unless said otherwise."""
+    """What stays the same through a law's passes; arrays over the 9 shared unknowns unless said otherwise."""
 
     motion: Motion
     curve: int
@@ -230,7 +231,8 @@ class Setting:
         damping = damping_guess(motion, start.K)
         shape = max(abs(start.shape), 1e-3 / motion.belt_speed)
         speed, travel = motion.belt_speed, motion.travel
-        lower = np.array([1e-6 * start.K, -np.inf, 0.05 * speed, 0.0, NO_RAMP * speed, -np.inf, 0.0, -np.inf])
+        lower = np.array([1e-6 * start.K, -np.inf, 0.05 * speed, 0.0, NO_RAMP * speed, -np.inf, 0.0, -np.inf, 0.0])
+        lower[GIVE] = NO_RAMP * speed / travel
         upper = np.full(UNKNOWNS, np.inf)
         if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
             upper[SHAPE] = STILL_FRICTION / float(np.max(speed - motion.velocity))
@@ -240,14 +242,16 @@ class Setting:
         belt = motion.belt_prior
         if belt is not None and belt.sd > 0:
             prior[V_DR], precision[V_DR] = belt.value, _precision(belt.sd, 0.0)
+        if motion.give is not None:
+            prior[GIVE], precision[GIVE] = motion.give.value, _precision(motion.give.sd, 0.0)
         return cls(
             motion=motion,
             curve=kind.curve_code,
             ramp=bool(kind.ramp),
-            active=active_unknowns(law),
+            active=active_unknowns(law, motion.give),
             start=start,
             damping=damping.value,
-            scale=np.array([start.K, 1.0, speed, shape, speed, travel, omega, omega]),
+            scale=np.array([start.K, 1.0, speed, shape, speed, travel, omega, omega, speed / travel]),
             lower=lower,
             upper=upper,
             prior=prior,
@@ -258,7 +262,7 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Where a pass ended: all 8 shared unknowns, the cycles' own, and what the next pass is to assume of the noise."""
+    """Where a pass ended: all 9 shared unknowns, the cycles' own, and what the next pass is to assume of the noise."""
 
     u: Array
     local: Array
@@ -284,8 +288,9 @@ def _begin(setting: Setting, windows: Windows, cycles: tuple[Cycle, ...]) -> Sta
             load = start.K * (start.datum - float(np.interp(cycle.landing, motion.time, motion.position)))
             local[k, NEXT_LEVEL] = math.log(max(OVERTAKING_LEVEL * load / start.F, 0.2))
     shape = min(start.shape, float(setting.upper[SHAPE]))
+    give = 0.0 if motion.give is None else motion.give.value
     return State(
-        u=np.array([start.K, math.log(start.F), start.v_dr, shape, start.d, start.datum, setting.damping, 0.0]),
+        u=np.array([start.K, math.log(start.F), start.v_dr, shape, start.d, start.datum, setting.damping, 0.0, give]),
         local=local,
         sigma=FIRST_SIGMA * motion.resolution,
         scatter=FIRST_SCATTER,

@@ -13,7 +13,7 @@ from daq.rig import Measured
 from fitting.motion import Array, Motion
 from fitting.result import Parameter
 from fitting.schur import reduced
-from fitting.trajectory import DAMPING, DATUM, LOG_F, SHAPE, V_DR, WEAR, D, Fit, K
+from fitting.trajectory import DAMPING, DATUM, GIVE, LOG_F, SHAPE, V_DR, WEAR, D, Fit, K
 from rig_sim.friction.law import LAWS
 
 
@@ -42,8 +42,9 @@ def covariance(fit: Fit, precision: Array) -> Array:
 def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict[str, Parameter]:
     """Return a law's parameters with their intervals, in the record's own signs.
 
-    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second.  The
-    error of the metres per count enters every parameter that has a length in its unit.
+    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second;
+    ``droop`` how much slower the belt runs under the load Fs.  The error of the metres per count enters every parameter
+    that has a length in its unit.
 
     Parameters
     ----------
@@ -93,6 +94,8 @@ def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict
     add("c/m", "s^-1", lambda u: float(u[DAMPING]))
     if WEAR in active:
         add("wear", "s^-1", lambda u: float(u[WEAR]))
+    if GIVE in active:
+        add("droop", "m/s", lambda u: float(u[GIVE] * np.exp(u[LOG_F]) / u[K]), lengths=1)
     if motion.mass is not None:
         mass = motion.mass
         add("k", "N/m", lambda u: float(u[K]), mass)

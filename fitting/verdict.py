@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from fitting.motion import Motion
 from fitting.result import LawResult
-from fitting.trajectory import DATUM, NO_RAMP, D
+from fitting.trajectory import DATUM, GIVE, NO_RAMP, D
 from fitting.windows import Cut
 from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
@@ -19,7 +19,7 @@ SPLITS = {
 }
 
 
-def sentence(rows: Sequence[LawResult], members: Sequence[int], *, sustained: bool) -> str:
+def sentence(rows: Sequence[LawResult], members: Sequence[int], *, sustained: bool, measured: bool = False) -> str:
     """Return the verdict: the law, or the laws that the record cannot tell apart, and why.
 
     Parameters
@@ -30,6 +30,8 @@ def sentence(rows: Sequence[LawResult], members: Sequence[int], *, sustained: bo
         The set, best first.
     sustained : bool
         Whether the record has sustained sticks; without them friction is constant.
+    measured : bool
+        Whether the belt's own counts were used.
     """
     best = rows[0]
     named = f"law {best.law} ({best.name})"
@@ -39,10 +41,17 @@ def sentence(rows: Sequence[LawResult], members: Sequence[int], *, sustained: bo
             return head + f"{named} by the start-up drag"
         if len(rows) == 1:
             return head + f"{named}, the only law fitted"
+        if GIVE in best.fit.active and not measured:
+            return head + f"{named} on a belt that slows under load, or law 2: a belt tachometer would tell"
         return head + "law 1 or law 2: the start-up drag does not tell a jump from a ramp"
     if len(members) > 1:
         others = " or ".join(f"law {law} ({LAWS[law].name})" for law in members[1:])
         split = SPLITS.get(frozenset(members[:2]), "more cycles, or runs at other belt speeds")
+        if GIVE in best.fit.active and not measured:
+            return (
+                f"{named} on a belt that slows under load, or {others}: the same motion, told twice "
+                f"({best.cycles} cycles fit to {length(best.rms_m)}); {split} would tell"
+            )
         row = next(row for row in rows if row.law == members[1])
         gap = abs(row.behind[0] - best.behind[0])
         return (
@@ -72,11 +81,18 @@ def warnings(
     """Return what a reader must know beside the verdict."""
     best = rows[0]
     said = []
-    if sustained and any(LAWS[law].ramp for law in members) and kinematics.recording.belt_velocity is None:
+    if any(LAWS[law].ramp for law in members) and not motion.belt_measured:
         said.append(
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
             "may be laws 1, 3, 5 on a belt that droops"
         )
+    if motion.give is not None:
+        droop = best.parameters["droop"]
+        share = 100 * droop.value / motion.belt_speed
+        said.append(f"the belt slows under load, by {share:.2g} % at Fs: measured by its own counts, part of every law")
+    if motion.swing > 0:
+        share = 100 * motion.swing / motion.belt_speed
+        said.append(f"the belt's counted speed swings by {share:.2g} % rms beside its load: the fit takes it as steady")
     if motion.datum_prior is None:
         said.append(
             "no datum: the spring's rest position was fitted along; laws 1 and 3 then know only datum + Fs/k "
