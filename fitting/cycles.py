@@ -11,21 +11,8 @@ import numpy as np
 from fitting.motion import Array, Motion
 from fitting.prediction import LOCALS, Windows, evaluator
 from fitting.result import Event
-from fitting.trajectory import (
-    DAMPING,
-    DATUM,
-    GIVE,
-    LEVEL,
-    LOG_F,
-    NEXT_LEVEL,
-    V_DR,
-    V_SLIP,
-    X_SLIP,
-    X_STICK,
-    D,
-    Fit,
-    K,
-)
+from fitting.trajectory import LEVEL, NEXT_LEVEL, V_SLIP, X_SLIP, X_STICK, Fit
+from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, V_DR, D, K
 from fitting.windows import BEFORE_ONSET_S, Cut
 from rig_sim.friction.law import LAWS
 
@@ -130,7 +117,7 @@ def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
             row[X_SLIP], row[V_SLIP] = x, _edge_speed(fit) - 1e-9 * u[V_DR]
             row[LEVEL] = row[NEXT_LEVEL] = fit.local[k, LEVEL]
             taken = np.r_[begin, motion.time[after:last]]
-            table.append((len(local), 0, total, taken.size, 0))
+            table.append((len(local), 0, total, taken.size, 0, 0))
             time.append(taken)
             local.append(row)
             owner.append((k, j, first, after, last, total))

@@ -3,7 +3,8 @@
 Without the belt's own counts the two are one observable (`rig_sim.integrate.modes`, droop): a belt that loses 1 % of
 its speed at the load Fs turns law 5 into a perfect law 6.  So where a ramp law is in the set and its ramp is no wider
 than a belt may well give, its jump law is fitted once more with a give of its own, and joins the set when it then
-errs no more.  A wider ramp is taken as one: no belt drive loses that much.
+errs no more.  A wider ramp is taken as one: no belt drive loses that much.  Runs at several belt speeds can split the
+two: a ramp is as wide at every speed, a belt gives as its drive makes it, so each run's give is its own.
 """
 
 import math
@@ -14,16 +15,17 @@ import numpy as np
 
 from daq.rig import Measured
 from fitting import trajectory
-from fitting.motion import Array, Motion
-from fitting.trajectory import GIVE, LOG_F, D, Fit, K
-from fitting.windows import Cut
+from fitting.motion import Array
+from fitting.setting import Run
+from fitting.trajectory import Fit
+from fitting.unknowns import GIVE, LOG_F, UNKNOWNS, D, K
 from rig_sim.friction.law import LAWS
 
 WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
 SAME = 0.05  # log error: what a drooping hyperbola and a ramp in front of one may differ by
 
 
-def of(fits: Sequence[Fit], members: Sequence[int], motion: Motion, cut: Cut) -> Fit | None:
+def of(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:
     """Fit the jump law of a narrow ramp on a belt that gives way.
 
     Parameters
@@ -31,32 +33,32 @@ def of(fits: Sequence[Fit], members: Sequence[int], motion: Motion, cut: Cut) ->
     fits : sequence of Fit
     members : sequence of int
         The set, best first.
-    motion, cut : Motion, Cut
+    runs : sequence of Run
         What was fitted.
 
     Returns
     -------
     Fit or None
-        None where the belt was measured, where the set's best ramp law is no narrow ramp, or where its jump law is in
+        None where a belt was measured, where the set's best ramp law is no narrow ramp, or where its jump law is in
         the set already, was not to be fitted, or leads nowhere.
     """
-    if motion.belt_measured:
+    if any(run.motion.belt_measured for run in runs):
         return None
     ramp = next((law for law in members if LAWS[law].ramp), None)
     found = {fit.law: fit for fit in fits}
     if ramp is None or ramp - 1 in members or ramp - 1 not in found:
         return None
     near = found[ramp]
-    if near.u[D] > WIDEST * motion.belt_speed:
+    if near.u[D] > WIDEST * min(run.motion.belt_speed for run in runs):
         return None
     give = float(near.u[D] * near.u[K]) / math.exp(near.u[LOG_F])
     start = near.u.copy()
-    start[GIVE] = give
-    giving = replace(motion, give=Measured(give, give))
-    fit = trajectory.search(ramp - 1, giving, cut, replace(near, u=start))
-    return None if fit is None else trajectory.polish(fit, giving, cut)
+    start[GIVE::UNKNOWNS] = give
+    giving = [replace(run, motion=replace(run.motion, give=Measured(give, give))) for run in runs]
+    fit = trajectory.search(ramp - 1, giving, replace(near, u=start))
+    return None if fit is None else trajectory.polish(fit, giving)
 
 
-def as_good(twin: Array, ramp: Array) -> bool:
-    """Tell whether the twin's log errors (units,) are the ramp law's, or better."""
-    return float(np.mean(twin - ramp)) < SAME
+def lag(twin: Array, ramp: Array) -> float:
+    """Return how much worse than the ramp law the twin errs: mean difference of log errors (units,)."""
+    return float(np.mean(twin - ramp))

@@ -11,7 +11,7 @@ OMEGA = K**0.5
 
 def one_window(time, riding=0, overtakes=0, firm=0.0):
     return Windows(
-        table=np.array([[0, riding, 0, time.size, overtakes]], np.int64),
+        table=np.array([[0, riding, 0, time.size, overtakes, 0]], np.int64),
         epoch=np.array([time[0]]),
         firm=np.array([firm]),
         time=time,
