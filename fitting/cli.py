@@ -47,6 +47,7 @@ def fit(
     report: Annotated[
         Path | None, Parameter(help="Report to write; default RUN.report.html. Several runs: one each, numbered.")
     ] = None,
+    jobs: Annotated[int, Parameter(help="Processes to fit in; up to three are of use.")] = 1,
     json: Json = False,
 ) -> Answer:
     """Fit the friction laws to a run, rank them, and write a report beside it.
@@ -99,7 +100,16 @@ def fit(
             motion = smooth(recording, belt_speed="auto" if speed in (None, "channel") else speed)
         motions.append(motion)
     with terminal.progress("fitting", float(len(wanted)), "laws") as tell:
-        ranking = rank(motions, rigs, wanted, belt_speed=speed, excluded=excluded, alpha=alpha, progress=tell)
+        ranking = rank(
+            motions,
+            rigs,
+            wanted,
+            belt_speed=speed,
+            excluded=excluded,
+            alpha=alpha,
+            jobs=jobs,
+            progress=tell,
+        )
     for path, page, motion, side in zip(files, places, motions, ranking.runs or (ranking,), strict=True):
         store.save(side, path)
         pages.write(side, motion, page, alpha)

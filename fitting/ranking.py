@@ -21,13 +21,12 @@ from daq.errors import DataError, InputError
 from daq.rig import Rig
 from fitting import cycles as break_aways
 from fitting import motion as frame
-from fitting import trajectory, twin, uncertainty, verdict, windows
+from fitting import search, twin, uncertainty, verdict, windows
 from fitting.motion import Array, Motion
 from fitting.result import LawResult
 from fitting.result import Ranking as Ranking
 from fitting.setting import Run
 from fitting.trajectory import Fit
-from fitting.unknowns import D
 from fitting.windows import Cut
 from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
@@ -37,8 +36,6 @@ NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws 
 FEWEST_CYCLES = 4
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
 WORST_FIT = 0.05  # of a slip's length: a best law that errs by more describes something else
-STUCK = 0.9  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
-CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
 DRAG_BLOCKS = 8
 
 
@@ -58,6 +55,7 @@ def rank(
     belt_speed: float | str | None = None,
     excluded: Sequence[int] = (),
     alpha: float = 0.05,
+    jobs: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Ranking:
     """Fit the laws to a record, or to several records of one contact together, and rank them.
@@ -79,6 +77,8 @@ def rank(
         Numbers of cycles to leave out (1 is the first break-away); of a run that is fitted alone.
     alpha : float
         1 - confidence of the intervals and of the set rule.
+    jobs : int
+        Processes to fit in: up to three are of use, one for each curve.  The result is the same to the last bit.
     progress : callable, optional
         Called with the number of laws done.
 
@@ -89,8 +89,8 @@ def rank(
     Raises
     ------
     InputError
-        For no or unknown laws, alpha outside (0, 1), a record in counts, a belt speed of zero, belt counts asked for
-        that are not there, or a speed or cycles to exclude beside several runs.
+        For no or unknown laws, alpha outside (0, 1), fewer than one job, a record in counts, a belt speed of zero, belt
+        counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
         When a record shows no belt stick-slip, when there are fewer than four complete cycles, or when some of the
         runs stick and others do not.
@@ -108,6 +108,8 @@ def rank(
         raise InputError(f"laws are {list(laws)}", "--laws", "choose from 1 to 6, such as 1-6 or 3,5")
     if not 0 < alpha < 1:
         raise InputError(f"alpha is {alpha}", "--alpha", "give a number between 0 and 1, such as 0.05")
+    if jobs < 1:
+        raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
     records = [_smoothed(one) for one in ([kinematics] if isinstance(kinematics, Kinematics) else kinematics)]
     _check_together(records, belt_speed, excluded)
     rigs = [None] * len(records) if rig is None else [rig] * len(records) if isinstance(rig, Rig) else rig
@@ -124,7 +126,7 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
-    fits = _fit_all(competing, runs, progress)
+    fits = search.every(competing, runs, jobs, progress)
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
     if not fits or min(fit.rms for fit in fits) > WORST_FIT * longest:
         raise DataError(
@@ -197,26 +199,6 @@ def _check_together(records: Sequence[Kinematics], belt_speed: float | str | Non
         raise InputError(
             "cycles to exclude from several runs", "--exclude-cycles", "fit that run alone, or leave it out"
         )
-
-
-def _fit_all(laws: Sequence[int], runs: Sequence[Run], progress: Callable[[float], None] | None) -> list[Fit]:
-    """Search every law on the thinned record, then polish on the whole one those that are anywhere near the best."""
-    found: dict[int, Fit] = {}
-    slowest = min(run.motion.belt_speed for run in runs)
-    for done, law in enumerate(sorted(laws, key=lambda law: (LAWS[law].ramp, law))):
-        fit = trajectory.search(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
-        if fit is not None:
-            found[law] = fit
-        if progress is not None:
-            progress(done + 1.0)
-    for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
-        # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
-        narrow = found[ramp].u[D] < trajectory.NARROW * slowest
-        if narrow and found[ramp].rms < STUCK * found[ramp - 1].rms:
-            again = trajectory.search(ramp - 1, runs, found[ramp])
-            found[ramp - 1] = again if again is not None else found[ramp - 1]
-    nearest = min((fit.rms for fit in found.values()), default=0.0)
-    return [trajectory.polish(fit, runs) if fit.rms < CONTENDER * nearest else fit for fit in found.values()]
 
 
 def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:

@@ -163,3 +163,21 @@ def test_a_run_named_twice_is_refused(files, tmp_path):
     shutil.copy(files[0], same)
     with pytest.raises(InputError, match="named twice"):
         cli.fit(same, same)
+
+
+def test_several_processes_give_the_same_ranking_to_the_last_bit(runs_of):
+    alone, side_by_side = (rank(runs_of(4, 2), laws=(3, 4, 5), jobs=jobs) for jobs in (1, 3))
+    for one, other in zip(alone.rows, side_by_side.rows, strict=True):
+        assert (one.law, one.score, one.rms_m, one.parameters) == (
+            other.law,
+            other.score,
+            other.rms_m,
+            other.parameters,
+        )
+        assert (one.fit.residual == other.fit.residual).all()
+    assert alone.verdict == side_by_side.verdict
+
+
+def test_fewer_than_one_process_is_refused(runs_of):
+    with pytest.raises(InputError, match="jobs"):
+        rank(runs_of(4, 2), jobs=0)
