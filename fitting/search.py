@@ -78,7 +78,7 @@ def _curve(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
         # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
         narrow = found[ramp].u[D] < trajectory.NARROW * slowest
-        if narrow and found[ramp].rms < STUCK * found[ramp - 1].rms:
+        if narrow and found[ramp].usual < STUCK * found[ramp - 1].usual:
             again = trajectory.search(ramp - 1, runs, found[ramp])
             found[ramp - 1] = again if again is not None else found[ramp - 1]
     return list(found.values())

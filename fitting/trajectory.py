@@ -99,6 +99,11 @@ class Fit:
         return float(np.sqrt(np.mean(self.residual**2)))
 
     @property
+    def usual(self) -> float:
+        """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
+        return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
+    @property
     def free(self) -> int:
         """Number of the law's own shared unknowns; what every law has besides (datum, damping, wear, give) not."""
         return sum(place % UNKNOWNS not in CALIBRATED for place in self.active)
