@@ -16,7 +16,7 @@ from fitting.trajectory import Fit
 from fitting.unknowns import D
 from rig_sim.friction.law import LAWS
 
-STUCK = 0.9  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
+STUCK = 0.98  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
 CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
 
 Map = Callable[..., Iterator[list[Fit]]]
