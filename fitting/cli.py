@@ -24,7 +24,7 @@ app = terminal.application(
 def fit(
     file: Annotated[Path, Parameter(help="Run file, as daq record, import or replay made it.")],
     /,
-    *,
+    *more: Annotated[Path, Parameter(help="More runs of the same contact, fitted together with the first.")],
     laws: Annotated[str, Parameter(help="Laws to fit: 1-6, or a list such as 3,5,6.")] = "1-6",
     mass: Annotated[str | None, Parameter(help="Mass, kg or with a unit and error: '300 g +- 1 g'.")] = None,
     stiffness: Annotated[str | None, Parameter(help="Spring, N/m or with a unit, instead of the mass.")] = None,
@@ -36,17 +36,27 @@ def fit(
     damping: Annotated[float | None, Parameter(help="Viscous damping from a ring-down, N s/m.")] = None,
     damping_sd: Annotated[float | None, Parameter(help="Its standard deviation, N s/m.")] = None,
     belt_speed: Annotated[
-        str | None, Parameter(help="Belt speed, m/s, with its sign.", allow_leading_hyphen=True)
+        str | None,
+        Parameter(
+            help="Belt speed, m/s, with its sign; channel: the belt's own counts, the default where a run has them.",
+            allow_leading_hyphen=True,
+        ),
     ] = None,
     exclude_cycles: Annotated[str, Parameter(help="Cycles to leave out, counted from 1: 3,7-9.")] = "",
     alpha: Annotated[float, Parameter(help="1 - confidence of intervals and set.")] = 0.05,
-    report: Annotated[Path | None, Parameter(help="Report to write; default RUN.report.html.")] = None,
+    report: Annotated[
+        Path | None, Parameter(help="Report to write; default RUN.report.html. Several runs: one each, numbered.")
+    ] = None,
+    jobs: Annotated[int, Parameter(help="Processes to fit in; up to three are of use.")] = 1,
     json: Json = False,
 ) -> Answer:
     """Fit the friction laws to a run, rank them, and write a report beside it.
 
     Ends with exit code 0 when one law is left, 5 when the record cannot tell several apart (they are named), and 4
     when it holds too little or no belt stick-slip. Results are added to the run file; raw data stay untouched.
+
+    Several runs are fitted together, as one contact: the law's parameters, spring and damping are one for all, belt
+    speed, rest position and wear are each run's own. Runs at other belt speeds tell laws apart that one run cannot.
 
     Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g"
     """
@@ -58,41 +68,58 @@ def fit(
     from processing import stage
     from processing.smoothing import smooth
 
+    files = [file, *more]
+    if len({path.resolve() for path in files}) < len(files):
+        raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
     wanted, excluded = numbers(laws, "--laws"), numbers(exclude_cycles, "--exclude-cycles")
-    page = pages.default_path(file) if report is None else report
-    if belt_speed == "channel":
-        what = "the fit takes one belt speed for the whole run; it cannot use the belt's counts yet"
-        raise InputError(what, "--belt-speed", "give a speed in m/s, or leave it out; process smooth uses the counts")
-    speed = None if belt_speed is None else quantity(belt_speed, "speed", "--belt-speed")
-    motion = stage.load(file)
-    recording = runfile.load(file) if motion is None else motion.recording
-    pages.refuse_stranger(page)
+    places = pages.places(files, report)
+    speed = belt_speed if belt_speed in (None, "channel") else quantity(belt_speed, "speed", "--belt-speed")
     changes: dict[str, Any] = {}
     if mass is not None:
         changes["mass"] = measured(mass, "mass", "--mass")
     if stiffness is not None:
         changes["stiffness"] = measured(stiffness, "stiffness", "--stiffness")
         changes.setdefault("mass", None)
-    if datum_sd is not None and datum is None and recording.rig.datum is None:
-        raise InputError("--datum-sd without a datum", "--datum-sd", "give --datum too")
-    if datum is not None or datum_sd is not None:
-        changes["datum"] = _changed(
-            recording.rig.datum,
-            None if datum is None else quantity(datum, "length", "--datum"),
-            None if datum_sd is None else quantity(datum_sd, "length", "--datum-sd"),
-        )
-    if damping is not None or damping_sd is not None:
-        changes["damping"] = _changed(recording.rig.damping, damping, damping_sd)
-    rig = _rig(recording.rig, changes)
-    if motion is None:
-        motion = smooth(recording, belt_speed="auto" if speed is None else speed)
+    motions, rigs = [], []
+    for path in files:
+        motion = stage.load(path)
+        recording = runfile.load(path) if motion is None else motion.recording
+        own = dict(changes)
+        if datum_sd is not None and datum is None and recording.rig.datum is None:
+            raise InputError("--datum-sd without a datum", "--datum-sd", "give --datum too")
+        if datum is not None or datum_sd is not None:
+            own["datum"] = _changed(
+                recording.rig.datum,
+                None if datum is None else quantity(datum, "length", "--datum"),
+                None if datum_sd is None else quantity(datum_sd, "length", "--datum-sd"),
+            )
+        if damping is not None or damping_sd is not None:
+            own["damping"] = _changed(recording.rig.damping, damping, damping_sd)
+        rigs.append(_rig(recording.rig, own))
+        if motion is None:
+            motion = smooth(recording, belt_speed="auto" if speed in (None, "channel") else speed)
+        motions.append(motion)
     with terminal.progress("fitting", float(len(wanted)), "laws") as tell:
-        ranking = rank(motion, rig, wanted, belt_speed=speed, excluded=excluded, alpha=alpha, progress=tell)
-    store.save(ranking, file)
-    pages.write(ranking, motion, page, alpha)
-    data = ranking.as_json() | {"report": page}
+        ranking = rank(
+            motions,
+            rigs,
+            wanted,
+            belt_speed=speed,
+            excluded=excluded,
+            alpha=alpha,
+            jobs=jobs,
+            progress=tell,
+        )
+    for path, page, motion, side in zip(files, places, motions, ranking.runs or (ranking,), strict=True):
+        store.save(side, path)
+        pages.write(side, motion, page, alpha)
+    data = ranking.as_json() | {"report": places[0]}
+    if ranking.runs:
+        data["runs"] = [
+            {"file": path, "report": page} | side for path, page, side in zip(files, places, data["runs"], strict=True)
+        ]
     code = EXIT_DONE if len(ranking.laws_in_set) == 1 else EXIT_UNDECIDED
-    return Answer(data, _text(ranking, page, alpha), code)
+    return Answer(data, _text(ranking, places, alpha), code)
 
 
 def numbers(text: str, flag: str) -> list[int]:
@@ -146,10 +173,11 @@ def _rig(rig: "Rig", changes: dict[str, Any]) -> "Rig":
     return changed
 
 
-def _text(ranking: "Ranking", page: Path, alpha: float) -> list[Any]:
+def _text(ranking: "Ranking", places: list[Path], alpha: float) -> list[Any]:
     lines: list[Any] = [_laws(ranking), _parameters(ranking, alpha)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
-    lines.append(f"{ranking.best.cycles} cycles, {ranking.cpu_s:.1f} s of CPU time; report: {page}")
+    told = ", ".join(map(str, places))
+    lines.append(f"{ranking.best.cycles} cycles, {ranking.cpu_s:.1f} s of CPU time; report: {told}")
     lines.append(f"verdict: {ranking.verdict}")
     return lines
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from fitting.motion import Array, Motion
 from fitting.result import LawResult, Ranking
-from fitting.trajectory import DAMPING, DATUM, LEVEL, LOG_F, SHAPE, V_DR, D, Fit, K
+from fitting.trajectory import LEVEL, Fit
+from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, V_DR, D, K
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 
@@ -61,7 +62,8 @@ def points(ranking: Ranking) -> tuple[Array, Array, NDArray[np.bool_]]:
         near = int(np.searchsorted(motion.time, cycle.landing - motion.half_window))
         for first, end, stick in ((*cycle.stick, True), (cycle.slip[0], near, False)):
             x, v, a = (part[first:end] for part in (motion.position, motion.velocity, motion.acceleration))
-            w_parts.append(v - u[V_DR])
-            f_parts.append(scale * (a + u[DAMPING] * v + u[K] * (x - u[DATUM])) / level)
+            over = (a + u[DAMPING] * v + u[K] * (x - u[DATUM])) / level
+            w_parts.append(v - u[V_DR] + u[GIVE] / u[K] * over)  # the belt gives way under the friction it carries
+            f_parts.append(scale * over)
             stick_parts.append(np.full(x.size, stick))
     return motion.sign * np.concatenate(w_parts), motion.sign * np.concatenate(f_parts), np.concatenate(stick_parts)

@@ -11,7 +11,8 @@ import numpy as np
 from fitting.motion import Array, Motion
 from fitting.prediction import LOCALS, Windows, evaluator
 from fitting.result import Event
-from fitting.trajectory import DAMPING, DATUM, LEVEL, LOG_F, NEXT_LEVEL, V_DR, V_SLIP, X_SLIP, X_STICK, D, Fit, K
+from fitting.trajectory import LEVEL, NEXT_LEVEL, V_SLIP, X_SLIP, X_STICK, Fit
+from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, V_DR, D, K
 from fitting.windows import BEFORE_ONSET_S, Cut
 from rig_sim.friction.law import LAWS
 
@@ -66,18 +67,24 @@ def _break_aways(fit: Fit, motion: Motion) -> tuple[Array, Array]:
 
 
 def _edge_speed(fit: Fit) -> float:
-    """Return the velocity at which a stick ends, m/s: the belt's, or that of the ramp's edge."""
-    return float(fit.u[V_DR] - (fit.u[D] if LAWS[fit.law].ramp else 0.0))
+    """Return the velocity at which a stick ends, m/s: the belt's, less what ramp and belt give way at the level."""
+    return float(fit.u[V_DR]) - _width(fit)
+
+
+def _width(fit: Fit) -> float:
+    """Return how much slower than the free belt the mass rides at the level, m/s: ramp and giving belt together."""
+    ramp = float(fit.u[D]) if LAWS[fit.law].ramp else 0.0
+    return ramp + float(fit.u[GIVE] / fit.u[K]) * math.exp(fit.u[LOG_F])
 
 
 def _friction(fit: Fit, x: Array) -> Array:
     """Return friction per unit mass (m/s^2) just before the break-away at ``x``.
 
-    On a ramp the mass is already slowing down, by d K v/F, and that much of the load is not friction.
+    On a ramp, or a belt that gives way, the mass is already slowing down, and that much of the load is not friction.
     """
     u, speed = fit.u, _edge_speed(fit)
     load = u[K] * (x - u[DATUM]) + u[DAMPING] * speed
-    slowing = u[D] * u[K] * speed / math.exp(u[LOG_F]) if LAWS[fit.law].ramp else 0.0
+    slowing = _width(fit) * u[K] * speed / math.exp(u[LOG_F])
     return np.asarray(load - slowing)
 
 
@@ -110,7 +117,7 @@ def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
             row[X_SLIP], row[V_SLIP] = x, _edge_speed(fit) - 1e-9 * u[V_DR]
             row[LEVEL] = row[NEXT_LEVEL] = fit.local[k, LEVEL]
             taken = np.r_[begin, motion.time[after:last]]
-            table.append((len(local), 0, total, taken.size, 0))
+            table.append((len(local), 0, total, taken.size, 0, 0))
             time.append(taken)
             local.append(row)
             owner.append((k, j, first, after, last, total))
@@ -141,6 +148,6 @@ def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
 def _riding(fit: Fit, motion: Motion, k: int, time: Array) -> Array:
     """Return where the mass would be at ``time`` had it not yet left the belt, m."""
     first, end = fit.cycles[k].stick
-    if LAWS[fit.law].ramp or end <= first:
+    if _width(fit) > 0 or end <= first:
         return np.interp(time, motion.time, motion.position)
     return np.asarray(fit.local[k, X_STICK] + fit.u[V_DR] * (time - motion.time[first]))

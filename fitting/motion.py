@@ -5,13 +5,15 @@ both and only the signs of datum and belt speed are turned back in the result.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import DataError, InputError
 from daq.rig import Measured, Rig
+from fitting import belt
+from fitting.belt import BeltLine
 from processing.kinematics import Kinematics
 
 Array = NDArray[np.float64]
@@ -44,6 +46,12 @@ class Motion:
         Half of the smoothing window, s: how far a corner is blurred.
     length_error : float
         Relative standard error of every length: that of the metres per count.
+    give : Measured or None
+        Belt speed lost per metre of spring stretch, 1/s, where the belt's own counts show that it slows under load.
+    belt_measured : bool
+        Whether the belt's own counts are used: then a ramp cannot be a belt that slows.
+    swing : float
+        m/s rms: how far the belt's counted speed swings beside what load explains; 0 where that is too little to tell.
     """
 
     time: Array
@@ -62,6 +70,9 @@ class Motion:
     resolution: float
     half_window: float
     length_error: float = 0.0
+    give: Measured | None = None
+    belt_measured: bool = False
+    swing: float = 0.0
 
     @property
     def span(self) -> float:
@@ -74,7 +85,7 @@ class Motion:
         return float(np.ptp(self.position))
 
 
-def of(kinematics: Kinematics, rig: Rig, belt_speed: float | None) -> Motion:
+def of(kinematics: Kinematics, rig: Rig, belt_speed: float | str | None) -> Motion:
     """Bring a smoothed record into the fit's frame.
 
     Parameters
@@ -83,13 +94,14 @@ def of(kinematics: Kinematics, rig: Rig, belt_speed: float | None) -> Motion:
         A Savitzky-Golay (or better) motion; accelerations of plain differences are too rough to start from.
     rig : Rig
         The calibration to use, already changed by whatever the caller knows better.
-    belt_speed : float or None
-        m/s, signed, when the caller states it; otherwise the plateaus and the calibration decide.
+    belt_speed : float, "channel" or None
+        m/s, signed, when the caller states it: it goes before the belt's own counts.  Otherwise these are used where
+        there are any ("channel": there must be), else the plateaus and the calibration decide.
 
     Raises
     ------
     InputError
-        For a record in counts, or a belt at rest.
+        For a record in counts, a belt at rest, or belt counts asked for that are not there.
     DataError
         When nothing in the record moves.
     """
@@ -108,13 +120,21 @@ def of(kinematics: Kinematics, rig: Rig, belt_speed: float | None) -> Motion:
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
         )
-    speed = _belt_speed(kinematics, rig, belt_speed)
+    channel = _channel(kinematics, belt_speed)
+    stated_speed = belt_speed if isinstance(belt_speed, float | int) else None
+    speed = _belt_speed(kinematics, rig, stated_speed)
     sign = math.copysign(1.0, speed)
     interval = np.diff(kinematics.time)
     usual = float(np.median(interval))
     segment = recording.segment
     broken = np.r_[True, (interval > FASTER_GAP * usual) | (np.diff(segment.astype(np.int64)) != 0)]
-    stated = Measured(belt_speed) if belt_speed is not None else rig.belt_speed
+    rest = _rest_position(rig, recording.rig, sign)
+    stated = Measured(stated_speed) if stated_speed is not None else rig.belt_speed
+    if channel is not None:
+        middle = 0.5 * float(kinematics.position.max() + kinematics.position.min())
+        unknown = Measured(middle, 0.5 * float(np.ptp(kinematics.position)))
+        stated = channel.unloaded(unknown if rest is None else Measured(sign * rest.value, rest.sd))
+        stated = replace(stated, sd=math.hypot(stated.sd, _length_error(recording.rig) * stated.value))
     return Motion(
         time=kinematics.time,
         measured=sign * kinematics.measured,
@@ -124,7 +144,7 @@ def of(kinematics: Kinematics, rig: Rig, belt_speed: float | None) -> Motion:
         broken=broken,
         belt_speed=abs(speed),
         belt_prior=None if stated is None else Measured(abs(stated.value), stated.sd),
-        datum_prior=_rest_position(rig, recording.rig, sign),
+        datum_prior=rest,
         damping_prior=rig.damping,
         mass=rig.mass,
         stiffness=rig.stiffness,
@@ -132,7 +152,25 @@ def of(kinematics: Kinematics, rig: Rig, belt_speed: float | None) -> Motion:
         resolution=resolution,
         half_window=kinematics.window * usual / 2,
         length_error=_length_error(recording.rig),
+        give=Measured(-channel.slope.value, channel.slope.sd) if channel is not None and channel.gives else None,
+        belt_measured=channel is not None,
+        swing=0.0 if channel is None or not channel.swings else channel.swing,
     )
+
+
+def _channel(kinematics: Kinematics, belt_speed: float | str | None) -> BeltLine | None:
+    """Return what the belt's counts say, or None where they are not to be used or say too little."""
+    if isinstance(belt_speed, str) and belt_speed != "channel":
+        raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give channel, or a speed in m/s")
+    if belt_speed == "channel" and kinematics.belt_velocity is None:
+        raise InputError(
+            "the run has no belt counts",
+            f"{kinematics.recording.source}, --belt-speed",
+            "record with an encoder on the belt ([belt] channel = true on the simulated rig), or give a speed in m/s",
+        )
+    if belt_speed is not None and belt_speed != "channel":
+        return None
+    return belt.line(kinematics)
 
 
 def _length_error(rig: Rig) -> float:

@@ -43,7 +43,7 @@ def portrait(ranking: Ranking) -> Figure:
         axes.plot(100 * x, 100 * v, color=MEASURED, lw=1.6, alpha=0.55, label="measured", rasterized=True)
         fit = best.fit
         model = fit.windows.position + fit.residual
-        for number, (_, _, first, count, _) in enumerate(fit.windows.table):
+        for number, (_, _, first, count, *_) in enumerate(fit.windows.table):
             part = slice(first, first + count)
             if count < 3:
                 continue

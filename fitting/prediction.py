@@ -1,14 +1,16 @@
 """Positions that a law predicts in every window, and their derivatives, on the compiled flow of rig_sim."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting import unknowns
 from fitting.motion import Array, Motion
+from fitting.unknowns import UNKNOWNS
 from fitting.windows import Cycle
 from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry
 from rig_sim.integrate.hybrid import sample_phase
@@ -38,9 +40,9 @@ class Windows:
 
     Attributes
     ----------
-    table : (windows, 5) i8
+    table : (windows, 6) i8
         Cycle, 1 for a stick window and 0 for a slip window, first sample, number of samples, 1 where the mass was seen
-        to overtake the belt after landing.
+        to overtake the belt after landing, run (0 when there is one).
     epoch : (windows,) f8
         s; the cycle's break-away: its level is the level then.
     firm : (windows,) f8
@@ -48,9 +50,11 @@ class Windows:
     time, position : (N,) f8
         s, m.
     source : (N,) i8
-        Index of each sample in the record.
+        Index of each sample in its run's record.
     rows : tuple of slice
         The samples of each cycle.
+    parts : tuple of Windows
+        Each run's own, where several are joined.
     """
 
     table: NDArray[np.int64]
@@ -60,6 +64,7 @@ class Windows:
     position: Array
     source: NDArray[np.int64]
     rows: tuple[slice, ...]
+    parts: "tuple[Windows, ...]" = ()
 
     @classmethod
     def of(cls, motion: Motion, cycles: tuple[Cycle, ...], stride: int = 1) -> "Windows":
@@ -70,7 +75,7 @@ class Windows:
             for riding, (first, end) in ((1, cycle.stick), (0, cycle.slip)):
                 if end > first:
                     taken = np.arange(first, end, stride)
-                    table.append((k, riding, total, taken.size, cycle.overtakes))
+                    table.append((k, riding, total, taken.size, cycle.overtakes, 0))
                     epoch.append(cycle.onset)
                     firm.append(0.5 * (float(motion.time[first]) + cycle.landing))
                     source.append(taken)
@@ -87,10 +92,41 @@ class Windows:
             tuple(rows),
         )
 
-    def first_locals(self, motion: Motion) -> Array:
-        """Return starting values of the cycles' own unknowns, from the smoothed motion; shape (cycles, 6)."""
+    @classmethod
+    def joined(cls, parts: "Sequence[Windows]") -> "Windows":
+        """Put the windows of several runs end to end; those of one run stay as they are."""
+        if len(parts) == 1:
+            return parts[0]
+        tables: list[NDArray[np.int64]] = []
+        rows: list[slice] = []
+        total = 0
+        for run, part in enumerate(parts):
+            tables.append(part.table + np.array([len(rows), 0, total, 0, 0, run]))
+            rows += [slice(own.start + total, own.stop + total) for own in part.rows]
+            total += part.time.size
+        return cls(
+            table=np.concatenate(tables),
+            epoch=np.concatenate([part.epoch for part in parts]),
+            firm=np.concatenate([part.firm for part in parts]),
+            time=np.concatenate([part.time for part in parts]),
+            position=np.concatenate([part.position for part in parts]),
+            source=np.concatenate([part.source for part in parts]),
+            rows=tuple(rows),
+            parts=tuple(parts),
+        )
+
+    @property
+    def run(self) -> NDArray[np.int64]:
+        """Which run each cycle is of, shape (cycles,)."""
+        found = np.zeros(len(self.rows), np.int64)
+        found[self.table[:, 0]] = self.table[:, 5]
+        return found
+
+    def first_locals(self, motions: Sequence[Motion]) -> Array:
+        """Return starting values of the cycles' own unknowns, from the smoothed motions; shape (cycles, 6)."""
         local = np.zeros((len(self.rows), LOCALS))
-        for k, riding, first, _, _ in self.table:
+        for k, riding, first, _, _, run in self.table:
+            motion = motions[run]
             at = self.source[first]
             column = 4 if riding else 0
             local[k, column] = motion.position[at]
@@ -101,19 +137,26 @@ class Windows:
 def evaluator(
     curve: int, ramp: bool, windows: Windows, full: Array, active: list[int], scale: Array, local_scale: Array
 ) -> Callable[[Array, Array, bool], tuple[Array, Array] | None]:
-    """Return ``evaluate(u, local, derivatives)`` for one law; u holds the active unknowns only."""
-    columns = np.array(active, np.int64)
-    steps, local_steps = STEP * scale, STEP * local_scale
+    """Return ``evaluate(u, local, derivatives)`` for one law; u holds the active unknowns only.
+
+    ``full`` and ``scale`` hold the unknowns of all runs end to end (`fitting.unknowns`), ``active`` their places.
+    """
+    runs = full.size // UNKNOWNS
+    columns = unknowns.columns(active, runs)
+    steps, local_steps = STEP * scale[active], STEP * local_scale
     n = windows.time.size
-    whole = full.copy()
+    whole = full.reshape(runs, UNKNOWNS).copy()
+    known = columns >= 0
+    run, place = np.nonzero(known)
+    slot = columns[known]
     compiled = _compiled()
     room = np.empty((3, n))
     work = new_work(WORK_STEPS, compiled=True)
 
     def evaluate(u: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
-        whole[active] = u
+        whole[run, slot] = u[place]
         model = np.empty(n)
-        jacobian = np.zeros((n if derivatives else 0, columns.size + LOCALS))
+        jacobian = np.zeros((n if derivatives else 0, columns.shape[1] + LOCALS))
         status = compiled(
             curve,
             int(ramp),
@@ -157,20 +200,23 @@ def window_positions(
 ) -> int:
     """Fill ``model`` (N,) with the positions of all windows and ``jacobian`` (N, p + 6) with forward differences.
 
+    ``u`` (runs, 9), ``columns`` (runs, p) which of them each unknown is, -1 where the run does not know it.
     Compiled as it stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.
     ``jacobian`` of no rows: positions only.  Returns 0, or the outcome that ended the flow.
     """
     derivatives = jacobian.shape[0] > 0
-    p = columns.size
+    p = columns.shape[1]
     for row in range(table.shape[0]):
         k = table[row, 0]
         riding = table[row, 1]
         first = table[row, 2]
         end = first + table[row, 3]
         part = local[k]
+        own = u[table[row, 5]]
+        which = columns[table[row, 5]]
         times = time[first:end]
         base = model[first:end]
-        bad = follow(curve, ramp, u, part, riding, table[row, 4], epoch[row], firm[row], times, base, room, work)
+        bad = follow(curve, ramp, own, part, riding, table[row, 4], epoch[row], firm[row], times, base, room, work)
         if bad != 0:
             return bad
         if not derivatives:
@@ -178,13 +224,15 @@ def window_positions(
         near = room[2, : end - first]
         for j in range(p + LOCALS):
             # A jump's stick is a straight line: it knows its start and the belt's speed, nothing else.
-            line = riding == 1 and ramp == 0
-            if line and j != p + 4 and (j >= p or columns[j] != 2):
+            line = riding == 1 and ramp == 0 and own[8] == 0.0
+            if line and j != p + 4 and (j >= p or which[j] != 2):
+                continue
+            if j < p and which[j] < 0:
                 continue
             if j < p:
-                h = steps[columns[j]]
-                kept = u[columns[j]]
-                u[columns[j]] += h
+                h = steps[j]
+                kept = own[which[j]]
+                own[which[j]] += h
             else:
                 i = j - p
                 if (riding == 1 and (i < 2 or i == 3)) or (riding == 0 and i > 3):
@@ -192,9 +240,9 @@ def window_positions(
                 h = local_steps[i]
                 kept = part[i]
                 part[i] += h
-            bad = follow(curve, ramp, u, part, riding, table[row, 4], epoch[row], firm[row], times, near, room, work)
+            bad = follow(curve, ramp, own, part, riding, table[row, 4], epoch[row], firm[row], times, near, room, work)
             if j < p:
-                u[columns[j]] = kept
+                own[which[j]] = kept
             else:
                 part[j - p] = kept
             if bad != 0:
@@ -225,6 +273,10 @@ def follow(
     depends continuously on where the window starts.  After the landing a jump's stick holds whatever the load: its
     break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on forwards under the new
     level, until that stops it.
+
+    A belt that gives way under load is the flow's own droop, u[8] F/K: a jump then rides on the ramp that the belt
+    makes, and overtakes it as a ramp law would; before a break-away level and width are both raised, so that it holds
+    whatever the load.
     """
     K, F, v_dr, shape, d = u[0], math.exp(u[1]), u[2], u[3], u[4]
     n = times.size
@@ -233,7 +285,19 @@ def follow(
     level, following = math.exp(part[2]), math.exp(part[3])
     w = v - v_dr
     static = 1.0
-    if ramp == 1 and abs(w) <= d:
+    hold = 1.0
+    droop = u[8] * F / K
+    if droop > 0.0:
+        edge = droop + d if ramp == 1 else droop
+        if riding == 1 and ramp == 0:
+            hold = HOLDS
+            mode = RAMP
+            w = min(max(w, -hold * edge), hold * edge)
+        elif abs(w) <= edge:
+            mode = RAMP
+        else:
+            mode = NEGATIVE if w <= 0.0 else POSITIVE
+    elif ramp == 1 and abs(w) <= d:
         mode = RAMP
     elif ramp == 0 and riding == 1:
         mode = STICK
@@ -255,8 +319,10 @@ def follow(
         factor = base * (1.0 - wear * (0.5 * (t + end) - epoch))
         if not factor > 0.0:
             return NOT_FINITE
+        factor *= hold
         # per unit mass; the curve reads the one shape parameter that it has
-        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, shape * F, shape, d, 0.0, 0.0, 0.0, 0.0)
+        G, give = shape * F, hold * droop
+        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, G, shape, d, 0.0, 0.0, 0.0, give)
         before = mode
         kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
         if kind >= FORCE_REVERSAL:
@@ -264,7 +330,7 @@ def follow(
         if not landed and before == NEGATIVE and kind != 0 and t >= firm:
             landed = True
             base = following
-            if ramp == 0:
+            if ramp == 0 and droop == 0.0:
                 static = HOLDS
                 w = 0.0
                 mode = POSITIVE if overtakes == 1 else STICK

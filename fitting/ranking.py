@@ -12,7 +12,8 @@ each jump law in its ramp law): then the winner's extra freedom bought nothing.
 import math
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -20,10 +21,11 @@ from daq.errors import DataError, InputError
 from daq.rig import Rig
 from fitting import cycles as break_aways
 from fitting import motion as frame
-from fitting import trajectory, uncertainty, verdict, windows
+from fitting import search, twin, uncertainty, verdict, windows
 from fitting.motion import Array, Motion
 from fitting.result import LawResult
 from fitting.result import Ranking as Ranking
+from fitting.setting import Run
 from fitting.trajectory import Fit
 from fitting.windows import Cut
 from processing.kinematics import Kinematics
@@ -34,8 +36,6 @@ NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws 
 FEWEST_CYCLES = 4
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
 WORST_FIT = 0.05  # of a slip's length: a best law that errs by more describes something else
-STUCK = 0.9  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
-CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
 DRAG_BLOCKS = 8
 
 
@@ -48,31 +48,37 @@ class Evidence:
 
 
 def rank(
-    kinematics: Kinematics,
-    rig: Rig | None = None,
+    kinematics: Kinematics | Sequence[Kinematics],
+    rig: Rig | Sequence[Rig] | None = None,
     laws: Sequence[int] = ALL_LAWS,
     *,
-    belt_speed: float | None = None,
+    belt_speed: float | str | None = None,
     excluded: Sequence[int] = (),
     alpha: float = 0.05,
+    jobs: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> Ranking:
-    """Fit the laws to a record and rank them.
+    """Fit the laws to a record, or to several records of one contact together, and rank them.
 
     Parameters
     ----------
-    kinematics : Kinematics
-        The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.
-    rig : Rig, optional
-        Calibration; the recording's own by default.
+    kinematics : Kinematics or sequence of Kinematics
+        The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.  Several are taken
+        as runs of one contact, at other belt speeds say: k/m, Fs/m, the curve, the ramp and the damping are one for
+        all; belt speed, rest position, wear and the belt's give are each run's own.
+    rig : Rig or sequence of Rig, optional
+        Calibration; the recording's own by default, one for all, or one for each run.
     laws : sequence of int
         Which of the laws 1 to 6 compete.
-    belt_speed : float, optional
-        m/s, signed, when it is known better than the calibration knows it.
+    belt_speed : float or "channel", optional
+        m/s, signed, when it is known better than the calibration knows it.  By default the belt's own counts are used
+        where the run has any; "channel" asks for them.
     excluded : sequence of int
-        Numbers of cycles to leave out (1 is the first break-away).
+        Numbers of cycles to leave out (1 is the first break-away); of a run that is fitted alone.
     alpha : float
         1 - confidence of the intervals and of the set rule.
+    jobs : int
+        Processes to fit in: up to three are of use, one for each curve.  The result is the same to the last bit.
     progress : callable, optional
         Called with the number of laws done.
 
@@ -83,13 +89,18 @@ def rank(
     Raises
     ------
     InputError
-        For no or unknown laws, alpha outside (0, 1), a record in counts, or a belt speed of zero.
+        For no or unknown laws, alpha outside (0, 1), fewer than one job, a record in counts, a belt speed of zero, belt
+        counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
-        When the record shows no belt stick-slip, or fewer than four complete cycles.
+        When a record shows no belt stick-slip, when there are fewer than four complete cycles, or when some of the
+        runs stick and others do not.
 
     Notes
     -----
-    Not modelled: a belt that slows under load (it looks like a ramp), ripple of its speed, friction that remembers.
+    A belt that slows under load looks like a ramp.  With the belt's own counts its give is measured and part of the
+    flow; without, a ramp narrow enough to be such a belt brings its jump law into the set (`fitting.twin`).
+
+    Not modelled: ripple of the belt's speed, friction that remembers, a mass or spring that changes between runs.
     """
     begun = clock.process_time()
     laws = tuple(dict.fromkeys(laws))
@@ -97,96 +108,124 @@ def rank(
         raise InputError(f"laws are {list(laws)}", "--laws", "choose from 1 to 6, such as 1-6 or 3,5")
     if not 0 < alpha < 1:
         raise InputError(f"alpha is {alpha}", "--alpha", "give a number between 0 and 1, such as 0.05")
-    recording = kinematics.recording
-    if kinematics.method == "fd":
-        from processing.smoothing import smooth
-
-        kinematics = smooth(recording, times=kinematics.times)
-    rig = recording.rig if rig is None else rig
-    motion = frame.of(kinematics, rig, belt_speed)
-    cut = windows.cut(motion, frozenset(excluded))
-    source = str(recording.source)
-    sustained = cut.plateau_fraction >= SUSTAINED
-    _check(cut, sustained, source)
+    if jobs < 1:
+        raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
+    records = [_smoothed(one) for one in ([kinematics] if isinstance(kinematics, Kinematics) else kinematics)]
+    _check_together(records, belt_speed, excluded)
+    rigs = [None] * len(records) if rig is None else [rig] * len(records) if isinstance(rig, Rig) else rig
+    runs = []
+    for record, known in zip(records, rigs, strict=True):
+        motion = frame.of(record, record.recording.rig if known is None else known, belt_speed)
+        runs.append(Run(motion, windows.cut(motion, frozenset(excluded))))
+    sources = [str(record.recording.source) for record in records]
+    sustained = _check(runs, sources)
     competing = laws if sustained else tuple(law for law in laws if law in (1, 2))
     if not competing:
         raise DataError(
             "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
-            source,
+            sources[0],
             "add --laws 1,2",
         )
-    fits = _fit_all(competing, motion, cut, progress)
-    if not fits or min(fit.rms for fit in fits) > WORST_FIT * _slip_length(motion, cut):
+    fits = search.every(competing, runs, jobs, progress)
+    longest = max(_slip_length(run.motion, run.cut) for run in runs)
+    if not fits or min(fit.rms for fit in fits) > WORST_FIT * longest:
         raise DataError(
             "no belt stick-slip in this record: no law comes near it",
-            source,
+            ", ".join(sources),
             "check the calibration and the belt speed, or look at it with 'process inspect'",
         )
-    if not sustained and (cut.drag == (0, 0) or cut.cycles[0].flag):
+    if not sustained and all(run.cut.drag == (0, 0) or run.cut.cycles[0].flag for run in runs):
         raise DataError(
             "no belt stick-slip in this record: a sine without a start-up; constant friction is possible",
-            source,
+            ", ".join(sources),
             "record again from before the belt starts: the first drag tells law 1 from law 2",
         )
-    units = [_cycle_errors(fit, motion) if sustained else _drag_errors(fit, motion, cut.drag) for fit in fits]
-    penalised = np.array([_penalised(fit, errors) for fit, errors in zip(fits, units, strict=True)])
-    evidence = Evidence(tuple(fit.law for fit in fits), penalised)
-    chosen = choose(evidence, alpha)
-    best = next(fit for fit in fits if fit.law == chosen.order[0])
-    rows = tuple(
-        _row(next(fit for fit in fits if fit.law == law), chosen, motion, alpha, penalised.shape[1])
-        for law in chosen.order
-    )
-    words = verdict.sentence(rows, chosen.members, sustained=sustained)
-    warnings = verdict.warnings(rows, chosen.members, motion, cut, kinematics, sustained=sustained)
+    penalised = np.array([_penalised(fit, _unit_errors(fit, runs, sustained=sustained)) for fit in fits])
+    chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
+    double = twin.of(fits, chosen.members, runs)
+    if double is not None:
+        place, ramp = (next(i for i, fit in enumerate(fits) if fit.law == law) for law in (double.law, double.law + 1))
+        errors = _unit_errors(double, runs, sustained=sustained)
+        lag = twin.lag(errors, _unit_errors(fits[ramp], runs, sustained=sustained))
+        if lag < twin.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
+            apart = len(runs) > 1 and lag < -twin.SAME
+            fits[place], penalised[place] = double, _penalised(double, errors) if apart else penalised[ramp]
+            chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
+    ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
+    rows = tuple(_row(fit, chosen, runs, alpha) for fit in ordered)
+    measured = all(run.motion.belt_measured for run in runs)
+    words = verdict.sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
+    sides = []
+    for number, (run, record) in enumerate(zip(runs, records, strict=True)):
+        own = tuple(_side(row, run.motion, alpha, number) for row in rows)
+        events = break_aways.events(own[0].fit, run.motion, run.cut)
+        said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, sustained=sustained)
+        sides.append(Ranking(words, chosen.members, own, events, said, run.motion, run.cut))
+    cpu_s = clock.process_time() - begun
+    if len(sides) == 1:
+        return replace(sides[0], cpu_s=cpu_s)
+    warnings = verdict.together([side.warnings for side in sides], [Path(source).name for source in sources])
     return Ranking(
         verdict=words,
         laws_in_set=chosen.members,
         rows=rows,
-        events=break_aways.events(best, motion, cut),
+        events=tuple(event for side in sides for event in side.events),
         warnings=warnings,
-        motion=motion,
-        cut=cut,
-        cpu_s=clock.process_time() - begun,
+        motion=runs[0].motion,
+        cut=runs[0].cut,
+        cpu_s=cpu_s,
+        runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
     )
 
 
-def _fit_all(laws: Sequence[int], motion: Motion, cut: Cut, progress: Callable[[float], None] | None) -> list[Fit]:
-    """Search every law on the thinned record, then polish on the whole one those that are anywhere near the best."""
-    found: dict[int, Fit] = {}
-    for done, law in enumerate(sorted(laws, key=lambda law: (LAWS[law].ramp, law))):
-        fit = trajectory.search(law, motion, cut, found.get(law - 1) if LAWS[law].ramp else None)
-        if fit is not None:
-            found[law] = fit
-        if progress is not None:
-            progress(done + 1.0)
-    for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
-        # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
-        narrow = found[ramp].u[trajectory.D] < trajectory.NARROW * motion.belt_speed
-        if narrow and found[ramp].rms < STUCK * found[ramp - 1].rms:
-            again = trajectory.search(ramp - 1, motion, cut, found[ramp])
-            found[ramp - 1] = again if again is not None else found[ramp - 1]
-    nearest = min((fit.rms for fit in found.values()), default=0.0)
-    return [trajectory.polish(fit, motion, cut) if fit.rms < CONTENDER * nearest else fit for fit in found.values()]
+def _smoothed(kinematics: Kinematics) -> Kinematics:
+    """Return the record smoothed well enough to start from."""
+    if kinematics.method != "fd":
+        return kinematics
+    from processing.smoothing import smooth
+
+    return smooth(kinematics.recording, times=kinematics.times)
 
 
-def _check(cut: Cut, sustained: bool, source: str) -> None:
-    """Raise DataError unless the record holds enough cycles of one kind or the other."""
-    if not cut.cycles:
-        raise DataError(
-            "no belt stick-slip in this record: no slip between two sticks",
-            source,
-            "record several cycles with the belt running",
+def _check_together(records: Sequence[Kinematics], belt_speed: float | str | None, excluded: Sequence[int]) -> None:
+    """Raise InputError for what means nothing beside several runs."""
+    if not records:
+        raise InputError("no run", "command line", "name at least one run file")
+    if len(records) == 1:
+        return
+    if belt_speed is not None and belt_speed != "channel":
+        raise InputError("one belt speed for several runs", "--belt-speed", "leave it out: each run finds its own")
+    if excluded:
+        raise InputError(
+            "cycles to exclude from several runs", "--exclude-cycles", "fit that run alone, or leave it out"
         )
-    count = len(cut.used)
+
+
+def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
+    """Return whether the mass sticks in the long run; raise DataError unless there are enough cycles of one kind."""
+    kinds = [run.cut.plateau_fraction >= SUSTAINED for run in runs]
+    sustained = all(kinds)
+    for run, source in zip(runs, sources, strict=True):
+        if not run.cut.used:
+            what = "no slip between two sticks" if not run.cut.cycles else "every cycle is left out"
+            raise DataError(
+                f"no belt stick-slip in this record: {what}", source, "record several cycles with the belt running"
+            )
+    if any(kinds) and not sustained:
+        grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
+        raise DataError(
+            "no sustained stick here, but in other runs there is", grazing, "fit runs of one contact, or this one alone"
+        )
+    count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
-        left = len(cut.cycles) - count
+        left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(
             f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
-            source,
+            ", ".join(sources),
             "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
         )
+    return sustained
 
 
 def _slip_length(motion: Motion, cut: Cut) -> float:
@@ -199,13 +238,21 @@ def _log_error(residual: Array, motion: Motion) -> float:
     return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
 
 
-def _cycle_errors(fit: Fit, motion: Motion) -> Array:
-    return np.array([_log_error(fit.residual[rows], motion) for rows in fit.rows])
+def _unit_errors(fit: Fit, runs: Sequence[Run], *, sustained: bool) -> Array:
+    """Return the log error of every cycle of every run, or of every piece of the start-up drags."""
+    found = []
+    for number, run in enumerate(runs):
+        part = fit.part(number)
+        if sustained:
+            found.append(np.array([_log_error(part.residual[rows], run.motion) for rows in part.rows]))
+        elif run.cut.drag != (0, 0) and not run.cut.cycles[0].flag:
+            found.append(_drag_errors(part, run.motion, run.cut.drag))
+    return np.concatenate(found)
 
 
 def _drag_errors(fit: Fit, motion: Motion, drag: tuple[int, int]) -> Array:
     """Return the log error of equal pieces of the start-up drag: the sine after it cannot tell law 1 from law 2."""
-    _, riding, first, count, _ = fit.windows.table[0]
+    _, riding, first, count, *_ = fit.windows.table[0]
     if not riding or fit.cycles[0].stick != drag:
         raise RuntimeError("the first window is not the start-up drag")
     end = first + count
@@ -270,7 +317,13 @@ def choose(evidence: Evidence, alpha: float) -> Choice:
     return Choice((*members, *others), tuple(members), score, weight, behind)
 
 
-def _row(fit: Fit, chosen: Choice, motion: Motion, alpha: float, units: int) -> LawResult:
+def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float) -> LawResult:
+    parameters = uncertainty.parameters(fit, runs[0].motion, alpha)
+    if len(runs) > 1:
+        every = [uncertainty.parameters(fit, run.motion, alpha, number) for number, run in enumerate(runs)]
+        parameters = {name: item for name, item in parameters.items() if name not in uncertainty.OWN}
+        for number, own in enumerate(every, start=1):
+            parameters |= {f"{name} ({number})": own[name] for name in uncertainty.OWN if name in own}
     return LawResult(
         law=fit.law,
         name=LAWS[fit.law].name,
@@ -279,8 +332,20 @@ def _row(fit: Fit, chosen: Choice, motion: Motion, alpha: float, units: int) -> 
         in_set=fit.law in chosen.members,
         rms_m=fit.rms,
         cycles=len(fit.rows),
-        parameters=uncertainty.parameters(fit, fit.precision, motion, alpha),
+        parameters=parameters,
         cpu_s=fit.cpu_s,
         behind=chosen.behind[fit.law],
         fit=fit,
+    )
+
+
+def _side(row: LawResult, motion: Motion, alpha: float, run: int) -> LawResult:
+    """Return a law's row as one of the runs sees it."""
+    part = row.fit.part(run)
+    return replace(
+        row,
+        rms_m=part.rms,
+        cycles=len(part.rows),
+        parameters=uncertainty.parameters(row.fit, motion, alpha, run),
+        fit=part,
     )

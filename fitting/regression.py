@@ -114,7 +114,8 @@ def start(motion: Motion, cut: Cut, curve: int, ramp: bool, datum: Measured) -> 
     K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose)
     if ramp:
         v_dr = level + slope * rest
-        d = float(np.clip(-slope * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
+        give = 0.0 if motion.give is None else motion.give.value  # that much of the slope is the belt's
+        d = float(np.clip((-slope - give) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
         K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose)
     return Start(K, F, v_dr, shape, d, rest)
 

@@ -4,6 +4,7 @@ import html
 import math
 import os
 import tempfile
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,25 @@ MARK = '<meta name="generator" content="stickslip fit-friction'
 def default_path(run: Path) -> Path:
     """Return where the report of a run goes: RUN.report.html beside it."""
     return run.with_name(run.stem + ".report.html")
+
+
+def places(runs: Sequence[Path], report: Path | None) -> list[Path]:
+    """Return where the reports of several runs go: each beside its run, or FILE, FILE-2, FILE-3 ... in that order.
+
+    Raises
+    ------
+    InputError
+        When one of them holds something that is not a report of ours, cannot be written, or two are the same.
+    """
+    if report is None:
+        found = [default_path(run) for run in runs]
+    else:
+        found = [report, *(report.with_stem(f"{report.stem}-{n}") for n in range(2, len(runs) + 1))]
+    if len({place.absolute() for place in found}) < len(found):
+        raise InputError("two runs share one report", ", ".join(map(str, found)), "give a name with --report")
+    for place in found:
+        refuse_stranger(place)
+    return found
 
 
 def refuse_stranger(path: Path) -> None:

@@ -121,8 +121,10 @@ class Ranking:
     events : tuple of Event
     warnings : tuple of str
     motion, cut
-        What was fitted, in the fit's frame.
+        What was fitted, in the fit's frame; the first run's where there are several.
     cpu_s : float
+    runs : tuple of Ranking
+        Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
     """
 
     verdict: str
@@ -133,6 +135,7 @@ class Ranking:
     motion: "Motion" = field(repr=False)
     cut: "Cut" = field(repr=False)
     cpu_s: float = 0.0
+    runs: "tuple[Ranking, ...]" = ()
 
     @property
     def best(self) -> LawResult:
@@ -148,11 +151,28 @@ class Ranking:
 
     def as_json(self) -> dict[str, Any]:
         """Return the command's JSON document."""
-        return {
+        document = {
             "verdict": self.verdict,
             "set": list(self.laws_in_set),
             "ranking": [row.as_json() for row in self.rows],
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
             "cpu_s": self.cpu_s,
+        }
+        if self.runs:
+            document["cycles"] = [
+                {"run": number} | event.as_json()
+                for number, run in enumerate(self.runs, start=1)
+                for event in run.events
+            ]
+            document["runs"] = [run.as_run() for run in self.runs]
+        return document
+
+    def as_run(self) -> dict[str, Any]:
+        """Return the best law's view of one run among several."""
+        return {
+            "rms_m": self.best.rms_m,
+            "cycles": self.best.cycles,
+            "parameters": {name: item.as_json() for name, item in self.best.parameters.items()},
+            "rms_by_law": {str(row.law): row.rms_m for row in self.rows},
         }

@@ -1,10 +1,10 @@
 """One law fitted to the measured positions of every window at once: multiple shooting on the exact flow.
 
 Shared by all windows: k/m, Fs/m, belt speed, the curve's shape, the ramp's half-width, the spring's rest position,
-the damping, and how fast the contact wears.  Each cycle has six unknowns of its own: where its slip window starts
-(x, v), its kinetic level, the level after the next landing, and where its stick window starts (x, v).  The levels are
-factors whose logarithms have mean 0; their prior carries their own scatter, so that Fs/m means the mean level and its
-interval the error of that mean.
+the damping, how fast the contact wears, and how much the belt gives under load.  Each cycle has six unknowns of its
+own: where its slip window starts (x, v), its kinetic level, the level after the next landing, and where its stick
+window starts (x, v).  The levels are factors whose logarithms have mean 0; their prior carries their own scatter, so
+that Fs/m means the mean level and its interval the error of that mean.
 
 The noise of a position is not white: a law that is slightly wrong errs for many samples in a row.  Residuals therefore
 count with sigma^2 = mean square x correlation time, found from the fit before, and a cycle that fits far worse than
@@ -13,34 +13,31 @@ the others (a kick, lost counts) counts less.
 
 import math
 import time as clock
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.rig import Measured
-from fitting import regression, schur
+from fitting import schur, unknowns
 from fitting.motion import Array, Motion
 from fitting.prediction import Windows, evaluator
-from fitting.windows import Cut, Cycle
-from rig_sim.friction.law import LAWS
+from fitting.setting import Run, Setting
+from fitting.unknowns import CALIBRATED, DATUM, LOG_F, UNKNOWNS, WEAR, D, K
+from fitting.windows import Cycle
 
-# Order of the shared unknowns, and of a cycle's own.
-K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, WEAR = range(8)
-UNKNOWNS = 8
-X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)
+X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)  # a cycle's own unknowns
 
-UNKNOWN_DAMPING = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
 FIRST_SCATTER = 0.1  # standard deviation of the levels before the fit has seen them
 OVERTAKING_LEVEL = 0.9  # of the load at landing: the first guess of the level where the mass overtakes the belt
 FIRST_SIGMA = 10.0  # of the resolution: nearly any misfit outweighs the calibrations in the first pass
-STILL_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
-NO_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
 NARROW = 0.02  # of the belt's speed: the second start of a ramp law
 COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
 WEAR_PASS = (15, 1e-4)
 FINE_PASS = (5, 1e-5)
+NO_TREND = 0.01  # 1/s: what wear may be where a run has too few cycles to show it
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +47,12 @@ class Fit:
     Attributes
     ----------
     law : int
-    u : (8,) f8
-        K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s), datum (m),
-        c/m (1/s), wear (fraction of the level lost per second).
+    u : (9 runs,) f8
+        Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
+        datum (m), c/m (1/s), wear (fraction of the level lost per second), give (belt speed lost per metre of spring
+        stretch, 1/s); see `fitting.unknowns`.
     active : tuple of int
-        Which of them this law has.
+        Which of them this law has and the fit moves.
     local : (cycles, 6) f8
     residual : (N,) f8
         Model minus measurement, m, cycle by cycle.
@@ -62,7 +60,7 @@ class Fit:
         The residuals of each cycle.
     cycle_rms : (cycles,) f8
         m.
-    sigma : float
+    sigma : (runs,) f8
         Effective standard deviation of one residual, m: rms x sqrt(correlation time in samples).
     deviations : (p,) f8
         How far the active unknowns are from their calibrations, in standard deviations; 0 where there is none.
@@ -85,7 +83,7 @@ class Fit:
     residual: Array
     rows: tuple[slice, ...]
     cycle_rms: Array
-    sigma: float
+    sigma: Array
     deviations: Array
     solution: schur.Solution
     precision: Array
@@ -101,39 +99,52 @@ class Fit:
         return float(np.sqrt(np.mean(self.residual**2)))
 
     @property
+    def usual(self) -> float:
+        """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
+        return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
+    @property
     def free(self) -> int:
-        """Number of the law's own shared unknowns; what every law has besides (datum, damping, wear) is not counted."""
-        return sum(index not in (DATUM, DAMPING, WEAR) for index in self.active)
+        """Number of the law's own shared unknowns; what every law has besides (datum, damping, wear, give) not."""
+        return sum(place % UNKNOWNS not in CALIBRATED for place in self.active)
+
+    @property
+    def runs(self) -> int:
+        """How many runs were fitted together."""
+        return self.u.size // UNKNOWNS
+
+    def part(self, run: int) -> "Fit":
+        """Return what the fit says of one run: its unknowns, cycles and residuals; the solution stays that of all."""
+        if self.runs == 1:
+            return self
+        own = np.flatnonzero(self.windows.run == run)
+        windows = self.windows.parts[run]
+        slots = unknowns.columns(self.active, self.runs)[run]
+        return replace(
+            self,
+            u=self.u[UNKNOWNS * run : UNKNOWNS * (run + 1)],
+            active=tuple(int(slot) for slot in slots if slot >= 0),
+            local=self.local[own],
+            residual=np.concatenate([self.residual[self.rows[k]] for k in own]),
+            rows=windows.rows,
+            cycle_rms=self.cycle_rms[own],
+            sigma=self.sigma[[run]],
+            deviations=self.deviations[slots >= 0],
+            precision=self.precision[slots >= 0],
+            windows=windows,
+            cycles=tuple(self.cycles[k] for k in own),
+        )
 
 
-def active_unknowns(law: int) -> tuple[int, ...]:
-    """Return the shared unknowns that a law has."""
-    kind = LAWS[law]
-    shape = () if kind.curve == "constant" else (SHAPE,)
-    ramp = () if kind.contact == "jump" else (D,)
-    return (K, LOG_F, V_DR, *shape, *ramp, DATUM, DAMPING, WEAR)
-
-
-def datum_guess(motion: Motion) -> Measured:
-    """Return what is known of the spring's rest position: the calibration, or the middle of the motion give or take it.
-
-    Without a datum laws 1 and 3 know only datum + Fs/k; the wide prior keeps the fit finite and its interval wide.
-    """
-    if motion.datum_prior is not None:
-        return motion.datum_prior
-    middle = 0.5 * float(motion.position.max() + motion.position.min())
-    return Measured(middle, 0.5 * motion.travel)
-
-
-def search(law: int, motion: Motion, cut: Cut, near: Fit | None = None) -> Fit | None:
-    """Fit one law to the thinned record.
+def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None:
+    """Fit one law to the thinned record, or to those of several runs of one contact.
 
     Parameters
     ----------
     law : int
         1 to 6.
-    motion, cut : Motion, Cut
-        The record in the fit's frame and its cycles; those without a flag are fitted.
+    runs : sequence of Run
+        Each with one used cycle or more.
     near : Fit, optional
         The law of the same curve with the other contact, searched before: a second start.  A ramp law takes it with a
         narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
@@ -144,41 +155,47 @@ def search(law: int, motion: Motion, cut: Cut, near: Fit | None = None) -> Fit |
         None when the flow cannot be followed from any starting value: the law then has no place in the ranking.
     """
     begun = clock.process_time()
-    setting = Setting.of(law, motion, cut)
-    windows = Windows.of(motion, cut.used, max(1, round(motion.time.size / motion.span / COARSE_HZ)))
-    starts = [_begin(setting, windows, cut.used)]
+    setting = Setting.of(law, runs)
+    windows = Windows.joined([Windows.of(run.motion, run.cut.used, _stride(run.motion)) for run in runs])
+    cycles = [cycle for run in runs for cycle in run.cut.used]
+    starts = [_begin(setting, windows, cycles)]
     if near is not None:
         u = near.u.copy()
-        u[D] = NARROW * motion.belt_speed if setting.ramp else starts[0].u[D]
+        slowest = min(motion.belt_speed for motion in setting.motions)
+        u[D::UNKNOWNS] = NARROW * slowest if setting.ramp else starts[0].u[D]
         starts.append(replace(starts[0], u=u, local=near.local))
     found = [state for state in (_settle(setting, windows, first) for first in starts) if state is not None]
     if not found:
         return None
     best = min(found, key=lambda state: float(np.mean(np.log(state.cycle_rms))))
-    return _fit(law, setting, windows, best, cut, clock.process_time() - begun)
+    return _fit(law, setting, windows, best, runs, clock.process_time() - begun)
 
 
-def polish(fit: Fit, motion: Motion, cut: Cut) -> Fit:
+def _stride(motion: Motion) -> int:
+    return max(1, round(motion.time.size / motion.span / COARSE_HZ))
+
+
+def polish(fit: Fit, runs: Sequence[Run]) -> Fit:
     """Fit the whole record, wear included, from where the search on the thinned one ended.
 
     The search's own fit is returned when that leads nowhere.
     """
     begun = clock.process_time()
-    setting = Setting.of(fit.law, motion, cut)
-    first = replace(fit.state, trend=_trend(fit.windows, fit.local))
+    setting = Setting.of(fit.law, runs)
+    first = replace(fit.state, trend=_trends(fit.windows, fit.local))
     last = _pass(setting, fit.windows, first, *WEAR_PASS)
-    windows = Windows.of(motion, cut.used)
+    windows = Windows.joined([Windows.of(run.motion, run.cut.used) for run in runs])
     if last is not None and windows.time.size > fit.windows.time.size:
-        last = _pass(setting, windows, _assume(last, fit.windows, motion, first=False), *FINE_PASS)
+        last = _pass(setting, windows, _assume(last, fit.windows, setting.motions, first=False), *FINE_PASS)
     else:
         windows = fit.windows
     if last is None:
         return fit
-    return _fit(fit.law, setting, windows, last, cut, fit.cpu_s + clock.process_time() - begun)
+    return _fit(fit.law, setting, windows, last, runs, fit.cpu_s + clock.process_time() - begun)
 
 
-def _fit(law: int, setting: "Setting", windows: Windows, state: "State", cut: Cut, cpu_s: float) -> Fit:
-    active = tuple(k for k in setting.active if k != WEAR or state.trend is not None)
+def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Sequence[Run], cpu_s: float) -> Fit:
+    active = tuple(k for k in setting.active if k % UNKNOWNS != WEAR or state.trend is not None)
     index = list(active)
     solution = state.solution
     if solution is None or state.precision is None:
@@ -196,7 +213,7 @@ def _fit(law: int, setting: "Setting", windows: Windows, state: "State", cut: Cu
         solution=solution,
         precision=state.precision[index],
         windows=windows,
-        cycles=cut.used,
+        cycles=tuple(cycle for run in runs for cycle in run.cut.used),
         state=state,
         outcome=solution.outcome,
         cpu_s=cpu_s,
@@ -204,90 +221,36 @@ def _fit(law: int, setting: "Setting", windows: Windows, state: "State", cut: Cu
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
-    """What stays the same through a law's passes; arrays over the 8 shared unknowns unless said otherwise."""
-
-    motion: Motion
-    curve: int
-    ramp: bool
-    active: tuple[int, ...]
-    start: regression.Start
-    damping: float
-    scale: Array
-    lower: Array
-    upper: Array
-    prior: Array
-    precision: Array
-    local_scale: Array  # (6,)
-
-    @classmethod
-    def of(cls, law: int, motion: Motion, cut: Cut) -> "Setting":
-        """Regress the start and turn the calibration into priors."""
-        kind = LAWS[law]
-        datum = datum_guess(motion)
-        start = regression.start(motion, cut, kind.curve_code, bool(kind.ramp), datum)
-        omega = math.sqrt(start.K)
-        damping = damping_guess(motion, start.K)
-        shape = max(abs(start.shape), 1e-3 / motion.belt_speed)
-        speed, travel = motion.belt_speed, motion.travel
-        lower = np.array([1e-6 * start.K, -np.inf, 0.05 * speed, 0.0, NO_RAMP * speed, -np.inf, 0.0, -np.inf])
-        upper = np.full(UNKNOWNS, np.inf)
-        if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
-            upper[SHAPE] = STILL_FRICTION / float(np.max(speed - motion.velocity))
-        prior, precision = np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
-        prior[DATUM], precision[DATUM] = datum.value, _precision(datum.sd, 1e-6 * travel)
-        prior[DAMPING], precision[DAMPING] = damping.value, _precision(damping.sd, 1e-6 * omega)
-        belt = motion.belt_prior
-        if belt is not None and belt.sd > 0:
-            prior[V_DR], precision[V_DR] = belt.value, _precision(belt.sd, 0.0)
-        return cls(
-            motion=motion,
-            curve=kind.curve_code,
-            ramp=bool(kind.ramp),
-            active=active_unknowns(law),
-            start=start,
-            damping=damping.value,
-            scale=np.array([start.K, 1.0, speed, shape, speed, travel, omega, omega]),
-            lower=lower,
-            upper=upper,
-            prior=prior,
-            precision=precision,
-            local_scale=np.array([travel, speed, 1.0, 1.0, travel, speed]),
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class State:
-    """Where a pass ended: all 8 shared unknowns, the cycles' own, and what the next pass is to assume of the noise."""
+    """Where a pass ended: unknowns of all runs, the cycles' own, and what the next pass is to assume of the noise."""
 
     u: Array
     local: Array
-    sigma: float
+    sigma: Array  # (runs,)
     scatter: float
     weights: Array
     cycle_rms: Array
     solution: schur.Solution | None
-    trend: Measured | None = None  # wear as the levels' trend shows it, 1/s
+    trend: tuple[Measured, ...] | None = None  # wear of each run as the levels' trend shows it, 1/s
     prior: Array | None = None
     precision: Array | None = None
 
 
-def _begin(setting: Setting, windows: Windows, cycles: tuple[Cycle, ...]) -> State:
+def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State:
     """Return the regression's start, with no noise known yet.
 
     Where the mass overtakes the belt, the new level must be below the load it landed with, or it would not.
     """
-    start, motion = setting.start, setting.motion
-    local = windows.first_locals(motion)
-    for k, cycle in enumerate(cycles):
+    local = windows.first_locals(setting.motions)
+    for k, (cycle, run) in enumerate(zip(cycles, windows.run, strict=True)):
         if cycle.overtakes:
-            load = start.K * (start.datum - float(np.interp(cycle.landing, motion.time, motion.position)))
-            local[k, NEXT_LEVEL] = math.log(max(OVERTAKING_LEVEL * load / start.F, 0.2))
-    shape = min(start.shape, float(setting.upper[SHAPE]))
+            motion, u = setting.motions[run], setting.start[UNKNOWNS * run :]
+            load = u[K] * (u[DATUM] - float(np.interp(cycle.landing, motion.time, motion.position)))
+            local[k, NEXT_LEVEL] = math.log(max(OVERTAKING_LEVEL * load / math.exp(u[LOG_F]), 0.2))
     return State(
-        u=np.array([start.K, math.log(start.F), start.v_dr, shape, start.d, start.datum, setting.damping, 0.0]),
+        u=setting.start,
         local=local,
-        sigma=FIRST_SIGMA * motion.resolution,
+        sigma=np.array([FIRST_SIGMA * motion.resolution for motion in setting.motions]),
         scatter=FIRST_SCATTER,
         weights=np.ones(len(windows.rows)),
         cycle_rms=np.ones(len(windows.rows)),
@@ -298,83 +261,83 @@ def _begin(setting: Setting, windows: Windows, cycles: tuple[Cycle, ...]) -> Sta
 def _settle(setting: Setting, windows: Windows, start: State) -> State | None:
     """Fit from one start, in passes that settle noise level, weights and scatter."""
     state: State | None = start
-    for number, (steps, gain) in enumerate(PASSES if setting.motion.datum_prior is not None else LONG_PASSES):
+    for number, (steps, gain) in enumerate(
+        LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
+    ):
         if state is None:
             return None
         state = _pass(setting, windows, state, steps, gain)
         if state is not None:
-            state = _assume(state, windows, setting.motion, first=number == 0)
+            state = _assume(state, windows, setting.motions, first=number == 0)
     return state
 
 
 def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tolerance: float) -> State | None:
     """Minimise once with the noise assumed so far."""
-    motion = setting.motion
     # Wear is fitted last: the levels must be known first, whose trend says about how fast they fall.
-    index = [k for k in setting.active if k != WEAR or state.trend is not None]
+    index = [k for k in setting.active if k % UNKNOWNS != WEAR or state.trend is not None]
     prior, precision = setting.prior.copy(), setting.precision.copy()
     if state.trend is not None:
-        prior[WEAR], precision[WEAR] = state.trend.value, 1 / state.trend.sd**2
-    wide = 0.1 * motion.travel
-    local_sd = np.array([wide, motion.belt_speed, state.scatter, state.scatter, wide, motion.belt_speed])
+        prior[WEAR::UNKNOWNS] = [trend.value for trend in state.trend]
+        precision[WEAR::UNKNOWNS] = [1 / trend.sd**2 for trend in state.trend]
+    wide = [(0.1 * motion.travel, motion.belt_speed) for motion in setting.motions]
+    local_sd = np.array([[x, v, state.scatter, state.scatter, x, v] for x, v in wide])[windows.run]
     problem = schur.Problem(
         evaluate=evaluator(setting.curve, setting.ramp, windows, state.u, index, setting.scale, setting.local_scale),
         rows=windows.rows,
-        weights=state.weights / state.sigma**2,
+        weights=state.weights / state.sigma[windows.run] ** 2,
         lower=setting.lower[index],
         upper=setting.upper[index],
         prior=prior[index],
         precision=precision[index],
-        local_prior=windows.first_locals(motion),
-        local_precision=np.broadcast_to(1 / local_sd**2, state.local.shape),
+        local_prior=windows.first_locals(setting.motions),
+        local_precision=1 / local_sd**2,
     )
     solution = schur.minimise(problem, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance)
     if solution is None:
         return None
     u = state.u.copy()
     u[index] = solution.u
+    u = unknowns.spread(u)
     rms = np.array([math.sqrt(float(np.mean(solution.residual[rows] ** 2))) for rows in windows.rows])
     return replace(state, u=u, local=solution.local, cycle_rms=rms, solution=solution, prior=prior, precision=precision)
 
 
-def _assume(state: State, windows: Windows, motion: Motion, *, first: bool) -> State:
-    """Take noise level, weights and scatter from the residuals of the pass before."""
-    middle = max(float(np.median(state.cycle_rms)), motion.resolution)
-    weights = np.minimum(2 / (1 + (state.cycle_rms / middle) ** 2), 1.0)
+def _assume(state: State, windows: Windows, motions: Sequence[Motion], *, first: bool) -> State:
+    """Take noise level, weights and scatter from the residuals of the pass before, run by run."""
     if state.solution is None:
         return state
-    calm = [rows for rows, weight in zip(windows.rows, weights, strict=True) if weight > 0.5]
-    seen = effective_sigma(state.solution.residual, calm)
-    # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
-    sigma = max(seen if first else min(seen, state.sigma), motion.resolution)
+    weights, sigma = np.ones(len(windows.rows)), state.sigma.copy()
+    for run, motion in enumerate(motions):
+        own = np.flatnonzero(windows.run == run)
+        middle = max(float(np.median(state.cycle_rms[own])), motion.resolution)
+        weights[own] = np.minimum(2 / (1 + (state.cycle_rms[own] / middle) ** 2), 1.0)
+        seen = effective_sigma(state.solution.residual, [windows.rows[k] for k in own if weights[k] > 0.5])
+        # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
+        sigma[run] = max(seen if first else min(seen, float(sigma[run])), motion.resolution)
     scatter = float(np.clip(np.std(state.local[:, LEVEL]), 0.01, 0.5))
     return replace(state, weights=weights, sigma=sigma, scatter=scatter)
 
 
-def _trend(windows: Windows, local: Array) -> Measured:
-    """Return how fast the levels fall, 1/s, by a straight line through their logarithms."""
-    slips = windows.table[:, 1] == 0
-    level = local[windows.table[slips, 0], LEVEL]
-    t = windows.epoch[slips] - windows.epoch[slips].mean()
+def _trends(windows: Windows, local: Array) -> tuple[Measured, ...]:
+    """Return how fast the levels of each run fall, 1/s, by a straight line through their logarithms."""
+    slips = windows.table[windows.table[:, 1] == 0]
+    epoch = windows.epoch[windows.table[:, 1] == 0]
+    return tuple(
+        _trend(epoch[slips[:, 5] == run], local[slips[slips[:, 5] == run, 0], LEVEL])
+        for run in range(int(slips[:, 5].max()) + 1)
+    )
+
+
+def _trend(epoch: Array, level: Array) -> Measured:
+    if level.size < 3:  # two points make a line without an error
+        return Measured(0.0, NO_TREND)
+    t = epoch - epoch.mean()
     square = float(t @ t)
     slope = float(t @ (level - level.mean())) / square
     rest = level - level.mean() - slope * t
     sd = math.sqrt(float(rest @ rest) / max(level.size - 2, 1) / square)
     return Measured(-slope, max(sd, 1e-6))
-
-
-def _precision(sd: float, exact: float) -> float:
-    """Return 1/sd^2; a calibration stated without an error counts as known to ``exact``."""
-    return 1 / max(sd, exact) ** 2 if max(sd, exact) > 0 else 0.0
-
-
-def damping_guess(motion: Motion, K: float) -> Measured:
-    """Return c/m, 1/s: the ring-down's, or 0 give or take a hundredth of the critical damping."""
-    known = motion.damping_prior
-    mass = motion.mass.value if motion.mass else motion.stiffness.value / K if motion.stiffness else None
-    if known is None or mass is None:
-        return Measured(0.0, UNKNOWN_DAMPING * 2 * math.sqrt(K))
-    return Measured(known.value / mass, known.sd / mass)
 
 
 def effective_sigma(residual: Array, rows: list[slice]) -> float:

@@ -13,8 +13,11 @@ from daq.rig import Measured
 from fitting.motion import Array, Motion
 from fitting.result import Parameter
 from fitting.schur import reduced
-from fitting.trajectory import DAMPING, DATUM, LOG_F, SHAPE, V_DR, WEAR, D, Fit, K
+from fitting.trajectory import Fit
+from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, WEAR, D, K, columns
 from rig_sim.friction.law import LAWS
+
+OWN = ("v_dr", "x0", "wear", "droop")  # of each run; the other parameters are one for all
 
 
 def covariance(fit: Fit, precision: Array) -> Array:
@@ -39,26 +42,31 @@ def covariance(fit: Fit, precision: Array) -> Array:
     return np.asarray(sandwich * floor[:, None] * floor)
 
 
-def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict[str, Parameter]:
+def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str, Parameter]:
     """Return a law's parameters with their intervals, in the record's own signs.
 
-    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second.  The
-    error of the metres per count enters every parameter that has a length in its unit.
+    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second;
+    ``droop`` how much slower the belt runs under the load Fs.  The error of the metres per count enters every parameter
+    that has a length in its unit.
 
     Parameters
     ----------
     fit : Fit
-    precision : (p,) f8
-        Of the calibrations, as for `covariance`.
+        Of all runs together.
     motion : Motion
-        Its mass or stiffness, when known, turns accelerations into newtons.
+        Of the run; its mass or stiffness, when known, turns accelerations into newtons.
     alpha : float
         1 - confidence.
+    run : int
+        Whose own parameters are wanted, beside those that all runs share.
     """
     from scipy.stats import t as student
 
-    active = list(fit.active)
-    spread = covariance(fit, precision)
+    slots = columns(fit.active, fit.runs)[run]
+    known = slots >= 0
+    active = [int(slot) for slot in slots[known]]
+    spread = covariance(fit, fit.precision)[np.ix_(known, known)]
+    own = fit.u[UNKNOWNS * run : UNKNOWNS * (run + 1)]
     quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
     found: dict[str, Parameter] = {}
 
@@ -66,8 +74,8 @@ def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict
         name: str, unit: str, formula: Callable[[Array], float], scale: Measured | None = None, *, lengths: int = 0
     ) -> None:
         """Add one parameter; ``lengths`` is the power of the metre in it, for the error of the metres per count."""
-        value = formula(fit.u)
-        slope = np.array([_slope(formula, fit.u, index) for index in active])
+        value = formula(own)
+        slope = np.array([_slope(formula, own, index) for index in active])
         variance = float(slope @ spread @ slope) + (lengths * value * motion.length_error) ** 2
         if scale is not None:
             variance = variance * scale.value**2 + (value * scale.sd) ** 2
@@ -93,6 +101,8 @@ def parameters(fit: Fit, precision: Array, motion: Motion, alpha: float) -> dict
     add("c/m", "s^-1", lambda u: float(u[DAMPING]))
     if WEAR in active:
         add("wear", "s^-1", lambda u: float(u[WEAR]))
+    if GIVE in active:
+        add("droop", "m/s", lambda u: float(u[GIVE] * np.exp(u[LOG_F]) / u[K]), lengths=1)
     if motion.mass is not None:
         mass = motion.mass
         add("k", "N/m", lambda u: float(u[K]), mass)

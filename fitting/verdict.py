@@ -5,21 +5,25 @@ from collections.abc import Sequence
 
 from fitting.motion import Motion
 from fitting.result import LawResult
-from fitting.trajectory import DATUM, NO_RAMP, D
+from fitting.setting import NO_RAMP
+from fitting.unknowns import DATUM, GIVE, D
 from fitting.windows import Cut
 from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
+OTHER_SPEEDS = ", or runs at other belt speeds"
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
-    frozenset((3, 4)): "a belt tachometer, or runs at other belt speeds",
-    frozenset((5, 6)): "a belt tachometer, or runs at other belt speeds",
+    frozenset((3, 4)): f"a belt tachometer{OTHER_SPEEDS}",
+    frozenset((5, 6)): f"a belt tachometer{OTHER_SPEEDS}",
     frozenset((3, 5)): "a faster belt or a weaker spring, so that the slip spans more speed",
     frozenset((4, 6)): "a faster belt or a weaker spring, so that the slip spans more speed",
 }
 
 
-def sentence(rows: Sequence[LawResult], members: Sequence[int], *, sustained: bool) -> str:
+def sentence(
+    rows: Sequence[LawResult], members: Sequence[int], *, sustained: bool, measured: bool = False, runs: int = 1
+) -> str:
     """Return the verdict: the law, or the laws that the record cannot tell apart, and why.
 
     Parameters
@@ -30,8 +34,13 @@ def sentence(rows: Sequence[LawResult], members: Sequence[int], *, sustained: bo
         The set, best first.
     sustained : bool
         Whether the record has sustained sticks; without them friction is constant.
+    measured : bool
+        Whether the belt's own counts were used.
+    runs : int
+        How many were fitted together.
     """
     best = rows[0]
+    cycles = f"{best.cycles} cycles" if runs == 1 else f"{best.cycles} cycles of {runs} runs"
     named = f"law {best.law} ({best.name})"
     if not sustained:
         head = "no sustained stick: constant friction, "
@@ -39,17 +48,26 @@ def sentence(rows: Sequence[LawResult], members: Sequence[int], *, sustained: bo
             return head + f"{named} by the start-up drag"
         if len(rows) == 1:
             return head + f"{named}, the only law fitted"
+        if GIVE in best.fit.active and not measured:
+            return head + f"{named} on a belt that slows under load, or law 2: a belt tachometer would tell"
         return head + "law 1 or law 2: the start-up drag does not tell a jump from a ramp"
     if len(members) > 1:
         others = " or ".join(f"law {law} ({LAWS[law].name})" for law in members[1:])
-        split = SPLITS.get(frozenset(members[:2]), "more cycles, or runs at other belt speeds")
+        split = SPLITS.get(frozenset(members[:2]), f"more cycles{OTHER_SPEEDS}")
+        if runs > 1:
+            split = split.removesuffix(OTHER_SPEEDS)
+        if GIVE in best.fit.active and not measured:
+            return (
+                f"{named} on a belt that slows under load, or {others}: the same motion, told twice "
+                f"({cycles} fit to {length(best.rms_m)}); {split} would tell"
+            )
         row = next(row for row in rows if row.law == members[1])
         gap = abs(row.behind[0] - best.behind[0])
         return (
-            f"{named} or {others}: {best.cycles} cycles cannot tell them apart (their errors differ by "
+            f"{named} or {others}: {cycles} cannot tell them apart (their errors differ by "
             f"{100 * math.expm1(gap):.0f} %, within the scatter between cycles); {split} would"
         )
-    fit = f"its {best.cycles} cycles fit to {length(best.rms_m)}"
+    fit = f"its {cycles} fit to {length(best.rms_m)}"
     rest = [row for row in rows if row.law not in members]
     if not rest:
         return f"{named}, the only law fitted: {fit}"
@@ -72,11 +90,18 @@ def warnings(
     """Return what a reader must know beside the verdict."""
     best = rows[0]
     said = []
-    if sustained and any(LAWS[law].ramp for law in members) and kinematics.recording.belt_velocity is None:
+    if any(LAWS[law].ramp for law in members) and not motion.belt_measured:
         said.append(
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
             "may be laws 1, 3, 5 on a belt that droops"
         )
+    if motion.give is not None:
+        droop = best.parameters["droop"]
+        share = 100 * droop.value / motion.belt_speed
+        said.append(f"the belt slows under load, by {share:.2g} % at Fs: measured by its own counts, part of every law")
+    if motion.swing > 0:
+        share = 100 * motion.swing / motion.belt_speed
+        said.append(f"the belt's counted speed swings by {share:.2g} % rms beside its load: the fit takes it as steady")
     if motion.datum_prior is None:
         said.append(
             "no datum: the spring's rest position was fitted along; laws 1 and 3 then know only datum + Fs/k "
@@ -105,6 +130,13 @@ def warnings(
         if row.rms_m < 1.05 * best.rms_m and row.fit.u[D] > 10 * NO_RAMP * motion.belt_speed:
             said.append(f"a ramp narrower than {width.hi:.2g} m/s cannot be excluded")
     return tuple(said)
+
+
+def together(said: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
+    """Return the warnings of several runs: what holds for all of them once, the rest with the file's name before it."""
+    common = [text for text in said[0] if all(text in own for own in said)]
+    apart = ((name, text) for name, own in zip(names, said, strict=True) for text in own if text not in common)
+    return (*common, *(f"{name}: {text}" for name, text in apart))
 
 
 def _strained(best: LawResult, motion: Motion) -> list[str]:

@@ -134,7 +134,7 @@ def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:
             first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
             drag = (first, last) if last - first >= shortest else (0, 0)
         else:
-            first = middles[k - 1]
+            first = _riding(motion, middles[k - 1], last)
         stick = (first, last) if last - first >= shortest else (onset, onset)
         left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_THE_BELT * motion.belt_speed))
         slip = (left, min(middles[k], n))
@@ -169,6 +169,17 @@ def _calm(motion: Motion, onset: int, still: float) -> int:
     if not restless.size:
         return 0
     return int(np.searchsorted(motion.time, motion.time[restless[-1]] + motion.half_window))
+
+
+def _riding(motion: Motion, middle: int, last: int) -> int:
+    """Return the first sample from ``middle`` on at which the mass rides: a long overtaking goes on past the middle."""
+    v = motion.velocity[middle:last]
+    if v.size < 4:
+        return middle
+    fast = np.flatnonzero(v - np.median(v[v.size // 2 :]) > OVERTAKING * motion.belt_speed)
+    if not fast.size:
+        return middle
+    return int(np.searchsorted(motion.time, motion.time[middle + fast[-1]] + motion.half_window))
 
 
 def _overtakes(motion: Motion, landing: int, end: int) -> bool:

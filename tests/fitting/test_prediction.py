@@ -11,7 +11,7 @@ OMEGA = K**0.5
 
 def one_window(time, riding=0, overtakes=0, firm=0.0):
     return Windows(
-        table=np.array([[0, riding, 0, time.size, overtakes]], np.int64),
+        table=np.array([[0, riding, 0, time.size, overtakes, 0]], np.int64),
         epoch=np.array([time[0]]),
         firm=np.array([firm]),
         time=time,
@@ -21,9 +21,9 @@ def one_window(time, riding=0, overtakes=0, firm=0.0):
     )
 
 
-def predicted(windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, wear=0.0):
-    u = np.array([K, np.log(F), V, shape, d, datum, c, wear])
-    evaluate = evaluator(curve, ramp, windows, u, list(range(8)), np.ones(8), np.ones(LOCALS))
+def predicted(windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, wear=0.0, give=0.0):
+    u = np.array([K, np.log(F), V, shape, d, datum, c, wear, give])
+    evaluate = evaluator(curve, ramp, windows, u, list(range(9)), np.ones(9), np.ones(LOCALS))
     return evaluate(u, local[None], False)[0]
 
 
@@ -73,16 +73,28 @@ def test_wear_lowers_the_level_as_a_smaller_level_would():
     assert worn == pytest.approx(np.array(path)[::1000], abs=6e-6)  # at four times the nominal wear
 
 
+@pytest.mark.parametrize("riding", [0, 1])
+def test_a_linear_jump_on_a_giving_belt_is_the_ramp_law_of_the_flows_table(riding):
+    time = np.linspace(0.0, 1.0 if riding == 0 else 0.6, 161)
+    first = start(0.128, 0.1, level=1.05, following=0.97) if riding == 0 else start(-0.05, 0.219, riding=True)
+    windows = one_window(time, riding=riding, firm=0.3)
+    slope, droop = 0.435, 0.004  # G_slip/Fs (s/m), m/s
+    giving = predicted(windows, first, curve=1, shape=slope, give=droop * K / F)
+    steeper = slope / (1 - droop * slope)
+    assert giving == pytest.approx(predicted(windows, first, curve=1, ramp=True, shape=steeper, d=droop), abs=1e-12)
+    assert np.abs(giving - predicted(windows, first, curve=1, shape=slope)).max() > 1e-4
+
+
 def test_derivatives_are_those_of_the_positions():
     rng = np.random.default_rng(3)
     time = np.linspace(0.0, 0.9, 91)
     windows = one_window(time, firm=0.3)
-    u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001])
-    scale, local_scale = np.ones(8), np.ones(LOCALS)
+    u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001, 0.02])
+    scale, local_scale = np.ones(9), np.ones(LOCALS)
     local = start(0.12, 0.15)[None]
-    evaluate = evaluator(2, True, windows, u, list(range(8)), scale, local_scale)
+    evaluate = evaluator(2, True, windows, u, list(range(9)), scale, local_scale)
     _, jacobian = evaluate(u, local, True)
-    direction, own = rng.standard_normal(8), np.r_[rng.standard_normal(4), 0, 0]
+    direction, own = rng.standard_normal(9), np.r_[rng.standard_normal(4), 0, 0]
     h = 1e-5
     up = evaluate(u + h * direction, local + h * own, False)[0]
     down = evaluate(u - h * direction, local - h * own, False)[0]

@@ -1,5 +1,7 @@
 """A record is cut where the mass leaves the belt, and the random break-away falls into no window."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -65,3 +67,14 @@ def test_excluded_cycles_keep_their_place(law5):
     assert [cycle.number for cycle in without.cycles] == [cycle.number for cycle in cut.cycles]
     assert [cycle.number for cycle in without.cycles if cycle.flag == "excluded"] == [2, 3]
     assert len(without.used) == len(cut.used) - 2
+
+
+def test_a_stick_window_begins_when_an_overtaking_has_ended(law5):
+    motion, cut = law5
+    first, end = cut.cycles[3].stick
+    velocity = motion.velocity.copy()
+    long = first + (end - first) // 2
+    velocity[first - 200 : long] += 0.1 * motion.belt_speed
+    later, same_end = windows.cut(replace(motion, velocity=velocity)).cycles[3].stick
+    assert motion.time[later] == pytest.approx(motion.time[long] + motion.half_window, abs=3e-3)
+    assert same_end == end

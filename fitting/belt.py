@@ -1,0 +1,115 @@
+"""What the belt's own counts say of the belt: how fast it runs without load, how much it gives, what else it does.
+
+A belt that slows in proportion to the load it carries gives way by ``give`` metres a second per metre of spring
+stretch.  In stick the load is the spring's pull, so the belt's measured velocity against the mass's position is a
+straight line of slope -give, whatever the friction law: the calibration knows nothing of the fit and the fit takes it
+as a prior.  In the flow it is droop = give Fs/k (`rig_sim.integrate.modes.Flow`).
+
+Samples within half a smoothing window of a stick's ends are left out, where slip is blurred into it.  The error of the
+line is the larger of two: of residuals that are alike within a smoothing window, and of residuals that are alike within
+a stick (ripple, a joint).
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.rig import Measured
+from processing.kinematics import Kinematics
+
+Array = NDArray[np.float64]
+
+SURE = 3.0  # standard errors: a belt that gives by less is taken as stiff
+SWING = 2e-3  # of the belt's speed: residual swing worth a word
+LOUD = 2.0  # times the swing that counting alone would show
+
+
+@dataclass(frozen=True)
+class BeltLine:
+    """The belt's velocity against the mass's position while the mass rides on it, in the record's own signs.
+
+    Attributes
+    ----------
+    speed : Measured
+        m/s, signed, at ``middle``: errors of speed and slope are then independent.
+    slope : Measured
+        d(velocity)/d(position), 1/s; -give.
+    middle : float
+        m, the mean position of the samples.
+    swing : float
+        m/s, root mean square of what the line leaves, less the noise of counting.
+    """
+
+    speed: Measured
+    slope: Measured
+    middle: float
+    swing: float
+
+    @property
+    def gives(self) -> bool:
+        """Whether the belt is seen to slow under load."""
+        return -self.slope.value > SURE * self.slope.sd
+
+    @property
+    def swings(self) -> bool:
+        """Whether the belt's speed swings by more than the load explains."""
+        return self.swing > SWING * abs(self.speed.value)
+
+    def unloaded(self, rest: Measured) -> Measured:
+        """Return the belt's speed without load, where the spring rests (``rest``, m), with its error."""
+        reach = rest.value - self.middle
+        value = self.speed.value + self.slope.value * reach
+        return Measured(value, math.hypot(self.speed.sd, math.hypot(self.slope.sd * reach, self.slope.value * rest.sd)))
+
+
+def line(kinematics: Kinematics) -> BeltLine | None:
+    """Fit the belt's line; None where the belt was not counted or no stick is long enough.
+
+    Parameters
+    ----------
+    kinematics : Kinematics
+        With a belt channel; its sticks are used.
+
+    Notes
+    -----
+    Not modelled: a belt whose give is not proportional to the load, or lags behind it.
+    """
+    velocity, errors = kinematics.belt_velocity, kinematics.belt_velocity_errors
+    if velocity is None or errors is None:
+        return None
+    half = kinematics.window // 2
+    parts = [np.arange(stick.first + half, stick.last + 1 - half) for stick in kinematics.sticks]
+    parts = [part for part in parts if part.size > kinematics.window]
+    if not parts:
+        return None
+    index = np.concatenate(parts)
+    x, v = kinematics.position[index], velocity[index]
+    middle = float(x.mean())
+    columns = np.c_[np.ones_like(x), x - middle]
+    found = np.linalg.lstsq(columns, v, rcond=None)[0]
+    rest = v - columns @ found
+    spread = np.maximum(_alike_in_windows(columns, rest, kinematics.window), _alike_in_sticks(columns, rest, parts))
+    noise = float(np.sqrt(np.mean(errors[index] ** 2)))
+    seen = float(np.sqrt(np.mean(rest**2)))
+    swing = math.sqrt(max(seen**2 - noise**2, 0.0)) if seen > LOUD * noise else 0.0
+    pitch = kinematics.recording.rig.belt_metres_per_count
+    scale = 0.0 if pitch is None else abs(pitch.sd / pitch.value)
+    speed = Measured(float(found[0]), math.hypot(float(spread[0]), scale * float(found[0])))
+    return BeltLine(speed, Measured(float(found[1]), float(spread[1])), middle, swing)
+
+
+def _alike_in_windows(columns: Array, rest: Array, window: int) -> Array:
+    """Return the standard errors of a line whose residuals are alike over ``window`` samples."""
+    square = float(rest @ rest) / max(rest.size / window - 2, 1)
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * square))
+
+
+def _alike_in_sticks(columns: Array, rest: Array, parts: list[NDArray[np.int64]]) -> Array:
+    """Return the standard errors of a line whose residuals are alike within a stick."""
+    ends = np.cumsum([part.size for part in parts])[:-1]
+    pushes = np.array([c.T @ r for c, r in zip(np.split(columns, ends), np.split(rest, ends), strict=True)])
+    bread = np.linalg.inv(columns.T @ columns)
+    few = len(parts) / max(len(parts) - 1, 1)
+    return np.asarray(np.sqrt(np.diag(bread @ (few * pushes.T @ pushes) @ bread)))

@@ -1,0 +1,89 @@
+"""Every law fitted to the runs: searched on the thinned record, then polished on the whole one, in one process or more.
+
+A ramp law starts a second time from its jump law, so the two of one curve are fitted one after the other; the three
+curves know nothing of each other and may be fitted side by side.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing import get_context
+
+from fitting import trajectory
+from fitting.setting import Run
+from fitting.trajectory import Fit
+from fitting.unknowns import D
+from rig_sim.friction.law import LAWS
+
+STUCK = 0.98  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
+CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
+
+Map = Callable[..., Iterator[list[Fit]]]
+
+
+def every(
+    laws: Sequence[int], runs: Sequence[Run], jobs: int = 1, progress: Callable[[float], None] | None = None
+) -> list[Fit]:
+    """Fit laws to runs of one contact.
+
+    Parameters
+    ----------
+    laws : sequence of int
+    runs : sequence of Run
+    jobs : int
+        Processes; more than one for each curve are not started.
+    progress : callable, optional
+        Called with the number of laws searched.
+
+    Returns
+    -------
+    list of Fit
+        Jump laws before ramp laws, each by number; a law whose flow cannot be followed is missing.
+    """
+    curves: dict[str, list[int]] = {}
+    for law in sorted(laws):
+        curves.setdefault(LAWS[law].curve, []).append(law)
+    found: list[Fit] = []
+    with _workers(min(jobs, len(curves))) as each:
+        done = 0
+        for own, chain in zip(curves.values(), each(partial(_curve, runs=runs), curves.values()), strict=True):
+            found += chain
+            done += len(own)
+            if progress is not None:
+                progress(float(done))
+        nearest = min((fit.rms for fit in found), default=0.0)
+        polished = list(each(partial(_polished, runs=runs, limit=CONTENDER * nearest), found))
+    return sorted((fit for own in polished for fit in own), key=lambda fit: (LAWS[fit.law].ramp, fit.law))
+
+
+@contextmanager
+def _workers(number: int) -> Iterator[Map]:
+    """Give ``map``, in this process or in several fresh ones."""
+    if number <= 1:
+        yield map
+        return
+    with ProcessPoolExecutor(number, mp_context=get_context("spawn")) as pool:
+        yield pool.map
+
+
+def _curve(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
+    """Search the laws of one curve, the jump law first."""
+    found: dict[int, Fit] = {}
+    slowest = min(run.motion.belt_speed for run in runs)
+    for law in laws:
+        fit = trajectory.search(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
+        if fit is not None:
+            found[law] = fit
+    for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
+        # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
+        narrow = found[ramp].u[D] < trajectory.NARROW * slowest
+        if narrow and found[ramp].usual < STUCK * found[ramp - 1].usual:
+            again = trajectory.search(ramp - 1, runs, found[ramp])
+            found[ramp - 1] = again if again is not None else found[ramp - 1]
+    return list(found.values())
+
+
+def _polished(fit: Fit, runs: Sequence[Run], limit: float) -> list[Fit]:
+    """Return the fit on every sample where its error is below ``limit``."""
+    return [trajectory.polish(fit, runs) if fit.rms < limit else fit]

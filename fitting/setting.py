@@ -1,0 +1,131 @@
+"""What stays the same while one law is fitted: starting values, scales, bounds, and the calibrations as priors."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.rig import Measured
+from fitting import regression, unknowns
+from fitting.motion import Array, Motion
+from fitting.unknowns import DAMPING, DATUM, GIVE, SHAPE, UNKNOWNS, V_DR
+from fitting.windows import Cut
+from rig_sim.friction.law import LAWS
+
+UNKNOWN_DAMPING = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
+STILL_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
+NO_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One record in the fit's frame, and its cycles; those without a flag are fitted."""
+
+    motion: Motion
+    cut: Cut
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What stays the same through a law's passes; arrays over the unknowns of all runs unless said otherwise."""
+
+    motions: tuple[Motion, ...]
+    curve: int
+    ramp: bool
+    active: tuple[int, ...]
+    start: Array
+    scale: Array
+    lower: Array
+    upper: Array
+    prior: Array
+    precision: Array
+    local_scale: Array  # (6,)
+
+    @classmethod
+    def of(cls, law: int, runs: Sequence[Run]) -> "Setting":
+        """Regress the start and turn the calibrations into priors.
+
+        Several runs start from the median of what their regressions say of the contact.
+        """
+        kind = LAWS[law]
+        motions = tuple(run.motion for run in runs)
+        first = [
+            regression.start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_guess(run.motion))
+            for run in runs
+        ]
+        K0, F, shape0, d = (
+            float(np.median([getattr(one, name) for one in first])) for name in ("K", "F", "shape", "d")
+        )
+        omega = math.sqrt(K0)
+        damping = damping_guess(motions[0], K0)
+        speed = min(motion.belt_speed for motion in motions)
+        travel = max(motion.travel for motion in motions)
+        shape = max(abs(shape0), 1e-3 / speed)
+        start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), UNKNOWNS))
+        upper[:] = np.inf
+        if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
+            upper[:, SHAPE] = STILL_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
+        for r, (motion, own) in enumerate(zip(motions, first, strict=True)):
+            datum, v = datum_guess(motion), motion.belt_speed
+            give = 0.0 if motion.give is None else motion.give.value
+            level = math.log(F)
+            start[r] = K0, level, own.v_dr, min(shape0, upper[0, SHAPE]), d, own.datum, damping.value, 0.0, give
+            scale[r] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
+            lower[r] = (
+                1e-6 * K0,
+                -np.inf,
+                0.05 * v,
+                0,
+                NO_RAMP * speed,
+                -np.inf,
+                0,
+                -np.inf,
+                NO_RAMP * v / motion.travel,
+            )
+            prior[r, DATUM], precision[r, DATUM] = datum.value, _precision(datum.sd, 1e-6 * motion.travel)
+            belt = motion.belt_prior
+            if belt is not None and belt.sd > 0:
+                prior[r, V_DR], precision[r, V_DR] = belt.value, _precision(belt.sd, 0.0)
+            if motion.give is not None:
+                prior[r, GIVE], precision[r, GIVE] = motion.give.value, _precision(motion.give.sd, 0.0)
+        prior[:, DAMPING], precision[:, DAMPING] = damping.value, _precision(damping.sd, 1e-6 * omega)
+        fastest = max(motion.belt_speed for motion in motions)
+        return cls(
+            motions=motions,
+            curve=kind.curve_code,
+            ramp=bool(kind.ramp),
+            active=unknowns.active(law, [motion.give is not None for motion in motions]),
+            start=start.ravel(),
+            scale=scale.ravel(),
+            lower=lower.ravel(),
+            upper=upper.ravel(),
+            prior=prior.ravel(),
+            precision=precision.ravel(),
+            local_scale=np.array([travel, fastest, 1.0, 1.0, travel, fastest]),
+        )
+
+
+def datum_guess(motion: Motion) -> Measured:
+    """Return what is known of the spring's rest position: the calibration, or the middle of the motion give or take it.
+
+    Without a datum laws 1 and 3 know only datum + Fs/k; the wide prior keeps the fit finite and its interval wide.
+    """
+    if motion.datum_prior is not None:
+        return motion.datum_prior
+    middle = 0.5 * float(motion.position.max() + motion.position.min())
+    return Measured(middle, 0.5 * motion.travel)
+
+
+def damping_guess(motion: Motion, K: float) -> Measured:
+    """Return c/m, 1/s: the ring-down's, or 0 give or take a hundredth of the critical damping."""
+    known = motion.damping_prior
+    mass = motion.mass.value if motion.mass else motion.stiffness.value / K if motion.stiffness else None
+    if known is None or mass is None:
+        return Measured(0.0, UNKNOWN_DAMPING * 2 * math.sqrt(K))
+    return Measured(known.value / mass, known.sd / mass)
+
+
+def _precision(sd: float, exact: float) -> float:
+    """Return 1/sd^2; a calibration stated without an error counts as known to ``exact``."""
+    return 1 / max(sd, exact) ** 2 if max(sd, exact) > 0 else 0.0

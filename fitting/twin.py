@@ -1,0 +1,64 @@
+"""The same motion told twice: a narrow ramp, or a jump on a belt that slows under load.
+
+Without the belt's own counts the two are one observable (`rig_sim.integrate.modes`, droop): a belt that loses 1 % of
+its speed at the load Fs turns law 5 into a perfect law 6.  So where a ramp law is in the set and its ramp is no wider
+than a belt may well give, its jump law is fitted once more with a give of its own, and joins the set when it then
+errs no more.  A wider ramp is taken as one: no belt drive loses that much.  Runs at several belt speeds can split the
+two: a ramp is as wide at every speed, a belt gives as its drive makes it, so each run's give is its own.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daq.rig import Measured
+from fitting import trajectory
+from fitting.motion import Array
+from fitting.setting import Run
+from fitting.trajectory import Fit
+from fitting.unknowns import GIVE, LOG_F, UNKNOWNS, D, K
+from rig_sim.friction.law import LAWS
+
+WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
+SAME = 0.05  # log error: what a drooping hyperbola and a ramp in front of one may differ by
+
+
+def of(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:
+    """Fit the jump law of a narrow ramp on a belt that gives way.
+
+    Parameters
+    ----------
+    fits : sequence of Fit
+    members : sequence of int
+        The set, best first.
+    runs : sequence of Run
+        What was fitted.
+
+    Returns
+    -------
+    Fit or None
+        None where a belt was measured, where the set's best ramp law is no narrow ramp, or where its jump law is in
+        the set already, was not to be fitted, or leads nowhere.
+    """
+    if any(run.motion.belt_measured for run in runs):
+        return None
+    ramp = next((law for law in members if LAWS[law].ramp), None)
+    found = {fit.law: fit for fit in fits}
+    if ramp is None or ramp - 1 in members or ramp - 1 not in found:
+        return None
+    near = found[ramp]
+    if near.u[D] > WIDEST * min(run.motion.belt_speed for run in runs):
+        return None
+    give = float(near.u[D] * near.u[K]) / math.exp(near.u[LOG_F])
+    start = near.u.copy()
+    start[GIVE::UNKNOWNS] = give
+    giving = [replace(run, motion=replace(run.motion, give=Measured(give, give))) for run in runs]
+    fit = trajectory.search(ramp - 1, giving, replace(near, u=start))
+    return None if fit is None else trajectory.polish(fit, giving)
+
+
+def lag(twin: Array, ramp: Array) -> float:
+    """Return how much worse than the ramp law the twin errs: mean difference of log errors (units,)."""
+    return float(np.mean(twin - ramp))

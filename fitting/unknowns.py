@@ -1,0 +1,46 @@
+"""The unknowns that cycles share: which there are, which of them several runs share, and where each stands.
+
+One run has nine, in the order below.  Several runs of one contact have nine each, end to end; the law's own and the
+damping are one number for all, standing first and copied to every run, the others are each run's own.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig_sim.friction.law import LAWS
+
+Array = NDArray[np.float64]
+
+K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, WEAR, GIVE = range(9)
+UNKNOWNS = 9
+SHARED = (K, LOG_F, SHAPE, D, DAMPING)  # by all runs
+CALIBRATED = (DATUM, DAMPING, WEAR, GIVE)  # what every law has besides its own
+
+
+def active(law: int, gives: Sequence[bool]) -> tuple[int, ...]:
+    """Return the places of the unknowns that a law has; ``gives`` tells of each run's belt whether it gives way."""
+    kind = LAWS[law]
+    shape = () if kind.curve == "constant" else (SHAPE,)
+    ramp = () if kind.contact == "jump" else (D,)
+    found = [K, LOG_F, V_DR, *shape, *ramp, DATUM, DAMPING, WEAR, *((GIVE,) if gives[0] else ())]
+    for run, give in enumerate(gives[1:], start=1):
+        found += [UNKNOWNS * run + slot for slot in (V_DR, DATUM, WEAR, *((GIVE,) if give else ()))]
+    return tuple(found)
+
+
+def columns(places: Sequence[int], runs: int) -> NDArray[np.int64]:
+    """Return which of a run's nine each place is, shape (runs, places); -1 where the run does not know it."""
+    table = np.full((runs, len(places)), -1, np.int64)
+    for j, place in enumerate(places):
+        run, slot = divmod(place, UNKNOWNS)
+        table[slice(None) if slot in SHARED else run, j] = slot
+    return table
+
+
+def spread(u: Array) -> Array:
+    """Return the unknowns of all runs with what they share copied from the first."""
+    whole = u.reshape(-1, UNKNOWNS).copy()
+    whole[:, SHARED] = whole[0, SHARED]
+    return whole.ravel()

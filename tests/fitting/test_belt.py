@@ -1,0 +1,125 @@
+"""A counted belt: its give under load is measured apart from any law, and tells a ramp from a belt that slows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from daq import ports, runfile
+from daq.errors import InputError
+from daq.record import Request, record
+from fitting import belt
+from fitting.curves import points
+from fitting.ranking import rank
+from processing.smoothing import smooth
+
+FS_OVER_K = 1.379353536 / 10.5552
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    """Give a function that records the rig scene, changed, and smooths it; remembered by its changes."""
+    folder, made = tmp_path_factory.mktemp("belt"), {}
+
+    def of(*changes, duration=20.0):
+        key = (*changes, duration)
+        if key not in made:
+            path = folder / f"run{len(made)}.h5"
+            record(Request(ports.rig_url("rig", ["seed=5", *changes], False), path, 1000, duration))
+            made[key] = smooth(runfile.load(path))
+        return made[key]
+
+    return of
+
+
+@pytest.mark.parametrize("law", [3, 5, 6])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_give_is_read_off_the_sticks_whatever_the_law(simulated, law, sign):
+    motion = simulated(
+        "belt.channel=true", "droop.fraction=0.02", f"friction.law={law}", f"belt.speed={0.22 * sign}", "scatter.Fs=0"
+    )
+    line = belt.line(motion)
+    assert line.gives
+    assert not line.swings
+    assert -line.slope.value == pytest.approx(0.02 * 0.22 / FS_OVER_K, abs=3 * line.slope.sd)
+    assert line.slope.sd < 0.02 * abs(line.slope.value)
+    free = line.unloaded(motion.recording.rig.datum)
+    assert free.value == pytest.approx(0.22 * sign, abs=3 * free.sd)
+
+
+def test_a_stiff_belt_is_not_said_to_give(simulated):
+    line = belt.line(simulated("belt.channel=true"))
+    assert not line.gives
+    assert abs(line.slope.value) < 0.05 * 0.0022 / FS_OVER_K
+
+
+def test_without_a_channel_there_is_no_line(simulated):
+    assert belt.line(simulated("droop.fraction=0.01")) is None
+
+
+@pytest.mark.parametrize("law", [1, 3, 5])
+def test_a_belt_that_slows_cannot_be_told_from_a_ramp_without_its_counts(simulated, law):
+    ranking = rank(simulated("droop.fraction=0.01", f"friction.law={law}"))
+    assert ranking.laws_in_set == (law, law + 1)
+    assert "belt tachometer" in ranking.verdict
+    assert any("slows under load" in warning for warning in ranking.warnings)
+
+
+@pytest.mark.parametrize("law", [1, 3, 5])
+def test_with_its_counts_the_jump_law_stands_alone(simulated, law):
+    ranking = rank(simulated("belt.channel=true", "droop.fraction=0.01", f"friction.law={law}"))
+    assert ranking.laws_in_set == (law,)
+    droop = ranking.best.parameters["droop"]
+    assert droop.value == pytest.approx(0.0022, rel=0.01)
+    if law != 1:  # its one drag is one witness: no spread between cycles to make an interval of
+        assert droop.lo <= 0.0022 <= droop.hi
+    assert ranking.best.rms_m < 1.1 * 7.67e-6 / np.sqrt(12)
+    assert not any("look the same" in warning for warning in ranking.warnings)
+
+
+def test_a_ramp_on_a_belt_that_slows_keeps_its_own_width(simulated):
+    ranking = rank(simulated("belt.channel=true", "droop.fraction=0.01", "friction.law=6"), laws=(5, 6))
+    assert ranking.laws_in_set == (6,)
+    width = ranking.best.parameters["d"]
+    assert width.lo <= 0.03 <= width.hi
+    assert width.stderr < 1e-4
+
+
+def test_a_stronger_break_away_does_not_pass_for_a_ramp_on_a_counted_belt(simulated):
+    ranking = rank(simulated("belt.channel=true", "friction.static=1.3"), laws=(5, 6))
+    assert ranking.laws_in_set == (5,)
+
+
+def test_a_wide_ramp_is_not_taken_for_a_belt(simulated):
+    assert rank(simulated("friction.law=6"), laws=(5, 6)).laws_in_set == (6,)
+
+
+def test_a_stated_speed_goes_before_the_belts_counts(simulated):
+    motion = simulated("belt.channel=true", "droop.fraction=0.01", "friction.law=5")
+    assert rank(motion, laws=(5, 6), belt_speed="channel").laws_in_set == (5,)
+    stated = rank(motion, laws=(5, 6), belt_speed=0.22)
+    assert stated.laws_in_set == (5, 6)
+    assert any("look the same" in warning for warning in stated.warnings)
+
+
+def test_counts_that_are_not_there_are_refused(simulated):
+    motion = simulated("droop.fraction=0.01", "friction.law=5")
+    with pytest.raises(InputError, match="no belt counts"):
+        rank(motion, belt_speed="channel")
+    with pytest.raises(InputError, match="belt speed"):
+        rank(motion, belt_speed="fast")
+
+
+def test_a_belt_that_swings_is_told(simulated):
+    ranking = rank(simulated("belt.channel=true", "belt.ripple=0.0044", "belt.ripple_hz=3"), laws=(5, 6))
+    assert any("swings by 1.4 %" in warning for warning in ranking.warnings)
+    assert 5 in ranking.laws_in_set
+
+
+def test_measured_points_of_a_stick_lie_at_rest_on_the_giving_belt(simulated):
+    ranking = rank(simulated("belt.channel=true", "droop.fraction=0.02", "friction.law=5"), laws=(5,))
+    w, _, stick = points(ranking)
+    assert abs(np.median(w[stick])) < 1e-4
+    rigid = replace(ranking.best.fit, u=np.r_[ranking.best.fit.u[:8], 0.0])
+    unbent, _, _ = points(replace(ranking, rows=(replace(ranking.best, fit=rigid),)))
+    assert np.std(unbent[stick]) > 5 * np.std(w[stick])

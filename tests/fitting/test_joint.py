@@ -1,0 +1,183 @@
+"""Several runs of one contact fitted together: one law, one spring, a belt speed for each run."""
+
+import shutil
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+
+from daq import runfile
+from daq.errors import DataError, InputError
+from fitting import cli, unknowns
+from fitting.ranking import rank
+from fitting.unknowns import DATUM, GIVE, UNKNOWNS, V_DR, WEAR, D, K
+from processing.smoothing import smooth
+
+SPEEDS = (0.1, 0.2, 0.3)
+
+
+@pytest.fixture(scope="module")
+def runs_of(synthetic):
+    """Give a function that smooths one contact's runs at three belt speeds, nominal disturbances and all."""
+    made = {}
+
+    def of(law, seed, kick=None):
+        key = (law, seed, kick)
+        if key not in made:
+            scenes = [synthetic.nominal(law, seed, belt=speed, duration=16.0) for speed in SPEEDS]
+            if kick is not None:
+                scenes = [replace(scene, kick=kick) for scene in scenes]
+            made[key] = [
+                smooth(synthetic.recording(replace(scene, seed=10 * seed + n))) for n, scene in enumerate(scenes)
+            ]
+        return made[key]
+
+    return of
+
+
+def test_what_runs_share_stands_once_and_the_rest_is_their_own():
+    places = unknowns.active(6, [False, True])
+    table = unknowns.columns(places, 2)
+    own = [UNKNOWNS + slot for slot in (V_DR, DATUM, WEAR, GIVE)]
+    assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
+    assert (table[:, places.index(K)] == K).all()
+    assert table[:, places.index(V_DR)].tolist() == [V_DR, -1]
+    assert table[:, places.index(UNKNOWNS + GIVE)].tolist() == [-1, GIVE]
+    spread = unknowns.spread(np.arange(18.0)).reshape(2, UNKNOWNS)
+    assert spread[1, [K, D]].tolist() == [K, D]
+    assert spread[1, V_DR] == UNKNOWNS + V_DR
+
+
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
+def test_three_belt_speeds_put_the_true_law_first(runs_of, law):
+    ranking = rank(runs_of(law, 2))
+    assert ranking.best.law == law
+    assert law in ranking.laws_in_set
+    if law in (4, 6):
+        assert ranking.laws_in_set == (law,)
+    assert "of 3 runs" in ranking.verdict
+    assert ranking.best.cycles == sum(run.best.cycles for run in ranking.runs)
+    for speed, run in zip(SPEEDS, ranking.runs, strict=True):
+        assert run.best.parameters["v_dr"].value == pytest.approx(speed, rel=3e-3)
+        assert run.best.parameters["k/m"] == ranking.best.parameters["k/m"]
+    assert ranking.best.parameters["k/m"].value == pytest.approx(35.184, rel=1e-3)
+    if law in (4, 6):
+        assert ranking.best.parameters["d"].value == pytest.approx(0.03, rel=0.03)
+
+
+def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(runs_of):
+    fit = rank(runs_of(5, 2), laws=(5,)).rows[0].fit
+    cross = fit.solution.blocks.cross
+    own = list(fit.active).index(UNKNOWNS + V_DR)
+    assert np.abs(cross[fit.windows.run == 1, own]).max() > 0
+    assert not cross[fit.windows.run != 1, own].any()
+
+
+def test_one_run_in_a_list_is_that_run(runs_of):
+    run = runs_of(5, 2)[1]
+    alone, listed = rank(run, laws=(3, 5)), rank([run], laws=(3, 5))
+    assert listed.runs == ()
+    assert listed.best.parameters == alone.best.parameters
+    assert listed.verdict == alone.verdict
+
+
+def test_narrow_ramps_are_told_from_belts_that_give_by_a_share_of_their_speed(tmp_path):
+    from daq import ports
+    from daq.record import Request, record
+
+    runs = []
+    for number, speed in enumerate(SPEEDS):
+        path = tmp_path / f"run{number}.h5"
+        listed = [f"belt.speed={speed}", "droop.fraction=0.01", "friction.law=5", f"seed={number}"]
+        record(Request(ports.rig_url("rig", listed, False), path, 1000, 20.0))
+        runs.append(smooth(runfile.load(path)))
+    assert rank(runs[1], laws=(5, 6)).laws_in_set == (5, 6)
+    assert rank(runs, laws=(5, 6)).laws_in_set == (5,)
+
+
+def test_constant_friction_is_told_by_the_drags_of_all_runs(runs_of):
+    for law in (1, 2):
+        assert rank(runs_of(law, 3, kick=0.0)).laws_in_set == (law,)
+
+
+def test_runs_that_stick_and_runs_that_graze_are_not_one_contact(runs_of):
+    with pytest.raises(DataError, match="in other runs there is"):
+        rank([runs_of(5, 2)[1], runs_of(1, 3, kick=0.0)[1]])
+
+
+@pytest.mark.parametrize("flags", [{"belt_speed": 0.2}, {"excluded": (1,)}])
+def test_what_means_one_run_is_refused_beside_several(runs_of, flags):
+    with pytest.raises(InputError, match="several runs"):
+        rank(runs_of(5, 2), **flags)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory, runs_of):
+    folder, paths = tmp_path_factory.mktemp("joint"), []
+    for number, kinematics in enumerate(runs_of(5, 2), start=1):
+        data = kinematics.recording
+        paths.append(folder / f"run{number}.h5")
+        runfile.write(
+            paths[-1],
+            runfile.RunData(
+                title="synthetic",
+                started=data.started,
+                ended=data.ended,
+                rate_hz=data.rate_hz,
+                rig=data.rig,
+                time=data.time,
+                position=data.position,
+            ),
+        )
+    return paths
+
+
+def test_the_command_fits_its_files_together_and_writes_to_each(files):
+    answer = cli.fit(*files, laws="3,5")
+    assert answer.data["set"] == [5]
+    assert answer.exit_code == 0
+    assert [run["file"] for run in answer.data["runs"]] == files
+    assert {cycle["run"] for cycle in answer.data["cycles"]} == {1, 2, 3}
+    for speed, run in zip(SPEEDS, answer.data["runs"], strict=True):
+        assert run["parameters"]["v_dr"]["value"] == pytest.approx(speed, rel=3e-3)
+        assert run["report"].exists()
+    for path, run in zip(files, answer.data["runs"], strict=True):
+        with h5py.File(path) as file:
+            assert file["entry/fit/parameters/verdict"][()].decode() == answer.data["verdict"]
+            assert file["entry/fit_law5/parameters/v_dr"][()] == run["parameters"]["v_dr"]["value"]
+
+
+def test_reports_of_several_runs_are_numbered(files, tmp_path):
+    from fitting import report
+
+    assert [place.name for place in report.places(files, tmp_path / "all.html")] == [
+        "all.html",
+        "all-2.html",
+        "all-3.html",
+    ]
+
+
+def test_a_run_named_twice_is_refused(files, tmp_path):
+    same = tmp_path / "same.h5"
+    shutil.copy(files[0], same)
+    with pytest.raises(InputError, match="named twice"):
+        cli.fit(same, same)
+
+
+def test_several_processes_give_the_same_ranking_to_the_last_bit(runs_of):
+    alone, side_by_side = (rank(runs_of(4, 2), laws=(3, 4, 5), jobs=jobs) for jobs in (1, 3))
+    for one, other in zip(alone.rows, side_by_side.rows, strict=True):
+        assert (one.law, one.score, one.rms_m, one.parameters) == (
+            other.law,
+            other.score,
+            other.rms_m,
+            other.parameters,
+        )
+        assert (one.fit.residual == other.fit.residual).all()
+    assert alone.verdict == side_by_side.verdict
+
+
+def test_fewer_than_one_process_is_refused(runs_of):
+    with pytest.raises(InputError, match="jobs"):
+        rank(runs_of(4, 2), jobs=0)
