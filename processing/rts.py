@@ -95,7 +95,8 @@ def fit(series: Series) -> Noise:
         stretches = _stretches(series, length)
         if not stretches:
             return Noise(math.exp(LOG_RHO[0]) * floor / series.interval**5, floor)
-        third = np.median(np.abs(np.concatenate([np.diff(position, 3) for _, position in stretches])))
+        # not the median: where the belt moves whole counts a sample, most third differences are nothing but rounding
+        third = np.percentile(np.abs(np.concatenate([np.diff(position, 3) for _, position in stretches])), 90)
         scale = max(float(third) ** 2 / 20, floor)  # near the variance of a reading, so that numbers stay near 1
         log_rho, reading = _likeliest([(time, position / math.sqrt(scale)) for time, position in stretches])
         whole = len(stretches) * length < LOOKED_AT or length >= LOOKED_AT

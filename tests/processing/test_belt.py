@@ -156,11 +156,3 @@ def test_the_command_reports_the_counted_speed_and_the_export_has_its_columns(
     assert terminal.run(app, ["export", str(path), "--csv", str(tmp_path / "out.csv")]) == 0
     table = pd.read_csv(tmp_path / "out.csv")
     assert {"belt_velocity_m_per_s", "belt_velocity_error_m_per_s"} <= set(table.columns)
-
-
-def test_a_fit_with_the_belts_counts_is_refused_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from fitting.cli import app as fitting
-
-    path, _ = run(tmp_path / "run.h5", duration=4.0)
-    assert terminal.run(fitting, [str(path), "--belt-speed", "channel"]) == 2
-    assert "it cannot use the belt's counts yet" in capsys.readouterr().err
