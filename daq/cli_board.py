@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from daq import terminal
 from daq.cli_record import Baud, Columns, DecoderName, Force, PortName, ProtocolName, Rate, RigFile, rig_port
-from daq.errors import EXIT_DATA, EXIT_DONE, InputError
+from daq.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
 from daq.terminal import Answer, Json
 
 if TYPE_CHECKING:
@@ -167,9 +167,11 @@ def calibrate(
         ring = measure.ring_down(found)
         warnings += summary.warnings
         if ring.poor:
-            warnings.append(
+            raise DataError(
                 f"the motion is not that of a spring with friction: off by {ring.rms:.3g} counts (rms) of "
-                f"{ring.amplitude:.4g}; do not trust the values"
+                f"{ring.amplitude:.4g}",
+                "ring-down",
+                "stop the belt, pull the mass aside, let it go and leave it alone; or --no-ring-down",
             )
     if found is None:
         raise ValueError("neither step was taken")
@@ -184,7 +186,8 @@ def calibrate(
         decoder=known.decoder,
     )  # fmt: skip
     text = _commented(ring) + made.to_toml() + board
-    output.write_text(text, encoding="utf-8")
+    with runfile.replacing(output, force) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     data = _as_json(made.metres_per_count, ring) | {"file": output, "rig": _values(made), "warnings": warnings}
     return Answer(data, _as_text(data, ring, warnings, output))
 

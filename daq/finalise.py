@@ -223,12 +223,37 @@ def _summary(
         unit="m" if rig.metres_per_count is not None else "count",
         warnings=(),
     )
-    warnings = [*taken.header["warnings"], *warnings, *_findings(summary, samples, checked, rig, said)]
+    findings = _findings(summary, samples, checked, rig, said)
+    warnings = [*taken.header["warnings"], *warnings, *_absences(taken.records), *findings]
     if taken.lost_tail:
         warnings.append(f"the last {taken.lost_tail} bytes of the journal were cut short: its last record")
     if taken.damaged:
         warnings.append(f"{taken.damaged} bytes of the journal are in damaged records; it is kept: {taken.path.name}")
     return replace(summary, warnings=tuple(warnings))
+
+
+def _absences(records: Sequence[journal.Record]) -> list[str]:
+    """Return one sentence for each time the port was lost, with how long it was away, or when it was lost for good."""
+    first = heard = None
+    lost = ""
+    told = []
+    for record in records:
+        if record.kind == journal.RECEIVED:
+            if first is None:
+                first = record.stamp_ns
+            heard = record.stamp_ns
+        elif record.kind == journal.LOST:
+            lost = record.data.decode(errors="replace")
+        elif heard is None or first is None:
+            continue
+        elif record.kind == journal.REOPENED:
+            told.append(
+                f"the port was lost ({lost}) and came back: {(record.stamp_ns - heard) / 1e6:.0f} ms are missing"
+            )
+            lost = ""
+        elif record.kind == journal.END and b"port lost" in record.data:
+            told.append(f"the port was lost ({lost}) {(heard - first) / 1e9:.3g} s after the start and never came back")
+    return told
 
 
 def _findings(found: Summary, samples: Samples, checked: Checked, rig: Rig, said: Sequence[stream.Stream]) -> list[str]:

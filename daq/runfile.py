@@ -221,6 +221,8 @@ def refuse_existing(path: Path, force: bool, source: Path | None = None) -> None
         raise InputError("would replace its own source", str(path), "give another name (-o)")
     if path.is_dir():
         raise InputError("is a folder", str(path), "give a file name")
+    if path.exists() and not path.is_file():
+        raise InputError("is a device, not a file", str(path), "give a file name")
     if path.exists() and not force:
         raise InputError("the output file exists", str(path), "give another name (-o), or --force to replace it")
     if not path.absolute().parent.is_dir():

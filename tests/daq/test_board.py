@@ -185,3 +185,11 @@ def test_counts_across_a_lost_port_are_not_joined(tmp_path):
     with pytest.raises(DataError, match="port was lost"):
         calibrate.metres_per_count(run, Measured(0.1))
     assert np.all(run.segment[:-1] == 0)
+
+
+def test_a_motion_that_is_no_ring_down_writes_no_calibration(tmp_path, capsys):
+    # It used to be written with a warning, and the next recording took it without one.
+    kept = tmp_path / "rig.toml"
+    assert terminal.run(app, ["calibrate", "--mass", "300 g", "--duration", "4", "-o", str(kept), "--yes"]) == 4
+    assert "not that of a spring" in capsys.readouterr().err
+    assert not kept.exists()

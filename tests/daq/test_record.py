@@ -706,3 +706,30 @@ def test_a_given_calibration_replaces_the_boards(tmp_path):
     assert run.rig.metres_per_count.value == 1e-3
     assert run.rig.mass is None
     assert run.config_toml == text
+
+
+def test_a_port_that_never_came_back_is_told_with_its_time(tmp_path, monkeypatch):
+    # It used to look like a healthy, short recording.
+    monkeypatch.setattr("daq.reader.REOPEN_S", 0.3)
+    real = ports.open_port
+    opened = []
+
+    class Pulled:
+        def __init__(self, port):
+            self._port, self._until = port, time.monotonic() + 0.5
+
+        def __getattr__(self, name):
+            if time.monotonic() > self._until:
+                raise OSError(5, "Input/output error")
+            return getattr(self._port, name)
+
+    def once(*given):
+        if opened:
+            raise OSError(2, "no such port")
+        opened.append(True)
+        return Pulled(real(*given))
+
+    monkeypatch.setattr(ports, "open_port", once)
+    found = record(Request("rig://rig?realtime=1", tmp_path / "run.h5", 1000, 5.0))
+    (told,) = [warning for warning in found.warnings if "never came back" in warning]
+    assert 0.1 < float(told.split(") ")[1].split(" s after")[0]) < 0.6
