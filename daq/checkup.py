@@ -104,7 +104,7 @@ def _parked(parked: Stretch, run: Recording) -> Finding:
     edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
     seen = f"{parked.counts:+d} counts in {parked.seconds:.3g} s, within a span of {parked.span}"
     if parked.span * edges > MOVED_EDGES and run.rig.decoder in ("x4", "x1"):
-        return Finding("parked drift", None, seen + ": the mass moved", "leave it alone while it is parked")
+        return Finding("parked drift", False, seen + ": the mass moved", "leave it alone while it is parked")
     do = "it vibrates about an edge: a J-K box counts that; use x4" if "jk" in run.rig.decoder else "check its mount"
     return Finding("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, seen, do)
 

@@ -85,7 +85,8 @@ def events(
     lines = [f"{'t':>22} {'x':>24}  kind"]
     lines += [f"{event.t:22.15g} {event.x:24.16g}  {event.kind}" for event in found.events]
     lines.append(f"{len(rows)} events, {found.steps} steps, outcome: {_outcome(found.outcome, found.advice)}")
-    return Answer({"events": rows, "outcome": found.outcome, "steps": found.steps}, "\n".join(lines))
+    data = {"events": rows, "outcome": found.outcome, "advice": found.advice, "steps": found.steps}
+    return Answer(data, "\n".join(lines))
 
 
 @app.command
@@ -129,6 +130,7 @@ def run(
         "samples": found.samples,
         "method": method,
         "outcome": found.outcome,
+        "advice": found.advice,
         "steps": found.steps,
     }
     ended = _outcome(found.outcome, found.advice)

@@ -75,7 +75,7 @@ def compare(scene: Scene, until: float, *, methods: Sequence[str] = METHODS) -> 
         raise InputError(
             "the flow changes between events",
             f"scene {scene.name}",
-            "compare a scene without belt.start, joint, wear and scatter",
+            "compare a scene without belt.start, belt.ripple, joint, wear and scatter",
         )
     runs, compile_s = _runs(scene, until, methods)
     measured = [(method, setting, *_timed(run)) for method, setting, run in runs]

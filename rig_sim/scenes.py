@@ -183,12 +183,12 @@ def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
     Raises
     ------
     InputError
-        A setting without ``=``.
+        A setting without ``=``, or of several lines.
     """
     changes: dict[str, object] = {}
     for setting in settings or ():
         key, equals, value = setting.partition("=")
-        if not equals or not key.strip() or not value.strip():
+        if not equals or not key.strip() or not value.strip() or "\n" in value.strip():
             raise InputError(f"{setting!r} is no change of a scene", "--set", "write section.key=value")
         changes[key.strip()] = _value(value.strip())
     return changes

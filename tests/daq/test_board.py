@@ -63,8 +63,8 @@ def test_a_vibrating_jk_box_fails_by_its_parked_drift(capsys):
 def test_a_mass_that_is_moved_while_parked_is_told_to_be_left_alone(capsys):
     code, found, _ = said(capsys, "check", "--parked", 3, "--move", 0)
     parked = next(check for check in found["checks"] if check["name"] == "parked drift")
-    assert code == 0
-    assert parked["ok"] is None
+    assert code == 4  # drift was not tried, and nobody is to go on to calibrate
+    assert parked["ok"] is False
     assert "moved" in parked["seen"]
 
 
