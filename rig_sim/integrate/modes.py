@@ -313,7 +313,8 @@ def slip_speed(fr: Frame, r: float) -> float:
     """Return the slip speed s on a drooping belt from r = s - lag s/(1 + gamma s), the speed beyond the edge (m/s)."""
     # gamma s^2 + (1 - lag - gamma r) s - r = 0, by the root formula that does not cancel
     linear = 1.0 - fr.lag - fr.gamma * r
-    root = math.sqrt(linear * linear + 4.0 * fr.gamma * r)
+    # below 0 only far before the edge, where a general solver's trial step may stray
+    root = math.sqrt(max(0.0, linear * linear + 4.0 * fr.gamma * r))
     return 2.0 * r / (root + linear) if linear > 0.0 else (root - linear) / (2.0 * fr.gamma)
 
 

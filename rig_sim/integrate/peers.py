@@ -69,7 +69,7 @@ def through(
         return Leg(STEP_LIMIT, 0, t, p, w, lambda _: (p, w))
 
     def at(t_at: float) -> tuple[float, float]:
-        p_at, w_at = found.sol(t_at - t)
+        p_at, w_at = found.sol(t_at - t) if found.sol is not None else found.y[:, -1]  # without, the end alone is asked
         return float(p_at), float(w_at)
 
     for (side, edge), times, states in zip(ends, found.t_events, found.y_events, strict=True):
