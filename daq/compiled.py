@@ -31,15 +31,19 @@ def compiled(function: Callable[..., Any], modules: tuple[str, ...]) -> Callable
     """
     for name in modules:
         register(name)
+    return build(function, cache_folder((*modules, function.__module__)))
+
+
+def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> Callable[..., Any]:
+    """Return ``function`` compiled with numba's ``options``, its machine code kept in ``folder``, if there is one."""
     import numba
     from numba import config
 
-    folder = cache_folder((*modules, function.__module__))
     settings = vars(config)  # numba reads the folder when a cache is enabled
     before = settings["CACHE_DIR"]
     try:
         settings["CACHE_DIR"] = str(folder) if folder else before
-        entry = numba.njit(function, cache=folder is not None)
+        entry = numba.njit(function, cache=folder is not None, **options)
     finally:
         settings["CACHE_DIR"] = before
     if folder is None or not any(folder.rglob(f"*.{function.__name__}-*.nbi")):
@@ -48,13 +52,14 @@ def compiled(function: Callable[..., Any], modules: tuple[str, ...]) -> Callable
 
 
 @cache
-def register(module: str) -> None:
-    """Make every function of a module callable from compiled code."""
+def register(module: str, **options: Any) -> None:
+    """Make every function of a module callable from compiled code, compiled with numba's ``options``."""
     from numba.extending import register_jitable
 
+    make = register_jitable(**options) if options else register_jitable
     for function in vars(import_module(module)).values():
         if inspect.isfunction(function) and function.__module__ == module:
-            register_jitable(function)
+            make(function)
 
 
 def cache_folder(modules: tuple[str, ...]) -> Path | None:

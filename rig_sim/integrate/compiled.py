@@ -4,15 +4,12 @@ Every kernel function is registered as jitable, then the entry is compiled: no s
 code is kept in a folder named by a hash of the kernels' sources, so a changed installation never meets a stale cache.
 """
 
-import hashlib
-import inspect
-import os
-import sys
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
-from pathlib import Path
 from typing import Any
+
+from daq.compiled import build, cache_folder, register
 
 KERNEL_MODULES = (
     "rig_sim.friction.curve",
@@ -59,56 +56,10 @@ def compile_entry(function: Callable[..., Any]) -> Callable[..., Any]:
     The first call of a function whose machine code is not yet cached says on stderr that it compiles.
     """
     register_kernels()
-    import numba
-    from numba import config
-
-    folder = cache_folder(function)
-    settings = vars(config)  # numba reads the folder when a cache is enabled
-    before = settings["CACHE_DIR"]
-    try:
-        settings["CACHE_DIR"] = str(folder) if folder else before
-        entry = numba.njit(function, cache=folder is not None, **JIT_OPTIONS)
-    finally:
-        settings["CACHE_DIR"] = before
-    if folder is None or not any(folder.rglob(f"*{function.__name__}*.nbi")):
-        sys.stderr.write(f"compiling {function.__name__}: once per installation, some ten seconds\n")
-    return entry  # type: ignore[no-any-return]
+    return build(function, cache_folder((*KERNEL_MODULES, function.__module__, __name__)), **JIT_OPTIONS)
 
 
-@cache
 def register_kernels() -> None:
     """Make every kernel function callable from compiled code."""
-    from numba.extending import register_jitable
-
     for name in KERNEL_MODULES:
-        module = import_module(name)
-        for function in vars(module).values():
-            if inspect.isfunction(function) and function.__module__ == name:
-                register_jitable(forceinline=True, **JIT_OPTIONS)(function)
-
-
-def cache_folder(function: Callable[..., Any]) -> Path | None:
-    """Return the writable folder for the machine code of ``function``, or None when there is none to be had."""
-    digest = hashlib.sha256()
-    for name in (*KERNEL_MODULES, function.__module__, __name__):
-        digest.update(Path(str(import_module(name).__file__)).read_bytes())
-    folder = cache_root() / f"kernels-{digest.hexdigest()[:16]}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
-    return folder if os.access(folder, os.W_OK) else None
-
-
-def cache_root() -> Path:
-    """Return where machine code is kept: $NUMBA_CACHE_DIR, else this user's cache folder."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen:
-        return Path(chosen) / "stickslip"
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = str(Path.home() / "Library" / "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-    return Path(base) / "stickslip"
+        register(name, forceinline=True, **JIT_OPTIONS)
