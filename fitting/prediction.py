@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitting import unknowns
 from fitting.motion import Array, Motion
-from fitting.unknowns import UNKNOWNS
+from fitting.unknowns import LOCALS, UNKNOWNS
 from fitting.windows import Cycle
 from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry
 from rig_sim.integrate.hybrid import sample_phase
@@ -27,10 +27,9 @@ from rig_sim.integrate.modes import (
     new_work,
 )
 
-LOCALS = 6
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
 HOLDS = 10.0  # break-away level of a jump's stick inside a window: the break-away itself lies in no window
-WEAR_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
+FADE_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
 
 
@@ -268,7 +267,7 @@ def follow(
 ) -> int:
     """Follow one window from its own start and store the position at ``times``; return 0 or an outcome.
 
-    The level is the cycle's own until the landing and the next one from there on, less what wear has taken.  A touch
+    The level is the cycle's own until the landing and the next one from there on, less what it has faded by.  A touch
     of the belt before ``firm`` is no landing: the mass slips on as soon as the load exceeds its level, so the motion
     depends continuously on where the window starts.  After the landing a jump's stick holds whatever the load: its
     break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on forwards under the new
@@ -306,17 +305,17 @@ def follow(
     else:
         mode = NEGATIVE if w <= 0.0 else POSITIVE
     work[STEPS] = 0.0
-    wear = u[7]
+    fade = u[7]
     t = times[0]
     last = times[n - 1]
     i = 0
     landed = riding == 1
     base = level
     while i < n:
-        # Wear lowers the level steadily; the flow's is constant, so it is lowered in small steps.
-        steady = wear == 0.0 or mode == STICK
-        end = last if steady else min(t + WEAR_STEP_S, last)
-        factor = base * (1.0 - wear * (0.5 * (t + end) - epoch))
+        # The level fades steadily; the flow's is constant, so it is lowered in small steps.
+        steady = fade == 0.0 or mode == STICK
+        end = last if steady else min(t + FADE_STEP_S, last)
+        factor = base * (1.0 - fade * (0.5 * (t + end) - epoch))
         if not factor > 0.0:
             return NOT_FINITE
         factor *= hold

@@ -152,12 +152,12 @@ def rank(
             fits[place], penalised[place] = double, _penalised(double, errors) if apart else penalised[ramp]
             chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
-    rows = tuple(_row(fit, chosen, runs, alpha) for fit in ordered)
+    rows = tuple(_row(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered)
     measured = all(run.motion.belt_measured for run in runs)
     words = verdict.sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
     sides = []
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
-        own = tuple(_side(row, run.motion, alpha, number) for row in rows)
+        own = tuple(_side(row, run.motion, alpha, number, sustained=sustained) for row in rows)
         events = break_aways.events(own[0].fit, run.motion, run.cut)
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, sustained=sustained)
         sides.append(Ranking(words, chosen.members, own, events, said, run.motion, run.cut))
@@ -317,10 +317,13 @@ def choose(evidence: Evidence, alpha: float) -> Choice:
     return Choice((*members, *others), tuple(members), score, weight, behind)
 
 
-def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float) -> LawResult:
-    parameters = uncertainty.parameters(fit, runs[0].motion, alpha)
+def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:
+    parameters = uncertainty.parameters(fit, runs[0].motion, alpha, sustained=sustained)
     if len(runs) > 1:
-        every = [uncertainty.parameters(fit, run.motion, alpha, number) for number, run in enumerate(runs)]
+        every = [
+            uncertainty.parameters(fit, run.motion, alpha, number, sustained=sustained)
+            for number, run in enumerate(runs)
+        ]
         parameters = {name: item for name, item in parameters.items() if name not in uncertainty.OWN}
         for number, own in enumerate(every, start=1):
             parameters |= {f"{name} ({number})": own[name] for name in uncertainty.OWN if name in own}
@@ -339,13 +342,13 @@ def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float) -> LawResu
     )
 
 
-def _side(row: LawResult, motion: Motion, alpha: float, run: int) -> LawResult:
+def _side(row: LawResult, motion: Motion, alpha: float, run: int, *, sustained: bool) -> LawResult:
     """Return a law's row as one of the runs sees it."""
     part = row.fit.part(run)
     return replace(
         row,
         rms_m=part.rms,
         cycles=len(part.rows),
-        parameters=uncertainty.parameters(row.fit, motion, alpha, run),
+        parameters=uncertainty.parameters(row.fit, motion, alpha, run, sustained=sustained),
         fit=part,
     )

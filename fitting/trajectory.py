@@ -1,7 +1,7 @@
 """One law fitted to the measured positions of every window at once: multiple shooting on the exact flow.
 
 Shared by all windows: k/m, Fs/m, belt speed, the curve's shape, the ramp's half-width, the spring's rest position,
-the damping, how fast the contact wears, and how much the belt gives under load.  Each cycle has six unknowns of its
+the damping, how fast a level fades, and how much the belt gives under load.  Each cycle has six unknowns of its
 own: where its slip window starts (x, v), its kinetic level, the level after the next landing, and where its stick
 window starts (x, v).  The levels are factors whose logarithms have mean 0; their prior carries their own scatter, so
 that Fs/m means the mean level and its interval the error of that mean.
@@ -18,15 +18,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.rig import Measured
-from fitting import schur, unknowns
+from fitting import schur, unknowns, wear
 from fitting.motion import Array, Motion
 from fitting.prediction import Windows, evaluator
 from fitting.setting import Run, Setting
-from fitting.unknowns import CALIBRATED, DATUM, LOG_F, UNKNOWNS, WEAR, D, K
+from fitting.unknowns import CALIBRATED, DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, UNKNOWNS, D, K
 from fitting.windows import Cycle
-
-X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)  # a cycle's own unknowns
 
 FIRST_SCATTER = 0.1  # standard deviation of the levels before the fit has seen them
 OVERTAKING_LEVEL = 0.9  # of the load at landing: the first guess of the level where the mass overtakes the belt
@@ -35,9 +32,11 @@ NARROW = 0.02  # of the belt's speed: the second start of a ramp law
 COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
-WEAR_PASS = (15, 1e-4)
+FADE_PASS = (15, 1e-4)
 FINE_PASS = (5, 1e-5)
-NO_TREND = 0.01  # 1/s: what wear may be where a run has too few cycles to show it
+NO_TREND = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
+
+LEAST_FADING = 1e-6  # 1/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +48,7 @@ class Fit:
     law : int
     u : (9 runs,) f8
         Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
-        datum (m), c/m (1/s), wear (fraction of the level lost per second), give (belt speed lost per metre of spring
+        datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), give (belt speed lost per metre of spring
         stretch, 1/s); see `fitting.unknowns`.
     active : tuple of int
         Which of them this law has and the fit moves.
@@ -105,7 +104,7 @@ class Fit:
 
     @property
     def free(self) -> int:
-        """Number of the law's own shared unknowns; what every law has besides (datum, damping, wear, give) not."""
+        """Number of the law's own shared unknowns; what every law has besides (datum, damping, fade, give) not."""
         return sum(place % UNKNOWNS not in CALIBRATED for place in self.active)
 
     @property
@@ -176,14 +175,14 @@ def _stride(motion: Motion) -> int:
 
 
 def polish(fit: Fit, runs: Sequence[Run]) -> Fit:
-    """Fit the whole record, wear included, from where the search on the thinned one ended.
+    """Fit the whole record, fading included, from where the search on the thinned one ended.
 
     The search's own fit is returned when that leads nowhere.
     """
     begun = clock.process_time()
     setting = Setting.of(fit.law, runs)
-    first = replace(fit.state, trend=_trends(fit.windows, fit.local))
-    last = _pass(setting, fit.windows, first, *WEAR_PASS)
+    first = replace(fit.state, fading=_fading(fit))
+    last = _pass(setting, fit.windows, first, *FADE_PASS)
     windows = Windows.joined([Windows.of(run.motion, run.cut.used) for run in runs])
     if last is not None and windows.time.size > fit.windows.time.size:
         last = _pass(setting, windows, _assume(last, fit.windows, setting.motions, first=False), *FINE_PASS)
@@ -195,7 +194,7 @@ def polish(fit: Fit, runs: Sequence[Run]) -> Fit:
 
 
 def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Sequence[Run], cpu_s: float) -> Fit:
-    active = tuple(k for k in setting.active if k % UNKNOWNS != WEAR or state.trend is not None)
+    active = tuple(k for k in setting.active if k % UNKNOWNS != FADE or state.fading is not None)
     index = list(active)
     solution = state.solution
     if solution is None or state.precision is None:
@@ -209,7 +208,7 @@ def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Seq
         rows=windows.rows,
         cycle_rms=state.cycle_rms,
         sigma=state.sigma,
-        deviations=(state.u[index] - setting.prior[index]) * np.sqrt(setting.precision[index]),
+        deviations=(state.u[index] - setting.prior[index]) * np.sqrt(setting.precision[index]),  # none of a fade
         solution=solution,
         precision=state.precision[index],
         windows=windows,
@@ -231,7 +230,7 @@ class State:
     weights: Array
     cycle_rms: Array
     solution: schur.Solution | None
-    trend: tuple[Measured, ...] | None = None  # wear of each run as the levels' trend shows it, 1/s
+    fading: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None: levels do not fade
     prior: Array | None = None
     precision: Array | None = None
 
@@ -274,12 +273,11 @@ def _settle(setting: Setting, windows: Windows, start: State) -> State | None:
 
 def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tolerance: float) -> State | None:
     """Minimise once with the noise assumed so far."""
-    # Wear is fitted last: the levels must be known first, whose trend says about how fast they fall.
-    index = [k for k in setting.active if k % UNKNOWNS != WEAR or state.trend is not None]
+    # Fading is fitted last: the levels must be known first, whose trend says about how much of it there may be.
+    index = [k for k in setting.active if k % UNKNOWNS != FADE or state.fading is not None]
     prior, precision = setting.prior.copy(), setting.precision.copy()
-    if state.trend is not None:
-        prior[WEAR::UNKNOWNS] = [trend.value for trend in state.trend]
-        precision[WEAR::UNKNOWNS] = [1 / trend.sd**2 for trend in state.trend]
+    if state.fading is not None:
+        precision[FADE::UNKNOWNS] = [1 / sd**2 for sd in state.fading]
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in setting.motions]
     local_sd = np.array([[x, v, state.scatter, state.scatter, x, v] for x, v in wide])[windows.run]
     problem = schur.Problem(
@@ -319,25 +317,13 @@ def _assume(state: State, windows: Windows, motions: Sequence[Motion], *, first:
     return replace(state, weights=weights, sigma=sigma, scatter=scatter)
 
 
-def _trends(windows: Windows, local: Array) -> tuple[Measured, ...]:
-    """Return how fast the levels of each run fall, 1/s, by a straight line through their logarithms."""
-    slips = windows.table[windows.table[:, 1] == 0]
-    epoch = windows.epoch[windows.table[:, 1] == 0]
-    return tuple(
-        _trend(epoch[slips[:, 5] == run], local[slips[slips[:, 5] == run, 0], LEVEL])
-        for run in range(int(slips[:, 5].max()) + 1)
-    )
-
-
-def _trend(epoch: Array, level: Array) -> Measured:
-    if level.size < 3:  # two points make a line without an error
-        return Measured(0.0, NO_TREND)
-    t = epoch - epoch.mean()
-    square = float(t @ t)
-    slope = float(t @ (level - level.mean())) / square
-    rest = level - level.mean() - slope * t
-    sd = math.sqrt(float(rest @ rest) / max(level.size - 2, 1) / square)
-    return Measured(-slope, max(sd, 1e-6))
+def _fading(fit: Fit) -> tuple[float, ...]:
+    """Return how much the levels of each run may fade within a cycle, 1/s: about what they lose from cycle to cycle."""
+    found = []
+    for run in range(fit.runs):
+        trend = wear.of(fit, run)
+        found.append(NO_TREND if trend is None else max(math.hypot(trend.rate.value, trend.rate.sd), LEAST_FADING))
+    return tuple(found)
 
 
 def effective_sigma(residual: Array, rows: list[slice]) -> float:

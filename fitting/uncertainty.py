@@ -5,19 +5,21 @@ cycles' own gradients says how far the estimate would move with other cycles.  W
 too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from daq.rig import Measured
+from fitting import wear
 from fitting.motion import Array, Motion
 from fitting.result import Parameter
 from fitting.schur import reduced
 from fitting.trajectory import Fit
-from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, WEAR, D, K, columns
+from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, D, K, columns
 from rig_sim.friction.law import LAWS
 
-OWN = ("v_dr", "x0", "wear", "droop")  # of each run; the other parameters are one for all
+OWN = ("v_dr", "x0", "Fs0/m", "wear", "droop")  # of each run; the other parameters are one for all
 
 
 def covariance(fit: Fit, precision: Array) -> Array:
@@ -42,10 +44,12 @@ def covariance(fit: Fit, precision: Array) -> Array:
     return np.asarray(sandwich * floor[:, None] * floor)
 
 
-def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str, Parameter]:
+def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustained: bool = True) -> dict[str, Parameter]:
     """Return a law's parameters with their intervals, in the record's own signs.
 
-    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second;
+    ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
+    sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
+    second, both by the line through the cycles' levels (`fitting.wear`);
     ``droop`` how much slower the belt runs under the load Fs.  The error of the metres per count enters every parameter
     that has a length in its unit.
 
@@ -59,6 +63,8 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str
         1 - confidence.
     run : int
         Whose own parameters are wanted, beside those that all runs share.
+    sustained : bool
+        Whether the contact sticks again and again: else its level is not made anew and shows no wear.
     """
     from scipy.stats import t as student
 
@@ -82,7 +88,7 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str
             value *= scale.value
         error = float(np.sqrt(max(variance, 0.0)))
         lo, hi = value - quantile * error, value + quantile * error
-        if name not in ("v_dr", "x0", "wear"):
+        if name not in ("v_dr", "x0"):
             lo = max(lo, 0.0)
         found[name] = Parameter(value, error, lo, hi, unit)
 
@@ -99,8 +105,13 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str
         add("d", "m/s", lambda u: float(u[D]), lengths=1)
     add("x0", "m", lambda u: motion.sign * float(u[DATUM]), lengths=1)
     add("c/m", "s^-1", lambda u: float(u[DAMPING]))
-    if WEAR in active:
-        add("wear", "s^-1", lambda u: float(u[WEAR]))
+    trend = wear.of(fit, run) if sustained else None
+    if trend is not None:
+        first, reach = trend.first, float(student.ppf(1 - alpha / 2, trend.freedom))
+        level, rate = found["Fs/m"], trend.rate
+        value, error = level.value * first.value, math.hypot(level.stderr * first.value, level.value * first.sd)
+        found["Fs0/m"] = Parameter(value, error, max(value - reach * error, 0.0), value + reach * error, level.unit)
+        found["wear"] = Parameter(rate.value, rate.sd, rate.value - reach * rate.sd, rate.value + reach * rate.sd, "s^-1")
     if GIVE in active:
         add("droop", "m/s", lambda u: float(u[GIVE] * np.exp(u[LOG_F]) / u[K]), lengths=1)
     if motion.mass is not None:

@@ -1,4 +1,4 @@
-"""The unknowns that cycles share: which there are, which of them several runs share, and where each stands.
+"""The unknowns: those that cycles share, which of them several runs share, where each stands; and a cycle's own.
 
 One run has nine, in the order below.  Several runs of one contact have nine each, end to end; the law's own and the
 damping are one number for all, standing first and copied to every run, the others are each run's own.
@@ -13,10 +13,12 @@ from rig_sim.friction.law import LAWS
 
 Array = NDArray[np.float64]
 
-K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, WEAR, GIVE = range(9)
+K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, FADE, GIVE = range(9)
 UNKNOWNS = 9
+X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)  # a cycle's own
+LOCALS = 6
 SHARED = (K, LOG_F, SHAPE, D, DAMPING)  # by all runs
-CALIBRATED = (DATUM, DAMPING, WEAR, GIVE)  # what every law has besides its own
+CALIBRATED = (DATUM, DAMPING, FADE, GIVE)  # what every law has besides its own
 
 
 def active(law: int, gives: Sequence[bool]) -> tuple[int, ...]:
@@ -24,9 +26,9 @@ def active(law: int, gives: Sequence[bool]) -> tuple[int, ...]:
     kind = LAWS[law]
     shape = () if kind.curve == "constant" else (SHAPE,)
     ramp = () if kind.contact == "jump" else (D,)
-    found = [K, LOG_F, V_DR, *shape, *ramp, DATUM, DAMPING, WEAR, *((GIVE,) if gives[0] else ())]
+    found = [K, LOG_F, V_DR, *shape, *ramp, DATUM, DAMPING, FADE, *((GIVE,) if gives[0] else ())]
     for run, give in enumerate(gives[1:], start=1):
-        found += [UNKNOWNS * run + slot for slot in (V_DR, DATUM, WEAR, *((GIVE,) if give else ()))]
+        found += [UNKNOWNS * run + slot for slot in (V_DR, DATUM, FADE, *((GIVE,) if give else ()))]
     return tuple(found)
 
 
