@@ -3,17 +3,24 @@
 Minimises  1/2 sum_c w_c |r_c(u, l_c)|^2 + 1/2 sum ((u - u0)/sd)^2 + 1/2 sum_c sum ((l_c - l0_c)/sd)^2
 over the shared unknowns u (p of them, within bounds) and the q unknowns l_c of each cycle c.  Each cycle's
 normal equations are q x q, so the cost grows with the number of cycles, not with its cube.
+
+The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other), and
+a straight step along it soon leaves its floor.  So each step is bent: the second derivative of the residuals along it,
+one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
+arXiv:1201.5885).
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fitting.motion import Array
 
 START_DAMPING, EASE, TIGHTEN = 1e-4, 30.0, 10.0
+REACH = 0.1  # of the step: where the second derivative along it is measured
+BENT = 0.75  # of the step: twice the acceleration may be as long, else the step is too far for a second order
 
 # Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
 Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
@@ -160,8 +167,11 @@ def minimise(
     while steps < max_steps:
         moved = False
         while damping < 1e10:
-            step, local_step = _step(problem, u, blocks, damping)
-            trial, local_trial = np.clip(u + step, problem.lower, problem.upper), local + local_step
+            step = _bent(problem, u, local, blocks, damping, residual, jacobian)
+            if step is None:
+                damping *= TIGHTEN
+                continue
+            trial, local_trial = np.clip(u + step[0], problem.lower, problem.upper), local + step[1]
             found = problem.evaluate(trial, local_trial, False)
             trial_value = math.inf if found is None else cost(problem, trial, local_trial, found[0])
             if trial_value < value:
@@ -188,6 +198,31 @@ def minimise(
             outcome = "converged"
             break
     return Solution(u, local, value, residual, blocks, outcome, steps)
+
+
+def _bent(
+    problem: Problem, u: Array, local: Array, blocks: Blocks, damping: float, residual: Array, jacobian: Array
+) -> tuple[Array, Array] | None:
+    """Return the damped step with its acceleration; None where it is too long for the second order to hold."""
+    p = u.size
+    step, local_step = _step(problem, u, blocks, damping)
+    near = problem.evaluate(u + REACH * step, local + REACH * local_step, False)
+    if near is None:
+        return None
+    push, local_push = np.zeros(p), np.zeros_like(local)
+    for k, (weight, rows) in enumerate(zip(problem.weights, problem.rows, strict=True)):
+        J = jacobian[rows]
+        straight = J[:, :p] @ step + J[:, p:] @ local_step[k]
+        bend = weight * (J.T @ ((near[0][rows] - residual[rows]) / REACH - straight)) * (2 / REACH)
+        push += bend[:p]
+        local_push[k] = bend[p:]
+    turn, local_turn = _step(problem, u, replace(blocks, g=push, gl=local_push), damping)
+    scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
+    length = float(scale @ step**2 + np.sum(local_scale * local_step**2))
+    turned = float(scale @ turn**2 + np.sum(local_scale * local_turn**2))
+    if turned > BENT**2 * length:
+        return None
+    return step + 0.5 * turn, local_step + 0.5 * local_turn
 
 
 def _step(problem: Problem, u: Array, blocks: Blocks, damping: float) -> tuple[Array, Array]:

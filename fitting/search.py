@@ -52,7 +52,7 @@ def every(
             done += len(own)
             if progress is not None:
                 progress(float(done))
-        nearest = min((fit.rms for fit in found), default=0.0)
+        nearest = min((fit.usual for fit in found), default=0.0)
         polished = list(each(partial(_polished, runs=runs, limit=CONTENDER * nearest), found))
     return sorted((fit for own in polished for fit in own), key=lambda fit: (LAWS[fit.law].ramp, fit.law))
 
@@ -86,4 +86,4 @@ def _curve(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
 
 def _polished(fit: Fit, runs: Sequence[Run], limit: float) -> list[Fit]:
     """Return the fit on every sample where its error is below ``limit``."""
-    return [trajectory.polish(fit, runs) if fit.rms < limit else fit]
+    return [trajectory.polish(fit, runs) if fit.usual < limit else fit]

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting import schur, unknowns, wear
 from fitting.motion import Array, Motion
@@ -33,9 +34,11 @@ COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
 FADE_PASS = (15, 1e-4)
-FINE_PASS = (5, 1e-5)
+FINE_PASS = (10, 1e-5)
 NO_TREND = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
 
+NO_LEVEL = 10.0  # standard deviation of a level that must not pull at the mean
+TRUSTED = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
 LEAST_FADING = 1e-6  # 1/s
 
 
@@ -59,6 +62,8 @@ class Fit:
         The residuals of each cycle.
     cycle_rms : (cycles,) f8
         m.
+    trusted : (cycles,) bool
+        False where a cycle fits so badly (a kick, lost counts) that its level says nothing.
     sigma : (runs,) f8
         Effective standard deviation of one residual, m: rms x sqrt(correlation time in samples).
     deviations : (p,) f8
@@ -82,6 +87,7 @@ class Fit:
     residual: Array
     rows: tuple[slice, ...]
     cycle_rms: Array
+    trusted: NDArray[np.bool_]
     sigma: Array
     deviations: Array
     solution: schur.Solution
@@ -127,6 +133,7 @@ class Fit:
             residual=np.concatenate([self.residual[self.rows[k]] for k in own]),
             rows=windows.rows,
             cycle_rms=self.cycle_rms[own],
+            trusted=self.trusted[own],
             sigma=self.sigma[[run]],
             deviations=self.deviations[slots >= 0],
             precision=self.precision[slots >= 0],
@@ -207,6 +214,7 @@ def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Seq
         residual=solution.residual,
         rows=windows.rows,
         cycle_rms=state.cycle_rms,
+        trusted=state.weights > TRUSTED,
         sigma=state.sigma,
         deviations=(state.u[index] - setting.prior[index]) * np.sqrt(setting.precision[index]),  # none of a fade
         solution=solution,
@@ -280,6 +288,7 @@ def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tole
         precision[FADE::UNKNOWNS] = [1 / sd**2 for sd in state.fading]
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in setting.motions]
     local_sd = np.array([[x, v, state.scatter, state.scatter, x, v] for x, v in wide])[windows.run]
+    local_sd[state.weights <= TRUSTED, LEVEL : NEXT_LEVEL + 1] = NO_LEVEL
     problem = schur.Problem(
         evaluate=evaluator(setting.curve, setting.ramp, windows, state.u, index, setting.scale, setting.local_scale),
         rows=windows.rows,
@@ -309,11 +318,12 @@ def _assume(state: State, windows: Windows, motions: Sequence[Motion], *, first:
     for run, motion in enumerate(motions):
         own = np.flatnonzero(windows.run == run)
         middle = max(float(np.median(state.cycle_rms[own])), motion.resolution)
-        weights[own] = np.minimum(2 / (1 + (state.cycle_rms[own] / middle) ** 2), 1.0)
+        excess = state.cycle_rms[own] / middle
+        weights[own] = np.minimum(2 / (1 + excess**2), 1.0)
         seen = effective_sigma(state.solution.residual, [windows.rows[k] for k in own if weights[k] > 0.5])
         # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
         sigma[run] = max(seen if first else min(seen, float(sigma[run])), motion.resolution)
-    scatter = float(np.clip(np.std(state.local[:, LEVEL]), 0.01, 0.5))
+    scatter = float(np.clip(np.std(state.local[weights > TRUSTED, LEVEL]), 0.01, 0.5))
     return replace(state, weights=weights, sigma=sigma, scatter=scatter)
 
 

@@ -62,9 +62,10 @@ def of(fit: "Fit", run: int = 0) -> Wear | None:
     Returns
     -------
     Wear or None
-        None with fewer than four cycles, or where the line says that there was nothing left to lose.
+        None with fewer than four cycles to trust, or where the line says that there was nothing left to lose.
     """
     own = (fit.windows.table[:, 1] == 0) & (fit.windows.table[:, 5] == run)
+    own &= fit.trusted[fit.windows.table[:, 0]]
     return line(fit.windows.epoch[own], np.exp(fit.local[fit.windows.table[own, 0], LEVEL]))
 
 
