@@ -19,6 +19,7 @@ import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.rig import Rig
+from fitting import absence
 from fitting import cycles as break_aways
 from fitting import motion as frame
 from fitting import search, twin, uncertainty, verdict, windows
@@ -35,7 +36,6 @@ ALL_LAWS = (1, 2, 3, 4, 5, 6)
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 FEWEST_CYCLES = 4
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
-WORST_FIT = 0.05  # of a slip's length: a best law that errs by more describes something else
 DRAG_BLOCKS = 8
 
 
@@ -127,13 +127,9 @@ def rank(
             "add --laws 1,2",
         )
     fits = search.every(competing, runs, jobs, progress)
-    longest = max(_slip_length(run.motion, run.cut) for run in runs)
-    if not fits or min(fit.rms for fit in fits) > WORST_FIT * longest:
-        raise DataError(
-            "no belt stick-slip in this record: no law comes near it",
-            ", ".join(sources),
-            "check the calibration and the belt speed, or look at it with 'process inspect'",
-        )
+    if what := absence.of_fits(fits, runs, sustained=sustained):
+        do = "check the calibration and the belt speed, or look at it with 'process inspect'"
+        raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
     if not sustained and all(run.cut.drag == (0, 0) or run.cut.cycles[0].flag for run in runs):
         raise DataError(
             "no belt stick-slip in this record: a sine without a start-up; constant friction is possible",
@@ -205,12 +201,9 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
     """Return whether the mass sticks in the long run; raise DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.plateau_fraction >= SUSTAINED for run in runs]
     sustained = all(kinds)
-    for run, source in zip(runs, sources, strict=True):
-        if not run.cut.used:
-            what = "no slip between two sticks" if not run.cut.cycles else "every cycle is left out"
-            raise DataError(
-                f"no belt stick-slip in this record: {what}", source, "record several cycles with the belt running"
-            )
+    for run, kind, source in zip(runs, kinds, sources, strict=True):
+        if what := absence.of_cycles(run.motion, run.cut, sustained=kind):
+            raise DataError(f"no belt stick-slip in this record: {what}", source, absence.AGAIN)
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
         raise DataError(
@@ -226,11 +219,6 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
             "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
         )
     return sustained
-
-
-def _slip_length(motion: Motion, cut: Cut) -> float:
-    """Return the median distance covered in a slip window, m."""
-    return float(np.median([np.ptp(motion.position[slice(*cycle.slip)]) for cycle in cut.used]))
 
 
 def _log_error(residual: Array, motion: Motion) -> float:

@@ -218,9 +218,10 @@ def _bent(
         local_push[k] = bend[p:]
     turn, local_turn = _step(problem, u, replace(blocks, g=push, gl=local_push), damping)
     scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
-    length = float(scale @ step**2 + np.sum(local_scale * local_step**2))
-    turned = float(scale @ turn**2 + np.sum(local_scale * local_turn**2))
-    if turned > BENT**2 * length:
+    with np.errstate(over="ignore"):  # a turn too long for a number is too long
+        length = float(scale @ step**2 + np.sum(local_scale * local_step**2))
+        turned = float(scale @ turn**2 + np.sum(local_scale * local_turn**2))
+    if not turned <= BENT**2 * length < math.inf:
         return None
     return step + 0.5 * turn, local_step + 0.5 * local_turn
 

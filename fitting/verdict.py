@@ -12,6 +12,7 @@ from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 OTHER_SPEEDS = ", or runs at other belt speeds"
+POOR_FIT = 0.003  # of the motion's range: five times what 12 % scatter, ripple and jitter leave over
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
     frozenset((3, 4)): f"a belt tachometer{OTHER_SPEEDS}",
@@ -90,6 +91,12 @@ def warnings(
     """Return what a reader must know beside the verdict."""
     best = rows[0]
     said = []
+    if best.fit.usual > POOR_FIT * motion.travel:
+        share = 100 * best.fit.usual / motion.travel
+        said.append(
+            f"no law fits well: the best one usually errs by {share:.2g} % of the motion, "
+            "so this friction may be none of the six"
+        )
     if any(LAWS[law].ramp for law in members) and not motion.belt_measured:
         said.append(
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "

@@ -10,11 +10,24 @@ import pytest
 from fitting.ranking import rank
 from processing.smoothing import smooth
 
-# Tests have no packages: the generator beside this file is loaded by its path.
-_spec = importlib.util.spec_from_file_location("fitting_synthetic", Path(__file__).with_name("synthetic.py"))
-synthetic_rig = importlib.util.module_from_spec(_spec)
-sys.modules["fitting_synthetic"] = synthetic_rig
-_spec.loader.exec_module(synthetic_rig)
+
+def _beside(name):
+    """Load a generator beside this file by its path: tests have no packages."""
+    spec = importlib.util.spec_from_file_location(f"fitting_{name}", Path(__file__).with_name(f"{name}.py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+synthetic_rig = _beside("synthetic")
+stranger_records = _beside("strangers")
+
+
+@pytest.fixture(scope="session")
+def strangers():
+    """Give the module of records that are no stick-slip."""
+    return stranger_records
 
 
 @pytest.fixture(scope="session")
