@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fitting.motion import Array, Motion
+from fitting.motion import REST_FRACTION, Array, Motion
 from fitting.setting import Run
 from fitting.trajectory import Fit
 from fitting.unknowns import LOG_F, K
@@ -17,7 +17,10 @@ from fitting.windows import SLIPPING, Cut
 
 COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
 ONE_SPEED = 0.1  # of the usual stick's: four sticks in five are closer; ramps under 12 % scatter spread by 4 %
-FEWEST_STICKS = 3  # to tell one speed from several
+FEWEST_STICKS = 2  # to tell one speed from several
+FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
+SPARSE = 3.0  # slips' lengths a cycle at most lasts, three more cycles than found: a longer record is mostly no cycle
+SINE = 0.05  # of its amplitude: closer, a motion is a sine
 ONE_PLACE = 1.0  # of a slip's range: 12 % scatter and 25 % wear together spread the break-aways over 0.75
 LONG_STICK = 20  # samples
 DIES_AWAY = 0.7  # of the speed at first: a last third slower than that
@@ -47,7 +50,8 @@ def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
     back = (x[begin] - x[end]) / np.maximum(reach, motion.resolution)
     if sustained and float(np.median(back)) < COMES_BACK:
         return "the mass never comes back against the belt, as a spring would make it"
-    low, high = np.quantile(x[begin], (0.1, 0.9))
+    few = len(seen) < FEW
+    low, high = np.quantile(x[begin], (0, 1) if few else (0.1, 0.9))
     if high - low > ONE_PLACE * float(np.median(reach)):
         return (
             f"the mass leaves the supposed belt anywhere over {1e3 * (high - low):.3g} mm, "
@@ -57,10 +61,14 @@ def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
     speeds = np.array([(x[j - 1] - x[i]) / (time[j - 1] - time[i]) for i, j in ends])
     if sustained and speeds.size >= FEWEST_STICKS:
         off = np.abs(speeds / np.median(speeds) - 1)
-        if float(np.quantile(off, 0.8)) > ONE_SPEED:
+        if float(np.quantile(off, 1.0 if few else 0.8)) > ONE_SPEED:
             return f"its sticks run at {speeds.min():.3g} to {speeds.max():.3g} m/s, and a belt has one speed"
-    if not cut.used:
-        return "every cycle is left out (rest)"
+    rested = len(seen) - len(cut.used)
+    if 2 * rested >= len(seen):
+        return f"the mass stands still in {rested} of {len(seen)} would-be slips"
+    longest = max(cycle.landing - cycle.onset for cycle in seen)
+    if few and motion.span > SPARSE * longest * (len(seen) + 3) and not _stands(motion):
+        return f"only {len(seen)} cycle{'' if len(seen) == 1 else 's'} like it in {motion.span:.3g} s"
     if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
         return "an oscillation that dies away, without a start-up; constant friction with damping is possible"
     return ""
@@ -85,9 +93,28 @@ def _of_motion(motion: Motion) -> str:
         return "nothing moves"
     if v.min() >= SLIPPING * motion.belt_speed:
         return f"the mass moves on at {motion.sign * np.median(v):.3g} m/s and never slips"
+    if _is_sine(motion):
+        return "a sine without a start-up; constant friction is possible"
     if v.max() < SLIPPING * motion.belt_speed:
         return f"the mass never moves with the belt, which is said to run at {motion.sign * motion.belt_speed:.3g} m/s"
     return "no slip between two sticks"
+
+
+def _stands(motion: Motion) -> bool:
+    """Tell whether the mass stands still for half of the record: then few cycles need not be few."""
+    return float(np.mean(np.abs(motion.velocity) < REST_FRACTION * motion.belt_speed)) > 0.5
+
+
+def _is_sine(motion: Motion) -> bool:
+    """Tell whether the position is a sine of at least two periods."""
+    x = motion.position - 0.5 * (motion.position.max() + motion.position.min())
+    up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
+    if up.size < 3:
+        return False
+    turns = 2 * np.pi * (up.size - 1) / (motion.time[up[-1]] - motion.time[up[0]]) * motion.time
+    shapes = np.stack([np.sin(turns), np.cos(turns), np.ones(turns.size)], axis=1)
+    rest = x - shapes @ np.linalg.lstsq(shapes, x, rcond=None)[0]
+    return float(np.std(rest)) < SINE * float(np.std(x))
 
 
 def _dies_away(velocity: Array) -> bool:

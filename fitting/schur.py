@@ -218,7 +218,7 @@ def _bent(
         local_push[k] = bend[p:]
     turn, local_turn = _step(problem, u, replace(blocks, g=push, gl=local_push), damping)
     scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
-    with np.errstate(over="ignore"):  # a turn too long for a number is too long
+    with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long
         length = float(scale @ step**2 + np.sum(local_scale * local_step**2))
         turned = float(scale @ turn**2 + np.sum(local_scale * local_turn**2))
     if not turned <= BENT**2 * length < math.inf:

@@ -59,9 +59,7 @@ def standing(recording, seconds):
 def test_no_stick_slip_is_never_ranked(strangers, synthetic, name, known, seed):
     time, position = strangers.ALL[name](np.random.default_rng(seed))
     blank = synthetic.recording(law=5, duration=1.0)
-    recording = replace(
-        blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=KNOWN[known]
-    )
+    recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=KNOWN[known])
     with pytest.raises(DataError, match="no belt stick-slip in this record: " + WHY.get(name, "")):
         rank(smooth(recording))
 
