@@ -19,16 +19,14 @@ import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.rig import Rig
-from fitting import absence
+from fitting import absence, search, twin, uncertainty, verdict, windows
 from fitting import cycles as break_aways
 from fitting import motion as frame
-from fitting import search, twin, uncertainty, verdict, windows
 from fitting.motion import Array, Motion
 from fitting.result import LawResult
 from fitting.result import Ranking as Ranking
 from fitting.setting import Run
 from fitting.trajectory import Fit
-from fitting.windows import Cut
 from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 

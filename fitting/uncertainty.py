@@ -111,9 +111,7 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
         level, rate = found["Fs/m"], trend.rate
         value, error = level.value * first.value, math.hypot(level.stderr * first.value, level.value * first.sd)
         found["Fs0/m"] = Parameter(value, error, max(value - reach * error, 0.0), value + reach * error, level.unit)
-        found["wear"] = Parameter(
-            rate.value, rate.sd, rate.value - reach * rate.sd, rate.value + reach * rate.sd, "s^-1"
-        )
+        found["wear"] = Parameter(rate.value, rate.sd, rate.value - reach * rate.sd, rate.value + reach * rate.sd, "s^-1")
     if GIVE in active:
         add("droop", "m/s", lambda u: float(u[GIVE] * np.exp(u[LOG_F]) / u[K]), lengths=1)
     if motion.mass is not None:

@@ -60,14 +60,14 @@ def sine(rng):
 
 
 def decay(rng):
-    """A mass on its spring, let go of: no belt, hardly any damping."""
+    """Let go of a mass on its spring: no belt, hardly any damping."""
     t = _times(20)
     omega, rate = rng.uniform(4, 9), rng.uniform(0.02, 0.3)
     return t, counted(rng.uniform(0.03, 0.08) * np.exp(-rate * t) * np.cos(omega * t))
 
 
 def coulomb_decay(rng):
-    """A mass on its spring, let go of, that dry friction brings to rest half a period at a time."""
+    """Let go of a mass on its spring, for dry friction to bring it to rest half a period at a time."""
     t = _times(20)
     omega, loss = rng.uniform(4, 9), rng.uniform(0.002, 0.006)
     x = np.empty(t.size)
