@@ -116,6 +116,7 @@ def run(case: tuple[str, int, int]) -> dict[str, Any]:
         "said": ranking.verdict,
         "warnings": list(ranking.warnings),
         "cpu_s": after.ru_utime + after.ru_stime - begun.ru_utime - begun.ru_stime,
+        "outcomes": {str(one.law): one.fit.outcome for one in ranking.rows},
         "weights": {str(one.law): one.weight for one in ranking.rows},
     }
     mine = next((one for one in ranking.rows if one.law == law), None)
@@ -150,6 +151,8 @@ def run(case: tuple[str, int, int]) -> dict[str, Any]:
                 seen = event.static_level * mine.parameters["Fs/m"].value / (K * FS)
                 load[i] = seen / factor[nearest] - 1
         found = load[np.isfinite(load)]
+        if not found.size:
+            return row
         row["static"] = {"bias": float(np.median(found)), "mean": float(np.mean(found)),
                          "mad": float(np.median(np.abs(found - np.median(found)))), "events": int(found.size)}  # fmt: skip
     return row

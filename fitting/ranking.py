@@ -19,7 +19,7 @@ import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.rig import Rig
-from fitting import absence, search, twin, uncertainty, verdict, windows
+from fitting import absence, ripple, search, twin, uncertainty, verdict, windows
 from fitting import cycles as break_aways
 from fitting import motion as frame
 from fitting.motion import Array, Motion
@@ -98,7 +98,9 @@ def rank(
     A belt that slows under load looks like a ramp.  With the belt's own counts its give is measured and part of the
     flow; without, a ramp narrow enough to be such a belt brings its jump law into the set (`fitting.twin`).
 
-    Not modelled: ripple of the belt's speed, friction that remembers, a mass or spring that changes between runs.
+    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is fitted along (`fitting.ripple`).
+
+    Not modelled: a swing of several frequencies, friction that remembers, a mass or spring that changes between runs.
     """
     begun = clock.process_time()
     laws = tuple(dict.fromkeys(laws))
@@ -114,7 +116,7 @@ def rank(
     runs = []
     for record, known in zip(records, rigs, strict=True):
         motion = frame.of(record, record.recording.rig if known is None else known, belt_speed)
-        runs.append(Run(motion, windows.cut(motion, frozenset(excluded))))
+        runs.append(_run(motion, frozenset(excluded)))
     sources = [str(record.recording.source) for record in records]
     sustained = _check(runs, sources)
     competing = laws if sustained else tuple(law for law in laws if law in (1, 2))
@@ -145,6 +147,11 @@ def rank(
             apart = len(runs) > 1 and lag < -twin.SAME
             fits[place], penalised[place] = double, _penalised(double, errors) if apart else penalised[ramp]
             chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
+    if not sustained and chosen.members == (2,) and any(fit.law == 1 for fit in fits):
+        jump, ramp = (next(i for i, fit in enumerate(fits) if fit.law == law) for law in (1, 2))
+        if twin.by_swing(fits[ramp], _unit_errors(fits[ramp], runs, sustained=False), runs):
+            penalised[jump] = penalised[ramp]
+            chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
     rows = tuple(_row(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered)
     measured = all(run.motion.belt_measured for run in runs)
@@ -170,6 +177,15 @@ def rank(
         cpu_s=cpu_s,
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
     )
+
+
+def _run(motion: Motion, excluded: frozenset[int]) -> Run:
+    """Cut a record into cycles; where the belt's speed swings, as it would move on a steady belt."""
+    cut = windows.cut(motion, excluded)
+    swing = ripple.find(motion, cut)
+    if swing is not None:
+        cut = windows.cut(swing.removed(motion), excluded)
+    return Run(motion, cut, swing)
 
 
 def _smoothed(kinematics: Kinematics) -> Kinematics:

@@ -20,6 +20,9 @@ from fitting.motion import Array
 
 START_DAMPING, EASE, TIGHTEN = 1e-4, 30.0, 10.0
 REACH = 0.1  # of the step: where the second derivative along it is measured
+GUILTY = 0.1  # of what all cycles lost: a cycle that lost as much is to blame
+FEW = 0.35  # of the cycles: where more are to blame, the shared unknowns are
+STIFFEST = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
 BENT = 0.75  # of the step: twice the acceleration may be as long, else the step is too far for a second order
 
 # Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
@@ -95,14 +98,18 @@ class Solution:
     steps: int
 
 
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A step of the shared unknowns (p,) and of the cycles' own (cycles, q)."""
+
+    u: Array
+    local: Array
+
+
 def cost(problem: Problem, u: Array, local: Array, residual: Array) -> float:
     """Return the objective."""
-    total = float(np.sum(problem.precision * (u - problem.prior) ** 2))
-    total += float(np.sum(problem.local_precision * (local - problem.local_prior) ** 2))
-    for weight, rows in zip(problem.weights, problem.rows, strict=True):
-        r = residual[rows]
-        total += weight * float(r @ r)
-    return 0.5 * total
+    shared = 0.5 * float(np.sum(problem.precision * (u - problem.prior) ** 2))
+    return shared + float(np.sum(_by_cycle(problem, local, residual)))
 
 
 def normal_equations(problem: Problem, u: Array, local: Array, residual: Array, jacobian: Array) -> Blocks:
@@ -126,18 +133,21 @@ def normal_equations(problem: Problem, u: Array, local: Array, residual: Array, 
     return Blocks(g, H, gl, Hl, cross, cycle_g)
 
 
-def reduced(blocks: Blocks, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
+def reduced(blocks: Blocks, damping: Array | None = None) -> tuple[Array, Array, Array, Array]:
     """Eliminate the cycles' unknowns: return the reduced (gradient, Hessian), inv(Hl) gl and inv(Hl) cross^T.
 
     The reduced Hessian is the information on the shared unknowns with every cycle's own unknowns fitted along.
+    ``damping`` (cycles,) adds to the curvatures; the least of it to those of the shared unknowns.
     """
+    if damping is None:
+        damping = np.zeros(blocks.gl.shape[0])
     q = blocks.gl.shape[1]
     diagonal = np.einsum("cii->ci", blocks.Hl)
-    Hl = blocks.Hl + damping * diagonal[:, :, None] * np.eye(q)
+    Hl = blocks.Hl + damping[:, None, None] * diagonal[:, :, None] * np.eye(q)
     pull = np.linalg.solve(Hl, blocks.gl[:, :, None])[:, :, 0]
     spread = np.linalg.solve(Hl, np.swapaxes(blocks.cross, 1, 2))
     g = blocks.g - np.einsum("cpq,cq->p", blocks.cross, pull)
-    H = blocks.H + damping * np.diag(np.diag(blocks.H)) - np.einsum("cpq,cqr->pr", blocks.cross, spread)
+    H = blocks.H + damping.min() * np.diag(np.diag(blocks.H)) - np.einsum("cpq,cqr->pr", blocks.cross, spread)
     return g, H, pull, spread
 
 
@@ -162,30 +172,39 @@ def minimise(
         return None
     residual, jacobian = first
     value = cost(problem, u, local, residual)
-    damping, calm, outcome, steps = START_DAMPING, 0, "step limit", 1
+    damping, stiff = START_DAMPING, np.ones(local.shape[0])
+    calm, outcome, steps = 0, "step limit", 1
     blocks = normal_equations(problem, u, local, residual, jacobian)
     while steps < max_steps:
         moved = False
         while damping < 1e10:
-            step = _bent(problem, u, local, blocks, damping, residual, jacobian)
-            if step is None:
+            step = _bent(problem, u, local, blocks, damping * stiff, residual, jacobian)
+            if isinstance(step, Step):
+                trial, local_trial = np.clip(u + step.u, problem.lower, problem.upper), local + step.local
+                found = problem.evaluate(trial, local_trial, False)
+                trial_value = math.inf if found is None else cost(problem, trial, local_trial, found[0])
+                if trial_value < value:
+                    moved = True
+                    break
+                if found is not None and trial_value - value < 1e-12 * value:
+                    break
+                blame = np.zeros(stiff.size)
+                if found is not None:
+                    blame = _by_cycle(problem, local_trial, found[0]) - _by_cycle(problem, local, residual)
+            else:
+                blame = step
+            # One cycle gone astray (a kick, a corner on the wrong side) must not hold up all the others.
+            guilty = blame > GUILTY * np.sum(np.maximum(blame, 0.0))
+            if 0 < guilty.sum() <= FEW * guilty.size and stiff[guilty].max() < STIFFEST:
+                stiff[guilty] *= TIGHTEN**2
+            else:
                 damping *= TIGHTEN
-                continue
-            trial, local_trial = np.clip(u + step[0], problem.lower, problem.upper), local + step[1]
-            found = problem.evaluate(trial, local_trial, False)
-            trial_value = math.inf if found is None else cost(problem, trial, local_trial, found[0])
-            if trial_value < value:
-                moved = True
-                break
-            if found is not None and trial_value - value < 1e-12 * value:
-                break
-            damping *= TIGHTEN
         if not moved:
             outcome = "converged" if damping < 1e10 else "no progress"
             break
         gain, value = value - trial_value, trial_value
         u, local = trial, local_trial
-        damping = max(damping / EASE, 1e-12)
+        damping, stiff = max(damping / EASE, 1e-12), np.maximum(stiff / EASE, 1.0)
         again = problem.evaluate(u, local, True)
         steps += 1
         if again is None:  # the point itself can be followed, one of its neighbours cannot
@@ -200,33 +219,46 @@ def minimise(
     return Solution(u, local, value, residual, blocks, outcome, steps)
 
 
+def _by_cycle(problem: Problem, local: Array, residual: Array) -> Array:
+    """Return each cycle's share of the objective, shape (cycles,)."""
+    own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
+    for k, (weight, rows) in enumerate(zip(problem.weights, problem.rows, strict=True)):
+        own[k] += weight * float(residual[rows] @ residual[rows])
+    return np.asarray(0.5 * own)
+
+
 def _bent(
-    problem: Problem, u: Array, local: Array, blocks: Blocks, damping: float, residual: Array, jacobian: Array
-) -> tuple[Array, Array] | None:
-    """Return the damped step with its acceleration; None where it is too long for the second order to hold."""
+    problem: Problem, u: Array, local: Array, blocks: Blocks, damping: Array, residual: Array, jacobian: Array
+) -> Step | Array:
+    """Return the damped step with its acceleration; where it is too long for the second order to hold, whose fault
+    that is: each cycle's share (cycles,) of the acceleration, or nobody's (0) where the flow cannot be followed.
+
+    ``damping`` is the cycles' own (cycles,); the least of them is that of the shared unknowns.
+    """
     p = u.size
-    step, local_step = _step(problem, u, blocks, damping)
-    near = problem.evaluate(u + REACH * step, local + REACH * local_step, False)
+    step = _step(problem, u, blocks, damping)
+    near = problem.evaluate(u + REACH * step.u, local + REACH * step.local, False)
     if near is None:
-        return None
+        return np.zeros(damping.size)
     push, local_push = np.zeros(p), np.zeros_like(local)
     for k, (weight, rows) in enumerate(zip(problem.weights, problem.rows, strict=True)):
         J = jacobian[rows]
-        straight = J[:, :p] @ step + J[:, p:] @ local_step[k]
+        straight = J[:, :p] @ step.u + J[:, p:] @ step.local[k]
         bend = weight * (J.T @ ((near[0][rows] - residual[rows]) / REACH - straight)) * (2 / REACH)
         push += bend[:p]
         local_push[k] = bend[p:]
-    turn, local_turn = _step(problem, u, replace(blocks, g=push, gl=local_push), damping)
+    turn = _step(problem, u, replace(blocks, g=push, gl=local_push), damping)
     scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
     with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long
-        length = float(scale @ step**2 + np.sum(local_scale * local_step**2))
-        turned = float(scale @ turn**2 + np.sum(local_scale * local_turn**2))
+        length = float(scale @ step.u**2 + np.sum(local_scale * step.local**2))
+        own = np.sum(local_scale * turn.local**2, axis=1)
+        turned = float(scale @ turn.u**2 + own.sum())
     if not turned <= BENT**2 * length < math.inf:
-        return None
-    return step + 0.5 * turn, local_step + 0.5 * local_turn
+        return np.asarray(own) if math.isfinite(turned) else np.zeros(damping.size)
+    return Step(step.u + 0.5 * turn.u, step.local + 0.5 * turn.local)
 
 
-def _step(problem: Problem, u: Array, blocks: Blocks, damping: float) -> tuple[Array, Array]:
+def _step(problem: Problem, u: Array, blocks: Blocks, damping: Array) -> Step:
     """Return the damped step; an unknown on its bound that is pushed outward stays."""
     g, H, pull, spread = reduced(blocks, damping)
     free = ~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0))
@@ -237,4 +269,4 @@ def _step(problem: Problem, u: Array, blocks: Blocks, damping: float) -> tuple[A
         scaled = H[np.ix_(index, index)] * scale[:, None] * scale
         step[index] = -scale * np.linalg.lstsq(scaled, scale * g[index], rcond=1e-13)[0]
     step = np.clip(u + step, problem.lower, problem.upper) - u
-    return step, -pull - np.einsum("cqp,p->cq", spread, step)
+    return Step(step, -pull - np.einsum("cqp,p->cq", spread, step))

@@ -23,7 +23,7 @@ from fitting import schur, unknowns, wear
 from fitting.motion import Array, Motion
 from fitting.prediction import Windows, evaluator
 from fitting.setting import Run, Setting
-from fitting.unknowns import CALIBRATED, DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, UNKNOWNS, D, K
+from fitting.unknowns import CALIBRATED, DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, RIPPLE, UNKNOWNS, D, K
 from fitting.windows import Cycle
 
 FIRST_SCATTER = 0.1  # standard deviation of the levels before the fit has seen them
@@ -49,10 +49,11 @@ class Fit:
     Attributes
     ----------
     law : int
-    u : (9 runs,) f8
+    u : (12 runs,) f8
         Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
         datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), give (belt speed lost per metre of spring
-        stretch, 1/s); see `fitting.unknowns`.
+        stretch, 1/s), and the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s); see
+        `fitting.unknowns`.
     active : tuple of int
         Which of them this law has and the fit moves.
     local : (cycles, 6) f8
@@ -201,7 +202,7 @@ def polish(fit: Fit, runs: Sequence[Run]) -> Fit:
 
 
 def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Sequence[Run], cpu_s: float) -> Fit:
-    active = tuple(k for k in setting.active if k % UNKNOWNS != FADE or state.fading is not None)
+    active = _moved(setting, state)
     index = list(active)
     solution = state.solution
     if solution is None or state.precision is None:
@@ -238,7 +239,7 @@ class State:
     weights: Array
     cycle_rms: Array
     solution: schur.Solution | None
-    fading: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None: levels do not fade
+    fading: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None before the last passes
     prior: Array | None = None
     precision: Array | None = None
 
@@ -281,8 +282,7 @@ def _settle(setting: Setting, windows: Windows, start: State) -> State | None:
 
 def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tolerance: float) -> State | None:
     """Minimise once with the noise assumed so far."""
-    # Fading is fitted last: the levels must be known first, whose trend says about how much of it there may be.
-    index = [k for k in setting.active if k % UNKNOWNS != FADE or state.fading is not None]
+    index = list(_moved(setting, state))
     prior, precision = setting.prior.copy(), setting.precision.copy()
     if state.fading is not None:
         precision[FADE::UNKNOWNS] = [1 / sd**2 for sd in state.fading]
@@ -308,6 +308,16 @@ def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tole
     u = unknowns.spread(u)
     rms = np.array([math.sqrt(float(np.mean(solution.residual[rows] ** 2))) for rows in windows.rows])
     return replace(state, u=u, local=solution.local, cycle_rms=rms, solution=solution, prior=prior, precision=precision)
+
+
+def _moved(setting: Setting, state: State) -> tuple[int, ...]:
+    """Return the unknowns that a pass moves.
+
+    Fading comes last: the levels must be known first, whose trend says about how much of it there may be.  So does a
+    ripple, which the sticks have shown well enough: far from the end its phase would be turned to please the slips.
+    """
+    late = () if state.fading is not None else (FADE, *RIPPLE)
+    return tuple(place for place in setting.active if place % UNKNOWNS not in late)
 
 
 def _assume(state: State, windows: Windows, motions: Sequence[Motion], *, first: bool) -> State:

@@ -19,6 +19,12 @@ from fitting.trajectory import Fit
 from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, D, K, columns
 from rig_sim.friction.law import LAWS
 
+LITTLE = 0.25  # of a guess's variance: where more is left of it after the fit, the record knows next to nothing
+SIGNED = ("v_dr", "x0", "x0 + Fs/k", "(G_slip - c)/m")
+HIDDEN = {  # what is known only together with a datum or a damping that nothing shows
+    DATUM: ("x0", "Fs/m", "Fs/k", "Fs", "Fs0/m", "wear"),
+    DAMPING: ("c/m", "c", "G_slip/m", "G_slip"),
+}
 OWN = ("v_dr", "x0", "Fs0/m", "wear", "droop")  # of each run; the other parameters are one for all
 
 
@@ -52,6 +58,10 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     second, both by the line through the cycles' levels (`fitting.wear`);
     ``droop`` how much slower the belt runs under the load Fs.  The error of the metres per count enters every parameter
     that has a length in its unit.
+
+    Without a calibration of the datum or of the damping a guess stands in for it.  Where the record adds next to nothing
+    to the guess, what depends on it is left out, and the combination that the record does know is given instead:
+    ``x0 + Fs/k``, ``(G_slip - c)/m``.
 
     Parameters
     ----------
@@ -88,10 +98,13 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
             value *= scale.value
         error = float(np.sqrt(max(variance, 0.0)))
         lo, hi = value - quantile * error, value + quantile * error
-        if name not in ("v_dr", "x0"):
+        if name not in SIGNED:
             lo = max(lo, 0.0)
         found[name] = Parameter(value, error, lo, hi, unit)
 
+    guessed = {DATUM: motion.datum_prior is None, DAMPING: motion.damping_prior is None or motion.per_mass}
+    left = np.diag(spread) * fit.precision[known]
+    unknown = {slot for slot, share in zip(active, left, strict=True) if guessed.get(slot) and share > LITTLE}
     law = LAWS[fit.law]
     add("k/m", "s^-2", lambda u: float(u[K]))
     add("Fs/m", "m s^-2", lambda u: float(np.exp(u[LOG_F])), lengths=1)
@@ -128,7 +141,12 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
         if law.curve == "linear":
             add("G_slip", "N s/m", lambda u: float(u[SHAPE] * np.exp(u[LOG_F]) / u[K]), stiffness)
         add("c", "N s/m", lambda u: float(u[DAMPING] / u[K]), stiffness)
-    return found
+    if DATUM in unknown:
+        add("x0 + Fs/k", "m", lambda u: motion.sign * float(u[DATUM] + np.exp(u[LOG_F]) / u[K]), lengths=1)
+    if DAMPING in unknown and law.curve == "linear":
+        add("(G_slip - c)/m", "s^-1", lambda u: float(u[SHAPE] * np.exp(u[LOG_F]) - u[DAMPING]))
+    hidden = {name for slot in unknown for name in HIDDEN[slot]}
+    return {name: item for name, item in found.items() if name not in hidden}
 
 
 def _slope(formula: Callable[[Array], float], u: Array, index: int) -> float:

@@ -114,12 +114,12 @@ def warnings(
             "no datum: the spring's rest position was fitted along; laws 1 and 3 then know only datum + Fs/k "
             "(give --datum and --datum-sd)"
         )
-    if motion.damping_prior is None or (motion.mass is None and motion.stiffness is None):
+    if motion.damping_prior is None or motion.per_mass:
         said.append(
             "no damping calibration: c taken as 0 give or take 1 % of critical; laws 3 and 4 know only G_slip - c "
             "(give --damping and --damping-sd with --mass)"
         )
-    if motion.mass is None and motion.stiffness is None:
+    if motion.per_mass:
         said.append("no mass: forces are given per kilogram (give --mass or --stiffness for newtons)")
     said += _strained(best, motion)
     left = [cycle for cycle in cut.cycles if cycle.flag and cycle.flag != "excluded"]

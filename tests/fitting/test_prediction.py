@@ -21,8 +21,8 @@ def one_window(time, riding=0, overtakes=0, firm=0.0):
     )
 
 
-def predicted(windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, wear=0.0, give=0.0):
-    u = np.array([K, np.log(F), V, shape, d, datum, c, wear, give])
+def predicted(windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, fade=0.0, give=0.0, ripple=(0.0, 0.0, 0.0)):
+    u = np.array([K, np.log(F), V, shape, d, datum, c, fade, give, *ripple])
     evaluate = evaluator(curve, ramp, windows, u, list(range(9)), np.ones(9), np.ones(LOCALS))
     return evaluate(u, local[None], False)[0]
 
@@ -59,9 +59,9 @@ def test_touching_the_belt_at_the_start_changes_the_motion_continuously():
     assert ends == pytest.approx([ends[0]] * 3, abs=1e-5)
 
 
-def test_wear_lowers_the_level_as_a_smaller_level_would():
+def test_fading_lowers_the_level_as_a_smaller_level_would():
     time = np.linspace(0.0, 0.4, 41)
-    worn = predicted(one_window(time, firm=9.0), start(0.12, 0.1), wear=0.02)
+    worn = predicted(one_window(time, firm=9.0), start(0.12, 0.1), fade=0.02)
     fine = np.linspace(0.0, 0.4, 40_001)
     h = fine[1]
     x, v, path = 0.12, 0.1, [0.12]
