@@ -55,6 +55,7 @@ def rank(
     alpha: float = 0.05,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
 ) -> Ranking:
     """Fit the laws to a record, or to several records of one contact together, and rank them.
 
@@ -79,6 +80,8 @@ def rank(
         Processes to fit in: up to three are of use, one for each curve.  The result is the same to the last bit.
     progress : callable, optional
         Called with the number of laws done.
+    scheduler : str, optional
+        Address of a dask scheduler, ``tcp://host:8786``, whose workers fit instead of processes on this machine.
 
     Returns
     -------
@@ -87,7 +90,7 @@ def rank(
     Raises
     ------
     InputError
-        For no or unknown laws, alpha outside (0, 1), fewer than one job, a record in counts, a belt speed of zero, belt
+        For no or unknown laws, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used, a record in counts, a belt speed of zero, belt
         counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
         When a record shows no belt stick-slip, when there are fewer than four complete cycles, or when some of the
@@ -126,7 +129,7 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
-    fits = search.every(competing, runs, jobs, progress)
+    fits = search.every(competing, runs, jobs, progress, scheduler)
     if what := absence.of_fits(fits, runs, sustained=sustained):
         do = "check the calibration and the belt speed, or look at it with 'process inspect'"
         raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)

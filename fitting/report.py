@@ -31,7 +31,7 @@ def places(runs: Sequence[Path], report: Path | None) -> list[Path]:
     Raises
     ------
     InputError
-        When one of them holds something that is not a report of ours, cannot be written, or two are the same.
+        When two are the same.
     """
     if report is None:
         found = [default_path(run) for run in runs]
@@ -39,8 +39,6 @@ def places(runs: Sequence[Path], report: Path | None) -> list[Path]:
         found = [report, *(report.with_stem(f"{report.stem}-{n}") for n in range(2, len(runs) + 1))]
     if len({place.absolute() for place in found}) < len(found):
         raise InputError("two runs share one report", ", ".join(map(str, found)), "give a name with --report")
-    for place in found:
-        refuse_stranger(place)
     return found
 
 
@@ -54,18 +52,14 @@ def refuse_stranger(path: Path) -> None:
         raise InputError("exists and is no report", str(path), "give another name with --report")
 
 
-def write(ranking: Ranking, kinematics: Kinematics, path: Path, alpha: float) -> None:
-    """Write the report of a ranking.
+def write(page: str, path: Path) -> None:
+    """Write a report that `render` made.
 
     Parameters
     ----------
-    ranking : Ranking
-    kinematics : Kinematics
-        What was fitted.
+    page : str
     path : Path
-        The page; an older report there is replaced, any other file is not.
-    alpha : float
-        1 - confidence of the intervals.
+        An older report there is replaced, any other file is not.
 
     Raises
     ------
@@ -73,7 +67,6 @@ def write(ranking: Ranking, kinematics: Kinematics, path: Path, alpha: float) ->
         When ``path`` holds something that is not a report.
     """
     refuse_stranger(path)
-    page = render(ranking, kinematics, alpha)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.absolute().parent)
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:

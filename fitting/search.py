@@ -4,26 +4,26 @@ A ramp law starts a second time from its jump law, so the two of one curve are f
 curves know nothing of each other and may be fitted side by side.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
-from multiprocessing import get_context
 
 from fitting import trajectory
 from fitting.setting import Run
 from fitting.trajectory import Fit
 from fitting.unknowns import D
+from fitting.workers import workers
 from rig_sim.friction.law import LAWS
 
 STUCK = 0.98  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
 CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
 
-Map = Callable[..., Iterator[list[Fit]]]
-
 
 def every(
-    laws: Sequence[int], runs: Sequence[Run], jobs: int = 1, progress: Callable[[float], None] | None = None
+    laws: Sequence[int],
+    runs: Sequence[Run],
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
 ) -> list[Fit]:
     """Fit laws to runs of one contact.
 
@@ -35,6 +35,8 @@ def every(
         Processes; more than one for each curve are not started.
     progress : callable, optional
         Called with the number of laws searched.
+    scheduler : str, optional
+        Address of a dask scheduler whose workers do it instead.
 
     Returns
     -------
@@ -45,7 +47,7 @@ def every(
     for law in sorted(laws):
         curves.setdefault(LAWS[law].curve, []).append(law)
     found: list[Fit] = []
-    with _workers(min(jobs, len(curves))) as each:
+    with workers(min(jobs, len(curves)), scheduler) as each:
         done = 0
         for own, chain in zip(curves.values(), each(partial(_curve, runs=runs), curves.values()), strict=True):
             found += chain
@@ -55,16 +57,6 @@ def every(
         nearest = min((fit.usual for fit in found), default=0.0)
         polished = list(each(partial(_polished, runs=runs, limit=CONTENDER * nearest), found))
     return sorted((fit for own in polished for fit in own), key=lambda fit: (LAWS[fit.law].ramp, fit.law))
-
-
-@contextmanager
-def _workers(number: int) -> Iterator[Map]:
-    """Give ``map``, in this process or in several fresh ones."""
-    if number <= 1:
-        yield map
-        return
-    with ProcessPoolExecutor(number, mp_context=get_context("spawn")) as pool:
-        yield pool.map
 
 
 def _curve(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:

@@ -135,4 +135,4 @@ def test_help_loads_nothing_numerical():
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Example: fit-friction" in done.stdout
-    assert "--scheduler" not in done.stdout
+    assert "--scheduler" in done.stdout
