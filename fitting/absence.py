@@ -16,10 +16,11 @@ from fitting.unknowns import LOG_F, K
 from fitting.windows import SLIPPING, Cut
 
 COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
-ONE_SPEED = 0.1  # of the usual stick's: four sticks in five are closer; ramps under 12 % scatter spread by 4 %
+ONE_SPEED = 0.2  # of the usual stick's: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1
 FEWEST_STICKS = 2  # to tell one speed from several
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
-SPARSE = 3.0  # slips' lengths a cycle at most lasts, three more cycles than found: a longer record is mostly no cycle
+FILLED = 0.5  # of a record that riding, slips and rest fill at least
+RIDING = (0.6, 1.2)  # of the belt's speed
 SINE = 0.05  # of its amplitude: closer, a motion is a sine
 ONE_PLACE = 1.0  # of a slip's range: 12 % scatter and 25 % wear together spread the break-aways over 0.75
 LONG_STICK = 20  # samples
@@ -66,8 +67,7 @@ def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
     rested = len(seen) - len(cut.used)
     if 2 * rested >= len(seen):
         return f"the mass stands still in {rested} of {len(seen)} would-be slips"
-    longest = max(cycle.landing - cycle.onset for cycle in seen)
-    if few and motion.span > SPARSE * longest * (len(seen) + 3) and not _stands(motion):
+    if _filled(motion, cut) < FILLED:
         return f"only {len(seen)} cycle{'' if len(seen) == 1 else 's'} like it in {motion.span:.3g} s"
     if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
         return "an oscillation that dies away, without a start-up; constant friction with damping is possible"
@@ -100,9 +100,13 @@ def _of_motion(motion: Motion) -> str:
     return "no slip between two sticks"
 
 
-def _stands(motion: Motion) -> bool:
-    """Tell whether the mass stands still for half of the record: then few cycles need not be few."""
-    return float(np.mean(np.abs(motion.velocity) < REST_FRACTION * motion.belt_speed)) > 0.5
+def _filled(motion: Motion, cut: Cut) -> float:
+    """Return the share of the record in which the mass rides, slips in a cycle that was found, or stands still."""
+    speed = motion.velocity / motion.belt_speed
+    known = (np.abs(speed) < REST_FRACTION) | ((speed > RIDING[0]) & (speed < RIDING[1]))
+    for cycle in cut.cycles:
+        known |= (motion.time >= cycle.onset) & (motion.time <= cycle.landing)
+    return float(np.mean(known))
 
 
 def _is_sine(motion: Motion) -> bool:
