@@ -79,8 +79,9 @@ def _curve(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
         # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
         narrow = found[ramp].u[D] < trajectory.NARROW * slowest
         if narrow and found[ramp].usual < STUCK * found[ramp - 1].usual:
-            again = trajectory.search(ramp - 1, runs, found[ramp])
-            found[ramp - 1] = again if again is not None else found[ramp - 1]
+            again = trajectory.search(ramp - 1, runs, found[ramp], alone=True)
+            if again is not None and again.usual < found[ramp - 1].usual:
+                found[ramp - 1] = again
     return list(found.values())
 
 

@@ -37,6 +37,7 @@ FADE_PASS = (15, 1e-4)
 FINE_PASS = (10, 1e-5)
 NO_TREND = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
 
+ASIDE = 1.5  # times the better start's error after the first pass: a start that far behind is given up
 NO_LEVEL = 10.0  # standard deviation of a level that must not pull at the mean
 TRUSTED = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
 LEAST_FADING = 1e-6  # 1/s
@@ -143,7 +144,7 @@ class Fit:
         )
 
 
-def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None:
+def search(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False) -> Fit | None:
     """Fit one law to the thinned record, or to those of several runs of one contact.
 
     Parameters
@@ -155,6 +156,8 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None
     near : Fit, optional
         The law of the same curve with the other contact, searched before: a second start.  A ramp law takes it with a
         narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
+    alone : bool
+        Start from ``near`` alone.
 
     Returns
     -------
@@ -170,11 +173,16 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None
         u = near.u.copy()
         slowest = min(motion.belt_speed for motion in setting.motions)
         u[D::UNKNOWNS] = NARROW * slowest if setting.ramp else starts[0].u[D]
-        starts.append(replace(starts[0], u=u, local=near.local))
-    found = [state for state in (_settle(setting, windows, first) for first in starts) if state is not None]
+        starts = [*([] if alone else starts), replace(starts[0], u=u, local=near.local)]
+    found = [state for state in (_pass_by(setting, windows, first, 0) for first in starts) if state is not None]
     if not found:
         return None
-    best = min(found, key=lambda state: float(np.mean(np.log(state.cycle_rms))))
+    least = min(state.usual for state in found)
+    settled = [_settle(setting, windows, state) for state in found if state.usual <= ASIDE * least]
+    ended = [state for state in settled if state is not None]
+    if not ended:
+        return None
+    best = min(ended, key=lambda state: state.usual)
     return _fit(law, setting, windows, best, runs, clock.process_time() - begun)
 
 
@@ -243,6 +251,11 @@ class State:
     prior: Array | None = None
     precision: Array | None = None
 
+    @property
+    def usual(self) -> float:
+        """Geometric mean of the cycles' errors, m."""
+        return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
 
 def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State:
     """Return the regression's start, with no noise known yet.
@@ -266,17 +279,19 @@ def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State
     )
 
 
+def _pass_by(setting: Setting, windows: Windows, state: State, number: int) -> State | None:
+    """Make one of the search's passes, then settle noise level, weights and scatter by it."""
+    passes = LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
+    found = _pass(setting, windows, state, *passes[number])
+    return None if found is None else _assume(found, windows, setting.motions, first=number == 0)
+
+
 def _settle(setting: Setting, windows: Windows, start: State) -> State | None:
-    """Fit from one start, in passes that settle noise level, weights and scatter."""
+    """Make the passes after the first."""
     state: State | None = start
-    for number, (steps, gain) in enumerate(
-        LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
-    ):
-        if state is None:
-            return None
-        state = _pass(setting, windows, state, steps, gain)
+    for number in range(1, len(PASSES)):
         if state is not None:
-            state = _assume(state, windows, setting.motions, first=number == 0)
+            state = _pass_by(setting, windows, state, number)
     return state
 
 
