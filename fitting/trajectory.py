@@ -37,7 +37,6 @@ FADE_PASS = (15, 1e-4)
 FINE_PASS = (10, 1e-5)
 NO_TREND = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
 
-ASIDE = 1.5  # times the better start's error after the first pass: a start that far behind is given up
 NO_LEVEL = 10.0  # standard deviation of a level that must not pull at the mean
 TRUSTED = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
 LEAST_FADING = 1e-6  # 1/s
@@ -144,8 +143,8 @@ class Fit:
         )
 
 
-def search(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False) -> Fit | None:
-    """Fit one law to the thinned record, or to those of several runs of one contact.
+def begin(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False) -> Fit | None:
+    """Fit one law roughly to the thinned record, or to those of several runs of one contact.
 
     Parameters
     ----------
@@ -154,7 +153,7 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: boo
     runs : sequence of Run
         Each with one used cycle or more.
     near : Fit, optional
-        The law of the same curve with the other contact, searched before: a second start.  A ramp law takes it with a
+        The law of the same curve with the other contact, fitted before: a second start.  A ramp law takes it with a
         narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
     alone : bool
         Start from ``near`` alone.
@@ -162,7 +161,8 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: boo
     Returns
     -------
     Fit or None
-        None when the flow cannot be followed from any starting value: the law then has no place in the ranking.
+        The better of what the starts lead to, after one pass in which nothing is known of the noise.  None when the
+        flow cannot be followed from any of them: the law then has no place in the ranking.
     """
     begun = clock.process_time()
     setting = Setting.of(law, runs)
@@ -177,13 +177,27 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: boo
     found = [state for state in (_pass_by(setting, windows, first, 0) for first in starts) if state is not None]
     if not found:
         return None
-    least = min(state.usual for state in found)
-    settled = [_settle(setting, windows, state) for state in found if state.usual <= ASIDE * least]
-    ended = [state for state in settled if state is not None]
-    if not ended:
-        return None
-    best = min(ended, key=lambda state: state.usual)
+    best = min(found, key=lambda state: state.usual)
     return _fit(law, setting, windows, best, runs, clock.process_time() - begun)
+
+
+def settle(fit: Fit, runs: Sequence[Run]) -> Fit | None:
+    """Fit again with noise level, weights and scatter as the passes before show them; None where that leads nowhere."""
+    begun = clock.process_time()
+    setting = Setting.of(fit.law, runs)
+    state: State | None = fit.state
+    for number in range(1, len(PASSES)):
+        if state is not None:
+            state = _pass_by(setting, fit.windows, state, number)
+    if state is None:
+        return None
+    return _fit(fit.law, setting, fit.windows, state, runs, fit.cpu_s + clock.process_time() - begun)
+
+
+def search(law: int, runs: Sequence[Run], near: Fit) -> Fit | None:
+    """Fit one law from another's fit alone, settled; None where that leads nowhere."""
+    first = begin(law, runs, near, alone=True)
+    return None if first is None else settle(first, runs)
 
 
 def _stride(motion: Motion) -> int:
@@ -284,15 +298,6 @@ def _pass_by(setting: Setting, windows: Windows, state: State, number: int) -> S
     passes = LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
     found = _pass(setting, windows, state, *passes[number])
     return None if found is None else _assume(found, windows, setting.motions, first=number == 0)
-
-
-def _settle(setting: Setting, windows: Windows, start: State) -> State | None:
-    """Make the passes after the first."""
-    state: State | None = start
-    for number in range(1, len(PASSES)):
-        if state is not None:
-            state = _pass_by(setting, windows, state, number)
-    return state
 
 
 def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tolerance: float) -> State | None:
