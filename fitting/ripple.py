@@ -71,6 +71,11 @@ def find(motion: Motion, cut: Cut) -> Ripple | None:
         rest = v - columns @ np.linalg.lstsq(columns[kept], v[kept], rcond=None)[0]
         kept = np.abs(rest) <= OUTLYING * 1.4826 * np.median(np.abs(rest[kept]))
     time, columns, v, rest = time[kept], columns[kept], v[kept], rest[kept]
+    peaks = _peaks(time, rest)
+    if not peaks:
+        return None
+    thin = slice(None, None, max(1, int(motion.time.size / motion.span / GRID_HZ)))
+    time, columns, v, rest = time[thin], columns[thin], v[thin], rest[thin]
     before = float(rest @ rest)
     origin = 0.5 * (time[0] + time[-1])  # far from it phase and frequency would trade against each other
 
@@ -81,9 +86,6 @@ def find(motion: Motion, cut: Cut) -> Ripple | None:
         left = v - matrix @ found
         return float(left @ left), np.asarray(found[2:], np.float64)
 
-    peaks = _peaks(time, rest)
-    if not peaks:
-        return None
     best = min(peaks, key=lambda hertz: harmonic(hertz)[0])
     width = 0.5 / (time[-1] - time[0])
     while width > 1e-3 / (time[-1] - time[0]):

@@ -12,13 +12,15 @@ arXiv:1201.5885).
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.motion import Array
 
-START_DAMPING, EASE, TIGHTEN = 1e-4, 30.0, 10.0
+START_DAMPING, EASE, WARY, TIGHTEN = 1e-4, 30.0, 3.0, 10.0  # WARY: how far a step is eased that was first refused
 REACH = 0.1  # of the step: where the second derivative along it is measured
 GUILTY = 0.1  # of what all cycles lost: a cycle that lost as much is to blame
 FEW = 0.35  # of the cycles: where more are to blame, the shared unknowns are
@@ -58,6 +60,16 @@ class Problem:
     precision: Array
     local_prior: Array
     local_precision: Array
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        """First residual of each cycle; the cycles' rows follow one another without a gap."""
+        return np.array([rows.start for rows in self.rows], np.int64)
+
+    @cached_property
+    def owner(self) -> NDArray[np.int64]:
+        """Which cycle each residual belongs to."""
+        return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,22 +145,44 @@ def normal_equations(problem: Problem, u: Array, local: Array, residual: Array, 
     return Blocks(g, H, gl, Hl, cross, cycle_g)
 
 
-def reduced(blocks: Blocks, damping: Array | None = None) -> tuple[Array, Array, Array, Array]:
-    """Eliminate the cycles' unknowns: return the reduced (gradient, Hessian), inv(Hl) gl and inv(Hl) cross^T.
+class Reduced:
+    """The normal equations with the cycles' own unknowns eliminated.
 
-    The reduced Hessian is the information on the shared unknowns with every cycle's own unknowns fitted along.
-    ``damping`` (cycles,) adds to the curvatures; the least of it to those of the shared unknowns.
+    Parameters
+    ----------
+    blocks : Blocks
+    damping : (cycles,) f8, optional
+        Adds to the curvatures of the cycles' own unknowns; the least of it to those of the shared ones.
+
+    Attributes
+    ----------
+    H : (p, p) f8
+        The information on the shared unknowns with every cycle's own unknowns fitted along.
     """
-    if damping is None:
-        damping = np.zeros(blocks.gl.shape[0])
-    q = blocks.gl.shape[1]
-    diagonal = np.einsum("cii->ci", blocks.Hl)
-    Hl = blocks.Hl + damping[:, None, None] * diagonal[:, :, None] * np.eye(q)
-    pull = np.linalg.solve(Hl, blocks.gl[:, :, None])[:, :, 0]
-    spread = np.linalg.solve(Hl, np.swapaxes(blocks.cross, 1, 2))
-    g = blocks.g - np.einsum("cpq,cq->p", blocks.cross, pull)
-    H = blocks.H + damping.min() * np.diag(np.diag(blocks.H)) - np.einsum("cpq,cqr->pr", blocks.cross, spread)
-    return g, H, pull, spread
+
+    def __init__(self, blocks: Blocks, damping: Array | None = None) -> None:
+        c, q = blocks.gl.shape
+        least = 0.0 if damping is None else float(damping.min())
+        Hl = blocks.Hl
+        if damping is not None:
+            Hl = Hl + (damping[:, None] * np.einsum("cii->ci", Hl))[:, :, None] * np.eye(q)
+        self._cross = blocks.cross
+        self._inverse = np.linalg.inv(Hl)
+        self._spread = self._inverse @ np.swapaxes(blocks.cross, 1, 2)
+        lost = np.swapaxes(blocks.cross, 0, 1).reshape(-1, c * q) @ self._spread.reshape(c * q, -1)
+        self.H = blocks.H + least * np.diag(np.diag(blocks.H)) - lost
+
+    def pull(self, gl: Array) -> Array:
+        """Return inv(Hl) gl, shape (cycles, q)."""
+        return np.asarray((self._inverse @ gl[:, :, None])[:, :, 0])
+
+    def given(self, g: Array, pull: Array) -> Array:
+        """Return the gradient (p,) with the cycles' unknowns fitted along."""
+        return np.asarray(g - np.einsum("cpq,cq->p", self._cross, pull))
+
+    def follow(self, step: Array, pull: Array) -> Array:
+        """Return the cycles' own step (cycles, q) beside a shared one."""
+        return np.asarray(-pull - self._spread @ step)
 
 
 def minimise(
@@ -176,7 +210,7 @@ def minimise(
     calm, outcome, steps = 0, "step limit", 1
     blocks = normal_equations(problem, u, local, residual, jacobian)
     while steps < max_steps:
-        moved = False
+        moved, refused = False, 0
         while damping < 1e10:
             step = _bent(problem, u, local, blocks, damping * stiff, residual, jacobian)
             if isinstance(step, Step):
@@ -193,6 +227,7 @@ def minimise(
                     blame = _by_cycle(problem, local_trial, found[0]) - _by_cycle(problem, local, residual)
             else:
                 blame = step
+            refused += 1
             # One cycle gone astray (a kick, a corner on the wrong side) must not hold up all the others.
             guilty = blame > GUILTY * np.sum(np.maximum(blame, 0.0))
             if 0 < guilty.sum() <= FEW * guilty.size and stiff[guilty].max() < STIFFEST:
@@ -204,7 +239,8 @@ def minimise(
             break
         gain, value = value - trial_value, trial_value
         u, local = trial, local_trial
-        damping, stiff = max(damping / EASE, 1e-12), np.maximum(stiff / EASE, 1.0)
+        ease = WARY if refused else EASE
+        damping, stiff = max(damping / ease, 1e-12), np.maximum(stiff / ease, 1.0)
         again = problem.evaluate(u, local, True)
         steps += 1
         if again is None:  # the point itself can be followed, one of its neighbours cannot
@@ -222,8 +258,7 @@ def minimise(
 def _by_cycle(problem: Problem, local: Array, residual: Array) -> Array:
     """Return each cycle's share of the objective, shape (cycles,)."""
     own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
-    for k, (weight, rows) in enumerate(zip(problem.weights, problem.rows, strict=True)):
-        own[k] += weight * float(residual[rows] @ residual[rows])
+    own += problem.weights * np.add.reduceat(residual**2, problem.starts)
     return np.asarray(0.5 * own)
 
 
@@ -236,37 +271,34 @@ def _bent(
     ``damping`` is the cycles' own (cycles,); the least of them is that of the shared unknowns.
     """
     p = u.size
-    step = _step(problem, u, blocks, damping)
+    damped = Reduced(blocks, damping)
+    step = _step(problem, u, damped, blocks.g, blocks.gl)
     near = problem.evaluate(u + REACH * step.u, local + REACH * step.local, False)
     if near is None:
         return np.zeros(damping.size)
-    push, local_push = np.zeros(p), np.zeros_like(local)
-    for k, (weight, rows) in enumerate(zip(problem.weights, problem.rows, strict=True)):
-        J = jacobian[rows]
-        straight = J[:, :p] @ step.u + J[:, p:] @ step.local[k]
-        bend = weight * (J.T @ ((near[0][rows] - residual[rows]) / REACH - straight)) * (2 / REACH)
-        push += bend[:p]
-        local_push[k] = bend[p:]
-    turn = _step(problem, u, replace(blocks, g=push, gl=local_push), damping)
+    shared, own = jacobian[:, :p], jacobian[:, p:]
+    straight = shared @ step.u + np.einsum("nq,nq->n", own, step.local[problem.owner])
+    bend = ((near[0] - residual) / REACH - straight) * (2 / REACH * problem.weights)[problem.owner]
+    turn = _step(problem, u, damped, bend @ shared, np.add.reduceat(own * bend[:, None], problem.starts))
     scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
     with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long
         length = float(scale @ step.u**2 + np.sum(local_scale * step.local**2))
-        own = np.sum(local_scale * turn.local**2, axis=1)
-        turned = float(scale @ turn.u**2 + own.sum())
-    if not turned <= BENT**2 * length < math.inf:
-        return np.asarray(own) if math.isfinite(turned) else np.zeros(damping.size)
+        turned = np.sum(local_scale * turn.local**2, axis=1)
+        whole = float(scale @ turn.u**2 + turned.sum())
+    if not whole <= BENT**2 * length < math.inf:
+        return np.asarray(turned) if math.isfinite(whole) else np.zeros(damping.size)
     return Step(step.u + 0.5 * turn.u, step.local + 0.5 * turn.local)
 
 
-def _step(problem: Problem, u: Array, blocks: Blocks, damping: Array) -> Step:
-    """Return the damped step; an unknown on its bound that is pushed outward stays."""
-    g, H, pull, spread = reduced(blocks, damping)
-    free = ~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0))
+def _step(problem: Problem, u: Array, damped: Reduced, g: Array, gl: Array) -> Step:
+    """Return the step down the gradients g and gl; an unknown on its bound that is pushed outward stays."""
+    pull = damped.pull(gl)
+    g = damped.given(g, pull)
+    index = np.flatnonzero(~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0)))
     step = np.zeros_like(u)
-    index = np.flatnonzero(free)
     if index.size:
-        scale = 1 / np.sqrt(np.maximum(np.diag(H)[index], 1e-300))
-        scaled = H[np.ix_(index, index)] * scale[:, None] * scale
-        step[index] = -scale * np.linalg.lstsq(scaled, scale * g[index], rcond=1e-13)[0]
+        H = damped.H[np.ix_(index, index)]
+        scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        step[index] = -scale * np.linalg.lstsq(H * scale[:, None] * scale, scale * g[index], rcond=1e-13)[0]
     step = np.clip(u + step, problem.lower, problem.upper) - u
-    return Step(step, -pull - np.einsum("cqp,p->cq", spread, step))
+    return Step(step, damped.follow(step, pull))

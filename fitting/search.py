@@ -15,6 +15,7 @@ from fitting.workers import workers
 from rig_sim.friction.law import LAWS
 
 STUCK = 0.98  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
+HOPELESS = 30.0  # times the best law's error after the first pass: so far behind a law is not fitted any further
 CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
 
 
@@ -55,24 +56,37 @@ def every(
             if progress is not None:
                 progress(float(done))
         nearest = min((fit.usual for fit in found), default=0.0)
+        chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
+        found = [fit for own in each(partial(_settled, runs=runs, limit=HOPELESS * nearest), chains) for fit in own]
+        nearest = min((fit.usual for fit in found), default=0.0)
         polished = list(each(partial(_polished, runs=runs, limit=CONTENDER * nearest), found))
     return sorted((fit for own in polished for fit in own), key=lambda fit: (LAWS[fit.law].ramp, fit.law))
 
 
 def _curve(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
-    """Search the laws of one curve, the jump law first."""
+    """Fit the laws of one curve roughly, the jump law first."""
     found: dict[int, Fit] = {}
-    slowest = min(run.motion.belt_speed for run in runs)
     for law in laws:
-        fit = trajectory.search(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
+        fit = trajectory.begin(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
         if fit is not None:
             found[law] = fit
+    return list(found.values())
+
+
+def _settled(chain: Sequence[Fit], runs: Sequence[Run], limit: float) -> list[Fit]:
+    """Settle the laws of one curve whose error is below ``limit``; the others stay as they are."""
+    found = {fit.law: fit for fit in chain}
+    for law, fit in list(found.items()):
+        again = trajectory.settle(fit, runs) if fit.usual < limit else None
+        found[law] = fit if again is None else again
+    slowest = min(run.motion.belt_speed for run in runs)
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
         # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
         narrow = found[ramp].u[D] < trajectory.NARROW * slowest
         if narrow and found[ramp].usual < STUCK * found[ramp - 1].usual:
             again = trajectory.search(ramp - 1, runs, found[ramp])
-            found[ramp - 1] = again if again is not None else found[ramp - 1]
+            if again is not None and again.usual < found[ramp - 1].usual:
+                found[ramp - 1] = again
     return list(found.values())
 
 

@@ -143,8 +143,8 @@ class Fit:
         )
 
 
-def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None:
-    """Fit one law to the thinned record, or to those of several runs of one contact.
+def begin(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False) -> Fit | None:
+    """Fit one law roughly to the thinned record, or to those of several runs of one contact.
 
     Parameters
     ----------
@@ -153,13 +153,16 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None
     runs : sequence of Run
         Each with one used cycle or more.
     near : Fit, optional
-        The law of the same curve with the other contact, searched before: a second start.  A ramp law takes it with a
+        The law of the same curve with the other contact, fitted before: a second start.  A ramp law takes it with a
         narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
+    alone : bool
+        Start from ``near`` alone.
 
     Returns
     -------
     Fit or None
-        None when the flow cannot be followed from any starting value: the law then has no place in the ranking.
+        The better of what the starts lead to, after one pass in which nothing is known of the noise.  None when the
+        flow cannot be followed from any of them: the law then has no place in the ranking.
     """
     begun = clock.process_time()
     setting = Setting.of(law, runs)
@@ -170,12 +173,31 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None
         u = near.u.copy()
         slowest = min(motion.belt_speed for motion in setting.motions)
         u[D::UNKNOWNS] = NARROW * slowest if setting.ramp else starts[0].u[D]
-        starts.append(replace(starts[0], u=u, local=near.local))
-    found = [state for state in (_settle(setting, windows, first) for first in starts) if state is not None]
+        starts = [*([] if alone else starts), replace(starts[0], u=u, local=near.local)]
+    found = [state for state in (_pass_by(setting, windows, first, 0) for first in starts) if state is not None]
     if not found:
         return None
-    best = min(found, key=lambda state: float(np.mean(np.log(state.cycle_rms))))
+    best = min(found, key=lambda state: state.usual)
     return _fit(law, setting, windows, best, runs, clock.process_time() - begun)
+
+
+def settle(fit: Fit, runs: Sequence[Run]) -> Fit | None:
+    """Fit again with noise level, weights and scatter as the passes before show them; None where that leads nowhere."""
+    begun = clock.process_time()
+    setting = Setting.of(fit.law, runs)
+    state: State | None = fit.state
+    for number in range(1, len(PASSES)):
+        if state is not None:
+            state = _pass_by(setting, fit.windows, state, number)
+    if state is None:
+        return None
+    return _fit(fit.law, setting, fit.windows, state, runs, fit.cpu_s + clock.process_time() - begun)
+
+
+def search(law: int, runs: Sequence[Run], near: Fit) -> Fit | None:
+    """Fit one law from another's fit alone, settled; None where that leads nowhere."""
+    first = begin(law, runs, near, alone=True)
+    return None if first is None else settle(first, runs)
 
 
 def _stride(motion: Motion) -> int:
@@ -243,6 +265,11 @@ class State:
     prior: Array | None = None
     precision: Array | None = None
 
+    @property
+    def usual(self) -> float:
+        """Geometric mean of the cycles' errors, m."""
+        return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
 
 def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State:
     """Return the regression's start, with no noise known yet.
@@ -266,18 +293,11 @@ def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State
     )
 
 
-def _settle(setting: Setting, windows: Windows, start: State) -> State | None:
-    """Fit from one start, in passes that settle noise level, weights and scatter."""
-    state: State | None = start
-    for number, (steps, gain) in enumerate(
-        LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
-    ):
-        if state is None:
-            return None
-        state = _pass(setting, windows, state, steps, gain)
-        if state is not None:
-            state = _assume(state, windows, setting.motions, first=number == 0)
-    return state
+def _pass_by(setting: Setting, windows: Windows, state: State, number: int) -> State | None:
+    """Make one of the search's passes, then settle noise level, weights and scatter by it."""
+    passes = LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
+    found = _pass(setting, windows, state, *passes[number])
+    return None if found is None else _assume(found, windows, setting.motions, first=number == 0)
 
 
 def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tolerance: float) -> State | None:

@@ -14,7 +14,7 @@ from daq.rig import Measured
 from fitting import wear
 from fitting.motion import Array, Motion
 from fitting.result import Parameter
-from fitting.schur import reduced
+from fitting.schur import Reduced
 from fitting.trajectory import Fit
 from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, D, K, columns
 from rig_sim.friction.law import LAWS
@@ -38,8 +38,9 @@ def covariance(fit: Fit, precision: Array) -> Array:
         1/sd^2 of the calibrations, 0 where there is none: a prior's own error is one more independent source.
     """
     blocks = fit.solution.blocks
-    _, H, pull, _ = reduced(blocks)
-    own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, pull)
+    reduced = Reduced(blocks)
+    H = reduced.H
+    own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.pull(blocks.gl))
     cycles = own.shape[0]
     # A weak direction must not make the inverse fail: invert in units of the curvatures, through the singular values.
     scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))

@@ -62,7 +62,7 @@ def test_the_reduced_hessian_is_the_inverse_of_the_marginal_covariance(linear):
     u, local = np.zeros(SHARED), np.zeros((CYCLES, LOCAL))
     task = problem(evaluate, rows)
     blocks = schur.normal_equations(task, u, local, *evaluate(u, local, True))
-    _, H, _, _ = schur.reduced(blocks)
+    H = schur.Reduced(blocks).H
     covariance = np.linalg.inv(full.T @ full + 1e-12 * np.eye(full.shape[1]))[:SHARED, :SHARED]
     assert np.linalg.inv(H) == pytest.approx(covariance, rel=1e-6)
 
