@@ -19,7 +19,7 @@ import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.rig import Rig
-from fitting import absence, ripple, search, twin, uncertainty, verdict, windows
+from fitting import absence, orbit, ripple, search, twin, uncertainty, verdict, windows
 from fitting import cycles as break_aways
 from fitting import motion as frame
 from fitting.motion import Array, Motion
@@ -343,6 +343,7 @@ def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustain
         parameters=parameters,
         cpu_s=fit.cpu_s,
         behind=chosen.behind[fit.law],
+        orbit=math.sqrt(float(np.mean([orbit.distance(fit.part(n), run.motion) ** 2 for n, run in enumerate(runs)]))),
         fit=fit,
     )
 
@@ -352,6 +353,7 @@ def _side(row: LawResult, motion: Motion, alpha: float, run: int, *, sustained: 
     part = row.fit.part(run)
     return replace(
         row,
+        orbit=orbit.distance(part, motion),
         rms_m=part.rms,
         cycles=len(part.rows),
         parameters=uncertainty.parameters(row.fit, motion, alpha, run, sustained=sustained),

@@ -126,6 +126,7 @@ def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
         "score": f"{row.score:.1f}",
         "weight": f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01",
         "behind": "best" if row.score == 0 else f"{mean:.2f} ± {half:.2f}",
+        "orbit": f"{100 * row.orbit:.2g} %",
         "cpu": f"{row.cpu_s:.2f} s",
         "colour": plot.COLOURS[row.law],
     }
