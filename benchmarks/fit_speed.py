@@ -206,8 +206,9 @@ def main() -> None:
             print(f"    {line}")
         one = against_scipy(folder)
         print(
-            f"one slip window ({one['samples']} samples): ours {1e3 * one['ours_s']:.2f} ms, scipy {one['scipy_s']:.2f} s "
-            f"({one['shots']} shots): {one['ratio']:.0f} times; costs {one['cost']:.6g} and {one['scipy_cost']:.6g}, "
+            f"one slip window ({one['samples']} samples): ours {1e3 * one['ours_s']:.2f} ms, "
+            f"scipy {one['scipy_s']:.2f} s ({one['shots']} shots): {one['ratio']:.0f} times; "
+            f"costs {one['cost']:.6g} and {one['scipy_cost']:.6g}, "
             f"unknowns alike to {one['largest_difference']:.1e} of their scale"
         )
     RESULTS.mkdir(exist_ok=True)

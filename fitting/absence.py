@@ -67,10 +67,10 @@ def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
     rested = len(seen) - len(cut.used)
     if 2 * rested >= len(seen):
         return f"the mass stands still in {rested} of {len(seen)} would-be slips"
-    if _filled(motion, cut) < FILLED:
-        return f"only {len(seen)} cycle{'' if len(seen) == 1 else 's'} like it in {motion.span:.3g} s"
     if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
         return "an oscillation that dies away, without a start-up; constant friction with damping is possible"
+    if _filled(motion, cut) < FILLED:
+        return f"only {len(seen)} cycle{'' if len(seen) == 1 else 's'} like it in {motion.span:.3g} s"
     return ""
 
 

@@ -49,6 +49,7 @@ def fit(
     report: Annotated[
         Path | None, Parameter(help="Report to write; default RUN.report.html. Several runs: one each, numbered.")
     ] = None,
+    csv: Annotated[Path | None, Parameter(help="Write the ranking as a table too: a row for each run and law.")] = None,
     each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself instead: a batch.")] = False,
     jobs: Annotated[int, Parameter(help="Processes to fit in; of a joint fit three are of use.")] = 1,
     scheduler: Annotated[
@@ -71,13 +72,15 @@ def fit(
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
     from daq.units import measured, quantity
-    from fitting import batch, task
+    from fitting import batch, table, task
     from fitting import report as pages
 
     files = [file, *more]
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
     places = pages.places(files, report)
+    if csv is not None:
+        table.refuse(csv, files)
     wishes = task.Wishes(
         laws=tuple(numbers(laws, "--laws")),
         mass=None if mass is None else measured(mass, "mass", "--mass"),
@@ -93,6 +96,8 @@ def fit(
     if each:
         with terminal.progress("fitting", float(len(files)), "runs") as tell:
             rows = batch.fit(files, places, wishes, jobs, scheduler, tell)
+        if csv is not None:
+            table.write(csv, [(row.file, row.document) for row in rows])
         told = {"runs": [row.as_json() for row in rows]}
         return Answer(told, _batch(rows), batch.exit_code(rows))
     for place in places:
@@ -101,6 +106,9 @@ def fit(
     with terminal.progress("fitting", float(len(wishes.laws)), "laws") as tell:
         done = task.fit(runs, wishes, jobs, scheduler, tell)
     done.keep(files, places)
+    if csv is not None:
+        sides = done.ranking.runs or (done.ranking,)
+        table.write(csv, [(path, side.as_json()) for path, side in zip(files, sides, strict=True)])
     ranking = done.ranking
     data = ranking.as_json() | {"report": places[0]}
     if ranking.runs:

@@ -90,7 +90,8 @@ def rank(
     Raises
     ------
     InputError
-        For no or unknown laws, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used, a record in counts, a belt speed of zero, belt
+        For no or unknown laws, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used,
+        a record in counts, a belt speed of zero, belt
         counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
         When a record shows no belt stick-slip, when there are fewer than four complete cycles, or when some of the
