@@ -266,7 +266,7 @@ def _bent(
     problem: Problem, u: Array, local: Array, blocks: Blocks, damping: Array, residual: Array, jacobian: Array
 ) -> Step | Array:
     """Return the damped step with its acceleration; where it is too long for the second order to hold, whose fault
-    that is: each cycle's share (cycles,) of the acceleration, or nobody's (0) where the flow cannot be followed.
+    that is: each cycle's share (cycles,) of the second derivative, or nobody's (0) where the flow cannot be followed.
 
     ``damping`` is the cycles' own (cycles,); the least of them is that of the shared unknowns.
     """
@@ -278,15 +278,16 @@ def _bent(
         return np.zeros(damping.size)
     shared, own = jacobian[:, :p], jacobian[:, p:]
     straight = shared @ step.u + np.einsum("nq,nq->n", own, step.local[problem.owner])
-    bend = ((near[0] - residual) / REACH - straight) * (2 / REACH * problem.weights)[problem.owner]
-    turn = _step(problem, u, damped, bend @ shared, np.add.reduceat(own * bend[:, None], problem.starts))
+    bend = ((near[0] - residual) / REACH - straight) * (2 / REACH)
+    push = bend * problem.weights[problem.owner]
+    turn = _step(problem, u, damped, push @ shared, np.add.reduceat(own * push[:, None], problem.starts))
     scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
     with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long
         length = float(scale @ step.u**2 + np.sum(local_scale * step.local**2))
-        turned = np.sum(local_scale * turn.local**2, axis=1)
-        whole = float(scale @ turn.u**2 + turned.sum())
-    if not whole <= BENT**2 * length < math.inf:
-        return np.asarray(turned) if math.isfinite(whole) else np.zeros(damping.size)
+        turned = float(scale @ turn.u**2 + np.sum(local_scale * turn.local**2))
+        strain = np.add.reduceat(bend * push, problem.starts)
+    if not turned <= BENT**2 * length < math.inf:
+        return np.asarray(strain) if np.isfinite(strain).all() else np.zeros(damping.size)
     return Step(step.u + 0.5 * turn.u, step.local + 0.5 * turn.local)
 
 

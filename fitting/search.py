@@ -14,7 +14,7 @@ from fitting.unknowns import D
 from fitting.workers import workers
 from rig_sim.friction.law import LAWS
 
-STUCK = 0.98  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
+STUCK = 0.98  # of a law's error: where its jump or ramp law errs less than that, it found a better place
 HOPELESS = 30.0  # times the best law's error after the first pass: so far behind a law is not fitted any further
 CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
 
@@ -81,12 +81,14 @@ def _settled(chain: Sequence[Fit], runs: Sequence[Run], limit: float) -> list[Fi
         found[law] = fit if again is None else again
     slowest = min(run.motion.belt_speed for run in runs)
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
-        # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
+        # One of the two can get stuck where the other finds a way: from there it tries again.
         narrow = found[ramp].u[D] < trajectory.NARROW * slowest
-        if narrow and found[ramp].usual < STUCK * found[ramp - 1].usual:
-            again = trajectory.search(ramp - 1, runs, found[ramp])
-            if again is not None and again.usual < found[ramp - 1].usual:
-                found[ramp - 1] = again
+        for law, other in ((ramp, ramp - 1), (ramp - 1, ramp)):
+            behind = found[other].usual < STUCK * found[law].usual
+            if behind and found[other].usual < limit and (law == ramp or narrow):
+                again = trajectory.search(law, runs, found[other])
+                if again is not None and again.usual < found[law].usual:
+                    found[law] = again
     return list(found.values())
 
 

@@ -37,6 +37,7 @@ FADE_PASS = (15, 1e-4)
 FINE_PASS = (10, 1e-5)
 NO_TREND = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
 
+CALM = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 NO_LEVEL = 10.0  # standard deviation of a level that must not pull at the mean
 TRUSTED = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
 LEAST_FADING = 1e-6  # 1/s
@@ -307,7 +308,7 @@ def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tole
     if state.fading is not None:
         precision[FADE::UNKNOWNS] = [1 / sd**2 for sd in state.fading]
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in setting.motions]
-    local_sd = np.array([[x, v, state.scatter, state.scatter, x, v] for x, v in wide])[windows.run]
+    local_sd = np.array([[x, v, state.scatter, state.scatter, x, CALM * v] for x, v in wide])[windows.run]
     local_sd[state.weights <= TRUSTED, LEVEL : NEXT_LEVEL + 1] = NO_LEVEL
     problem = schur.Problem(
         evaluate=evaluator(setting.curve, setting.ramp, windows, state.u, index, setting.scale, setting.local_scale),

@@ -19,7 +19,7 @@ from fitting.trajectory import Fit
 from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, D, K, columns
 from rig_sim.friction.law import LAWS
 
-LITTLE = 0.25  # of a guess's variance: where more is left of it after the fit, the record knows next to nothing
+LITTLE = 0.01  # of a guess's variance: where more is left of it after the fit, the guess still says how much
 SIGNED = ("v_dr", "x0", "x0 + Fs/k", "(G_slip - c)/m")
 HIDDEN = {  # what is known only together with a datum or a damping that nothing shows
     DATUM: ("x0", "Fs/m", "Fs/k", "Fs", "Fs0/m", "wear"),
@@ -42,9 +42,12 @@ def covariance(fit: Fit, precision: Array) -> Array:
     H = reduced.H
     own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.pull(blocks.gl))
     cycles = own.shape[0]
-    # A weak direction must not make the inverse fail: invert in units of the curvatures, through the singular values.
+    # A weak direction must neither make the inverse fail nor pass for a known one: in units of the curvatures, a
+    # direction that only rounding holds gets the variance of a guess that is all there is to it.
     scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    bread = scale[:, None] * np.linalg.pinv(H * scale[:, None] * scale, rcond=1e-12, hermitian=True) * scale
+    size, axes = np.linalg.eigh(H * scale[:, None] * scale)
+    half = scale[:, None] * axes / np.sqrt(np.maximum(size, 1e-15))
+    bread = half @ half.T
     meat = own.T @ own * (cycles / max(cycles - 1, 1)) + np.diag(precision)
     sandwich = bread @ meat @ bread
     floor = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
@@ -106,6 +109,8 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     guessed = {DATUM: motion.datum_prior is None, DAMPING: motion.damping_prior is None or motion.per_mass}
     left = np.diag(spread) * fit.precision[known]
     unknown = {slot for slot, share in zip(active, left, strict=True) if guessed.get(slot) and share > LITTLE}
+    if guessed[DATUM] and LAWS[fit.law].curve == "constant":  # only the scatter's prior tells its level from a datum
+        unknown.add(DATUM)
     law = LAWS[fit.law]
     add("k/m", "s^-2", lambda u: float(u[K]))
     add("Fs/m", "m s^-2", lambda u: float(np.exp(u[LOG_F])), lengths=1)

@@ -1,4 +1,4 @@
-"""Rankings of synthetic runs, made once and shared by the tests of the fit."""
+"""Rankings of synthetic runs and smoothed runs of the simulated rig, made once and shared by the tests of the fit."""
 
 import importlib.util
 import sys
@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from daq import ports, runfile
+from daq.record import Request, record
 from fitting.ranking import rank
 from processing.smoothing import smooth
 
@@ -56,5 +58,21 @@ def motion_of(synthetic):
     def of(**changes):
         recording = synthetic.recording(**changes)
         return motion.of(smooth(recording), recording.rig, None)
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory):
+    """Give a function that records the rig scene, changed, and smooths it; remembered by its changes."""
+    folder, made = tmp_path_factory.mktemp("rig"), {}
+
+    def of(*changes, duration=20.0):
+        key = (*changes, duration)
+        if key not in made:
+            path = folder / f"run{len(made)}.h5"
+            record(Request(ports.rig_url("rig", ["seed=5", *changes], False), path, 1000, duration))
+            made[key] = smooth(runfile.load(path))
+        return made[key]
 
     return of
