@@ -1,27 +1,22 @@
 """`rank`: fits the laws to a smoothed record and says which it was, or which it cannot tell apart.
 
-Evidence.  Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles
-between laws.  A law pays for what it may adjust: (p/2n) log n in log error for p parameters and n cycles, and for the
-strain it puts on the calibrations, spread over the cycles.
-
-Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
-zero.  Inside the set a law is preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6,
-each jump law in its ramp law): then the winner's extra freedom bought nothing.
+What is evidence and who is in the set: `fitting.evidence`.
 """
 
 import math
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.rig import Rig
-from fitting import absence, orbit, ripple, search, twin, uncertainty, verdict, windows
+from fitting import absence, evidence, orbit, ripple, search, twin, uncertainty, verdict, windows
 from fitting import cycles as break_aways
 from fitting import motion as frame
+from fitting.evidence import FEWEST_CYCLES, Choice, Evidence
 from fitting.motion import Array, Motion
 from fitting.result import LawResult
 from fitting.result import Ranking as Ranking
@@ -31,18 +26,7 @@ from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 ALL_LAWS = (1, 2, 3, 4, 5, 6)
-NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
-FEWEST_CYCLES = 4
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
-DRAG_BLOCKS = 8
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """Paired evidence: log error of each unit for each law, penalty included; shapes (laws, units) and (laws,)."""
-
-    laws: tuple[int, ...]
-    penalised: Array
 
 
 def rank(
@@ -140,22 +124,7 @@ def rank(
             ", ".join(sources),
             "record again from before the belt starts: the first drag tells law 1 from law 2",
         )
-    penalised = np.array([_penalised(fit, _unit_errors(fit, runs, sustained=sustained)) for fit in fits])
-    chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
-    double = twin.of(fits, chosen.members, runs)
-    if double is not None:
-        place, ramp = (next(i for i, fit in enumerate(fits) if fit.law == law) for law in (double.law, double.law + 1))
-        errors = _unit_errors(double, runs, sustained=sustained)
-        lag = twin.lag(errors, _unit_errors(fits[ramp], runs, sustained=sustained))
-        if lag < twin.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
-            apart = len(runs) > 1 and lag < -twin.SAME
-            fits[place], penalised[place] = double, _penalised(double, errors) if apart else penalised[ramp]
-            chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
-    if not sustained and chosen.members == (2,) and any(fit.law == 1 for fit in fits):
-        jump, ramp = (next(i for i, fit in enumerate(fits) if fit.law == law) for law in (1, 2))
-        if twin.by_swing(fits[ramp], _unit_errors(fits[ramp], runs, sustained=False), runs):
-            penalised[jump] = penalised[ramp]
-            chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
+    fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
     rows = tuple(_row(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered)
     measured = all(run.motion.belt_measured for run in runs)
@@ -181,6 +150,36 @@ def rank(
         cpu_s=cpu_s,
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
     )
+
+
+def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], Choice]:
+    """Weigh the laws against each other; a jump law that tells the best ramp's motion as well takes its place."""
+    taken = evidence.judged(fits)
+
+    def errors(fit: Fit) -> Array:
+        return evidence.unit_errors(fit, runs, taken, sustained=sustained)
+
+    place = {fit.law: i for i, fit in enumerate(fits)}
+    penalised = np.array([evidence.penalised(fit, errors(fit)) for fit in fits])
+    chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
+    double = twin.of(fits, chosen.members, runs)
+    if double is not None:
+        jump, ramp = place[double.law], place[double.law + 1]
+        lag = twin.lag(errors(double), errors(fits[ramp]))
+        if lag < twin.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
+            apart = len(runs) > 1 and lag < -twin.SAME
+            fits = [*fits[:jump], double, *fits[jump + 1 :]]
+            penalised[jump] = evidence.penalised(double, errors(double)) if apart else penalised[ramp]
+            chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
+    if (
+        not sustained
+        and chosen.members == (2,)
+        and 1 in place
+        and twin.by_swing(fits[place[2]], errors(fits[place[2]]), runs)
+    ):
+        penalised[place[1]] = penalised[place[2]]
+        chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
+    return fits, chosen
 
 
 def _run(motion: Motion, excluded: frozenset[int]) -> Run:
@@ -237,90 +236,6 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
             "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
         )
     return sustained
-
-
-def _log_error(residual: Array, motion: Motion) -> float:
-    """Return the log of the rms, with the encoder's own error as the floor below which nothing is better."""
-    return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
-
-
-def _unit_errors(fit: Fit, runs: Sequence[Run], *, sustained: bool) -> Array:
-    """Return the log error of every cycle of every run, or of every piece of the start-up drags."""
-    found = []
-    for number, run in enumerate(runs):
-        part = fit.part(number)
-        if sustained:
-            found.append(np.array([_log_error(part.residual[rows], run.motion) for rows in part.rows]))
-        elif run.cut.drag != (0, 0) and not run.cut.cycles[0].flag:
-            found.append(_drag_errors(part, run.motion, run.cut.drag))
-    return np.concatenate(found)
-
-
-def _drag_errors(fit: Fit, motion: Motion, drag: tuple[int, int]) -> Array:
-    """Return the log error of equal pieces of the start-up drag: the sine after it cannot tell law 1 from law 2."""
-    _, riding, first, count, *_ = fit.windows.table[0]
-    if not riding or fit.cycles[0].stick != drag:
-        raise RuntimeError("the first window is not the start-up drag")
-    end = first + count
-    return np.array([_log_error(part, motion) for part in np.array_split(fit.residual[first:end], DRAG_BLOCKS)])
-
-
-def _penalised(fit: Fit, errors: Array) -> Array:
-    n = errors.size
-    return errors + (fit.free * math.log(n) + strain(fit)) / (2 * n)
-
-
-def strain(fit: Fit) -> float:
-    """Return what a fit pays for contradicting its calibrations, like a squared deviation where that is small.
-
-    Student's t with 4 degrees of freedom: a calibration can be plainly wrong, and then must not decide alone.
-    """
-    return float(np.sum(5 * np.log1p(fit.deviations**2 / 4)))
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """Order of the laws, members of the set (best first), and score, weight and lag of each law."""
-
-    order: tuple[int, ...]
-    members: tuple[int, ...]
-    score: dict[int, float]
-    weight: dict[int, float]
-    behind: dict[int, tuple[float, float]]
-
-
-def choose(evidence: Evidence, alpha: float) -> Choice:
-    """Apply the set rule to the evidence.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        At least two units (cycles).
-    alpha : float
-        1 - confidence of the t-interval.
-    """
-    from scipy.stats import t as student
-
-    laws, errors = evidence.laws, evidence.penalised
-    n = errors.shape[1]
-    mean = errors.mean(axis=1)
-    winner = int(np.argmin(mean))
-    quantile = float(student.ppf(1 - alpha / 2, n - 1))
-    score = {law: float(2 * n * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
-    behind = {}
-    for i, law in enumerate(laws):
-        difference = errors[i] - errors[winner]
-        half = quantile * float(np.std(difference, ddof=1)) / math.sqrt(n)
-        behind[law] = (float(difference.mean()), half)
-    members = [law for law in sorted(laws, key=score.__getitem__) if behind[law][0] - behind[law][1] <= 0]
-    preferred = [law for law in members if law in NESTED[laws[winner]]]
-    if preferred:
-        first = preferred[0]
-        members = [first, *(law for law in members if law != first)]
-    others = [law for law in sorted(laws, key=score.__getitem__) if law not in members]
-    total = sum(math.exp(-value / 2) for value in score.values())
-    weight = {law: math.exp(-value / 2) / total for law, value in score.items()}
-    return Choice((*members, *others), tuple(members), score, weight, behind)
 
 
 def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:

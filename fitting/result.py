@@ -41,7 +41,7 @@ class LawResult:
     rms_m : float
         m, all windows together.
     cycles : int
-        Cycles judged.
+        Cycles fitted.
     parameters : dict
         By name; per unit mass, and in newtons when the mass or the spring's stiffness is known.
     cpu_s : float

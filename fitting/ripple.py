@@ -43,7 +43,7 @@ class Ripple:
         return math.hypot(self.cosine, self.sine)
 
     def removed(self, motion: Motion) -> Motion:
-        """Return the motion with the swing taken off its smoothed velocity and acceleration: corners stand out there."""
+        """Return the motion with the swing taken off its smoothed velocity and acceleration, where corners show."""
         even, odd = np.cos(self.omega * motion.time), np.sin(self.omega * motion.time)
         return replace(
             motion,

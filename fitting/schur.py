@@ -4,8 +4,8 @@ Minimises  1/2 sum_c w_c |r_c(u, l_c)|^2 + 1/2 sum ((u - u0)/sd)^2 + 1/2 sum_c s
 over the shared unknowns u (p of them, within bounds) and the q unknowns l_c of each cycle c.  Each cycle's
 normal equations are q x q, so the cost grows with the number of cycles, not with its cube.
 
-The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other), and
-a straight step along it soon leaves its floor.  So each step is bent: the second derivative of the residuals along it,
+The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other),
+and a straight step along it soon leaves its floor.  So each step is bent: the second derivative of the residuals along it,
 one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
 arXiv:1201.5885).
 """
@@ -265,8 +265,10 @@ def _by_cycle(problem: Problem, local: Array, residual: Array) -> Array:
 def _bent(
     problem: Problem, u: Array, local: Array, blocks: Blocks, damping: Array, residual: Array, jacobian: Array
 ) -> Step | Array:
-    """Return the damped step with its acceleration; where it is too long for the second order to hold, whose fault
-    that is: each cycle's share (cycles,) of the second derivative, or nobody's (0) where the flow cannot be followed.
+    """Return the damped step with its acceleration, or whose fault it is that it leads too far.
+
+    Too far is where the second order no longer holds; a cycle's fault (cycles,) is its share of the second derivative,
+    and nobody's (0) where the flow cannot be followed at all.
 
     ``damping`` is the cycles' own (cycles,); the least of them is that of the shared unknowns.
     """

@@ -10,7 +10,7 @@ from daq.rig import Measured
 from fitting import regression, unknowns
 from fitting.motion import Array, Motion
 from fitting.ripple import Ripple
-from fitting.unknowns import COSINE, DAMPING, DATUM, GIVE, OMEGA, SHAPE, SINE, UNKNOWNS, V_DR
+from fitting.unknowns import COSINE, DAMPING, DATUM, GIVE, SHAPE, UNKNOWNS, V_DR
 from fitting.windows import Cut
 from rig_sim.friction.law import LAWS
 
@@ -23,7 +23,7 @@ NO_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One record in the fit's frame, its cycles (those without a flag are fitted), and the ripple of its belt, if any."""
+    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any."""
 
     motion: Motion
     cut: Cut
@@ -74,7 +74,17 @@ class Setting:
             datum, v = datum_guess(motion), motion.belt_speed
             give = 0.0 if motion.give is None else motion.give.value
             level = math.log(F)
-            start[r, :COSINE] = K0, level, own.v_dr, min(shape0, upper[0, SHAPE]), d, own.datum, damping.value, 0.0, give
+            start[r, :COSINE] = (
+                K0,
+                level,
+                own.v_dr,
+                min(shape0, upper[0, SHAPE]),
+                d,
+                own.datum,
+                damping.value,
+                0.0,
+                give,
+            )
             scale[r, :COSINE] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
             lower[r, :COSINE] = (
                 1e-6 * K0,

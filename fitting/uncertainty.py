@@ -63,8 +63,8 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     ``droop`` how much slower the belt runs under the load Fs.  The error of the metres per count enters every parameter
     that has a length in its unit.
 
-    Without a calibration of the datum or of the damping a guess stands in for it.  Where the record adds next to nothing
-    to the guess, what depends on it is left out, and the combination that the record does know is given instead:
+    Without a calibration of the datum or of the damping a guess stands in for it.  Where the record adds next to
+    nothing to the guess, what depends on it is left out, and the combination that the record does know is given instead:
     ``x0 + Fs/k``, ``(G_slip - c)/m``.
 
     Parameters
@@ -130,7 +130,9 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
         level, rate = found["Fs/m"], trend.rate
         value, error = level.value * first.value, math.hypot(level.stderr * first.value, level.value * first.sd)
         found["Fs0/m"] = Parameter(value, error, max(value - reach * error, 0.0), value + reach * error, level.unit)
-        found["wear"] = Parameter(rate.value, rate.sd, rate.value - reach * rate.sd, rate.value + reach * rate.sd, "s^-1")
+        found["wear"] = Parameter(
+            rate.value, rate.sd, rate.value - reach * rate.sd, rate.value + reach * rate.sd, "s^-1"
+        )
     if GIVE in active:
         add("droop", "m/s", lambda u: float(u[GIVE] * np.exp(u[LOG_F]) / u[K]), lengths=1)
     if motion.mass is not None:

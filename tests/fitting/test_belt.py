@@ -9,7 +9,6 @@ from daq.errors import InputError
 from fitting import belt
 from fitting.curves import points
 from fitting.ranking import rank
-from processing.smoothing import smooth
 
 FS_OVER_K = 1.379353536 / 10.5552
 

@@ -11,7 +11,7 @@ from daq import runfile
 from daq.errors import DataError, InputError
 from fitting import cli, unknowns
 from fitting.ranking import rank
-from fitting.unknowns import DATUM, GIVE, UNKNOWNS, V_DR, FADE, D, K
+from fitting.unknowns import DATUM, FADE, GIVE, UNKNOWNS, V_DR, D, K
 from processing.smoothing import smooth
 
 SPEEDS = (0.1, 0.2, 0.3)

@@ -84,7 +84,12 @@ def test_riding_a_belt_that_ripples_is_its_own_motion():
     time = np.linspace(1.0, 1.7, 29)
     cosine, sine, omega = 3e-3, -2e-3, 17.0
     x = predicted(
-        one_window(time, riding=1), start(-0.1, 0.3, riding=True), ripple=(cosine, sine, omega), c=0.1, shape=9.6, curve=2
+        one_window(time, riding=1),
+        start(-0.1, 0.3, riding=True),
+        ripple=(cosine, sine, omega),
+        c=0.1,
+        shape=9.6,
+        curve=2,
     )
     swing = (cosine * np.sin(omega * time) - sine * np.cos(omega * time)) / omega
     assert x == pytest.approx(-0.1 + V * (time - 1.0) + swing - swing[0], abs=1e-14)
