@@ -69,7 +69,8 @@ def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
         return f"the mass stands still in {rested} of {len(seen)} would-be slips"
     if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
         return "an oscillation that dies away, without a start-up; constant friction with damping is possible"
-    if _filled(motion, cut) < FILLED:
+    drag = cut.starts_at_rest and not sustained  # constant friction with damping: a start-up, then less and less motion
+    if not drag and _filled(motion, cut) < FILLED:
         return f"only {len(seen)} cycle{'' if len(seen) == 1 else 's'} like it in {motion.span:.3g} s"
     return ""
 

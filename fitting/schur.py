@@ -5,8 +5,8 @@ over the shared unknowns u (p of them, within bounds) and the q unknowns l_c of 
 normal equations are q x q, so the cost grows with the number of cycles, not with its cube.
 
 The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other),
-and a straight step along it soon leaves its floor.  So each step is bent: the second derivative of the residuals along
-it, one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
+and a straight step along it soon leaves its floor.  So each step is bent: the second derivative of the residuals
+along it, one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
 arXiv:1201.5885).  A cycle that would not follow (a kick, a corner on the wrong side) is held back by itself.
 """
 

@@ -105,7 +105,9 @@ class Setting:
                 prior[r, COSINE:] = start[r, COSINE:]
                 spread = RIPPLE_KNOWN * ripple.amplitude
                 precision[r, COSINE:] = spread**-2, spread**-2, (RIPPLE_CYCLES * 2 * math.pi / motion.span) ** -2
-            prior[r, DATUM], precision[r, DATUM] = datum.value, _precision(datum.sd, 1e-6 * motion.travel)
+            # Constant friction knows only datum + Fs/k: let no scatter of levels tell the two apart.
+            datum_sd = 0.0 if kind.curve == "constant" else datum.sd
+            prior[r, DATUM], precision[r, DATUM] = datum.value, _precision(datum_sd, 1e-6 * motion.travel)
             belt = motion.belt_prior
             if belt is not None and belt.sd > 0:
                 prior[r, V_DR], precision[r, V_DR] = belt.value, _precision(belt.sd, 0.0)

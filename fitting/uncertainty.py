@@ -15,6 +15,7 @@ from fitting import wear
 from fitting.motion import Array, Motion
 from fitting.result import Parameter
 from fitting.schur import Reduced
+from fitting.setting import datum_guess
 from fitting.trajectory import Fit
 from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, D, K, columns
 from rig_sim.friction.law import LAWS
@@ -86,6 +87,9 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     known = slots >= 0
     active = [int(slot) for slot in slots[known]]
     spread = covariance(fit, fit.precision)[np.ix_(known, known)]
+    if LAWS[fit.law].curve == "constant":  # held in the fit: datum and Fs/k move against each other
+        against = np.array([{DATUM: 1.0, LOG_F: -fit.u[K] / math.exp(fit.u[LOG_F])}.get(slot, 0.0) for slot in active])
+        spread = spread + datum_guess(motion).sd ** 2 * np.outer(against, against)
     own = fit.u[UNKNOWNS * run : UNKNOWNS * (run + 1)]
     quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
     found: dict[str, Parameter] = {}
@@ -109,7 +113,7 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     guessed = {DATUM: motion.datum_prior is None, DAMPING: motion.damping_prior is None or motion.per_mass}
     left = np.diag(spread) * fit.precision[known]
     unknown = {slot for slot, share in zip(active, left, strict=True) if guessed.get(slot) and share > LITTLE}
-    if guessed[DATUM] and LAWS[fit.law].curve == "constant":  # only the scatter's prior tells its level from a datum
+    if guessed[DATUM] and LAWS[fit.law].curve == "constant":
         unknown.add(DATUM)
     law = LAWS[fit.law]
     add("k/m", "s^-2", lambda u: float(u[K]))
