@@ -17,7 +17,21 @@ from fitting.result import Parameter
 from fitting.schur import Reduced
 from fitting.setting import datum_guess
 from fitting.trajectory import Fit
-from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, D, K, columns
+from fitting.unknowns import (
+    COSINE,
+    DAMPING,
+    DATUM,
+    GIVE,
+    LOG_F,
+    OMEGA,
+    SHAPE,
+    SINE,
+    UNKNOWNS,
+    V_DR,
+    D,
+    K,
+    columns,
+)
 from rig_sim.friction.law import LAWS
 
 LITTLE = 0.01  # of a guess's variance: where more is left of it after the fit, the guess still says how much
@@ -26,7 +40,15 @@ HIDDEN = {  # what is known only together with a datum or a damping that nothing
     DATUM: ("x0", "Fs/m", "Fs/k", "Fs", "Fs0/m", "wear"),
     DAMPING: ("c/m", "c", "G_slip/m", "G_slip"),
 }
-OWN = ("v_dr", "x0", "Fs0/m", "wear", "droop")  # of each run; the other parameters are one for all
+OWN = (
+    "v_dr",
+    "x0",
+    "Fs0/m",
+    "wear",
+    "droop",
+    "ripple",
+    "ripple_hz",
+)  # of each run; the other parameters are one for all
 
 
 def covariance(fit: Fit, precision: Array) -> Array:
@@ -61,6 +83,7 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
     sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
     second, both by the line through the cycles' levels (`fitting.wear`).
+    ``ripple`` and ``ripple_hz`` are amplitude and frequency of its swing where the sticks show one.
     ``droop`` is how much slower the belt runs under the load Fs.  The error of the metres per count enters every parameter
     that has a length in its unit.
 
@@ -139,6 +162,9 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
         )
     if GIVE in active:
         add("droop", "m/s", lambda u: float(u[GIVE] * np.exp(u[LOG_F]) / u[K]), lengths=1)
+    if COSINE in active:
+        add("ripple", "m/s", lambda u: math.hypot(u[COSINE], u[SINE]), lengths=1)
+        add("ripple_hz", "Hz", lambda u: float(u[OMEGA]) / (2 * math.pi))
     if motion.mass is not None:
         mass = motion.mass
         add("k", "N/m", lambda u: float(u[K]), mass)

@@ -106,7 +106,12 @@ def warnings(
         droop = best.parameters["droop"]
         share = 100 * droop.value / motion.belt_speed
         said.append(f"the belt slows under load, by {share:.2g} % at Fs: measured by its own counts, part of every law")
-    if motion.swing > 0:
+    if "ripple" in best.parameters:
+        share, hertz = 100 * best.parameters["ripple"].value / motion.belt_speed, best.parameters["ripple_hz"].value
+        said.append(
+            f"the belt's speed swings by {share:.2g} % at {hertz:.3g} Hz: seen in the sticks, part of every law"
+        )
+    elif motion.swing > 0:
         share = 100 * motion.swing / motion.belt_speed
         said.append(f"the belt's counted speed swings by {share:.2g} % rms beside its load: the fit takes it as steady")
     if motion.datum_prior is None:
