@@ -84,8 +84,9 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
     second, both by the line through the cycles' levels (`fitting.wear`).
     ``ripple`` and ``ripple_hz`` are amplitude and frequency of its swing where the sticks show one.
-    ``droop`` is how much slower the belt runs under the load Fs.  The error of the metres per count enters every parameter
-    that has a length in its unit.
+    ``droop`` is how much slower the belt runs under the load Fs.
+
+    The error of the metres per count enters every parameter that has a length in its unit.
 
     Without a calibration of the datum or of the damping a guess stands in for it.  Where the record adds next to
     nothing to the guess, what depends on it is left out, and the combination that the record does know is given
