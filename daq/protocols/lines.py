@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from daq import wire
 from daq.counter import LATE_FRAMES, increments
+from daq.cut import Cut
 from daq.stream import Stream
 
 LEAP_COUNTS = 32
@@ -29,31 +30,52 @@ LOOK_AHEAD = 8  # lines among which the one must be that follows the last good o
 
 @dataclass
 class Rows:
-    """Lines as read, in order of arrival.
+    """Lines as read, m of them, in order of arrival; those that say nothing are among them.
 
     Attributes
     ----------
-    stamp_ns, ticks, up, down, status, illegal : list of int
-        The host's stamp of the read that ended each line; what the line said, modulo its width.  A net count stands in
-        ``up``, and ``down`` is empty.
-    bad : list of int
-        Before which line each damaged one came.
+    lines : Cut
+        Where they come from.
+    good, bad : (m,) bool
+        Which are samples, and which are damaged; a remark is neither.
+    ticks, up, down, status, illegal : (m,) int64
+        What a good line said, modulo its width.  A net count stands in ``up``, and ``net`` is true.
+    net : bool
+        Whether there is but one counter.
     starts : list of int
-        Before which lines the board said that it has started.
+        Lines that said that the board has started.
+    endless : bool
+        What stands after the last line is longer than any line: damage, too.
+    discarded_bytes : int
+        Bytes of all damage.
     """
 
-    stamp_ns: list[int] = field(default_factory=list)
-    ticks: list[int] = field(default_factory=list)
-    up: list[int] = field(default_factory=list)
-    down: list[int] = field(default_factory=list)
-    status: list[int] = field(default_factory=list)
-    illegal: list[int] = field(default_factory=list)
-    bad: list[int] = field(default_factory=list)
+    lines: Cut
+    good: NDArray[np.bool_]
+    bad: NDArray[np.bool_]
+    ticks: NDArray[np.int64]
+    up: NDArray[np.int64]
+    down: NDArray[np.int64]
+    status: NDArray[np.int64]
+    illegal: NDArray[np.int64]
+    net: bool
     starts: list[int] = field(default_factory=list)
+    endless: bool = False
     discarded_bytes: int = 0
 
-    def __len__(self) -> int:
-        return len(self.ticks)
+    @classmethod
+    def of(cls, lines: Cut, net: bool) -> "Rows":
+        """Return rows to be filled in: no line is good yet, nor bad."""
+        m = len(lines)
+        good, bad = np.zeros((2, m), dtype=np.bool_)
+        ticks, up, down, status, illegal = np.zeros((5, m), dtype=np.int64)
+        return cls(lines, good, bad, ticks, up, down, status, illegal, net)
+
+    def close(self, longest: int) -> None:
+        """Count the bytes of what is damaged; the first line, whose beginning may be missing, is no error."""
+        self.endless = self.lines.rest > longest and len(self.lines) > 0
+        self.discarded_bytes = int(self.lines.length[self.bad].sum()) + self.lines.rest * (self.lines.rest > longest)
+        self.bad[:1] = False
 
 
 class LineTally:
@@ -87,6 +109,17 @@ class LineTally:
                 self.resets += 1
             self._last = ticks
 
+    def stride(self, ticks: int, lines: int) -> bool:
+        """Take the time of the last of so many lines, if it is as many periods on; False, and nothing taken, if not."""
+        if self._last is None or lines == 0:
+            return False
+        periods = ((ticks - self._last + 0x80000000 & 0xFFFFFFFF) - 0x80000000) / self._period
+        if not lines - 0.5 <= periods <= lines + 0.5:
+            return False
+        self.reached += lines
+        self._last, self._odd = ticks, 0
+        return True
+
     def restarted(self) -> None:
         """Note that the board said it has started."""
         if self._last is not None:
@@ -101,20 +134,18 @@ class LineTally:
 
 def to_stream(rows: Rows, ident: wire.Ident, period_ticks: float) -> Stream:
     """Return lines as a stream of frames of one sample each; lines that cannot be true are counted as damaged."""
-    ticks = np.array(rows.ticks, dtype=np.int64)
-    up = np.array(rows.up, dtype=np.int64)
-    down = np.array(rows.down, dtype=np.int64) if rows.down else np.zeros(len(up), dtype=np.int64)
-    stamp_ns = np.array(rows.stamp_ns, dtype=np.int64)
-    keep = _in_time(ticks, period_ticks, rows.starts)
+    before = np.concatenate(([0], np.cumsum(rows.good)))  # good lines before each line
+    line = np.flatnonzero(rows.good)
+    ticks, up, down = rows.ticks[line], rows.up[line], rows.down[line]
+    keep = _in_time(ticks, period_ticks, before[rows.starts].tolist())
     keep[keep] = ~_leaps(up[keep] - down[keep], ident.counter_bits)
-    bad = np.sort(np.concatenate((np.array(rows.bad, dtype=np.int64), np.flatnonzero(~keep))))
-    kept = np.cumsum(keep)
-    before = np.concatenate(([0], kept))  # lines kept before each line
-    starts = before[np.array(rows.starts, dtype=np.int64)] if rows.starts else np.empty(0, dtype=np.int64)
-    up, down = up[keep], down[keep]
-    if not rows.down:
+    damaged = rows.bad.copy()
+    damaged[line[~keep]] = True
+    kept = np.concatenate(([0], np.cumsum(keep)))  # lines kept before each good one
+    starts = kept[before[rows.starts]] if rows.starts else np.empty(0, dtype=np.int64)
+    line, ticks, up, down = line[keep], ticks[keep], up[keep], down[keep]
+    if rows.net:
         up, down = _two_counters(up, ident.counter_bits)
-    ticks = ticks[keep]
     sequence, starts = _sequence(ticks, period_ticks, starts)
     n = len(ticks)
     nothing = np.empty(0, dtype=np.int64)
@@ -123,12 +154,12 @@ def to_stream(rows: Rows, ident: wire.Ident, period_ticks: float) -> Stream:
         n=np.ones(n, dtype=np.int64),
         seq=sequence,
         ticks=ticks,
-        illegal=np.array(rows.illegal, dtype=np.int64)[keep],
-        stamp_ns=stamp_ns[keep],
+        illegal=rows.illegal[line],
+        stamp_ns=rows.lines.stamp_ns[line],
         dt=np.zeros(n, dtype=np.uint16),
         up=_as_wide_as(ident.counter_bits, up),
         down=_as_wide_as(ident.counter_bits, down),
-        status=np.array(rows.status, dtype=np.uint8)[keep],
+        status=rows.status[line].astype(np.uint8),
         belt=None,
         edge=None,
         ident=ident,
@@ -138,8 +169,8 @@ def to_stream(rows: Rows, ident: wire.Ident, period_ticks: float) -> Stream:
         truth_seq=nothing,
         truth_frame=nothing,
         truth=np.empty((0, 4)),
-        crc_frame=before[np.minimum(bad, len(before) - 1)],
-        crc_errors=len(bad),
+        crc_frame=kept[before[np.append(np.flatnonzero(damaged), [len(damaged)] * rows.endless).astype(np.int64)]],
+        crc_errors=int(np.count_nonzero(damaged)) + rows.endless,
         unknown=0,
         discarded_bytes=rows.discarded_bytes,
         length=np.zeros(n, dtype=np.int64),
