@@ -222,6 +222,7 @@ def _summary(
         travel=(float(position.min()), float(position.max())),
         unit="m" if rig.metres_per_count is not None else "count",
         warnings=(),
+        port_lost=sum(record.kind == journal.LOST for record in taken.records),
     )
     findings = _findings(summary, samples, checked, rig, said)
     warnings = [*taken.header["warnings"], *warnings, *_absences(taken.records), *findings]

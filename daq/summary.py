@@ -34,6 +34,8 @@ class Summary:
         "m", or "count" for a rig that was not calibrated.
     warnings : tuple of str
         What a careful user should know about the data.
+    port_lost : int
+        How often the port was lost: what was missed then is no lost sample, and a warning tells how long it was.
     """
 
     samples: int
@@ -53,6 +55,7 @@ class Summary:
     unit: str
     warnings: tuple[str, ...]
     file: Path | None = None
+    port_lost: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON document of ``daq record`` and ``daq recover``."""
@@ -80,6 +83,7 @@ class Summary:
         scale = 1e3 if self.unit == "m" else 1.0
         low, high = (scale * edge for edge in self.travel)
         lost = f"{self.lost} samples lost" if self.lost else "no sample lost"
+        lost += " while the port was there" if self.port_lost else ""
         clock = "" if self.clock_ppm is None else f"; the board's clock is off by {self.clock_ppm:+.0f} ppm"
         lines = [
             f"{done} {self.samples} samples in {self.duration_s:.1f} s at {self.rate_hz:g} Hz, {lost}{clock}",

@@ -211,6 +211,9 @@ class Text(Line):
         typical = median(steps)
         if typical == 0:
             raise DeviceError("the time in the lines stands still", self.url, "print micros() with each sample")
+        if typical >= 1 << 31:
+            what = f"the time in the lines runs backwards, by {(1 << 32) - typical:.0f} us from line to line"
+            raise DeviceError(what, self.url, "check which of --columns is the time; print micros() with each sample")
         usual = [step for step in steps if 0.5 * typical <= step <= 1.5 * typical]
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
         self._line_bytes = heard / max(1, len(times) + lines.bad)
