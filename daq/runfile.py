@@ -119,6 +119,12 @@ def load(path: str | os.PathLike[str], own: slice = EVERY) -> Recording:
             clock_sample=array(entry, "clock_sync/sample", np.uint32, where),
             clock_offset=array(entry, "clock_sync/host_minus_device", np.float64, where),
             clock_ppm=scalar(entry, "clock_sync/drift", where) if "clock_sync/drift" in entry else None,
+            clock_ppm_error=scalar(entry, "clock_sync/drift_errors", where)
+            if "clock_sync/drift_errors" in entry
+            else None,
+            clock_offset_error=array(entry, "clock_sync/host_minus_device_errors", np.float64, where)
+            if "clock_sync/host_minus_device_errors" in entry
+            else np.empty(0),
             operator=string(entry, "operator/name", where) if "operator/name" in entry else "",
             provenance=_provenance(entry),
         )
