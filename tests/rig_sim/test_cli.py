@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -227,3 +229,17 @@ def test_a_long_list_of_events_is_the_same_by_compiled_code(monkeypatch: pytest.
     assert rig_sim.events(forced, 400.0) == interpreted
     assert motion_module.events(forced, 400.0, max_steps=120).outcome == "step limit"
     assert motion_module.events(forced, 400.0, max_steps=40).steps == 40
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="an interrupt is sent as a signal")
+def test_an_interrupted_run_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
+    line = [sys.executable, "-m", "rig_sim.cli", "run", "rig", "--until", "90000", "--rate", "1000", "-o", "m.csv"]
+    with subprocess.Popen(line, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and not (tmp_path / "m.csv.part").exists():
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    # Python ends by the signal itself where it came while a module was loaded; a shell tells 130 either way.
+    assert process.returncode in (130, -signal.SIGINT)
+    assert (out, err) == ("", "rig-sim: interrupted\n")
+    assert list(tmp_path.iterdir()) == []
