@@ -2,13 +2,12 @@
 
 import html
 import math
-import os
-import tempfile
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from daq import runfile
 from daq.errors import InputError
 from daq.version import VERSION
 from fitting import plot
@@ -65,17 +64,12 @@ def write(page: str, path: Path) -> None:
     ------
     InputError
         When ``path`` holds something that is not a report.
+    RefusedError
+        The disk refuses; an older report still stands.
     """
     refuse_stranger(path)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.absolute().parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(page)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with runfile.replacing(path, force=True) as temporary:
+        temporary.write_text(page, encoding="utf-8")
 
 
 def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:

@@ -111,8 +111,13 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     known = slots >= 0
     active = [int(slot) for slot in slots[known]]
     spread = covariance(fit, fit.precision)[np.ix_(known, known)]
-    if LAWS[fit.law].curve == "constant":  # held in the fit: datum and Fs/k move against each other
-        against = np.array([{DATUM: 1.0, LOG_F: -fit.u[K] / math.exp(fit.u[LOG_F])}.get(slot, 0.0) for slot in active])
+    if LAWS[fit.law].curve == "constant":
+        # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.
+        rate = -fit.u[K] / math.exp(fit.u[LOG_F])
+        beside = {DATUM: 1.0, LOG_F: rate, D: rate * fit.u[D], V_DR: rate * fit.u[D]}
+        if D not in active:
+            del beside[V_DR]
+        against = np.array([beside.get(slot, 0.0) for slot in active])
         spread = spread + datum_guess(motion).sd ** 2 * np.outer(against, against)
     own = fit.u[UNKNOWNS * run : UNKNOWNS * (run + 1)]
     quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
