@@ -67,6 +67,7 @@ class Bench:
         self.pitch = pitch
         self.landings = np.array([event.t for event in motion.events if event.kind.endswith("S")])
         onsets = np.array([event.t for event in motion.events if event.kind.startswith("S")])
+        self.kicks = np.array([event.t for event in motion.events if event.kind == "kick"])
         landed, left = (np.searchsorted(at, instants) for at in (self.landings, onsets))
         self.stuck = np.r_[-np.inf, self.landings][landed] > np.r_[-np.inf, onsets][left]
         self.near = np.zeros(n, bool)
