@@ -8,7 +8,7 @@ import pytest
 import processing
 from daq.compiled import compiled
 from daq.errors import InputError
-from processing import jerk_filter, methods, rts, series, snap_filter
+from processing import jerk_filter, methods, rts, series, snap_corners, snap_filter
 from processing.methods import Setting
 
 
@@ -132,7 +132,7 @@ def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
     else:
         at, kind = np.array([0.1, 0.2023]), np.array([snap_filter.START, snap_filter.LAND], np.uint8)
         label = np.empty(time.size, np.uint8)
-        snap_filter.label_samples(time, at, kind, snap_filter.REST, 0.1, label)
+        snap_corners.label_samples(time, at, kind, snap_filter.REST, 0.1, label)
         q, r = np.full(snap_filter.LABELS, 1e5), np.full(snap_filter.LABELS, 5e-12)
         jump = np.ones(snap_filter.JUMPS)
         outcomes = []
