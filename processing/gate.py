@@ -46,12 +46,15 @@ def passed(
     ridden = np.zeros(len(sticks), bool)
     other_way = np.maximum(plain, smooth)
     gained = (even - other_way)[:-1]
+    if (gained < needed * corners).any():
+        even = _better_rounded(series, layout, levels, room, spans, even)
+        gained = (even - other_way)[:-1]
     uneven = levels.r[STICK] > 1.3 * levels.r[SLIP]
     if uneven or (gained < needed * corners).any():
         kinds = np.where(begun.kind == LAND, MEET, begun.kind).astype(np.uint8)
         firsts = tuple(RIDE if first == STICK else first for first in begun.first)
         other = replace(begun, kind=kinds, first=firsts)
-        riding = replace(levels, r=np.full(LABELS, levels.r[SLIP]))
+        riding = replace(levels, u=np.zeros(LABELS), r=np.full(LABELS, levels.r[SLIP]))
         for width in (1.0, 0.25):
             riding = learned(series, room, other, riding, 2)
             other = placed(series, room, other, riding, width)
@@ -73,7 +76,8 @@ def passed(
         return None
     if dropped.any() or ridden.any():
         layout, levels = _rebuilt(series, room, layout, levels, sticks, dropped, ridden)
-        even = _gains(series, layout, levels, room, spans[-1:])
+        even = _gains(series, layout, levels, room, spans)
+        even = _better_rounded(series, layout, levels, room, spans, even)
     # What the sticks that are left gain must not be lost where the others were dropped.
     return (layout, levels) if even[-1] - max(plain[-1], smooth[-1]) > needed * layout.at.size else None
 
@@ -85,6 +89,21 @@ def _gains(series: Series, layout: Layout, levels: Levels, room: Room, spans: ND
         stored = filtered(series, layout, levels, stretch, room)[1]
         total += _summed(stored, 14, stretch, spans)
     return total
+
+
+def _better_rounded(
+    series: Series, layout: Layout, levels: Levels, room: Room, spans: NDArray[np.int64], even: Array
+) -> Array:
+    """Return the likelihoods of even sticks, each with the reading variance of all sticks or of the slips.
+
+    A belt that moves a round number of counts in a sample is rounded alike throughout a stick: by nothing in most, by
+    half a count at every other sample in some.  One variance does not suit both.
+    """
+    r = levels.r.copy()
+    r[STICK] = r[SLIP]
+    more = np.maximum(_gains(series, layout, replace(levels, r=r), room, spans) - even, 0.0)
+    more[-1] = more[:-1].sum()
+    return even + more
 
 
 def _jerk_gains(series: Series, noise: rts.Noise, room: Room, spans: NDArray[np.int64]) -> Array:

@@ -32,6 +32,18 @@ def test_every_stick_is_found_and_none_besides(motion, recorded, law, pitch):
         assert stick.end == pytest.approx(end, abs=0.07)
 
 
+@pytest.mark.parametrize(("belt", "duration"), [(0.1, 20.0), (0.3, 13.0)])
+@pytest.mark.parametrize("seed", [5, 6, 7])
+@pytest.mark.parametrize("times", ["recorded", "nominal"])
+def test_no_stick_is_dropped_where_the_belt_moves_whole_counts_a_sample(motion, recorded, belt, duration, seed, times):
+    # At 50 um, 0.1 m/s and 1 kHz most sticks are rounded by nothing, some by a count at every other sample.
+    true = motion(5, duration, seed=seed, start=START, belt=belt)
+    found = processing.smooth(recorded(true, 50e-6), times=times)
+    assert found.method == "segment"
+    for start, end in true_sticks(true):
+        assert any(abs(stick.start - start) < 0.03 for stick in found.sticks), (start, end)
+
+
 def true_share(true):
     return sum(end - start for start, end in true_sticks(true)) / (true.time[-1] - true.time[0])
 
