@@ -69,7 +69,7 @@ def placed(series: Series, room: Room, layout: Layout, levels: Levels, width: fl
                 place(
                     *(time, position, stored, now, pick, int(kind), low[pick], high[pick]),
                     *(max(width * half, series.interval), finest, back, on, edges, np.array(parts, np.uint8), corner),
-                    *(levels.q, levels.r, levels.jump, found),
+                    *(levels.q, levels.u, levels.r, levels.jump, found),
                 )
                 at[stretch.corners.start + pick] = found[:, 0]
                 sd[stretch.corners.start + pick] = found[:, 1] * (SHARP if kind in (LAND, STOP) else 1.0)

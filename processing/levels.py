@@ -14,18 +14,23 @@ from processing import rts, snap_filter
 from processing.corners import KERNELS, Labels, Layout, Stretch, labels, looked_at, without
 from processing.methods import Motion
 from processing.series import Series
-from processing.snap_filter import LABELS, LANDING, LEAVING, MET, ONSET, REST, RIDE, SLIP, STICK
+from processing.snap_filter import CUT, LABELS, LANDING, LEAVING, MET, ONSET, REST, RIDE, SLIP, STICK
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Density of the white snap and variance of a reading per label, and the variances of steps at corners."""
+    """Density and mean of the snap and variance of a reading per label, and the variances of steps at corners.
+
+    ``peak`` (m/s^2) is about the largest acceleration.
+    """
 
     q: Array
+    u: Array
     r: Array
     jump: Array
+    peak: float
 
 
 class Room:
@@ -55,7 +60,8 @@ def first_levels(series: Series, noise: rts.Noise, pilot: Motion, unit: float) -
     peak = float(np.percentile(np.abs(pilot.acceleration[::stride]), 99))
     kick = 0.1 * float(np.percentile(np.abs(pilot.velocity[::stride]), 99))
     step = [0.01 * peak, peak / unit, peak, 8 * peak / unit, kick, peak, 8 * peak / unit, peak, 8 * peak / unit]
-    return Levels(q, np.full(LABELS, noise.reading), np.array(step) ** 2)
+    q[CUT : CUT + 4] = q[LANDING : LANDING + 4]
+    return Levels(q, np.zeros(LABELS), np.full(LABELS, noise.reading), np.array(step) ** 2, peak)
 
 
 def filtered(series: Series, layout: Layout, levels: Levels, stretch: Stretch, room: Room) -> tuple[Labels, Array]:
@@ -73,6 +79,7 @@ def filtered(series: Series, layout: Layout, levels: Levels, stretch: Stretch, r
         layout.at[stretch.corners],
         layout.kind[stretch.corners],
         levels.q,
+        levels.u,
         levels.r,
         levels.jump,
         state,
@@ -96,6 +103,7 @@ def learned(series: Series, room: Room, layout: Layout, levels: Levels, times: i
             at, kind = layout.at[stretch.corners], layout.kind[stretch.corners]
             back(series.time[stretch.own], label, at, kind, stored, False, np.empty((6, 0)), noise, steps)
         q = levels.q * _ratio(levels.q, noise[:, 0], noise[:, 1])
+        q[CUT : CUT + 4] = q[LANDING : LANDING + 4]
         jump = levels.jump * _ratio(levels.jump, steps[:, 0], steps[:, 1])
         r = levels.r.copy()
         slipping = np.ones(LABELS, bool)
@@ -103,7 +111,7 @@ def learned(series: Series, room: Room, layout: Layout, levels: Levels, times: i
         for group in (slipping, np.isin(np.arange(LABELS), (STICK,)), np.isin(np.arange(LABELS), (RIDE, MET, LEAVING))):
             if noise[group, 3].any():
                 r[group] = max(r[group][0] * noise[group, 2].sum() / noise[group, 3].sum(), least)
-        levels = Levels(q, r, jump)
+        levels = replace(levels, q=q, r=r, jump=jump)
     return levels
 
 
@@ -115,7 +123,9 @@ def _ratio(level: Array, square: Array, expected: Array) -> Array:
 
 def without_corners(levels: Levels) -> Levels:
     """Return levels with one roughness for a record without corners."""
-    return replace(levels, q=np.full(LABELS, levels.q[LANDING + 1]), r=np.full(LABELS, levels.r[SLIP]))
+    return replace(
+        levels, q=np.full(LABELS, levels.q[LANDING + 1]), u=np.zeros(LABELS), r=np.full(LABELS, levels.r[SLIP])
+    )
 
 
 def merged(even: Levels, riding: Levels) -> Levels:
@@ -124,4 +134,4 @@ def merged(even: Levels, riding: Levels) -> Levels:
     for label in (RIDE, MET, LEAVING):
         q[label], r[label] = riding.q[label], riding.r[label]
     jump[2:4] = riding.jump[2:4]
-    return Levels(q, r, jump)
+    return replace(even, q=q, r=r, jump=jump)

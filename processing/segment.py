@@ -27,6 +27,7 @@ from daq.compiled import compiled
 from processing import gate, line_fit, phases, rts, snap_corners, snap_filter
 from processing.corner_times import placed
 from processing.corners import KERNELS, Labels, Layout, Stretch, laid_out, stretches
+from processing.landing_snap import with_means
 from processing.levels import Levels, Room, filtered, first_levels, learned
 from processing.methods import Corner, Motion, Setting
 from processing.series import Series
@@ -78,7 +79,8 @@ def segmented(series: Series, noise: rts.Noise, pilot: Motion, setting: Setting,
     begun, levels = layout, first_levels(series, noise, pilot, layout.unit)
     layout = placed(series, room, layout, levels, 1.0)
     for width in WIDTHS:
-        levels = learned(series, room, layout, levels, 2)
+        levels = learned(series, room, layout, levels, 1)
+        levels = learned(series, room, layout, with_means(series, layout, levels), 1)
         layout = placed(series, room, layout, levels, width)
     if gated:
         kept = gate.passed(series, room, layout, levels, noise, begun)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.snap_filter import (
+    CUT,
     LAND,
     LANDING,
     LEAVING,
@@ -55,7 +56,7 @@ def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float,
         if state == SLIP:
             for part in range(4):
                 if left < NEAR_LANDING[part]:
-                    label[i] = LANDING + part
+                    label[i] = (LANDING if c < at.size else CUT) + part
                     break
                 if since < NEAR_ONSET[part]:
                     label[i] = ONSET + part
@@ -84,6 +85,7 @@ def place(
     parts: Labels,
     corner: int,
     q: Array,
+    u: Array,
     r: Array,
     jump: Array,
     found: Array,
@@ -110,7 +112,19 @@ def place(
             for i in range(2 * n + 1):
                 tried[i] = min(max(middle + (i - n) * step, least), most)
             try_corner(
-                time[begin:end], position[begin:end], tried, what, edges, parts, corner, q, r, jump, stored[begin], gain
+                time[begin:end],
+                position[begin:end],
+                tried,
+                what,
+                edges,
+                parts,
+                corner,
+                q,
+                u,
+                r,
+                jump,
+                stored[begin],
+                gain,
             )
             best = np.argmax(gain)
             weight, mean, square = 0.0, 0.0, 0.0
@@ -138,6 +152,7 @@ def try_corner(
     parts: Labels,
     corner: int,
     q: Array,
+    u: Array,
     r: Array,
     jump: Array,
     stored: Array,
@@ -156,14 +171,14 @@ def try_corner(
         for i in range(time.size):
             if ahead and tried[k] <= time[i]:
                 part = max(part, corner)
-                S = predict(tried[k] - last, q[parts[part]], S)
+                S = predict(tried[k] - last, q[parts[part]], u[parts[part]], S)
                 S = turn(what, jump, S)
                 last = tried[k]
                 ahead = False
             while part < edges.size and time[i] - tried[k] >= edges[part]:
                 part += 1
             b = parts[part]
-            S = predict(time[i] - last, q[b], S)
+            S = predict(time[i] - last, q[b], u[b], S)
             last = time[i]
             s = 1.0 / (S[4] + r[b])
             e = position[i] - S[0]

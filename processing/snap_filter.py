@@ -1,7 +1,8 @@
 """Kernels: the Kalman filter of a motion of white snap that sticks and slips, its smoother, and its noise.
 
-State x, v, a, j (jerk); between samples the snap is white noise of density q (m^2/s^7), a reading is x + noise of
-variance r, and both change with the part of the motion a sample lies in (its label).  Between samples lie corners:
+State x, v, a, j (jerk); between samples the snap is a mean u (m/s^4) and white noise of density q (m^2/s^7), a reading
+is x + noise of variance r, and all change with the part of the motion a sample lies in (its label).  Between samples
+lie corners:
 
     LAND    onto a belt that runs evenly: x and v go on, a and j are 0 from here
     LEAVE   the belt: x and v go on, a and j change by an unknown step of variance jump[0], jump[1]
@@ -33,7 +34,8 @@ STATE = 15  # numbers in a filter's state: x v a j, the ten of p, and the time t
 STORED = 16  # numbers kept of a sample: the state as expected, 1/s, e/s
 LAND, LEAVE, MEET, KICK, START, STOP = 1, 2, 3, 4, 5, 6
 STICK, LANDING, SLIP, ONSET, RIDE, MET, LEAVING, REST = 0, 1, 5, 6, 10, 11, 12, 13  # LANDING and ONSET: four each
-LABELS = 14
+CUT = 14  # four: where a slip is cut off
+LABELS = 18
 NEAR_LANDING = (1 / 128, 1 / 48, 1 / 24, 1 / 8)  # of a slip's length: where its parts near a landing begin
 NEAR_ONSET = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
 JUMPS = 9  # variances: LEAVE a j, MEET a j, KICK v a j, START a j
@@ -61,8 +63,8 @@ def start(time: Array, position: Array, r: float, still: bool, state: Array) -> 
     state[14] = time[0]
 
 
-def predict(h: float, q: float, S: State) -> State:
-    """Carry the state over h seconds."""
+def predict(h: float, q: float, u: float, S: State) -> State:
+    """Carry the state over h seconds, in which the snap has mean u and density q."""
     x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = S
     h2 = 0.5 * h * h
     h3 = h2 * h * (1 / 3)
@@ -81,10 +83,10 @@ def predict(h: float, q: float, S: State) -> State:
     q4 = q3 * h
     q5 = q4 * h
     return (
-        x + h * v + h2 * a + h3 * j,
-        v + h * a + h2 * j,
-        a + h * j,
-        j,
+        x + h * v + h2 * a + h3 * (j + 0.25 * h * u),
+        v + h * a + h2 * (j + (1 / 3) * h * u),
+        a + h * (j + 0.5 * h * u),
+        j + h * u,
         b00 + h * b01 + h2 * b02 + h3 * b03 + q5 * h * h * (1 / 252),
         b01 + h * b02 + h2 * b03 + q5 * h * (1 / 72),
         b02 + h * b03 + q5 * (1 / 30),
@@ -166,6 +168,7 @@ def forward(
     at: Array,
     kind: Labels,
     q: Array,
+    u: Array,
     r: Array,
     jump: Array,
     state: Array,
@@ -173,14 +176,15 @@ def forward(
 ) -> None:
     """Filter from ``state`` on; write what was expected of each sample, (n, STORED).
 
-    ``label`` (n,) picks q and r; ``at`` and ``kind`` (c,) are the corners, in order of time, within the samples'.
+    ``label`` (n,) picks q, u and r; ``at`` and ``kind`` (c,) are the corners, in order of time, within the samples'.
     """
     S = unpacked(state)
     last = state[14]
     c = 0
     for i in range(time.size):
         while c < at.size and at[c] <= time[i]:
-            S = predict(at[c] - last, q[label[max(i - 1, 0)]], S)
+            b = label[max(i - 1, 0)]
+            S = predict(at[c] - last, q[b], u[b], S)
             S = turn(kind[c], jump, S)
             last = at[c]
             c += 1
@@ -189,7 +193,7 @@ def forward(
         if b == STICK or b == REST:
             S = line_predict(time[i] - last, S)
         else:
-            S = predict(time[i] - last, q[b], S)
+            S = predict(time[i] - last, q[b], u[b], S)
         last = time[i]
         pack(w, S)
         s = 1.0 / (S[4] + r[b])
