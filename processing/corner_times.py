@@ -28,7 +28,7 @@ from processing.snap_filter import (
 
 Array = NDArray[np.float64]
 
-SHARP = 1.5  # times the spread of a landing's likelihood: the levels it is taken at were learned with it
+SHARP = 1.7  # times the spread of a landing's likelihood: the levels it is taken at were learned with it
 
 
 def placed(series: Series, room: Room, layout: Layout, levels: Levels, width: float) -> Layout:

@@ -5,7 +5,7 @@ mean is taken for 0 there makes every landing seem late: by a tenth of a millise
 before it wrong by 1 mm/s.  One landing cannot tell its own time from its own snap; many can tell the snap they share.
 
 What is expected of a sample moves in proportion to the means, so those of greatest likelihood solve normal equations.
-The time of each landing is left open by its standard deviation: it shifts the velocity behind it.
+The time of each landing is left open by what it is uncertain by: it shifts the velocity behind it.
 """
 
 from dataclasses import replace
@@ -32,6 +32,7 @@ KERNELS = ("processing.snap_filter", "processing.snap_mean")
 
 PARTS = len(NEAR_LANDING)
 BEFORE, BEHIND = 1 / 3, 1 / 12  # of a slip: what is looked at around a landing
+OPEN = 1.5  # standard deviations of its time that a landing is left open for
 MOST = 64  # landings looked at
 
 
@@ -44,7 +45,7 @@ def with_means(series: Series, layout: Layout, levels: Levels) -> Levels:
     landings = np.flatnonzero(layout.kind == LAND)
     if landings.size < 2:
         return levels
-    loose = (levels.peak * float(np.median(layout.sd[landings]))) ** 2
+    loose = (OPEN * levels.peak * float(np.median(layout.sd[landings]))) ** 2
     edges = np.concatenate((-unit * np.array(NEAR_LANDING)[::-1], [0.0]))
     parts = np.array([SLIP, *range(LANDING + PARTS - 1, LANDING - 1, -1), STICK], np.uint8)
     square, product = np.zeros((PARTS, PARTS)), np.zeros(PARTS)

@@ -8,15 +8,14 @@ A belt that does not run evenly is ridden, smoothly, instead of stuck to.
 1. A first motion (`processing.rts`) shows sticks (`processing.phases`), and rest before the belt starts.
 2. Noise levels (`processing.levels`) and corners (`processing.corner_times`) are made more likely in turns.
 3. A gate keeps the sticks that the record speaks for (`processing.gate`).
-4. The motion is averaged over what the record leaves open of the corners' times (three nodes of Gauss and Hermite
-   each), and so are its errors.
+4. The motion is averaged over what the record leaves open of the corners' times (two nodes of Gauss and Hermite), and
+   so are its errors.
 5. In a stick on an even belt velocity and error are those of a straight line through at most a third of a slip's
    length: a belt is not trusted to keep its speed for longer.
 
 Not modelled: corners within a slip other than kicks, and counts that hardly change.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -91,13 +90,11 @@ def segmented(series: Series, noise: rts.Noise, pilot: Motion, setting: Setting,
 
 
 def _averaged(series: Series, room: Room, layout: Layout, levels: Levels, window: int) -> Motion:
-    """Smooth, averaging over what is open of the corners' times."""
+    """Smooth, averaging over what is open of the corners' times: each a standard deviation early, and late."""
     back = compiled(snap_filter.backward, KERNELS)
-    total, still = _run(series, room, layout, levels, back, lines=True)
-    before, still_before = _run(series, room, replace(layout, at=_moved(layout, -1.0)), levels, back, lines=False)
+    total, still = _run(series, room, replace(layout, at=_moved(layout, -1.0)), levels, back, lines=True)
     behind, still_behind = _run(series, room, replace(layout, at=_moved(layout, 1.0)), levels, back, lines=False)
-    sure = still & still_before & still_behind
-    compiled(snap_corners.average, KERNELS)(total, before, behind, sure)
+    compiled(snap_corners.average, KERNELS)(total, behind, still & still_behind)
     return Motion(
         position=series.origin + total[0],
         velocity=total[1],
@@ -116,8 +113,8 @@ def _averaged(series: Series, room: Room, layout: Layout, levels: Levels, window
 
 
 def _moved(layout: Layout, shift: float) -> Array:
-    """Return the corners' times moved by sqrt(3) standard deviations, in order still."""
-    at = layout.at + shift * math.sqrt(3) * layout.sd
+    """Return the corners' times moved by ``shift`` standard deviations, in order still."""
+    at = layout.at + shift * layout.sd
     return np.asarray(np.maximum.accumulate(at))
 
 

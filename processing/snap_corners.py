@@ -23,6 +23,8 @@ from processing.snap_filter import (
     SLIP,
     STICK,
     STOP,
+    line_predict,
+    line_update,
     predict,
     turn,
     unpacked,
@@ -171,14 +173,16 @@ def try_corner(
         for i in range(time.size):
             if ahead and tried[k] <= time[i]:
                 part = max(part, corner)
-                S = predict(tried[k] - last, q[parts[part]], u[parts[part]], S)
+                b = parts[part]
+                S = predict(tried[k] - last, q[b], u[b], S)
                 S = turn(what, jump, S)
                 last = tried[k]
                 ahead = False
             while part < edges.size and time[i] - tried[k] >= edges[part]:
                 part += 1
             b = parts[part]
-            S = predict(time[i] - last, q[b], u[b], S)
+            still = b == STICK or b == REST
+            S = line_predict(time[i] - last, S) if still else predict(time[i] - last, q[b], u[b], S)
             last = time[i]
             s = 1.0 / (S[4] + r[b])
             e = position[i] - S[0]
@@ -187,12 +191,12 @@ def try_corner(
             if product > 1e200 or product < 1e-200:
                 total += math.log(product)
                 product = 1.0
-            S = update(e, s, r[b], S)
+            S = line_update(e, s, r[b], S) if still else update(e, s, r[b], S)
         gain[k] = 0.5 * (total + math.log(product))
 
 
-def average(motion: Array, before: Array, behind: Array, sure: NDArray[np.bool_]) -> None:
-    """Average three motions (6, n), the first of weight 4/6, or 1 where it is ``sure``; variances become errors.
+def average(motion: Array, behind: Array, sure: NDArray[np.bool_]) -> None:
+    """Average two motions (6, n), or take the first where it is ``sure``; variances become errors.
 
     The smoother's variance is that of readings and of the motion's own noise.  A slip is smooth but for its ends, and
     errs by its readings' share alone: 1 - (2 d + 1)/8 of that variance in the d-th derivative.
@@ -203,11 +207,11 @@ def average(motion: Array, before: Array, behind: Array, sure: NDArray[np.bool_]
             if sure[i]:
                 motion[row + 3, i] = math.sqrt(max(motion[row + 3, i], 0.0))
                 continue
-            mean = (4 * motion[row, i] + before[row, i] + behind[row, i]) / 6
-            apart = 4 * (motion[row, i] - mean) ** 2 + (before[row, i] - mean) ** 2 + (behind[row, i] - mean) ** 2
-            variance = share * (4 * motion[row + 3, i] + before[row + 3, i] + behind[row + 3, i])
+            mean = (motion[row, i] + behind[row, i]) / 2
+            apart = (motion[row, i] - mean) ** 2 + (behind[row, i] - mean) ** 2
+            variance = share * (motion[row + 3, i] + behind[row + 3, i])
             motion[row, i] = mean
-            motion[row + 3, i] = math.sqrt(max((variance + apart) / 6, 0.0))
+            motion[row + 3, i] = math.sqrt(max((variance + apart) / 2, 0.0))
 
 
 def gains(stored: Array, surprise: int, spans: NDArray[np.int64], gain: Array) -> None:
