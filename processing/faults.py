@@ -17,7 +17,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from processing.evengrid import even_grid
 from processing.series import Series
 
 Array = NDArray[np.float64]
@@ -59,9 +58,8 @@ def losses(series: Series) -> tuple[Loss, ...]:
     if not series.pitch:
         return ()
     found: list[Loss] = []
-    for piece in series.pieces:
-        if piece.stop - piece.start > 2 * AROUND + SPREAD:
-            count = even_grid(series.time[piece], series.position[piece]) / series.pitch
+    for piece, count in zip(series.pieces, series.even_counts, strict=True):
+        if count.size > 2 * AROUND + SPREAD:
             found += [Loss(piece.start + loss.first, piece.start + loss.last, loss.counts) for loss in _in_piece(count)]
     return tuple(found)
 

@@ -13,8 +13,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.evengrid import even_grid
-from processing.gram import coefficients
 from processing.series import Series
 
 Array = NDArray[np.float64]
@@ -26,7 +24,7 @@ LEAST = 1.5  # counts per sample; and no less than a corner may do in a sample
 BETTER = 2.0  # times smaller squares that a kink must leave than corners alone
 CLEAR = 2.0 / 12  # counts^2: mean square that a kink may leave
 LATER = np.append(np.arange(2.0, AROUND + 3.0), 2 * AROUND)  # samples behind a kick or a corner: where one may follow
-BENT = 31, 4  # window and order of a rough acceleration
+MEAN = 10  # samples averaged into one for a rough acceleration
 SHARPEST = 2.0  # times the largest rough acceleration: what it may jump by at a corner
 PLACES = np.arange(-6.0, 6.1, 0.25)  # samples from the suspect: where the kink or the corner may be
 
@@ -44,10 +42,9 @@ def kicks(series: Series) -> tuple[Kick, ...]:
     if not series.pitch:
         return ()
     found: list[Kick] = []
-    for piece in series.pieces:
-        if piece.stop - piece.start <= 2 * AROUND + 2:
+    for piece, count in zip(series.pieces, series.even_counts, strict=True):
+        if count.size <= 2 * AROUND + 2:
             continue
-        count = even_grid(series.time[piece], series.position[piece]) / series.pitch
         for sample, step in _in_piece(count):
             found.append(Kick(piece.start + sample, step * series.pitch / series.interval))
     return tuple(found)
@@ -71,7 +68,8 @@ def _in_piece(count: Array) -> list[tuple[int, float]]:
     if not groups:
         return found
     # No corner bends the motion by more than its accelerations differ.
-    sharpest = SHARPEST * float(np.percentile(np.abs(np.correlate(count, coefficients(*BENT)[2], "valid")), 99))
+    means = count[: count.size // MEAN * MEAN].reshape(-1, MEAN).mean(axis=1)
+    sharpest = SHARPEST * float(np.percentile(np.abs(np.diff(means, 2)), 99)) / MEAN**2
     for group in groups:
         place = int(group[np.argmax(steps[group - SIDE])])
         if AROUND <= place < count.size - AROUND:

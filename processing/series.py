@@ -6,6 +6,7 @@ A shorter hole (a lost sample or two) stays inside its piece: the recorded times
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
+from processing.evengrid import even_grid
 
 if TYPE_CHECKING:
     from daq.recording import Recording
@@ -56,6 +58,12 @@ class Series:
     pieces: tuple[slice, ...]
     source: str = ""
     count: NDArray[np.int64] | None = None
+
+    @cached_property
+    def even_counts(self) -> tuple[Array, ...]:
+        """Positions of each piece on its even grid, in counts; empty for a lone sample.  Needs a pitch."""
+        own = [(self.time[piece], self.position[piece] / self.pitch) for piece in self.pieces]
+        return tuple(even_grid(time, count) if time.size > 1 else np.empty(0) for time, count in own)
 
 
 def of(recording: "Recording", times: str = "recorded", anchor: "tuple[float, int] | None" = None) -> Series:
