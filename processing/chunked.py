@@ -32,7 +32,7 @@ from processing.smoothing import REPAIRS
 
 Array = NDArray[np.float64]
 
-CHUNK = 2**17  # samples kept at a time
+CHUNK = 2**16  # samples kept at a time
 MARGIN = 2**12  # samples to either side that are smoothed too
 LARGE = 2**20  # samples: longer records are smoothed here
 LOOKED_AT = 2**14  # samples of each of eight stretches that a window is chosen from

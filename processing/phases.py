@@ -46,7 +46,7 @@ ROUNDING = 1e-9  # of the fastest speed, gained in a sample: what rounded number
 CLEAR = 0.15  # of the largest accelerations: five standard errors must stay below it
 WIDER = 4.0  # the second tolerance of the plateau test
 PLATEAU = 0.5  # share of the wider stretch that must be flat already: 1/4 for a swing, near 1 for a plateau
-SAME_SPEED = 0.35  # of the belt's speed: a ramp's creep is allowed for
+SAME_SPEED = 0.4  # of the belt's speed: a ramp's creep is allowed for
 
 
 @dataclass(frozen=True, eq=False)
