@@ -114,7 +114,7 @@ def losses(seed: int) -> tuple[Row, Limits]:
     bench = Bench(seed, 7.67e-6, 30e-6)
     for size, width in ((10, 1), (-10, 1), (12, 2), (10, 3), (-10, 5), (10, 5), (40, 1), (40, 5), (-200, 4)):
         rng = np.random.default_rng(seed)
-        at = np.arange(150, 59_850, 400) + rng.integers(0, 300, 150)
+        at = np.linspace(150, 59_400, 150).astype(int) + rng.integers(0, 300, 150)
         lost = sum(size * np.clip((np.arange(60_000) - k + 1) / width, 0, 1) for k in at)
         count = np.floor(bench.x / bench.pitch + lost).astype(np.int64)
         seen = faults.losses(bench.series(count=count))
