@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 PARKED_S, MOVED_S = 5.0, 5.0
 SIMULATED_PARKED_S, SIMULATED_MOVED_S = 0.4, 2.0  # the belt of the scene `rig` starts after 0.5 s
 RING_DOWN_S, DISTANCE_S = 20.0, 10.0
+# The simulated rig in a ring-down: its belt at rest, the mass all but lifted off it, struck at its mark.
+STRUCK = ("belt.speed=0.0", "friction.Fs=0.05", "start.v=0.6")
 
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=(), help="Do not wait for Enter.")]
 
@@ -69,6 +71,8 @@ def check(
             raise InputError(f"{value:g} s", flag, "give 0 or more seconds")
     if parked_s + move_s == 0:
         raise InputError("nothing to look at", "--parked and --move", "give one of them more than 0 s")
+    request = replace(request, duration_s=parked_s + move_s)
+    _reach(request)
     told = False
 
     def progress(seconds: float) -> None:
@@ -79,7 +83,7 @@ def check(
 
     if parked_s:
         _ask(f"leave the mass alone for {parked_s:g} s", not (yes or json or simulated))
-    summary, run = _take(replace(request, duration_s=parked_s + move_s), progress)
+    summary, run = _take(request, progress)
     found = checkup.findings(summary, run, parked_s)
     ok = all(finding.ok is not False for finding in found)
     still = checkup.stretch(run, 0.0, parked_s)
@@ -130,9 +134,12 @@ def calibrate(
     """Measure a rig: metres per count over a known distance; datum, omega0 and damping by a ring-down.
 
     Begin with the mass at the mark from which every recording will start.  What is known already (by --rig, or from
-    the board) is kept where nothing new was measured.  The belt must be at rest.
+    the board) is kept where nothing new was measured.  The belt must be at rest.  Without a port the simulated rig,
+    all but lifted off its belt, is struck and rings down; nobody moves it, so it has no --distance: its board knows its
+    metres per count.
 
     Example: daq calibrate --port /dev/ttyACM0 --distance "100 mm +- 0.1 mm" --mass "300 g +- 1 g"
+    Example: daq calibrate --mass "300 g +- 1 g"
     """
     from daq import calibrate as measure
     from daq import runfile, settings, units
@@ -150,6 +157,15 @@ def calibrate(
     if mass is not None:
         typed = units.measured(mass, "mass", "--mass")
         weighed = checked("mass", typed.value, typed.sd, "--mass")
+    if known.port is None:
+        if length is not None:
+            what = "nobody moves the simulated rig by hand, so it has no known distance"
+            raise InputError(what, "--distance", "give the --port of a board, or leave --distance out")
+        request = replace(request, port=rig_port(None, list(STRUCK), realtime=False))
+    for flag, seconds, needed in (("--move", move, length is not None), ("--duration", duration, ring_down)):
+        if needed and not 0 < seconds < float("inf"):
+            raise InputError(f"{seconds:g} s", flag, "give more than 0 seconds")
+    _reach(replace(request, duration_s=duration if ring_down else move))
     wait = not (yes or json or request.port.startswith("rig://"))
     pitch = ring = None
     found = None
@@ -207,10 +223,20 @@ def _request(known: "Settings") -> "Request":
     )
 
 
+def _reach(request: "Request") -> None:
+    """Refuse what cannot be recorded, and a port that cannot be opened, before a person is asked to do anything."""
+    from daq import ports, protocols
+    from daq.record import check_request
+
+    with tempfile.TemporaryDirectory(prefix="daq-") as folder:
+        check_request(replace(request, output=Path(folder) / "run.h5"))
+    ports.open_port(request.port, request.baud or protocols.load(request.protocol).BAUD).close()
+
+
 def _take(request: "Request", progress: Callable[[float], None] = lambda seconds: None) -> "tuple[Summary, Recording]":
     """Record into a folder of its own, and return what was found and the run."""
-    from daq import runfile
-    from daq.record import record
+    from daq import disk, runfile
+    from daq.record import RecordingInterruptedError, record
 
     with tempfile.TemporaryDirectory(prefix="daq-") as folder:
         output = Path(folder) / "run.h5"
@@ -220,7 +246,13 @@ def _take(request: "Request", progress: Callable[[float], None] = lambda seconds
                 show(seconds)
                 progress(seconds)
 
-            summary = record(replace(request, output=output), progress=both, say=terminal.note)
+            try:
+                summary = record(replace(request, output=output), progress=both, say=terminal.note)
+            except RecordingInterruptedError as error:  # its journal goes with the folder
+                raise KeyboardInterrupt from error
+            except disk.RefusedError as error:
+                do = "make room there, or set TMPDIR to a folder on another disk"
+                raise disk.RefusedError(error.what.partition(";")[0], folder, do) from error
         return summary, runfile.load(output)
 
 

@@ -43,7 +43,7 @@ def doctor(*, json: Json = False) -> Answer:
     lines = [f"{'ok  ' if check.ok else 'FAIL'} {check.name}: {check.detail}" for check in checks]
     lines += [f"     do: {check.do}" for check in checks if not check.ok]
     lines.append("ready: try 'daq record --rate 1000'" if ok else "not ready: see the lines marked FAIL")
-    data = {"ok": ok, "checks": [vars(check) for check in checks]}
+    data = {"ok": ok, "checks": [vars(check) | {"do": "" if check.ok else check.do} for check in checks]}
     return Answer(data, "\n".join(lines), EXIT_DONE if ok else EXIT_DEVICE)
 
 
@@ -73,7 +73,9 @@ def _packages() -> list[Check]:
         seen = str(origin.parent) if origin else "not found"
         if strangers:
             seen += f"; also installed by {', '.join(strangers)}"
-        remedy = f"python -m pip uninstall {' '.join(strangers)}; then install stickslip again"
+        remedy = "install stickslip again"
+        if strangers:
+            remedy = f"python -m pip uninstall {' '.join(strangers)}; then {remedy}"
         checks.append(Check(f"package {package}", ours, seen, remedy))
     return checks
 
@@ -94,7 +96,9 @@ def _needs() -> Check:
         except PackageNotFoundError:
             missing.append(name)
     detail = f"missing {', '.join(missing)}" if missing else ", ".join(seen)
-    return Check("needed packages", not missing, detail, f"python -m pip install {' '.join(missing)}")
+    return Check(
+        "needed packages", not missing, detail, f"python -m pip install {' '.join(missing)}" if missing else ""
+    )
 
 
 def _commands() -> Check:

@@ -79,7 +79,8 @@ def check(
     lost[fresh] = samples.index[fresh]  # a start numbers from 0, so what is missing there was lost, too
     interval = np.concatenate(([0.0], np.diff(samples.time)))
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
-    gap = interval > 1.5 / rate_hz
+    # By its number, or by a time that no jitter explains: above 30 kHz jitter alone is more than half a period.
+    gap = (lost > 0) | (interval > max(1.5 / rate_hz, PEAK_OVER_S))
     moved = np.maximum(counter.increments(samples.up, bits), counter.increments(samples.down, bits))
     peak = _peak_rate(samples.time, moved, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
     safe = counter.longest_gap_s(capability.peak_edge_rate_hz(ident, rig, peak * edges), edges, bits)
@@ -129,11 +130,16 @@ def check(
 
 
 def _peak_rate(time: NDArray[np.float64], moved: NDArray[np.int64], broken: NDArray[np.bool_], stride: int) -> float:
-    """Return the fastest counting (counts/s) over ``stride`` samples in a row that no gap breaks; 0 without any."""
-    if len(time) <= stride:
-        return 0.0
+    """Return the fastest counting (counts/s) over ``stride`` samples in a row that no gap breaks; 0 for one sample.
+
+    Where gaps leave no stretch as long, the longest that there are must do: half of it, a quarter ...
+    """
     total = np.concatenate(([0], np.cumsum(moved)))
     breaks = np.cumsum(broken)
-    whole = breaks[stride:] == breaks[:-stride]
-    rate = (total[stride:] - total[:-stride]) / (time[stride:] - time[:-stride])
-    return float(rate[whole].max()) if whole.any() else 0.0
+    while stride:
+        whole = breaks[stride:] == breaks[:-stride]
+        if whole.any():
+            rate = (total[stride:] - total[:-stride]) / (time[stride:] - time[:-stride])
+            return float(rate[whole].max())
+        stride //= 2
+    return 0.0

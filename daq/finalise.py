@@ -100,6 +100,8 @@ def run_data(
         clock_sample=clocks.index.astype(np.uint32),
         clock_offset=clocks.offset,
         clock_ppm=clocks.ppm,
+        clock_ppm_error=clocks.ppm_error,
+        clock_offset_error=clocks.offset_error,
         event_sample=np.array([event[0] for event in events], dtype=np.uint32),
         event_kind=np.array([event[1] for event in events], dtype=np.uint8),
         event_note=tuple(event[2] for event in events),
@@ -158,6 +160,9 @@ def _clocks(samples: Samples, said: Sequence[stream.Stream], baud: int | None) -
     here = max((where for _, where in assemble.parts_of(samples)), key=lambda where: where.stop - where.start)
     last = here.start + np.flatnonzero(np.diff(samples.frame[here], append=-1) != 0)
     host, sample, sent_s = samples.stamp_ns[last], last, np.zeros(len(last))
+    # What had not come in yet: the next frame, where another read brought it.
+    following = np.append(np.where(np.diff(host) > 0, samples.time[last][1:], np.nan), np.nan)
+    by_bytes = False
     if baud is not None:
         # On a serial line of known speed every byte has its time, so reads that ended inside a frame count as well.
         base = np.cumsum([0, *(len(connection.n) for connection in said)])
@@ -169,10 +174,19 @@ def _clocks(samples: Samples, said: Sequence[stream.Stream], baud: int | None) -
         known = (of < len(last)) & (samples.frame[last][np.minimum(of, len(last) - 1)] == begun)
         host = np.concatenate((host, stamps[known]))
         sample = np.concatenate((last, last[of[known]]))
-        sent_s = np.concatenate((length[samples.frame[last]], count[known])) * capability.BITS_PER_BYTE / baud
+        byte_s = capability.BITS_PER_BYTE / baud
+        sent_s = np.concatenate((length[samples.frame[last]], count[known])) * byte_s
+        by_bytes = bool(length.any())  # of text lines the recorder does not know how long each was
+        if by_bytes:
+            # The next byte; behind a frame that is the first of the next one, if no byte of it had come.
+            following[:-1][np.isin(samples.frame[last][1:], begun)] = np.nan
+            following = np.concatenate((following, samples.time[last[of[known]]] + sent_s[len(last) :])) + byte_s
+        else:
+            following = np.concatenate((following, np.full(int(known.sum()), np.nan)))
     device = samples.time[sample] + sent_s
     order = np.argsort(device, kind="stable")
-    found = clock.compare((host[order] - samples.stamp_ns[0]) / 1e9, device[order])
+    host_s = (host[order] - samples.stamp_ns[0]) / 1e9
+    found = clock.compare(host_s, device[order], following[order], by_bytes=by_bytes)
     return replace(found, index=sample[order][found.index])
 
 
@@ -217,11 +231,13 @@ def _summary(
         rate_hz=rate_hz,
         measured_rate_hz=periods / span if span > 0 else rate_hz,
         clock_ppm=clocks.ppm,
+        clock_ppm_error=clocks.ppm_error,
         duration_s=span + 1 / rate_hz,
         peak_edge_rate_hz=checked.peak_count_rate * EDGES_PER_COUNT.get(rig.decoder, 1),
         travel=(float(position.min()), float(position.max())),
         unit="m" if rig.metres_per_count is not None else "count",
         warnings=(),
+        port_lost=sum(record.kind == journal.LOST for record in taken.records),
     )
     findings = _findings(summary, samples, checked, rig, said)
     warnings = [*taken.header["warnings"], *warnings, *_absences(taken.records), *findings]

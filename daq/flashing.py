@@ -7,6 +7,7 @@ The built files and their source stand beside each other: in ``firmware/`` of th
 from dataclasses import dataclass
 from pathlib import Path
 
+from daq import disk
 from daq.errors import InputError, nearest
 
 VERSION = "1.0.0"
@@ -101,7 +102,9 @@ def write(kind: Board, target: Path, *, force: bool = False) -> tuple[Path, list
     Raises
     ------
     InputError
-        A file of that name holds something else, or cannot be written.
+        A file of that name holds something else, or the target is no folder.
+    RefusedError
+        The disk refuses; each file is there whole or not at all.
     """
     source = folder()
     others = {other.hex_name for other in BOARDS.values()} - {kind.hex_name}
@@ -111,13 +114,15 @@ def write(kind: Board, target: Path, *, force: bool = False) -> tuple[Path, list
         existing = target / file.name
         if existing.exists() and not force and existing.read_bytes() != file.read_bytes():
             raise InputError("exists and holds something else", str(existing), "give another -o, or --force")
-    try:
+    from daq import runfile
+
+    if target.exists() and not target.is_dir():
+        raise InputError("is no folder", str(target), "give a folder, with -o")
+    with disk.writing(target):
         target.mkdir(parents=True, exist_ok=True)
-        for file in files:
-            (target / file.name).write_bytes(file.read_bytes())
-    except OSError as error:
-        do = "give a folder you may write to, with -o"
-        raise InputError(f"cannot write: {error.strerror}", str(error.filename or target), do) from error
+    for file in files:
+        with runfile.replacing(target / file.name, force=True) as temporary:
+            temporary.write_bytes(file.read_bytes())
     written = [target / file.name for file in files]
     return target / kind.hex_name, [file for file in written if file.name != kind.hex_name]
 

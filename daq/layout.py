@@ -93,6 +93,10 @@ def build(file: h5py.File, data: RunData, file_name: str, schema: int) -> None:
     field(sync, "host_minus_device", data.clock_offset, "s")
     if data.clock_ppm is not None:
         field(sync, "drift", np.float64(data.clock_ppm), "ppm")
+    if data.clock_ppm_error is not None:
+        field(sync, "drift_errors", np.float64(data.clock_ppm_error), "ppm")
+    if data.clock_offset_error.size:
+        field(sync, "host_minus_device_errors", data.clock_offset_error, "s")
     _events(entry, data)
     note = group(entry, "configuration", "NXnote")
     field(note, "type", "application/toml")

@@ -4,7 +4,6 @@ The first interrupt (the caller sets ``stop``) ends the recording and keeps the 
 leaves the journal, which ``daq recover`` turns into the same file.
 """
 
-import errno
 import queue
 import threading
 import time
@@ -14,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq import capability, journal, ports, protocols, provenance, wire
+from daq import capability, disk, journal, ports, protocols, provenance, wire
 from daq.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
 from daq.protocols.session import Identity, Plan, Session, Wish
 from daq.reader import Reader
@@ -166,6 +165,9 @@ def record(
         raise RecordingInterruptedError("interrupted; the journal is kept", str(request.part), do) from error
     except OSError as error:
         raise _disk(request, error) from error
+    except disk.RefusedError as error:
+        do = f"mend that, then get the data with 'daq recover {request.part}'"
+        raise disk.RefusedError(f"{error.what}; the journal is kept", error.where, do) from error
     except DataError as error:
         request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
         why = f": {reader.tally.notice}" if reader.tally.notice else ""
@@ -278,7 +280,6 @@ def _disk(request: Request, error: OSError) -> StickslipError:
         do = f"mend that, then get the data with 'daq recover {request.part}'"
     else:
         do = "record into a folder you may write to, with -o"
-    if error.errno == errno.ENOSPC:
-        return DeviceError("the disk is full; the journal is kept as far as it got", str(request.part), do)
-    where = str(error.filename or request.part)
-    return DeviceError(f"cannot write: {error.strerror or error}", where, do)
+    refused = disk.refusal(request.part, error)
+    kept = "; the journal is kept as far as it got" if request.part.exists() else ""
+    return disk.RefusedError(refused.what + kept, refused.where, do)

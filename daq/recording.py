@@ -116,6 +116,8 @@ class Recording:
         Host clock minus device clock, s, at these indices.
     clock_ppm : float or None
         Drift of the device's clock, positive when fast; None where it could not be known.
+    clock_ppm_error, clock_offset_error : float or None, (c,) f8
+        How far off the drift (ppm) and each of the offsets (s) may be; None, or empty, where that is not known.
     provenance : mapping
         Software, versions, command line.
     """
@@ -144,6 +146,8 @@ class Recording:
     operator: str
     provenance: Mapping[str, str | int]
     clock_ppm: float | None = None
+    clock_ppm_error: float | None = None
+    clock_offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
     belt_count: NDArray[np.int64] | None = None
 
 
@@ -169,6 +173,8 @@ class RunData:
     clock_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
     clock_offset: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
     clock_ppm: float | None = None
+    clock_ppm_error: float | None = None
+    clock_offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
     event_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
     event_kind: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     event_note: tuple[str, ...] = ()

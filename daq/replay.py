@@ -73,6 +73,8 @@ def from_run(source: Path) -> RunData:
         clock_sample=recording.clock_sample,
         clock_offset=recording.clock_offset,
         clock_ppm=recording.clock_ppm,
+        clock_ppm_error=recording.clock_ppm_error,
+        clock_offset_error=recording.clock_offset_error,
         event_sample=recording.event_sample,
         event_kind=np.array([EVENTS[kind] for kind in recording.event_kind], np.uint8),
         event_note=recording.event_note if any(recording.event_note) else (),

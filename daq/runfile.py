@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import layout
+from daq import disk, layout
 from daq.errors import InputError
 from daq.nexus_read import AGAIN, EVERY, array, dataset, group, same_length, scalar, string, text
 from daq.recording import EVENT_NAMES as EVENT_NAMES
@@ -119,6 +119,12 @@ def load(path: str | os.PathLike[str], own: slice = EVERY) -> Recording:
             clock_sample=array(entry, "clock_sync/sample", np.uint32, where),
             clock_offset=array(entry, "clock_sync/host_minus_device", np.float64, where),
             clock_ppm=scalar(entry, "clock_sync/drift", where) if "clock_sync/drift" in entry else None,
+            clock_ppm_error=scalar(entry, "clock_sync/drift_errors", where)
+            if "clock_sync/drift_errors" in entry
+            else None,
+            clock_offset_error=array(entry, "clock_sync/host_minus_device_errors", np.float64, where)
+            if "clock_sync/host_minus_device_errors" in entry
+            else np.empty(0),
             operator=string(entry, "operator/name", where) if "operator/name" in entry else "",
             provenance=_provenance(entry),
         )
@@ -160,7 +166,7 @@ def write(path: str | os.PathLike[str], data: RunData, *, force: bool = False) -
     target = Path(path)
     refuse_existing(target, force)
     _check(data)
-    with replacing(target, force) as temporary, h5py.File(temporary, "w") as file:
+    with replacing(target, force) as temporary, disk.hdf5(temporary, "w") as file:
         layout.build(file, data, target.name, SCHEMA)
 
 
@@ -202,7 +208,7 @@ def extend(
     stage = min(STAGES.index(name.split("_")[0]) for name in wanted)
     with replacing(target, force=True) as temporary:
         shutil.copyfile(target, temporary)
-        with h5py.File(temporary, "r+") as file:
+        with disk.hdf5(temporary, "r+") as file:
             entry = file["entry"]
             for name in list(entry):
                 if name in wanted or name.split("_")[0] in STAGES[stage + 1 :]:
@@ -297,10 +303,22 @@ def _damage(path: Path) -> Iterator[None]:
 
 @contextmanager
 def replacing(target: Path, force: bool) -> Iterator[Path]:
-    """Yield a temporary file beside ``target``; when the block succeeds it is synced and takes the target's name."""
-    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=target.absolute().parent)
-    os.close(handle)
-    temporary = Path(name)
+    """Yield a temporary file beside ``target``; when the block succeeds it is synced and takes the target's name.
+
+    Raises
+    ------
+    RefusedError
+        The disk refuses (`daq.disk`); nothing is left behind, and what stood there before still does.
+    """
+    with disk.writing(target):
+        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=target.absolute().parent)
+        os.close(handle)
+        with _taking_its_place(Path(name), target, force) as temporary:
+            yield temporary
+
+
+@contextmanager
+def _taking_its_place(temporary: Path, target: Path, force: bool) -> Iterator[Path]:
     try:
         yield temporary
         mask = os.umask(0)

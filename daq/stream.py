@@ -1,7 +1,8 @@
 """A finished byte stream, frame by frame, into arrays of samples: the vectorised reader behind every run file.
 
-Each line's COBS and CRC are undone in C, one call each; what is left is regular, so frames of the same length are laid
-side by side and read as one numpy array.  Same rules as `daq.wire.FrameReader`, which is the one that judges lines.
+Lines of one length are deframed together (`daq.deframe`), and sample frames of one length read as one numpy array; what
+is rare or long is taken one line at a time.  Same rules as `daq.wire.FrameReader`, and where the reads ended makes no
+difference.
 """
 
 from collections.abc import Iterable
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import wire
+from daq import cut, deframe, wire
 
 
 @dataclass(frozen=True)
@@ -84,67 +85,34 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     reads : iterable of (int, bytes)
         Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
     """
-    reader = wire.FrameReader()
-    blocks: list[bytes] = []
-    stamps: list[int] = []
-    ident: wire.Ident | None = None
-    belt = edge = False
-    idents: list[int] = []
-    configs: list[tuple[int, str]] = []
-    notices: list[tuple[int, str]] = []
-    truth_payloads: list[bytes] = []
-    truth_frames: list[int] = []
-    crc_frame: list[int] = []
-    unknown = 0
-    unknown_bytes = 0
-    lengths = _lengths(belt, edge)
-    begun: list[tuple[int, int]] = []  # of the line in progress: reads that ended inside it, and its bytes then
-    parts: list[tuple[int, int, int]] = []
-    for stamp, data in reads:
-        errors_before = reader.crc_errors
-        payloads = reader.payloads(data)
-        if begun and reader.first_held is not None:
-            if reader.first_held and payloads[0][0] == wire.SAMPLES:
-                parts += [(at, len(blocks), count) for at, count in begun]
-            begun.clear()
-        if reader.waiting:
-            begun.append((stamp, reader.waiting))
-        for payload in payloads:
-            if payload[0] == wire.SAMPLES and payload[1] == wire.VERSION:
-                if len(payload) >= wire.SAMPLES_HEADER and lengths.get(len(payload)) == payload[2]:
-                    blocks.append(payload)
-                    stamps.append(stamp)
-                    continue
-            frame = None if payload[0] == wire.SAMPLES else wire.decode_payload(payload, belt, edge)
-            if isinstance(frame, wire.Truth):
-                truth_payloads.append(payload)
-                truth_frames.append(len(blocks))
-            elif isinstance(frame, wire.Ident):
-                idents.append(len(blocks))
-                if ident is None or not blocks:  # its decoder may have been set in between
-                    ident = frame
-                    belt = wire.Capability.BELT in frame.capabilities
-                    edge = wire.Capability.EDGE_TIME in frame.capabilities
-                    lengths = _lengths(belt, edge)
-            elif isinstance(frame, wire.Config):
-                configs.append((len(blocks), frame.toml))
-            elif isinstance(frame, wire.Notice):
-                notices.append((len(blocks), frame.text))
-            else:
-                unknown += 1
-                unknown_bytes += len(payload)
-        crc_frame += [len(blocks)] * (reader.crc_errors - errors_before)
-    columns, heads, first = _columns(blocks, belt, edge)
-    part = np.array([row for row in parts if row[1] < len(blocks)], dtype=np.int64).reshape(-1, 3)
-    size = np.fromiter(map(len, blocks), dtype=np.int64, count=len(blocks))
-    truth_seq, truth_frame, truth = _truth(truth_payloads, truth_frames)
+    lines = cut.cut(reads, wire.DELIMITER)
+    found = deframe.payloads(lines)
+    told = [(line, payload, wire.decode_payload(payload, False, False)) for line, payload in found.others]
+    idents = [(line, said) for line, _, said in told if isinstance(said, wire.Ident)]
+    ident = _governing(idents, found.samples)
+    belt = ident is not None and wire.Capability.BELT in ident.capabilities
+    edge = ident is not None and wire.Capability.EDGE_TIME in ident.capabilities
+    ours = [group for group in found.samples if _fits(group, belt, edge)]
+    counts = np.zeros(len(lines), dtype=np.int64)  # samples in each line
+    for group in ours:
+        counts[group.lines] = group.payloads[0, 2]
+    before = np.concatenate(([0], np.cumsum(counts > 0)))  # frames before each line
+    frames = np.flatnonzero(counts)
+    columns, heads, first = _columns(ours, before, counts[frames], belt, edge)
+    truths = [(line, payload) for line, payload, said in told if isinstance(said, wire.Truth)]
+    truth_seq, truth_frame, truth = _truth([t for _, t in truths], [int(before[line]) for line, _ in truths])
+    unknown = [len(payload) for _, payload, said in told if said is None]
+    for group in found.samples:
+        if not _fits(group, belt, edge):
+            unknown += [group.payloads.shape[1]] * len(group.lines)
+    part_ns, part_line, part_bytes = _parts(lines, counts > 0)
     return Stream(
         first=first,
-        n=heads["n"].astype(np.int64),
+        n=counts[frames],
         seq=heads["seq"].astype(np.int64),
         ticks=heads["time"].astype(np.int64),
         illegal=heads["illegal"].astype(np.int64),
-        stamp_ns=np.array(stamps, dtype=np.int64),
+        stamp_ns=lines.stamp_ns[frames],
         dt=columns["dt"].copy(),
         up=columns["up"].copy(),
         down=columns["down"].copy(),
@@ -152,21 +120,48 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
         belt=columns["belt"].copy() if belt else None,
         edge=columns["edge"].copy() if edge else None,
         ident=ident,
-        idents=np.array(idents, dtype=np.int64),
-        configs=tuple(configs),
-        notices=tuple(notices),
+        idents=before[[line for line, _ in idents]] if idents else np.empty(0, dtype=np.int64),
+        configs=tuple((int(before[line]), said.toml) for line, _, said in told if isinstance(said, wire.Config)),
+        notices=tuple((int(before[line]), said.text) for line, _, said in told if isinstance(said, wire.Notice)),
         truth_seq=truth_seq,
         truth_frame=truth_frame,
         truth=truth,
-        crc_frame=np.array(crc_frame, dtype=np.int64),
-        crc_errors=reader.crc_errors,
-        unknown=unknown,
-        discarded_bytes=reader.discarded_bytes + unknown_bytes,
-        length=size + 4 + (size + 2) // 254,  # CRC, COBS and its delimiter
-        part_stamp_ns=part[:, 0],
-        part_frame=part[:, 1],
-        part_bytes=part[:, 2],
+        crc_frame=before[found.wrong],
+        crc_errors=len(found.wrong),
+        unknown=len(unknown),
+        discarded_bytes=found.wrong_bytes + sum(unknown),
+        length=lines.length[frames] + 1,
+        part_stamp_ns=part_ns,
+        part_frame=before[part_line],
+        part_bytes=part_bytes,
     )
+
+
+def _fits(group: deframe.Group, belt: bool, edge: bool) -> bool:
+    """Return whether frames are as long as the samples they say they hold."""
+    size, n = group.payloads.shape[1], int(group.payloads[0, 2])
+    return n > 0 and size == wire.SAMPLES_HEADER + n * _row(belt, edge).itemsize
+
+
+def _governing(idents: list[tuple[int, wire.Ident]], samples: list[deframe.Group]) -> wire.Ident | None:
+    """Return the last identification before the first sample frame: the decoder may have been set in between."""
+    chosen: wire.Ident | None = None
+    begun = False
+    for line, ident in idents:
+        if chosen is not None:
+            has = wire.Capability.BELT in chosen.capabilities, wire.Capability.EDGE_TIME in chosen.capabilities
+            begun = begun or any(_fits(group, *has) and group.lines.min() < line for group in samples)
+        if not begun:
+            chosen = ident
+    return chosen
+
+
+def _parts(lines: cut.Cut, is_frame: NDArray[np.bool_]) -> tuple[NDArray[np.int64], ...]:
+    """Return the reads that ended inside a sample frame: stamp, line, and bytes of it that were there."""
+    line = np.searchsorted(lines.start, lines.read_end, side="left") - 1
+    inside = (line >= 0) & (lines.read_end <= lines.stop[line]) if len(lines) else np.zeros(len(line), dtype=np.bool_)
+    inside[inside] = is_frame[line[inside]]
+    return lines.read_ns[inside], line[inside], lines.read_end[inside] - lines.start[line[inside]]
 
 
 _HEAD = np.dtype([("kind", "u1"), ("version", "u1"), ("n", "u1"), ("seq", "<u2"), ("time", "<u4"), ("illegal", "<u2")])
@@ -177,27 +172,21 @@ def _row(belt: bool, edge: bool) -> np.dtype[np.void]:
     return np.dtype([(name, "u1" if name == "status" else "<u2") for name in names])
 
 
-def _lengths(belt: bool, edge: bool) -> dict[int, int]:
-    """Return the number of samples of a SAMPLES payload by its length."""
-    size = _row(belt, edge).itemsize
-    return {wire.SAMPLES_HEADER + size * n: n for n in range(1, 256)}
-
-
 def _columns(
-    blocks: list[bytes], belt: bool, edge: bool
+    ours: list[deframe.Group], before: NDArray[np.int64], n: NDArray[np.int64], belt: bool, edge: bool
 ) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64]]:
     """Return the samples of all frames as one structured array, the frames' heads, and where each frame begins."""
     row = _row(belt, edge)
-    n = np.fromiter((block[2] for block in blocks), dtype=np.int64, count=len(blocks))
     first = np.concatenate(([0], np.cumsum(n)))
     samples = np.empty(int(first[-1]), dtype=row)
-    heads = np.empty(len(blocks), dtype=_HEAD)
-    for size in np.unique(n).tolist():
-        where = np.flatnonzero(n == size)
+    heads = np.empty(len(n), dtype=_HEAD)
+    for group in ours:
+        size = int(group.payloads[0, 2])
         shape = np.dtype([("head", _HEAD), ("rows", row, (size,))])
-        together = np.frombuffer(b"".join(blocks[k] for k in where), dtype=shape)
-        heads[where] = together["head"]
-        samples[(first[where, np.newaxis] + np.arange(size)).ravel()] = together["rows"].ravel()
+        together = group.payloads.view(shape)[:, 0]
+        frames = before[group.lines]
+        heads[frames] = together["head"]
+        samples[(first[frames, np.newaxis] + np.arange(size)).ravel()] = together["rows"].ravel()
     return samples, heads, first[:-1]
 
 

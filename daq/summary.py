@@ -34,6 +34,10 @@ class Summary:
         "m", or "count" for a rig that was not calibrated.
     warnings : tuple of str
         What a careful user should know about the data.
+    clock_ppm_error : float or None
+        How far off the drift may be, ppm.
+    port_lost : int
+        How often the port was lost: what was missed then is no lost sample, and a warning tells how long it was.
     """
 
     samples: int
@@ -53,6 +57,8 @@ class Summary:
     unit: str
     warnings: tuple[str, ...]
     file: Path | None = None
+    port_lost: int = 0
+    clock_ppm_error: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON document of ``daq record`` and ``daq recover``."""
@@ -66,6 +72,7 @@ class Summary:
             "rate_hz": self.rate_hz,
             "measured_rate_hz": self.measured_rate_hz,
             "clock_ppm": self.clock_ppm,
+            "clock_ppm_error": self.clock_ppm_error,
             "duration_s": self.duration_s,
             "peak_edge_rate_hz": self.peak_edge_rate_hz,
             "both_moved": self.both_moved,
@@ -80,7 +87,10 @@ class Summary:
         scale = 1e3 if self.unit == "m" else 1.0
         low, high = (scale * edge for edge in self.travel)
         lost = f"{self.lost} samples lost" if self.lost else "no sample lost"
+        lost += " while the port was there" if self.port_lost else ""
         clock = "" if self.clock_ppm is None else f"; the board's clock is off by {self.clock_ppm:+.0f} ppm"
+        if clock and self.clock_ppm_error is not None:
+            clock += f" (+- {self.clock_ppm_error:.0f})"
         lines = [
             f"{done} {self.samples} samples in {self.duration_s:.1f} s at {self.rate_hz:g} Hz, {lost}{clock}",
             f"the mass moved between {low:.4g} and {high:.4g} {size}, at most {self.peak_edge_rate_hz:.0f} edges/s",

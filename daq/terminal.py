@@ -126,6 +126,11 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code; the only place where errors become exit codes."""
     name = app.name[0]
     as_json = "--json" in arguments
+    if as_json and "--version" in arguments:
+        from daq.version import VERSION
+
+        print_json({"command": name, "version": VERSION})
+        return EXIT_DONE
     try:
         answer = app(list(arguments), exit_on_error=False, print_error=False)
     except StickslipError as error:

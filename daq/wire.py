@@ -316,25 +316,17 @@ class FrameReader:
         Frames whose CRC holds but whose kind, version or length is not ours (a newer board, another layout).
     discarded_bytes : int
         Bytes of all of these (of an unknown frame: its payload), delimiters not included.
-    first_held : bool or None
-        Whether the first line that the last call of `payloads` completed held; None when it completed none.
     """
 
     def __init__(self) -> None:
         self.crc_errors = 0
         self.unknown = 0
         self.discarded_bytes = 0
-        self.first_held: bool | None = None
         self._belt = False
         self._edge = False
         self._tail = b""
         self._skipping = False  # inside a run longer than any frame, until its delimiter
         self._first = True
-
-    @property
-    def waiting(self) -> int:
-        """Bytes of the line that has begun and not ended."""
-        return len(self._tail)
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes as they came and return the frames they complete, in order."""
@@ -359,7 +351,6 @@ class FrameReader:
         """Take bytes as they came and return the payloads they complete whose CRC holds, in order."""
         *lines, self._tail = (self._tail + data).split(DELIMITER)
         found: list[bytes] = []
-        self.first_held = None
         for line in lines:
             if self._skipping:
                 self.discarded_bytes += len(line)
@@ -371,8 +362,6 @@ class FrameReader:
                 else:
                     found.append(payload)
                 self._first = False
-            if self.first_held is None:
-                self.first_held = bool(found)
         if len(self._tail) > LONGEST_LINE and not self._skipping:
             self._refuse(0)
             self._first = False
@@ -381,6 +370,32 @@ class FrameReader:
             self.discarded_bytes += len(self._tail)
             self._tail = b""
         return found
+
+    def sample_run(self, data: bytes) -> tuple[bytes, int] | None:
+        """Look ahead: return the last payload that ``data`` completes, and how many, when all look like one kind.
+
+        That is: all lines that it completes have the length of the first and begin as SAMPLES frames of as many
+        samples, and the last one holds.  Nothing is taken; None when it is not so.
+        """
+        if self._first or self._skipping:
+            return None
+        line = self._tail + data
+        size = line.find(DELIMITER) + 1
+        if size <= SAMPLES_HEADER:
+            return None
+        count = line.count(DELIMITER)
+        end = size * count
+        # Every size-th byte, and none else, is a delimiter; then kind, version and number of samples of each.
+        if end > len(line) or line[size - 1 : end : size].count(DELIMITER) != count:
+            return None
+        if any(line[at:end:size].count(line[at]) != count for at in (1, 2, 3)):
+            return None
+        payload = deframe(line[end - size : end - 1])
+        return None if payload is None or payload[:2] != bytes((SAMPLES, VERSION)) else (payload, count)
+
+    def skip(self, data: bytes) -> None:
+        """Take bytes without reading the frames they complete; one must be completed, by `sample_run`'s account."""
+        self._tail = (self._tail + data)[(self._tail + data).rfind(DELIMITER) + 1 :]
 
     def _refuse(self, length: int) -> None:
         self.crc_errors += not self._first

@@ -13,7 +13,7 @@
 ;
 ; Rules.  One edge moves the levels by one step of 00, 10, 11, 01: up or down.  Two steps at once are illegal: counted in
 ; r11:r10, and neither counter moves.  The encoder's interrupts come before all others (lowest vectors), and no routine
-; here keeps interrupts off for longer than the latch.  Cycles in the margin: Uno, entry (4) and vector (3) not included.
+; here keeps interrupts off for longer than the latch.  Cycles in the margin: Uno, entry (4) and vector (2) not included.
 
 #define __SFR_OFFSET 0
 #include "board.h"
@@ -29,13 +29,7 @@ B_VECT:
         in      r2, SREG                ; 1
         movw    r4, r30                 ; 1
         in      r30, AB_PIN             ; 1     the pins are read 10 cycles after the edge at the earliest
-#if AB_MASK == 0x30
-        lsl     r30                     ;       Mega: bits 5:4 to 7:6
-        lsl     r30
-        andi    r30, 0xc0
-#else
         andi    r30, AB_MASK            ; 1     new levels
-#endif
         mov     r31, r30                ; 1
         swap    r31                     ; 1
         or      r30, r3                 ; 1     beside the levels before
@@ -43,26 +37,29 @@ B_VECT:
         ldi     r31, pm_hi8(steps)      ; 1
         ijmp                            ; 2
 
-#if AB_MASK == 0x30                     /* index: new levels in bits 7:6, old in 3:2 */
-#define AT(old, new) .org (old * 4 + new * 64) * 2
-#else                                   /* index: old levels in bits 7:6, new in 3:2 */
+; levels = A + 2 B; up is 0 1 3 2 0.  Where the levels stand apart in the index (Uno: old in 7:6, new in 3:2) each pair has
+; room for its own code; where they do not (Mega: new in 5:4, old in 1:0) it has room for a jump.  Both take 4 cycles.
+#if AB_MASK == 0x30
+#define AT(old, new) .org (old + new * 16) * 2
+#define DO(what) rjmp what
+#else
 #define AT(old, new) .org (old * 64 + new * 4) * 2
+#define DO(what) what##_here
 #endif
-; levels = A + 2 B; up is 0 1 3 2 0
-        .macro up
+        .macro up_here
         sub     r6, r15                 ; 1
         sbc     r7, r15                 ; 1
         rjmp    x4_end                  ; 2
         .endm
-        .macro down
+        .macro down_here
         sub     r8, r15
         sbc     r9, r15
         rjmp    x4_end
         .endm
-        .macro same
+        .macro same_here
         rjmp    x4_end                  ;       a pulse shorter than the way here, or an edge seen already
         .endm
-        .macro illegal
+        .macro illegal_here
         sub     r10, r15
         sbc     r11, r15
         rjmp    x4_end
@@ -73,70 +70,85 @@ B_VECT:
 steps:
 #if AB_MASK == 0x30
         AT(0, 0)
-        same
+        DO(same)
         AT(1, 0)
-        down
+        DO(down)
         AT(2, 0)
-        up
+        DO(up)
         AT(3, 0)
-        illegal
+        DO(illegal)
         AT(0, 1)
-        up
+        DO(up)
         AT(1, 1)
-        same
+        DO(same)
         AT(2, 1)
-        illegal
+        DO(illegal)
         AT(3, 1)
-        down
+        DO(down)
         AT(0, 2)
-        down
+        DO(down)
         AT(1, 2)
-        illegal
+        DO(illegal)
         AT(2, 2)
-        same
+        DO(same)
         AT(3, 2)
-        up
+        DO(up)
         AT(0, 3)
-        illegal
+        DO(illegal)
         AT(1, 3)
-        up
+        DO(up)
         AT(2, 3)
-        down
+        DO(down)
         AT(3, 3)
-        same
+        DO(same)
+        ; each with the end of the routine of its own: 2 cycles of the jump here, none on the way out
+up:     sub     r6, r15                 ; 1
+        sbc     r7, r15                 ; 1
+        movw    r30, r4                 ; 1
+        out     SREG, r2                ; 1
+        reti                            ; 5
+down:   sub     r8, r15
+        sbc     r9, r15
+        movw    r30, r4
+        out     SREG, r2
+        reti
+illegal:
+        sub     r10, r15
+        sbc     r11, r15
+same:
 #else
         AT(0, 0)
-        same
+        DO(same)
         AT(0, 1)
-        up
+        DO(up)
         AT(0, 2)
-        down
+        DO(down)
         AT(0, 3)
-        illegal
+        DO(illegal)
         AT(1, 0)
-        down
+        DO(down)
         AT(1, 1)
-        same
+        DO(same)
         AT(1, 2)
-        illegal
+        DO(illegal)
         AT(1, 3)
-        up
+        DO(up)
         AT(2, 0)
-        up
+        DO(up)
         AT(2, 1)
-        illegal
+        DO(illegal)
         AT(2, 2)
-        same
+        DO(same)
         AT(2, 3)
-        down
+        DO(down)
         AT(3, 0)
-        illegal
+        DO(illegal)
         AT(3, 1)
-        down
+        DO(down)
         AT(3, 2)
-        up
+        DO(up)
         AT(3, 3)
-        same
+        DO(same)
 #endif
 
 x4_end:
@@ -169,7 +181,7 @@ TIMER0_OVF_vect:
 ; ---- the latch: once every turn of Timer 2, and in the turn that is due it latches ------------------------------------
 ;
 ; The instant of a sample is the entry into this routine: from there on nothing counts, so counters and levels are those
-; of the entry, and the time is read a fixed number of cycles later.  Interrupts are on again 51 cycles after the entry.
+; of the entry, and the time is read a fixed number of cycles later.  Interrupts are on again 50 cycles after the entry.
 
 not_due:
         movw    r30, r4
@@ -284,14 +296,8 @@ latch_clear:
         ldi     r19, AB_INTERRUPTS
         out     EIFR, r19               ; edges before this moment are in the levels read next
         in      r19, AB_PIN
-#if AB_MASK == 0x30
-        lsr     r19                     ; bits 5:4 to 3:2, where the table wants the old levels
-        lsr     r19
-        andi    r19, 0x0c
-#else
-        swap    r19                     ; bits 3:2 to 7:6, where the table wants the old levels
-        andi    r19, 0xc0
-#endif
+        andi    r19, AB_MASK
+        swap    r19                     ; to where the table wants the old levels: bits 7:6, on the Mega 1:0
         mov     r3, r19
         clr     r6
         rcall   phase
@@ -322,9 +328,9 @@ phase:
         mov     r19, r3
 #if AB_MASK != 0x30
         swap    r19                     ; 7:6 to 3:2
+        lsr     r19
+        lsr     r19
 #endif
-        lsr     r19
-        lsr     r19
         andi    r19, 3
         mov     r20, r19
         lsr     r20

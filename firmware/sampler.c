@@ -71,7 +71,7 @@ static void next(void) {
 
 static uint8_t levels_of(uint8_t index) {
 #if AB_MASK == 0x30
-    return index >> 2;
+    return index & 3;
 #else
     return index >> 6;
 #endif

@@ -1,5 +1,7 @@
 """`fit-friction`: which friction law does the recorded contact obey, and how sure is that."""
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -12,7 +14,7 @@ from daq.terminal import Answer, Json
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from daq.rig import Rig
+    from fitting.batch import Row
     from fitting.result import Ranking
 
 app = terminal.application(
@@ -47,7 +49,12 @@ def fit(
     report: Annotated[
         Path | None, Parameter(help="Report to write; default RUN.report.html. Several runs: one each, numbered.")
     ] = None,
-    jobs: Annotated[int, Parameter(help="Processes to fit in; up to three are of use.")] = 1,
+    csv: Annotated[Path | None, Parameter(help="Write the ranking as a table too: a row for each run and law.")] = None,
+    each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself instead: a batch.")] = False,
+    jobs: Annotated[int, Parameter(help="Processes to fit in; of a joint fit three are of use.")] = 1,
+    scheduler: Annotated[
+        str | None, Parameter(help="Fit on the workers of this dask scheduler instead: tcp://host:8786.")
+    ] = None,
     json: Json = False,
 ) -> Answer:
     """Fit the friction laws to a run, rank them, and write a report beside it.
@@ -57,62 +64,52 @@ def fit(
 
     Several runs are fitted together, as one contact: the law's parameters, spring and damping are one for all, belt
     speed, rest position and wear are each run's own. Runs at other belt speeds tell laws apart that one run cannot.
+    With --each they are a batch of strangers to each other: a bad one stops no other, its error stands in its row;
+    exit code 0 when all are decided, 5 when one is undecided, else the worst error's.
 
     Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g"
+
+    Example: fit-friction --each monday/*.h5 --jobs 4
     """
-    from daq import runfile
     from daq.units import measured, quantity
+    from fitting import batch, table, task
     from fitting import report as pages
-    from fitting import store
-    from fitting.ranking import rank
-    from processing import stage
-    from processing.smoothing import smooth
 
     files = [file, *more]
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
-    wanted, excluded = numbers(laws, "--laws"), numbers(exclude_cycles, "--exclude-cycles")
     places = pages.places(files, report)
-    speed = belt_speed if belt_speed in (None, "channel") else quantity(belt_speed, "speed", "--belt-speed")
-    changes: dict[str, Any] = {}
-    if mass is not None:
-        changes["mass"] = measured(mass, "mass", "--mass")
-    if stiffness is not None:
-        changes["stiffness"] = measured(stiffness, "stiffness", "--stiffness")
-        changes.setdefault("mass", None)
-    motions, rigs = [], []
-    for path in files:
-        motion = stage.load(path)
-        recording = runfile.load(path) if motion is None else motion.recording
-        own = dict(changes)
-        if datum_sd is not None and datum is None and recording.rig.datum is None:
-            raise InputError("--datum-sd without a datum", "--datum-sd", "give --datum too")
-        if datum is not None or datum_sd is not None:
-            own["datum"] = _changed(
-                recording.rig.datum,
-                None if datum is None else quantity(datum, "length", "--datum"),
-                None if datum_sd is None else quantity(datum_sd, "length", "--datum-sd"),
-            )
-        if damping is not None or damping_sd is not None:
-            own["damping"] = _changed(recording.rig.damping, damping, damping_sd)
-        rigs.append(_rig(recording.rig, own))
-        if motion is None:
-            motion = smooth(recording, belt_speed="auto" if speed in (None, "channel") else speed)
-        motions.append(motion)
-    with terminal.progress("fitting", float(len(wanted)), "laws") as tell:
-        ranking = rank(
-            motions,
-            rigs,
-            wanted,
-            belt_speed=speed,
-            excluded=excluded,
-            alpha=alpha,
-            jobs=jobs,
-            progress=tell,
-        )
-    for path, page, motion, side in zip(files, places, motions, ranking.runs or (ranking,), strict=True):
-        store.save(side, path)
-        pages.write(side, motion, page, alpha)
+    if csv is not None:
+        table.refuse(csv, files)
+    wishes = task.Wishes(
+        laws=tuple(numbers(laws, "--laws")),
+        mass=None if mass is None else measured(mass, "mass", "--mass"),
+        stiffness=None if stiffness is None else measured(stiffness, "stiffness", "--stiffness"),
+        datum=None if datum is None else quantity(datum, "length", "--datum"),
+        datum_sd=None if datum_sd is None else quantity(datum_sd, "length", "--datum-sd"),
+        damping=damping,
+        damping_sd=damping_sd,
+        belt_speed=belt_speed if belt_speed in (None, "channel") else quantity(belt_speed, "speed", "--belt-speed"),
+        excluded=tuple(numbers(exclude_cycles, "--exclude-cycles")),
+        alpha=alpha,
+    )
+    if each:
+        with terminal.progress("fitting", float(len(files)), "runs") as tell:
+            rows = batch.fit(files, places, wishes, jobs, scheduler, tell)
+        if csv is not None:
+            table.write(csv, [(row.file, row.document) for row in rows])
+        told = {"runs": [row.as_json() for row in rows]}
+        return Answer(told, _batch(rows), batch.exit_code(rows))
+    for place in places:
+        pages.refuse_stranger(place)
+    runs = [task.prepare(path, wishes) for path in files]
+    with terminal.progress("fitting", float(len(wishes.laws)), "laws") as tell:
+        done = task.fit(runs, wishes, jobs, scheduler, tell)
+    done.keep(files, places)
+    if csv is not None:
+        sides = done.ranking.runs or (done.ranking,)
+        table.write(csv, [(path, side.as_json()) for path, side in zip(files, sides, strict=True)])
+    ranking = done.ranking
     data = ranking.as_json() | {"report": places[0]}
     if ranking.runs:
         data["runs"] = [
@@ -144,33 +141,25 @@ def numbers(text: str, flag: str) -> list[int]:
     return found
 
 
-def _changed(known: Any, value: float | None, sd: float | None) -> Any:
-    """Return a calibration with the value, the error, or both replaced; a new value without an error is exact."""
-    from daq.rig import Measured
-
-    if value is None:
-        value = known.value if known is not None else 0.0
-    elif sd is None:
-        sd = 0.0
-    if sd is None or sd < 0:
-        raise InputError(f"standard deviation is {sd}", "command line", "give one of 0 or more")
-    return Measured(float(value), float(sd))
-
-
-def _rig(rig: "Rig", changes: dict[str, Any]) -> "Rig":
-    from dataclasses import replace
-
-    for name in ("mass", "stiffness"):
-        found = changes.get(name)
-        if found is not None and not found.value > 0:
-            raise InputError(f"{name} is {found.value}", f"--{name}", "give one above 0")
-    damping = changes.get("damping")
-    if damping is not None and damping.value < 0:
-        raise InputError(f"damping is {damping.value}", "--damping", "give 0 or more, in N s/m")
-    changed = replace(rig, **changes)
-    if damping is not None and changed.mass is None and changed.stiffness is None:
-        raise InputError("--damping in N s/m without a mass", "--damping", "give --mass or --stiffness too")
-    return changed
+def _batch(rows: "Sequence[Row]") -> list[Any]:
+    """Return the table of a batch: file, set, and the verdict or what went wrong."""
+    table = terminal.table("every run by itself", ("file", "set", "verdict"))
+    table.columns[0].overflow = table.columns[2].overflow = "fold"
+    table.columns[2].justify, table.columns[2].no_wrap = "left", False
+    common = Path(os.path.commonpath([row.file.absolute().parent for row in rows]))
+    for row in rows:
+        failed = row.failure
+        members = "-" if failed else ", ".join(map(str, row.document["set"]))
+        said = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"]
+        table.add_row(str(row.file.absolute().relative_to(common)), members, said)
+    decided = sum(row.code == EXIT_DONE for row in rows)
+    failed_runs = sum(row.failure is not None for row in rows)
+    open_runs = len(rows) - decided - failed_runs
+    lines: list[Any] = [table]
+    for row in rows:
+        lines += [f"warning: {row.file.name}: {warning}" for warning in row.document.get("warnings", ())]
+    lines.append(f"{len(rows)} runs: {decided} decided, {open_runs} undecided, {failed_runs} failed")
+    return lines
 
 
 def _text(ranking: "Ranking", places: list[Path], alpha: float) -> list[Any]:

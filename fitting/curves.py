@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fitting.motion import Array, Motion
 from fitting.result import LawResult, Ranking
-from fitting.trajectory import LEVEL, Fit
-from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, V_DR, D, K
+from fitting.trajectory import Fit
+from fitting.unknowns import DAMPING, DATUM, GIVE, LEVEL, LOG_F, SHAPE, V_DR, D, K
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 

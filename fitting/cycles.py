@@ -9,10 +9,24 @@ import math
 import numpy as np
 
 from fitting.motion import Array, Motion
-from fitting.prediction import LOCALS, Windows, evaluator
+from fitting.prediction import Windows, evaluator
 from fitting.result import Event
-from fitting.trajectory import LEVEL, NEXT_LEVEL, V_SLIP, X_SLIP, X_STICK, Fit
-from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, V_DR, D, K
+from fitting.trajectory import Fit
+from fitting.unknowns import (
+    DAMPING,
+    DATUM,
+    GIVE,
+    LEVEL,
+    LOCALS,
+    LOG_F,
+    NEXT_LEVEL,
+    V_DR,
+    V_SLIP,
+    X_SLIP,
+    X_STICK,
+    D,
+    K,
+)
 from fitting.windows import BEFORE_ONSET_S, Cut
 from rig_sim.friction.law import LAWS
 

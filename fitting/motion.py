@@ -80,6 +80,11 @@ class Motion:
         return float(self.time[-1] - self.time[0])
 
     @property
+    def per_mass(self) -> bool:
+        """Whether neither mass nor stiffness is known: accelerations cannot be turned into forces, nor c into c/m."""
+        return self.mass is None and self.stiffness is None
+
+    @property
     def travel(self) -> float:
         """Largest minus smallest position, m."""
         return float(np.ptp(self.position))

@@ -1,4 +1,4 @@
-"""Pictures of a ranking, each a matplotlib Figure: portrait, friction curves, residuals, evidence, levels.
+"""Pictures of a ranking, each a matplotlib Figure: portrait, friction curves, residuals, evidence, levels, cost.
 
 matplotlib is imported here and nowhere else in `fitting`; the look is that of processing's style file.
 """
@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from fitting import curves
 from fitting.motion import Array
@@ -163,7 +164,24 @@ def evidence(ranking: Ranking) -> Figure:
         axes.set_yticks(range(len(rows)), [f"law {row.law}{' *' if row.in_set else ''}" for row in rows])
         axes.set_ylim(-0.6, len(rows) - 0.4)
         axes.grid(visible=False, axis="y")
+        axes.xaxis.set_minor_formatter(NullFormatter())
         axes.set(xlabel="error of each cycle (um rms); dot: their geometric mean")
+    return figure
+
+
+def cost(ranking: Ranking) -> Figure:
+    """Draw each law's error against the CPU time of its fit."""
+    with mpl.rc_context(fname=str(STYLE)):
+        figure = Figure(figsize=(5.4, 2.6), layout="constrained")
+        axes = figure.add_subplot()
+        for row in ranking.rows:
+            axes.plot(row.cpu_s, 1e6 * row.rms_m, "o", ms=7 if row.in_set else 5, color=COLOURS[row.law])
+            axes.annotate(str(row.law), (row.cpu_s, 1e6 * row.rms_m), (6, 3), textcoords="offset points")
+        axes.set_yscale("log")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.margins(0.12, 0.2)
+        axes.set_xlim(left=0)
+        axes.set(xlabel="CPU time of the fit (s)", ylabel="error (um rms)")
     return figure
 
 
@@ -212,4 +230,5 @@ def draw(ranking: Ranking) -> dict[str, str]:
         "residuals": svg(residuals(ranking)),
         "evidence": svg(evidence(ranking)),
         "levels": svg(levels(ranking)),
+        "cost": svg(cost(ranking)),
     }

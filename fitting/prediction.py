@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fitting import unknowns
 from fitting.motion import Array, Motion
-from fitting.unknowns import UNKNOWNS
+from fitting.unknowns import LOCALS, UNKNOWNS
 from fitting.windows import Cycle
 from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry
 from rig_sim.integrate.hybrid import sample_phase
@@ -27,10 +27,9 @@ from rig_sim.integrate.modes import (
     new_work,
 )
 
-LOCALS = 6
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
 HOLDS = 10.0  # break-away level of a jump's stick inside a window: the break-away itself lies in no window
-WEAR_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
+FADE_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
 
 
@@ -200,7 +199,7 @@ def window_positions(
 ) -> int:
     """Fill ``model`` (N,) with the positions of all windows and ``jacobian`` (N, p + 6) with forward differences.
 
-    ``u`` (runs, 9), ``columns`` (runs, p) which of them each unknown is, -1 where the run does not know it.
+    ``u`` (runs, 12), ``columns`` (runs, p) which of them each unknown is, -1 where the run does not know it.
     Compiled as it stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.
     ``jacobian`` of no rows: positions only.  Returns 0, or the outcome that ended the flow.
     """
@@ -224,7 +223,7 @@ def window_positions(
         near = room[2, : end - first]
         for j in range(p + LOCALS):
             # A jump's stick is a straight line: it knows its start and the belt's speed, nothing else.
-            line = riding == 1 and ramp == 0 and own[8] == 0.0
+            line = riding == 1 and ramp == 0 and own[8] == 0.0 and own[11] == 0.0
             if line and j != p + 4 and (j >= p or which[j] != 2):
                 continue
             if j < p and which[j] < 0:
@@ -268,7 +267,7 @@ def follow(
 ) -> int:
     """Follow one window from its own start and store the position at ``times``; return 0 or an outcome.
 
-    The level is the cycle's own until the landing and the next one from there on, less what wear has taken.  A touch
+    The level is the cycle's own until the landing and the next one from there on, less what it has faded by.  A touch
     of the belt before ``firm`` is no landing: the mass slips on as soon as the load exceeds its level, so the motion
     depends continuously on where the window starts.  After the landing a jump's stick holds whatever the load: its
     break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on forwards under the new
@@ -277,11 +276,22 @@ def follow(
     A belt that gives way under load is the flow's own droop, u[8] F/K: a jump then rides on the ramp that the belt
     makes, and overtakes it as a ramp law would; before a break-away level and width are both raised, so that it holds
     whatever the load.
+
+    A belt that ripples, by u[9] cos(u[11] t) + u[10] sin(u[11] t) in m/s, is followed in coordinates that swing with it
+    (`rig_sim.effects.ripple`): there it runs steadily and the mass is driven.  No ripple where u[11] is 0.
     """
     K, F, v_dr, shape, d = u[0], math.exp(u[1]), u[2], u[3], u[4]
     n = times.size
     at = 4 if riding == 1 else 0
     x, v = part[at], part[at + 1]
+    u0, phase, omega = 0.0, 0.0, u[11]
+    if omega > 0.0:
+        cosine, sine = math.cos(omega * times[0]), math.sin(omega * times[0])
+        x -= (u[9] * sine - u[10] * cosine) / omega
+        v -= u[9] * cosine + u[10] * sine
+        stiff = K / omega - omega
+        even, odd = u[10] * stiff - u[6] * u[9], -u[9] * stiff - u[6] * u[10]
+        u0, phase = math.hypot(even, odd), math.atan2(-odd, even)
     level, following = math.exp(part[2]), math.exp(part[3])
     w = v - v_dr
     static = 1.0
@@ -306,23 +316,23 @@ def follow(
     else:
         mode = NEGATIVE if w <= 0.0 else POSITIVE
     work[STEPS] = 0.0
-    wear = u[7]
+    fade = u[7]
     t = times[0]
     last = times[n - 1]
     i = 0
     landed = riding == 1
     base = level
     while i < n:
-        # Wear lowers the level steadily; the flow's is constant, so it is lowered in small steps.
-        steady = wear == 0.0 or mode == STICK
-        end = last if steady else min(t + WEAR_STEP_S, last)
-        factor = base * (1.0 - wear * (0.5 * (t + end) - epoch))
+        # The level fades steadily; the flow's is constant, so it is lowered in small steps.
+        steady = fade == 0.0 or mode == STICK
+        end = last if steady else min(t + FADE_STEP_S, last)
+        factor = base * (1.0 - fade * (0.5 * (t + end) - epoch))
         if not factor > 0.0:
             return NOT_FINITE
         factor *= hold
         # per unit mass; the curve reads the one shape parameter that it has
         G, give = shape * F, hold * droop
-        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, G, shape, d, 0.0, 0.0, 0.0, give)
+        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, G, shape, d, u0, omega, phase, give)
         before = mode
         kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
         if kind >= FORCE_REVERSAL:
@@ -334,6 +344,9 @@ def follow(
                 static = HOLDS
                 w = 0.0
                 mode = POSITIVE if overtakes == 1 else STICK
+    if omega > 0.0:
+        for j in range(n):
+            out[j] += (u[9] * math.sin(omega * times[j]) - u[10] * math.cos(omega * times[j])) / omega
     return 0
 
 

@@ -1,50 +1,32 @@
 """`rank`: fits the laws to a smoothed record and says which it was, or which it cannot tell apart.
 
-Evidence.  Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles
-between laws.  A law pays for what it may adjust: (p/2n) log n in log error for p parameters and n cycles, and for the
-strain it puts on the calibrations, spread over the cycles.
-
-Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
-zero.  Inside the set a law is preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6,
-each jump law in its ramp law): then the winner's extra freedom bought nothing.
+What is evidence and who is in the set: `fitting.evidence`.
 """
 
 import math
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.rig import Rig
+from fitting import absence, evidence, orbit, ripple, search, twin, uncertainty, verdict, windows
 from fitting import cycles as break_aways
 from fitting import motion as frame
-from fitting import search, twin, uncertainty, verdict, windows
+from fitting.evidence import FEWEST_CYCLES, Choice, Evidence
 from fitting.motion import Array, Motion
 from fitting.result import LawResult
 from fitting.result import Ranking as Ranking
 from fitting.setting import Run
 from fitting.trajectory import Fit
-from fitting.windows import Cut
 from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 ALL_LAWS = (1, 2, 3, 4, 5, 6)
-NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
-FEWEST_CYCLES = 4
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
-WORST_FIT = 0.05  # of a slip's length: a best law that errs by more describes something else
-DRAG_BLOCKS = 8
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """Paired evidence: log error of each unit for each law, penalty included; shapes (laws, units) and (laws,)."""
-
-    laws: tuple[int, ...]
-    penalised: Array
 
 
 def rank(
@@ -57,6 +39,7 @@ def rank(
     alpha: float = 0.05,
     jobs: int = 1,
     progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
 ) -> Ranking:
     """Fit the laws to a record, or to several records of one contact together, and rank them.
 
@@ -81,6 +64,8 @@ def rank(
         Processes to fit in: up to three are of use, one for each curve.  The result is the same to the last bit.
     progress : callable, optional
         Called with the number of laws done.
+    scheduler : str, optional
+        Address of a dask scheduler, ``tcp://host:8786``, whose workers fit instead of processes on this machine.
 
     Returns
     -------
@@ -89,7 +74,8 @@ def rank(
     Raises
     ------
     InputError
-        For no or unknown laws, alpha outside (0, 1), fewer than one job, a record in counts, a belt speed of zero, belt
+        For no or unknown laws, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used,
+        a record in counts, a belt speed of zero, belt
         counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
         When a record shows no belt stick-slip, when there are fewer than four complete cycles, or when some of the
@@ -100,7 +86,9 @@ def rank(
     A belt that slows under load looks like a ramp.  With the belt's own counts its give is measured and part of the
     flow; without, a ramp narrow enough to be such a belt brings its jump law into the set (`fitting.twin`).
 
-    Not modelled: ripple of the belt's speed, friction that remembers, a mass or spring that changes between runs.
+    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is fitted along (`fitting.ripple`).
+
+    Not modelled: a swing of several frequencies, friction that remembers, a mass or spring that changes between runs.
     """
     begun = clock.process_time()
     laws = tuple(dict.fromkeys(laws))
@@ -116,7 +104,7 @@ def rank(
     runs = []
     for record, known in zip(records, rigs, strict=True):
         motion = frame.of(record, record.recording.rig if known is None else known, belt_speed)
-        runs.append(Run(motion, windows.cut(motion, frozenset(excluded))))
+        runs.append(_run(motion, frozenset(excluded)))
     sources = [str(record.recording.source) for record in records]
     sustained = _check(runs, sources)
     competing = laws if sustained else tuple(law for law in laws if law in (1, 2))
@@ -126,38 +114,24 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
-    fits = search.every(competing, runs, jobs, progress)
-    longest = max(_slip_length(run.motion, run.cut) for run in runs)
-    if not fits or min(fit.rms for fit in fits) > WORST_FIT * longest:
-        raise DataError(
-            "no belt stick-slip in this record: no law comes near it",
-            ", ".join(sources),
-            "check the calibration and the belt speed, or look at it with 'process inspect'",
-        )
+    fits = search.every(competing, runs, jobs, progress, scheduler)
+    if what := absence.of_fits(fits, runs, sustained=sustained):
+        do = "check the calibration and the belt speed, or look at it with 'process inspect'"
+        raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
     if not sustained and all(run.cut.drag == (0, 0) or run.cut.cycles[0].flag for run in runs):
         raise DataError(
             "no belt stick-slip in this record: a sine without a start-up; constant friction is possible",
             ", ".join(sources),
             "record again from before the belt starts: the first drag tells law 1 from law 2",
         )
-    penalised = np.array([_penalised(fit, _unit_errors(fit, runs, sustained=sustained)) for fit in fits])
-    chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
-    double = twin.of(fits, chosen.members, runs)
-    if double is not None:
-        place, ramp = (next(i for i, fit in enumerate(fits) if fit.law == law) for law in (double.law, double.law + 1))
-        errors = _unit_errors(double, runs, sustained=sustained)
-        lag = twin.lag(errors, _unit_errors(fits[ramp], runs, sustained=sustained))
-        if lag < twin.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
-            apart = len(runs) > 1 and lag < -twin.SAME
-            fits[place], penalised[place] = double, _penalised(double, errors) if apart else penalised[ramp]
-            chosen = choose(Evidence(tuple(fit.law for fit in fits), penalised), alpha)
+    fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
-    rows = tuple(_row(fit, chosen, runs, alpha) for fit in ordered)
+    rows = tuple(_row(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered)
     measured = all(run.motion.belt_measured for run in runs)
     words = verdict.sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
     sides = []
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
-        own = tuple(_side(row, run.motion, alpha, number) for row in rows)
+        own = tuple(_side(row, run.motion, alpha, number, sustained=sustained) for row in rows)
         events = break_aways.events(own[0].fit, run.motion, run.cut)
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, sustained=sustained)
         sides.append(Ranking(words, chosen.members, own, events, said, run.motion, run.cut))
@@ -176,6 +150,45 @@ def rank(
         cpu_s=cpu_s,
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
     )
+
+
+def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], Choice]:
+    """Weigh the laws against each other; a jump law that tells the best ramp's motion as well takes its place."""
+    taken = evidence.judged(fits)
+
+    def errors(fit: Fit) -> Array:
+        return evidence.unit_errors(fit, runs, taken, sustained=sustained)
+
+    place = {fit.law: i for i, fit in enumerate(fits)}
+    penalised = np.array([evidence.penalised(fit, errors(fit)) for fit in fits])
+    chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
+    double = twin.of(fits, chosen.members, runs)
+    if double is not None:
+        jump, ramp = place[double.law], place[double.law + 1]
+        lag = twin.lag(errors(double), errors(fits[ramp]))
+        if lag < twin.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
+            apart = len(runs) > 1 and lag < -twin.SAME
+            fits = [*fits[:jump], double, *fits[jump + 1 :]]
+            penalised[jump] = evidence.penalised(double, errors(double)) if apart else penalised[ramp]
+            chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
+    if (
+        not sustained
+        and chosen.members == (2,)
+        and 1 in place
+        and twin.by_swing(fits[place[2]], errors(fits[place[2]]), runs)
+    ):
+        penalised[place[1]] = penalised[place[2]]
+        chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
+    return fits, chosen
+
+
+def _run(motion: Motion, excluded: frozenset[int]) -> Run:
+    """Cut a record into cycles; where the belt's speed swings, as it would move on a steady belt."""
+    cut = windows.cut(motion, excluded)
+    swing = ripple.find(motion, cut)
+    if swing is not None:
+        cut = windows.cut(swing.removed(motion), excluded)
+    return Run(motion, cut, swing)
 
 
 def _smoothed(kinematics: Kinematics) -> Kinematics:
@@ -205,12 +218,9 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
     """Return whether the mass sticks in the long run; raise DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.plateau_fraction >= SUSTAINED for run in runs]
     sustained = all(kinds)
-    for run, source in zip(runs, sources, strict=True):
-        if not run.cut.used:
-            what = "no slip between two sticks" if not run.cut.cycles else "every cycle is left out"
-            raise DataError(
-                f"no belt stick-slip in this record: {what}", source, "record several cycles with the belt running"
-            )
+    for run, kind, source in zip(runs, kinds, sources, strict=True):
+        if what := absence.of_cycles(run.motion, run.cut, sustained=kind):
+            raise DataError(f"no belt stick-slip in this record: {what}", source, absence.AGAIN)
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
         raise DataError(
@@ -228,99 +238,13 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
     return sustained
 
 
-def _slip_length(motion: Motion, cut: Cut) -> float:
-    """Return the median distance covered in a slip window, m."""
-    return float(np.median([np.ptp(motion.position[slice(*cycle.slip)]) for cycle in cut.used]))
-
-
-def _log_error(residual: Array, motion: Motion) -> float:
-    """Return the log of the rms, with the encoder's own error as the floor below which nothing is better."""
-    return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
-
-
-def _unit_errors(fit: Fit, runs: Sequence[Run], *, sustained: bool) -> Array:
-    """Return the log error of every cycle of every run, or of every piece of the start-up drags."""
-    found = []
-    for number, run in enumerate(runs):
-        part = fit.part(number)
-        if sustained:
-            found.append(np.array([_log_error(part.residual[rows], run.motion) for rows in part.rows]))
-        elif run.cut.drag != (0, 0) and not run.cut.cycles[0].flag:
-            found.append(_drag_errors(part, run.motion, run.cut.drag))
-    return np.concatenate(found)
-
-
-def _drag_errors(fit: Fit, motion: Motion, drag: tuple[int, int]) -> Array:
-    """Return the log error of equal pieces of the start-up drag: the sine after it cannot tell law 1 from law 2."""
-    _, riding, first, count, *_ = fit.windows.table[0]
-    if not riding or fit.cycles[0].stick != drag:
-        raise RuntimeError("the first window is not the start-up drag")
-    end = first + count
-    return np.array([_log_error(part, motion) for part in np.array_split(fit.residual[first:end], DRAG_BLOCKS)])
-
-
-def _penalised(fit: Fit, errors: Array) -> Array:
-    n = errors.size
-    return errors + (fit.free * math.log(n) + strain(fit)) / (2 * n)
-
-
-def strain(fit: Fit) -> float:
-    """Return what a fit pays for contradicting its calibrations, like a squared deviation where that is small.
-
-    Student's t with 4 degrees of freedom: a calibration can be plainly wrong, and then must not decide alone.
-    """
-    return float(np.sum(5 * np.log1p(fit.deviations**2 / 4)))
-
-
-@dataclass(frozen=True, eq=False)
-class Choice:
-    """Order of the laws, members of the set (best first), and score, weight and lag of each law."""
-
-    order: tuple[int, ...]
-    members: tuple[int, ...]
-    score: dict[int, float]
-    weight: dict[int, float]
-    behind: dict[int, tuple[float, float]]
-
-
-def choose(evidence: Evidence, alpha: float) -> Choice:
-    """Apply the set rule to the evidence.
-
-    Parameters
-    ----------
-    evidence : Evidence
-        At least two units (cycles).
-    alpha : float
-        1 - confidence of the t-interval.
-    """
-    from scipy.stats import t as student
-
-    laws, errors = evidence.laws, evidence.penalised
-    n = errors.shape[1]
-    mean = errors.mean(axis=1)
-    winner = int(np.argmin(mean))
-    quantile = float(student.ppf(1 - alpha / 2, n - 1))
-    score = {law: float(2 * n * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
-    behind = {}
-    for i, law in enumerate(laws):
-        difference = errors[i] - errors[winner]
-        half = quantile * float(np.std(difference, ddof=1)) / math.sqrt(n)
-        behind[law] = (float(difference.mean()), half)
-    members = [law for law in sorted(laws, key=score.__getitem__) if behind[law][0] - behind[law][1] <= 0]
-    preferred = [law for law in members if law in NESTED[laws[winner]]]
-    if preferred:
-        first = preferred[0]
-        members = [first, *(law for law in members if law != first)]
-    others = [law for law in sorted(laws, key=score.__getitem__) if law not in members]
-    total = sum(math.exp(-value / 2) for value in score.values())
-    weight = {law: math.exp(-value / 2) / total for law, value in score.items()}
-    return Choice((*members, *others), tuple(members), score, weight, behind)
-
-
-def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float) -> LawResult:
-    parameters = uncertainty.parameters(fit, runs[0].motion, alpha)
+def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:
+    parameters = uncertainty.parameters(fit, runs[0].motion, alpha, sustained=sustained)
     if len(runs) > 1:
-        every = [uncertainty.parameters(fit, run.motion, alpha, number) for number, run in enumerate(runs)]
+        every = [
+            uncertainty.parameters(fit, run.motion, alpha, number, sustained=sustained)
+            for number, run in enumerate(runs)
+        ]
         parameters = {name: item for name, item in parameters.items() if name not in uncertainty.OWN}
         for number, own in enumerate(every, start=1):
             parameters |= {f"{name} ({number})": own[name] for name in uncertainty.OWN if name in own}
@@ -335,17 +259,19 @@ def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float) -> LawResu
         parameters=parameters,
         cpu_s=fit.cpu_s,
         behind=chosen.behind[fit.law],
+        orbit=math.sqrt(float(np.mean([orbit.distance(fit.part(n), run.motion) ** 2 for n, run in enumerate(runs)]))),
         fit=fit,
     )
 
 
-def _side(row: LawResult, motion: Motion, alpha: float, run: int) -> LawResult:
+def _side(row: LawResult, motion: Motion, alpha: float, run: int, *, sustained: bool) -> LawResult:
     """Return a law's row as one of the runs sees it."""
     part = row.fit.part(run)
     return replace(
         row,
+        orbit=orbit.distance(part, motion),
         rms_m=part.rms,
         cycles=len(part.rows),
-        parameters=uncertainty.parameters(row.fit, motion, alpha, run),
+        parameters=uncertainty.parameters(row.fit, motion, alpha, run, sustained=sustained),
         fit=part,
     )

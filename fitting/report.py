@@ -2,13 +2,12 @@
 
 import html
 import math
-import os
-import tempfile
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from daq import runfile
 from daq.errors import InputError
 from daq.version import VERSION
 from fitting import plot
@@ -31,7 +30,7 @@ def places(runs: Sequence[Path], report: Path | None) -> list[Path]:
     Raises
     ------
     InputError
-        When one of them holds something that is not a report of ours, cannot be written, or two are the same.
+        When two are the same.
     """
     if report is None:
         found = [default_path(run) for run in runs]
@@ -39,8 +38,6 @@ def places(runs: Sequence[Path], report: Path | None) -> list[Path]:
         found = [report, *(report.with_stem(f"{report.stem}-{n}") for n in range(2, len(runs) + 1))]
     if len({place.absolute() for place in found}) < len(found):
         raise InputError("two runs share one report", ", ".join(map(str, found)), "give a name with --report")
-    for place in found:
-        refuse_stranger(place)
     return found
 
 
@@ -54,35 +51,25 @@ def refuse_stranger(path: Path) -> None:
         raise InputError("exists and is no report", str(path), "give another name with --report")
 
 
-def write(ranking: Ranking, kinematics: Kinematics, path: Path, alpha: float) -> None:
-    """Write the report of a ranking.
+def write(page: str, path: Path) -> None:
+    """Write a report that `render` made.
 
     Parameters
     ----------
-    ranking : Ranking
-    kinematics : Kinematics
-        What was fitted.
+    page : str
     path : Path
-        The page; an older report there is replaced, any other file is not.
-    alpha : float
-        1 - confidence of the intervals.
+        An older report there is replaced, any other file is not.
 
     Raises
     ------
     InputError
         When ``path`` holds something that is not a report.
+    RefusedError
+        The disk refuses; an older report still stands.
     """
     refuse_stranger(path)
-    page = render(ranking, kinematics, alpha)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.absolute().parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(page)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with runfile.replacing(path, force=True) as temporary:
+        temporary.write_text(page, encoding="utf-8")
 
 
 def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
@@ -133,6 +120,7 @@ def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
         "score": f"{row.score:.1f}",
         "weight": f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01",
         "behind": "best" if row.score == 0 else f"{mean:.2f} ± {half:.2f}",
+        "orbit": f"{100 * row.orbit:.2g} %",
         "cpu": f"{row.cpu_s:.2f} s",
         "colour": plot.COLOURS[row.law],
     }

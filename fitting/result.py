@@ -41,12 +41,14 @@ class LawResult:
     rms_m : float
         m, all windows together.
     cycles : int
-        Cycles judged.
+        Cycles fitted.
     parameters : dict
         By name; per unit mass, and in newtons when the mass or the spring's stiffness is known.
     cpu_s : float
     behind : (float, float)
         Mean paired difference of log error to the best law, penalty included, and half its t-interval.
+    orbit : float
+        Distance of the law's orbit to the measured one, of the orbit's size (`fitting.orbit`).
     fit : Fit
         The fit itself, for pictures.
     """
@@ -61,6 +63,7 @@ class LawResult:
     parameters: dict[str, Parameter]
     cpu_s: float
     behind: tuple[float, float]
+    orbit: float
     fit: "Fit" = field(repr=False, compare=False)
 
     def as_json(self) -> dict[str, Any]:
@@ -74,6 +77,7 @@ class LawResult:
             "rms_m": self.rms_m,
             "cycles": self.cycles,
             "parameters": {name: item.as_json() for name, item in self.parameters.items()},
+            "orbit_distance": self.orbit,
             "cpu_s": self.cpu_s,
         }
 

@@ -3,17 +3,29 @@
 Minimises  1/2 sum_c w_c |r_c(u, l_c)|^2 + 1/2 sum ((u - u0)/sd)^2 + 1/2 sum_c sum ((l_c - l0_c)/sd)^2
 over the shared unknowns u (p of them, within bounds) and the q unknowns l_c of each cycle c.  Each cycle's
 normal equations are q x q, so the cost grows with the number of cycles, not with its cube.
+
+The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other),
+and a straight step along it soon leaves its floor.  So each step is bent: the second derivative of the residuals
+along it, one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
+arXiv:1201.5885).  A cycle that would not follow (a kick, a corner on the wrong side) is held back by itself.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.motion import Array
 
-START_DAMPING, EASE, TIGHTEN = 1e-4, 30.0, 10.0
+START_DAMPING, EASE, WARY, TIGHTEN = 1e-4, 30.0, 3.0, 10.0  # WARY: how far a step is eased that was first refused
+REACH = 0.1  # of the step: where the second derivative along it is measured
+GUILTY = 0.1  # of what all cycles lost: a cycle that lost as much is to blame
+FEW = 0.35  # of the cycles: where more are to blame, the shared unknowns are
+STIFFEST = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
+BENT = 0.75  # of the step: twice the acceleration may be as long, else the step is too far for a second order
 
 # Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
 Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
@@ -48,6 +60,16 @@ class Problem:
     precision: Array
     local_prior: Array
     local_precision: Array
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        """First residual of each cycle; the cycles' rows follow one another without a gap."""
+        return np.array([rows.start for rows in self.rows], np.int64)
+
+    @cached_property
+    def owner(self) -> NDArray[np.int64]:
+        """Which cycle each residual belongs to."""
+        return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +110,18 @@ class Solution:
     steps: int
 
 
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A step of the shared unknowns (p,) and of the cycles' own (cycles, q)."""
+
+    u: Array
+    local: Array
+
+
 def cost(problem: Problem, u: Array, local: Array, residual: Array) -> float:
     """Return the objective."""
-    total = float(np.sum(problem.precision * (u - problem.prior) ** 2))
-    total += float(np.sum(problem.local_precision * (local - problem.local_prior) ** 2))
-    for weight, rows in zip(problem.weights, problem.rows, strict=True):
-        r = residual[rows]
-        total += weight * float(r @ r)
-    return 0.5 * total
+    shared = 0.5 * float(np.sum(problem.precision * (u - problem.prior) ** 2))
+    return shared + float(np.sum(_by_cycle(problem, local, residual)))
 
 
 def normal_equations(problem: Problem, u: Array, local: Array, residual: Array, jacobian: Array) -> Blocks:
@@ -119,19 +145,44 @@ def normal_equations(problem: Problem, u: Array, local: Array, residual: Array, 
     return Blocks(g, H, gl, Hl, cross, cycle_g)
 
 
-def reduced(blocks: Blocks, damping: float = 0.0) -> tuple[Array, Array, Array, Array]:
-    """Eliminate the cycles' unknowns: return the reduced (gradient, Hessian), inv(Hl) gl and inv(Hl) cross^T.
+class Reduced:
+    """The normal equations with the cycles' own unknowns eliminated.
 
-    The reduced Hessian is the information on the shared unknowns with every cycle's own unknowns fitted along.
+    Parameters
+    ----------
+    blocks : Blocks
+    damping : (cycles,) f8, optional
+        Adds to the curvatures of the cycles' own unknowns; the least of it to those of the shared ones.
+
+    Attributes
+    ----------
+    H : (p, p) f8
+        The information on the shared unknowns with every cycle's own unknowns fitted along.
     """
-    q = blocks.gl.shape[1]
-    diagonal = np.einsum("cii->ci", blocks.Hl)
-    Hl = blocks.Hl + damping * diagonal[:, :, None] * np.eye(q)
-    pull = np.linalg.solve(Hl, blocks.gl[:, :, None])[:, :, 0]
-    spread = np.linalg.solve(Hl, np.swapaxes(blocks.cross, 1, 2))
-    g = blocks.g - np.einsum("cpq,cq->p", blocks.cross, pull)
-    H = blocks.H + damping * np.diag(np.diag(blocks.H)) - np.einsum("cpq,cqr->pr", blocks.cross, spread)
-    return g, H, pull, spread
+
+    def __init__(self, blocks: Blocks, damping: Array | None = None) -> None:
+        c, q = blocks.gl.shape
+        least = 0.0 if damping is None else float(damping.min())
+        Hl = blocks.Hl
+        if damping is not None:
+            Hl = Hl + (damping[:, None] * np.einsum("cii->ci", Hl))[:, :, None] * np.eye(q)
+        self._cross = blocks.cross
+        self._inverse = np.linalg.inv(Hl)
+        self._spread = self._inverse @ np.swapaxes(blocks.cross, 1, 2)
+        lost = np.swapaxes(blocks.cross, 0, 1).reshape(-1, c * q) @ self._spread.reshape(c * q, -1)
+        self.H = blocks.H + least * np.diag(np.diag(blocks.H)) - lost
+
+    def pull(self, gl: Array) -> Array:
+        """Return inv(Hl) gl, shape (cycles, q)."""
+        return np.asarray((self._inverse @ gl[:, :, None])[:, :, 0])
+
+    def given(self, g: Array, pull: Array) -> Array:
+        """Return the gradient (p,) with the cycles' unknowns fitted along."""
+        return np.asarray(g - np.einsum("cpq,cq->p", self._cross, pull))
+
+    def follow(self, step: Array, pull: Array) -> Array:
+        """Return the cycles' own step (cycles, q) beside a shared one."""
+        return np.asarray(-pull - self._spread @ step)
 
 
 def minimise(
@@ -155,27 +206,41 @@ def minimise(
         return None
     residual, jacobian = first
     value = cost(problem, u, local, residual)
-    damping, calm, outcome, steps = START_DAMPING, 0, "step limit", 1
+    damping, stiff = START_DAMPING, np.ones(local.shape[0])
+    calm, outcome, steps = 0, "step limit", 1
     blocks = normal_equations(problem, u, local, residual, jacobian)
     while steps < max_steps:
-        moved = False
+        moved, refused = False, 0
         while damping < 1e10:
-            step, local_step = _step(problem, u, blocks, damping)
-            trial, local_trial = np.clip(u + step, problem.lower, problem.upper), local + local_step
-            found = problem.evaluate(trial, local_trial, False)
-            trial_value = math.inf if found is None else cost(problem, trial, local_trial, found[0])
-            if trial_value < value:
-                moved = True
-                break
-            if found is not None and trial_value - value < 1e-12 * value:
-                break
-            damping *= TIGHTEN
+            step = _bent(problem, u, local, blocks, damping * stiff, residual, jacobian)
+            if isinstance(step, Step):
+                trial, local_trial = np.clip(u + step.u, problem.lower, problem.upper), local + step.local
+                found = problem.evaluate(trial, local_trial, False)
+                trial_value = math.inf if found is None else cost(problem, trial, local_trial, found[0])
+                if trial_value < value:
+                    moved = True
+                    break
+                if found is not None and trial_value - value < 1e-12 * value:
+                    break
+                blame = np.zeros(stiff.size)
+                if found is not None:
+                    blame = _by_cycle(problem, local_trial, found[0]) - _by_cycle(problem, local, residual)
+            else:
+                blame = step
+            refused += 1
+            # One cycle gone astray (a kick, a corner on the wrong side) must not hold up all the others.
+            guilty = blame > GUILTY * np.sum(np.maximum(blame, 0.0))
+            if 0 < guilty.sum() <= FEW * guilty.size and stiff[guilty].max() < STIFFEST:
+                stiff[guilty] *= TIGHTEN**2
+            else:
+                damping *= TIGHTEN
         if not moved:
             outcome = "converged" if damping < 1e10 else "no progress"
             break
         gain, value = value - trial_value, trial_value
         u, local = trial, local_trial
-        damping = max(damping / EASE, 1e-12)
+        ease = WARY if refused else EASE
+        damping, stiff = max(damping / ease, 1e-12), np.maximum(stiff / ease, 1.0)
         again = problem.evaluate(u, local, True)
         steps += 1
         if again is None:  # the point itself can be followed, one of its neighbours cannot
@@ -190,15 +255,53 @@ def minimise(
     return Solution(u, local, value, residual, blocks, outcome, steps)
 
 
-def _step(problem: Problem, u: Array, blocks: Blocks, damping: float) -> tuple[Array, Array]:
-    """Return the damped step; an unknown on its bound that is pushed outward stays."""
-    g, H, pull, spread = reduced(blocks, damping)
-    free = ~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0))
+def _by_cycle(problem: Problem, local: Array, residual: Array) -> Array:
+    """Return each cycle's share of the objective, shape (cycles,)."""
+    own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
+    own += problem.weights * np.add.reduceat(residual**2, problem.starts)
+    return np.asarray(0.5 * own)
+
+
+def _bent(
+    problem: Problem, u: Array, local: Array, blocks: Blocks, damping: Array, residual: Array, jacobian: Array
+) -> Step | Array:
+    """Return the damped step with its acceleration, or whose fault it is that it leads too far.
+
+    Too far is where the second order no longer holds; a cycle's fault (cycles,) is its share of the second derivative,
+    and nobody's (0) where the flow cannot be followed at all.
+
+    ``damping`` is the cycles' own (cycles,); the least of them is that of the shared unknowns.
+    """
+    p = u.size
+    damped = Reduced(blocks, damping)
+    step = _step(problem, u, damped, blocks.g, blocks.gl)
+    near = problem.evaluate(u + REACH * step.u, local + REACH * step.local, False)
+    if near is None:
+        return np.zeros(damping.size)
+    shared, own = jacobian[:, :p], jacobian[:, p:]
+    straight = shared @ step.u + np.einsum("nq,nq->n", own, step.local[problem.owner])
+    bend = ((near[0] - residual) / REACH - straight) * (2 / REACH)
+    push = bend * problem.weights[problem.owner]
+    turn = _step(problem, u, damped, push @ shared, np.add.reduceat(own * push[:, None], problem.starts))
+    scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
+    with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long
+        length = float(scale @ step.u**2 + np.sum(local_scale * step.local**2))
+        turned = float(scale @ turn.u**2 + np.sum(local_scale * turn.local**2))
+        strain = np.add.reduceat(bend * push, problem.starts)
+    if not turned <= BENT**2 * length < math.inf:
+        return np.asarray(strain) if np.isfinite(strain).all() else np.zeros(damping.size)
+    return Step(step.u + 0.5 * turn.u, step.local + 0.5 * turn.local)
+
+
+def _step(problem: Problem, u: Array, damped: Reduced, g: Array, gl: Array) -> Step:
+    """Return the step down the gradients g and gl; an unknown on its bound that is pushed outward stays."""
+    pull = damped.pull(gl)
+    g = damped.given(g, pull)
+    index = np.flatnonzero(~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0)))
     step = np.zeros_like(u)
-    index = np.flatnonzero(free)
     if index.size:
-        scale = 1 / np.sqrt(np.maximum(np.diag(H)[index], 1e-300))
-        scaled = H[np.ix_(index, index)] * scale[:, None] * scale
-        step[index] = -scale * np.linalg.lstsq(scaled, scale * g[index], rcond=1e-13)[0]
+        H = damped.H[np.ix_(index, index)]
+        scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        step[index] = -scale * np.linalg.lstsq(H * scale[:, None] * scale, scale * g[index], rcond=1e-13)[0]
     step = np.clip(u + step, problem.lower, problem.upper) - u
-    return step, -pull - np.einsum("cqp,p->cq", spread, step)
+    return Step(step, damped.follow(step, pull))

@@ -4,26 +4,27 @@ A ramp law starts a second time from its jump law, so the two of one curve are f
 curves know nothing of each other and may be fitted side by side.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
-from multiprocessing import get_context
 
 from fitting import trajectory
 from fitting.setting import Run
 from fitting.trajectory import Fit
 from fitting.unknowns import D
+from fitting.workers import workers
 from rig_sim.friction.law import LAWS
 
-STUCK = 0.98  # a ramp law with next to no ramp that errs by so much less than its jump law found a better place
+STUCK = 0.98  # of a law's error: where its jump or ramp law errs less than that, it found a better place
+HOPELESS = 30.0  # times the best law's error after the first pass: so far behind a law is not fitted any further
 CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
-
-Map = Callable[..., Iterator[list[Fit]]]
 
 
 def every(
-    laws: Sequence[int], runs: Sequence[Run], jobs: int = 1, progress: Callable[[float], None] | None = None
+    laws: Sequence[int],
+    runs: Sequence[Run],
+    jobs: int = 1,
+    progress: Callable[[float], None] | None = None,
+    scheduler: str | None = None,
 ) -> list[Fit]:
     """Fit laws to runs of one contact.
 
@@ -35,6 +36,8 @@ def every(
         Processes; more than one for each curve are not started.
     progress : callable, optional
         Called with the number of laws searched.
+    scheduler : str, optional
+        Address of a dask scheduler whose workers do it instead.
 
     Returns
     -------
@@ -45,45 +48,50 @@ def every(
     for law in sorted(laws):
         curves.setdefault(LAWS[law].curve, []).append(law)
     found: list[Fit] = []
-    with _workers(min(jobs, len(curves))) as each:
+    with workers(min(jobs, len(curves)), scheduler) as each:
         done = 0
         for own, chain in zip(curves.values(), each(partial(_curve, runs=runs), curves.values()), strict=True):
             found += chain
             done += len(own)
             if progress is not None:
                 progress(float(done))
-        nearest = min((fit.rms for fit in found), default=0.0)
+        nearest = min((fit.usual for fit in found), default=0.0)
+        chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
+        found = [fit for own in each(partial(_settled, runs=runs, limit=HOPELESS * nearest), chains) for fit in own]
+        nearest = min((fit.usual for fit in found), default=0.0)
         polished = list(each(partial(_polished, runs=runs, limit=CONTENDER * nearest), found))
     return sorted((fit for own in polished for fit in own), key=lambda fit: (LAWS[fit.law].ramp, fit.law))
 
 
-@contextmanager
-def _workers(number: int) -> Iterator[Map]:
-    """Give ``map``, in this process or in several fresh ones."""
-    if number <= 1:
-        yield map
-        return
-    with ProcessPoolExecutor(number, mp_context=get_context("spawn")) as pool:
-        yield pool.map
-
-
 def _curve(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
-    """Search the laws of one curve, the jump law first."""
+    """Fit the laws of one curve roughly, the jump law first."""
     found: dict[int, Fit] = {}
-    slowest = min(run.motion.belt_speed for run in runs)
     for law in laws:
-        fit = trajectory.search(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
+        fit = trajectory.begin(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
         if fit is not None:
             found[law] = fit
+    return list(found.values())
+
+
+def _settled(chain: Sequence[Fit], runs: Sequence[Run], limit: float) -> list[Fit]:
+    """Settle the laws of one curve whose error is below ``limit``; the others stay as they are."""
+    found = {fit.law: fit for fit in chain}
+    for law, fit in list(found.items()):
+        again = trajectory.settle(fit, runs) if fit.usual < limit else None
+        found[law] = fit if again is None else again
+    slowest = min(run.motion.belt_speed for run in runs)
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
-        # A ramp can lead round an obstacle in which its jump law got stuck: from there the jump law tries again.
+        # One of the two can get stuck where the other finds a way: from there it tries again.
         narrow = found[ramp].u[D] < trajectory.NARROW * slowest
-        if narrow and found[ramp].usual < STUCK * found[ramp - 1].usual:
-            again = trajectory.search(ramp - 1, runs, found[ramp])
-            found[ramp - 1] = again if again is not None else found[ramp - 1]
+        for law, other in ((ramp, ramp - 1), (ramp - 1, ramp)):
+            behind = found[other].usual < STUCK * found[law].usual
+            if behind and found[other].usual < limit and (law == ramp or narrow):
+                again = trajectory.search(law, runs, found[other])
+                if again is not None and again.usual < found[law].usual:
+                    found[law] = again
     return list(found.values())
 
 
 def _polished(fit: Fit, runs: Sequence[Run], limit: float) -> list[Fit]:
     """Return the fit on every sample where its error is below ``limit``."""
-    return [trajectory.polish(fit, runs) if fit.rms < limit else fit]
+    return [trajectory.polish(fit, runs) if fit.usual < limit else fit]

@@ -9,21 +9,25 @@ import numpy as np
 from daq.rig import Measured
 from fitting import regression, unknowns
 from fitting.motion import Array, Motion
-from fitting.unknowns import DAMPING, DATUM, GIVE, SHAPE, UNKNOWNS, V_DR
+from fitting.ripple import Ripple
+from fitting.unknowns import COSINE, DAMPING, DATUM, GIVE, SHAPE, UNKNOWNS, V_DR
 from fitting.windows import Cut
 from rig_sim.friction.law import LAWS
 
 UNKNOWN_DAMPING = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
 STILL_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
+RIPPLE_KNOWN = 0.2  # of its amplitude: how well the sticks show it
+RIPPLE_CYCLES = 0.1  # of a turn over the whole record: further off lie other minima
 NO_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One record in the fit's frame, and its cycles; those without a flag are fitted."""
+    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any."""
 
     motion: Motion
     cut: Cut
+    ripple: Ripple | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +74,19 @@ class Setting:
             datum, v = datum_guess(motion), motion.belt_speed
             give = 0.0 if motion.give is None else motion.give.value
             level = math.log(F)
-            start[r] = K0, level, own.v_dr, min(shape0, upper[0, SHAPE]), d, own.datum, damping.value, 0.0, give
-            scale[r] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
-            lower[r] = (
+            start[r, :COSINE] = (
+                K0,
+                level,
+                own.v_dr,
+                min(shape0, upper[0, SHAPE]),
+                d,
+                own.datum,
+                damping.value,
+                0.0,
+                give,
+            )
+            scale[r, :COSINE] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
+            lower[r, :COSINE] = (
                 1e-6 * K0,
                 -np.inf,
                 0.05 * v,
@@ -83,7 +97,17 @@ class Setting:
                 -np.inf,
                 NO_RAMP * v / motion.travel,
             )
-            prior[r, DATUM], precision[r, DATUM] = datum.value, _precision(datum.sd, 1e-6 * motion.travel)
+            lower[r, COSINE:] = -np.inf, -np.inf, 0.0
+            ripple = runs[r].ripple
+            if ripple is not None:
+                start[r, COSINE:] = ripple.cosine, ripple.sine, ripple.omega
+                scale[r, COSINE:] = v, v, ripple.omega
+                prior[r, COSINE:] = start[r, COSINE:]
+                spread = RIPPLE_KNOWN * ripple.amplitude
+                precision[r, COSINE:] = spread**-2, spread**-2, (RIPPLE_CYCLES * 2 * math.pi / motion.span) ** -2
+            # Constant friction knows only datum + Fs/k: let no scatter of levels tell the two apart.
+            datum_sd = 0.0 if kind.curve == "constant" else datum.sd
+            prior[r, DATUM], precision[r, DATUM] = datum.value, _precision(datum_sd, 1e-6 * motion.travel)
             belt = motion.belt_prior
             if belt is not None and belt.sd > 0:
                 prior[r, V_DR], precision[r, V_DR] = belt.value, _precision(belt.sd, 0.0)
@@ -95,7 +119,9 @@ class Setting:
             motions=motions,
             curve=kind.curve_code,
             ramp=bool(kind.ramp),
-            active=unknowns.active(law, [motion.give is not None for motion in motions]),
+            active=unknowns.active(
+                law, [motion.give is not None for motion in motions], [run.ripple is not None for run in runs]
+            ),
             start=start.ravel(),
             scale=scale.ravel(),
             lower=lower.ravel(),

@@ -4,7 +4,7 @@
 
     fit               NXprocess   @default=ranking; program, version, date, sequence_index
       parameters      NXparameters  verdict, warnings, cpu_time
-      ranking         NXdata      one row a law: score, weight, in_set, rms, cycles; law_name beside it
+      ranking         NXdata      one row a law: score, weight, in_set, rms, cycles, orbit_distance; law_name beside it
       cycles          NXdata      one row a break-away: t, static_level, kinetic_scale
     fit_law1 ...      NXprocess   @default=friction_curve
       parameters      NXparameters  law_name, formula; value, value_errors and units of each parameter
@@ -64,6 +64,7 @@ def _write(entry: h5py.Group, ranking: Ranking) -> None:
             "in_set": (np.array([row.in_set for row in rows], np.uint8), ""),
             "rms": (np.array([row.rms_m for row in rows]), "m"),
             "cycles": (np.array([row.cycles for row in rows], np.uint32), ""),
+            "orbit_distance": (np.array([row.orbit for row in rows]), ""),
         },
         axis="law",
         signal="score",

@@ -1,7 +1,7 @@
 """One law fitted to the measured positions of every window at once: multiple shooting on the exact flow.
 
 Shared by all windows: k/m, Fs/m, belt speed, the curve's shape, the ramp's half-width, the spring's rest position,
-the damping, how fast the contact wears, and how much the belt gives under load.  Each cycle has six unknowns of its
+the damping, how fast a level fades, and how much the belt gives under load.  Each cycle has six unknowns of its
 own: where its slip window starts (x, v), its kinetic level, the level after the next landing, and where its stick
 window starts (x, v).  The levels are factors whose logarithms have mean 0; their prior carries their own scatter, so
 that Fs/m means the mean level and its interval the error of that mean.
@@ -17,16 +17,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from daq.rig import Measured
-from fitting import schur, unknowns
+from fitting import schur, unknowns, wear
 from fitting.motion import Array, Motion
 from fitting.prediction import Windows, evaluator
 from fitting.setting import Run, Setting
-from fitting.unknowns import CALIBRATED, DATUM, LOG_F, UNKNOWNS, WEAR, D, K
+from fitting.unknowns import CALIBRATED, DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, RIPPLE, UNKNOWNS, D, K
 from fitting.windows import Cycle
-
-X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)  # a cycle's own unknowns
 
 FIRST_SCATTER = 0.1  # standard deviation of the levels before the fit has seen them
 OVERTAKING_LEVEL = 0.9  # of the load at landing: the first guess of the level where the mass overtakes the belt
@@ -35,9 +33,14 @@ NARROW = 0.02  # of the belt's speed: the second start of a ramp law
 COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
-WEAR_PASS = (15, 1e-4)
-FINE_PASS = (5, 1e-5)
-NO_TREND = 0.01  # 1/s: what wear may be where a run has too few cycles to show it
+FADE_PASS = (15, 1e-4)
+FINE_PASS = (10, 1e-5)
+NO_TREND = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
+
+CALM = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
+NO_LEVEL = 10.0  # standard deviation of a level that must not pull at the mean
+TRUSTED = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
+LEAST_FADING = 1e-6  # 1/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +50,11 @@ class Fit:
     Attributes
     ----------
     law : int
-    u : (9 runs,) f8
+    u : (12 runs,) f8
         Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
-        datum (m), c/m (1/s), wear (fraction of the level lost per second), give (belt speed lost per metre of spring
-        stretch, 1/s); see `fitting.unknowns`.
+        datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), give (belt speed lost per metre of
+        spring stretch, 1/s), and the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s); see
+        `fitting.unknowns`.
     active : tuple of int
         Which of them this law has and the fit moves.
     local : (cycles, 6) f8
@@ -60,6 +64,8 @@ class Fit:
         The residuals of each cycle.
     cycle_rms : (cycles,) f8
         m.
+    trusted : (cycles,) bool
+        False where a cycle fits so badly (a kick, lost counts) that its level says nothing.
     sigma : (runs,) f8
         Effective standard deviation of one residual, m: rms x sqrt(correlation time in samples).
     deviations : (p,) f8
@@ -83,6 +89,7 @@ class Fit:
     residual: Array
     rows: tuple[slice, ...]
     cycle_rms: Array
+    trusted: NDArray[np.bool_]
     sigma: Array
     deviations: Array
     solution: schur.Solution
@@ -105,7 +112,7 @@ class Fit:
 
     @property
     def free(self) -> int:
-        """Number of the law's own shared unknowns; what every law has besides (datum, damping, wear, give) not."""
+        """Number of the law's own shared unknowns; what every law has besides (datum, damping, fade, give) not."""
         return sum(place % UNKNOWNS not in CALIBRATED for place in self.active)
 
     @property
@@ -128,6 +135,7 @@ class Fit:
             residual=np.concatenate([self.residual[self.rows[k]] for k in own]),
             rows=windows.rows,
             cycle_rms=self.cycle_rms[own],
+            trusted=self.trusted[own],
             sigma=self.sigma[[run]],
             deviations=self.deviations[slots >= 0],
             precision=self.precision[slots >= 0],
@@ -136,8 +144,8 @@ class Fit:
         )
 
 
-def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None:
-    """Fit one law to the thinned record, or to those of several runs of one contact.
+def begin(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False) -> Fit | None:
+    """Fit one law roughly to the thinned record, or to those of several runs of one contact.
 
     Parameters
     ----------
@@ -146,13 +154,16 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None
     runs : sequence of Run
         Each with one used cycle or more.
     near : Fit, optional
-        The law of the same curve with the other contact, searched before: a second start.  A ramp law takes it with a
+        The law of the same curve with the other contact, fitted before: a second start.  A ramp law takes it with a
         narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
+    alone : bool
+        Start from ``near`` alone.
 
     Returns
     -------
     Fit or None
-        None when the flow cannot be followed from any starting value: the law then has no place in the ranking.
+        The better of what the starts lead to, after one pass in which nothing is known of the noise.  None when the
+        flow cannot be followed from any of them: the law then has no place in the ranking.
     """
     begun = clock.process_time()
     setting = Setting.of(law, runs)
@@ -163,12 +174,31 @@ def search(law: int, runs: Sequence[Run], near: Fit | None = None) -> Fit | None
         u = near.u.copy()
         slowest = min(motion.belt_speed for motion in setting.motions)
         u[D::UNKNOWNS] = NARROW * slowest if setting.ramp else starts[0].u[D]
-        starts.append(replace(starts[0], u=u, local=near.local))
-    found = [state for state in (_settle(setting, windows, first) for first in starts) if state is not None]
+        starts = [*([] if alone else starts), replace(starts[0], u=u, local=near.local)]
+    found = [state for state in (_pass_by(setting, windows, first, 0) for first in starts) if state is not None]
     if not found:
         return None
-    best = min(found, key=lambda state: float(np.mean(np.log(state.cycle_rms))))
+    best = min(found, key=lambda state: state.usual)
     return _fit(law, setting, windows, best, runs, clock.process_time() - begun)
+
+
+def settle(fit: Fit, runs: Sequence[Run]) -> Fit | None:
+    """Fit again with noise level, weights and scatter as the passes before show them; None where that leads nowhere."""
+    begun = clock.process_time()
+    setting = Setting.of(fit.law, runs)
+    state: State | None = fit.state
+    for number in range(1, len(PASSES)):
+        if state is not None:
+            state = _pass_by(setting, fit.windows, state, number)
+    if state is None:
+        return None
+    return _fit(fit.law, setting, fit.windows, state, runs, fit.cpu_s + clock.process_time() - begun)
+
+
+def search(law: int, runs: Sequence[Run], near: Fit) -> Fit | None:
+    """Fit one law from another's fit alone, settled; None where that leads nowhere."""
+    first = begin(law, runs, near, alone=True)
+    return None if first is None else settle(first, runs)
 
 
 def _stride(motion: Motion) -> int:
@@ -176,14 +206,14 @@ def _stride(motion: Motion) -> int:
 
 
 def polish(fit: Fit, runs: Sequence[Run]) -> Fit:
-    """Fit the whole record, wear included, from where the search on the thinned one ended.
+    """Fit the whole record, fading included, from where the search on the thinned one ended.
 
     The search's own fit is returned when that leads nowhere.
     """
     begun = clock.process_time()
     setting = Setting.of(fit.law, runs)
-    first = replace(fit.state, trend=_trends(fit.windows, fit.local))
-    last = _pass(setting, fit.windows, first, *WEAR_PASS)
+    first = replace(fit.state, fading=_fading(fit))
+    last = _pass(setting, fit.windows, first, *FADE_PASS)
     windows = Windows.joined([Windows.of(run.motion, run.cut.used) for run in runs])
     if last is not None and windows.time.size > fit.windows.time.size:
         last = _pass(setting, windows, _assume(last, fit.windows, setting.motions, first=False), *FINE_PASS)
@@ -195,7 +225,7 @@ def polish(fit: Fit, runs: Sequence[Run]) -> Fit:
 
 
 def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Sequence[Run], cpu_s: float) -> Fit:
-    active = tuple(k for k in setting.active if k % UNKNOWNS != WEAR or state.trend is not None)
+    active = _moved(setting, state)
     index = list(active)
     solution = state.solution
     if solution is None or state.precision is None:
@@ -208,8 +238,9 @@ def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Seq
         residual=solution.residual,
         rows=windows.rows,
         cycle_rms=state.cycle_rms,
+        trusted=state.weights > TRUSTED,
         sigma=state.sigma,
-        deviations=(state.u[index] - setting.prior[index]) * np.sqrt(setting.precision[index]),
+        deviations=(state.u[index] - setting.prior[index]) * np.sqrt(setting.precision[index]),  # none of a fade
         solution=solution,
         precision=state.precision[index],
         windows=windows,
@@ -231,9 +262,14 @@ class State:
     weights: Array
     cycle_rms: Array
     solution: schur.Solution | None
-    trend: tuple[Measured, ...] | None = None  # wear of each run as the levels' trend shows it, 1/s
+    fading: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None before the last passes
     prior: Array | None = None
     precision: Array | None = None
+
+    @property
+    def usual(self) -> float:
+        """Geometric mean of the cycles' errors, m."""
+        return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
 
 def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State:
@@ -258,30 +294,22 @@ def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State
     )
 
 
-def _settle(setting: Setting, windows: Windows, start: State) -> State | None:
-    """Fit from one start, in passes that settle noise level, weights and scatter."""
-    state: State | None = start
-    for number, (steps, gain) in enumerate(
-        LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
-    ):
-        if state is None:
-            return None
-        state = _pass(setting, windows, state, steps, gain)
-        if state is not None:
-            state = _assume(state, windows, setting.motions, first=number == 0)
-    return state
+def _pass_by(setting: Setting, windows: Windows, state: State, number: int) -> State | None:
+    """Make one of the search's passes, then settle noise level, weights and scatter by it."""
+    passes = LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
+    found = _pass(setting, windows, state, *passes[number])
+    return None if found is None else _assume(found, windows, setting.motions, first=number == 0)
 
 
 def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tolerance: float) -> State | None:
     """Minimise once with the noise assumed so far."""
-    # Wear is fitted last: the levels must be known first, whose trend says about how fast they fall.
-    index = [k for k in setting.active if k % UNKNOWNS != WEAR or state.trend is not None]
+    index = list(_moved(setting, state))
     prior, precision = setting.prior.copy(), setting.precision.copy()
-    if state.trend is not None:
-        prior[WEAR::UNKNOWNS] = [trend.value for trend in state.trend]
-        precision[WEAR::UNKNOWNS] = [1 / trend.sd**2 for trend in state.trend]
+    if state.fading is not None:
+        precision[FADE::UNKNOWNS] = [1 / sd**2 for sd in state.fading]
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in setting.motions]
-    local_sd = np.array([[x, v, state.scatter, state.scatter, x, v] for x, v in wide])[windows.run]
+    local_sd = np.array([[x, v, state.scatter, state.scatter, x, CALM * v] for x, v in wide])[windows.run]
+    local_sd[state.weights <= TRUSTED, LEVEL : NEXT_LEVEL + 1] = NO_LEVEL
     problem = schur.Problem(
         evaluate=evaluator(setting.curve, setting.ramp, windows, state.u, index, setting.scale, setting.local_scale),
         rows=windows.rows,
@@ -303,6 +331,16 @@ def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tole
     return replace(state, u=u, local=solution.local, cycle_rms=rms, solution=solution, prior=prior, precision=precision)
 
 
+def _moved(setting: Setting, state: State) -> tuple[int, ...]:
+    """Return the unknowns that a pass moves.
+
+    Fading comes last: the levels must be known first, whose trend says about how much of it there may be.  So does a
+    ripple, which the sticks have shown well enough: far from the end its phase would be turned to please the slips.
+    """
+    late = () if state.fading is not None else (FADE, *RIPPLE)
+    return tuple(place for place in setting.active if place % UNKNOWNS not in late)
+
+
 def _assume(state: State, windows: Windows, motions: Sequence[Motion], *, first: bool) -> State:
     """Take noise level, weights and scatter from the residuals of the pass before, run by run."""
     if state.solution is None:
@@ -311,33 +349,22 @@ def _assume(state: State, windows: Windows, motions: Sequence[Motion], *, first:
     for run, motion in enumerate(motions):
         own = np.flatnonzero(windows.run == run)
         middle = max(float(np.median(state.cycle_rms[own])), motion.resolution)
-        weights[own] = np.minimum(2 / (1 + (state.cycle_rms[own] / middle) ** 2), 1.0)
+        excess = state.cycle_rms[own] / middle
+        weights[own] = np.minimum(2 / (1 + excess**2), 1.0)
         seen = effective_sigma(state.solution.residual, [windows.rows[k] for k in own if weights[k] > 0.5])
         # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
         sigma[run] = max(seen if first else min(seen, float(sigma[run])), motion.resolution)
-    scatter = float(np.clip(np.std(state.local[:, LEVEL]), 0.01, 0.5))
+    scatter = float(np.clip(np.std(state.local[weights > TRUSTED, LEVEL]), 0.01, 0.5))
     return replace(state, weights=weights, sigma=sigma, scatter=scatter)
 
 
-def _trends(windows: Windows, local: Array) -> tuple[Measured, ...]:
-    """Return how fast the levels of each run fall, 1/s, by a straight line through their logarithms."""
-    slips = windows.table[windows.table[:, 1] == 0]
-    epoch = windows.epoch[windows.table[:, 1] == 0]
-    return tuple(
-        _trend(epoch[slips[:, 5] == run], local[slips[slips[:, 5] == run, 0], LEVEL])
-        for run in range(int(slips[:, 5].max()) + 1)
-    )
-
-
-def _trend(epoch: Array, level: Array) -> Measured:
-    if level.size < 3:  # two points make a line without an error
-        return Measured(0.0, NO_TREND)
-    t = epoch - epoch.mean()
-    square = float(t @ t)
-    slope = float(t @ (level - level.mean())) / square
-    rest = level - level.mean() - slope * t
-    sd = math.sqrt(float(rest @ rest) / max(level.size - 2, 1) / square)
-    return Measured(-slope, max(sd, 1e-6))
+def _fading(fit: Fit) -> tuple[float, ...]:
+    """Return how much the levels of each run may fade within a cycle, 1/s: about what they lose from cycle to cycle."""
+    found = []
+    for run in range(fit.runs):
+        trend = wear.of(fit, run)
+        found.append(NO_TREND if trend is None else max(math.hypot(trend.rate.value, trend.rate.sd), LEAST_FADING))
+    return tuple(found)
 
 
 def effective_sigma(residual: Array, rows: list[slice]) -> float:

@@ -22,6 +22,8 @@ from fitting.unknowns import GIVE, LOG_F, UNKNOWNS, D, K
 from rig_sim.friction.law import LAWS
 
 WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
+SWINGING = 0.08  # of the belt's speed: the ramp that a belt swinging by 3 % can feign in half a second
+UNSTEADY = 1.3  # times the error of the whole record: what the drag on a steady belt stays below
 SAME = 0.05  # log error: what a drooping hyperbola and a ramp in front of one may differ by
 
 
@@ -62,3 +64,23 @@ def of(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit 
 def lag(twin: Array, ramp: Array) -> float:
     """Return how much worse than the ramp law the twin errs: mean difference of log errors (units,)."""
     return float(np.mean(twin - ramp))
+
+
+def by_swing(ramp: Fit, drag: Array, runs: Sequence[Run]) -> bool:
+    """Tell whether the ramp of constant friction may be a belt that swings.
+
+    Where the mass never sticks again, jump and ramp differ in the start-up drag alone: half a second in which a belt
+    whose speed swings looks much like a ramp.  So it may be, where the ramp is no wider than such a swing would make
+    it and where the drag fits worse than the rest of the record, which knows nothing of the belt.
+
+    Parameters
+    ----------
+    ramp : Fit
+        Of law 2.
+    drag : (pieces,) f8
+        Log error of the pieces of the drags.
+    runs : sequence of Run
+    """
+    narrow = ramp.u[D] <= SWINGING * min(run.motion.belt_speed for run in runs)
+    measured = any(run.motion.belt_measured for run in runs)
+    return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY * ramp.usual)

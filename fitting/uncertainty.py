@@ -5,19 +5,50 @@ cycles' own gradients says how far the estimate would move with other cycles.  W
 too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.
 """
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from daq.rig import Measured
+from fitting import wear
 from fitting.motion import Array, Motion
 from fitting.result import Parameter
-from fitting.schur import reduced
+from fitting.schur import Reduced
+from fitting.setting import datum_guess
 from fitting.trajectory import Fit
-from fitting.unknowns import DAMPING, DATUM, GIVE, LOG_F, SHAPE, UNKNOWNS, V_DR, WEAR, D, K, columns
+from fitting.unknowns import (
+    COSINE,
+    DAMPING,
+    DATUM,
+    GIVE,
+    LOG_F,
+    OMEGA,
+    SHAPE,
+    SINE,
+    UNKNOWNS,
+    V_DR,
+    D,
+    K,
+    columns,
+)
 from rig_sim.friction.law import LAWS
 
-OWN = ("v_dr", "x0", "wear", "droop")  # of each run; the other parameters are one for all
+LITTLE = 0.01  # of a guess's variance: where more is left of it after the fit, the guess still says how much
+SIGNED = ("v_dr", "x0", "x0 + Fs/k", "(G_slip - c)/m")
+HIDDEN = {  # what is known only together with a datum or a damping that nothing shows
+    DATUM: ("x0", "Fs/m", "Fs/k", "Fs", "Fs0/m", "wear"),
+    DAMPING: ("c/m", "c", "G_slip/m", "G_slip"),
+}
+OWN = (
+    "v_dr",
+    "x0",
+    "Fs0/m",
+    "wear",
+    "droop",
+    "ripple",
+    "ripple_hz",
+)  # of each run; the other parameters are one for all
 
 
 def covariance(fit: Fit, precision: Array) -> Array:
@@ -30,24 +61,36 @@ def covariance(fit: Fit, precision: Array) -> Array:
         1/sd^2 of the calibrations, 0 where there is none: a prior's own error is one more independent source.
     """
     blocks = fit.solution.blocks
-    _, H, pull, _ = reduced(blocks)
-    own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, pull)
+    reduced = Reduced(blocks)
+    H = reduced.H
+    own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.pull(blocks.gl))
     cycles = own.shape[0]
-    # A weak direction must not make the inverse fail: invert in units of the curvatures, through the singular values.
+    # A weak direction must neither make the inverse fail nor pass for a known one: in units of the curvatures, a
+    # direction that only rounding holds gets the variance of a guess that is all there is to it.
     scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    bread = scale[:, None] * np.linalg.pinv(H * scale[:, None] * scale, rcond=1e-12, hermitian=True) * scale
+    size, axes = np.linalg.eigh(H * scale[:, None] * scale)
+    half = scale[:, None] * axes / np.sqrt(np.maximum(size, 1e-15))
+    bread = half @ half.T
     meat = own.T @ own * (cycles / max(cycles - 1, 1)) + np.diag(precision)
     sandwich = bread @ meat @ bread
     floor = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
     return np.asarray(sandwich * floor[:, None] * floor)
 
 
-def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str, Parameter]:
+def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustained: bool = True) -> dict[str, Parameter]:
     """Return a law's parameters with their intervals, in the record's own signs.
 
-    ``x0`` is where the spring's rest lies in the recorded positions; ``wear`` the fraction of Fs lost per second;
-    ``droop`` how much slower the belt runs under the load Fs.  The error of the metres per count enters every parameter
-    that has a length in its unit.
+    ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
+    sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
+    second, both by the line through the cycles' levels (`fitting.wear`).
+    ``ripple`` and ``ripple_hz`` are amplitude and frequency of its swing where the sticks show one.
+    ``droop`` is how much slower the belt runs under the load Fs.
+
+    The error of the metres per count enters every parameter that has a length in its unit.
+
+    Without a calibration of the datum or of the damping a guess stands in for it.  Where the record adds next to
+    nothing to the guess, what depends on it is left out, and the combination that the record does know is given
+    instead: ``x0 + Fs/k``, ``(G_slip - c)/m``.
 
     Parameters
     ----------
@@ -59,6 +102,8 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str
         1 - confidence.
     run : int
         Whose own parameters are wanted, beside those that all runs share.
+    sustained : bool
+        Whether the contact sticks again and again: else its level is not made anew and shows no wear.
     """
     from scipy.stats import t as student
 
@@ -66,6 +111,14 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str
     known = slots >= 0
     active = [int(slot) for slot in slots[known]]
     spread = covariance(fit, fit.precision)[np.ix_(known, known)]
+    if LAWS[fit.law].curve == "constant":
+        # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.
+        rate = -fit.u[K] / math.exp(fit.u[LOG_F])
+        beside = {DATUM: 1.0, LOG_F: rate, D: rate * fit.u[D], V_DR: rate * fit.u[D]}
+        if D not in active:
+            del beside[V_DR]
+        against = np.array([beside.get(slot, 0.0) for slot in active])
+        spread = spread + datum_guess(motion).sd ** 2 * np.outer(against, against)
     own = fit.u[UNKNOWNS * run : UNKNOWNS * (run + 1)]
     quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
     found: dict[str, Parameter] = {}
@@ -82,10 +135,15 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str
             value *= scale.value
         error = float(np.sqrt(max(variance, 0.0)))
         lo, hi = value - quantile * error, value + quantile * error
-        if name not in ("v_dr", "x0", "wear"):
+        if name not in SIGNED:
             lo = max(lo, 0.0)
         found[name] = Parameter(value, error, lo, hi, unit)
 
+    guessed = {DATUM: motion.datum_prior is None, DAMPING: motion.damping_prior is None or motion.per_mass}
+    left = np.diag(spread) * fit.precision[known]
+    unknown = {slot for slot, share in zip(active, left, strict=True) if guessed.get(slot) and share > LITTLE}
+    if guessed[DATUM] and LAWS[fit.law].curve == "constant":
+        unknown.add(DATUM)
     law = LAWS[fit.law]
     add("k/m", "s^-2", lambda u: float(u[K]))
     add("Fs/m", "m s^-2", lambda u: float(np.exp(u[LOG_F])), lengths=1)
@@ -99,10 +157,20 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str
         add("d", "m/s", lambda u: float(u[D]), lengths=1)
     add("x0", "m", lambda u: motion.sign * float(u[DATUM]), lengths=1)
     add("c/m", "s^-1", lambda u: float(u[DAMPING]))
-    if WEAR in active:
-        add("wear", "s^-1", lambda u: float(u[WEAR]))
+    trend = wear.of(fit, run) if sustained else None
+    if trend is not None:
+        first, reach = trend.first, float(student.ppf(1 - alpha / 2, trend.freedom))
+        level, rate = found["Fs/m"], trend.rate
+        value, error = level.value * first.value, math.hypot(level.stderr * first.value, level.value * first.sd)
+        found["Fs0/m"] = Parameter(value, error, max(value - reach * error, 0.0), value + reach * error, level.unit)
+        found["wear"] = Parameter(
+            rate.value, rate.sd, rate.value - reach * rate.sd, rate.value + reach * rate.sd, "s^-1"
+        )
     if GIVE in active:
         add("droop", "m/s", lambda u: float(u[GIVE] * np.exp(u[LOG_F]) / u[K]), lengths=1)
+    if COSINE in active:
+        add("ripple", "m/s", lambda u: math.hypot(u[COSINE], u[SINE]), lengths=1)
+        add("ripple_hz", "Hz", lambda u: float(u[OMEGA]) / (2 * math.pi))
     if motion.mass is not None:
         mass = motion.mass
         add("k", "N/m", lambda u: float(u[K]), mass)
@@ -117,7 +185,12 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0) -> dict[str
         if law.curve == "linear":
             add("G_slip", "N s/m", lambda u: float(u[SHAPE] * np.exp(u[LOG_F]) / u[K]), stiffness)
         add("c", "N s/m", lambda u: float(u[DAMPING] / u[K]), stiffness)
-    return found
+    if DATUM in unknown:
+        add("x0 + Fs/k", "m", lambda u: motion.sign * float(u[DATUM] + np.exp(u[LOG_F]) / u[K]), lengths=1)
+    if DAMPING in unknown and law.curve == "linear":
+        add("(G_slip - c)/m", "s^-1", lambda u: float(u[SHAPE] * np.exp(u[LOG_F]) - u[DAMPING]))
+    hidden = {name for slot in unknown for name in HIDDEN[slot]}
+    return {name: item for name, item in found.items() if name not in hidden}
 
 
 def _slope(formula: Callable[[Array], float], u: Array, index: int) -> float:

@@ -1,6 +1,6 @@
-"""The unknowns that cycles share: which there are, which of them several runs share, and where each stands.
+"""The unknowns: those that cycles share, which of them several runs share, where each stands; and a cycle's own.
 
-One run has nine, in the order below.  Several runs of one contact have nine each, end to end; the law's own and the
+One run has twelve, in the order below.  Several runs of one contact have twelve each, end to end; the law's own and the
 damping are one number for all, standing first and copied to every run, the others are each run's own.
 """
 
@@ -13,25 +13,32 @@ from rig_sim.friction.law import LAWS
 
 Array = NDArray[np.float64]
 
-K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, WEAR, GIVE = range(9)
-UNKNOWNS = 9
+K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, FADE, GIVE, COSINE, SINE, OMEGA = range(12)
+UNKNOWNS = 12
+RIPPLE = (COSINE, SINE, OMEGA)
+X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)  # a cycle's own
+LOCALS = 6
 SHARED = (K, LOG_F, SHAPE, D, DAMPING)  # by all runs
-CALIBRATED = (DATUM, DAMPING, WEAR, GIVE)  # what every law has besides its own
+CALIBRATED = (DATUM, DAMPING, FADE, GIVE, *RIPPLE)  # what every law has besides its own
 
 
-def active(law: int, gives: Sequence[bool]) -> tuple[int, ...]:
-    """Return the places of the unknowns that a law has; ``gives`` tells of each run's belt whether it gives way."""
+def active(law: int, gives: Sequence[bool], ripples: Sequence[bool]) -> tuple[int, ...]:
+    """Return the places of the unknowns that a law has.
+
+    ``gives`` and ``ripples`` tell of each run's belt whether it gives way and whether its speed swings.
+    """
     kind = LAWS[law]
     shape = () if kind.curve == "constant" else (SHAPE,)
     ramp = () if kind.contact == "jump" else (D,)
-    found = [K, LOG_F, V_DR, *shape, *ramp, DATUM, DAMPING, WEAR, *((GIVE,) if gives[0] else ())]
-    for run, give in enumerate(gives[1:], start=1):
-        found += [UNKNOWNS * run + slot for slot in (V_DR, DATUM, WEAR, *((GIVE,) if give else ()))]
-    return tuple(found)
+    found = [K, LOG_F, *shape, *ramp, DAMPING]
+    for run, (give, ripple) in enumerate(zip(gives, ripples, strict=True)):
+        own = (V_DR, DATUM, FADE, *((GIVE,) if give else ()), *(RIPPLE if ripple else ()))
+        found += [UNKNOWNS * run + slot for slot in own]
+    return tuple(sorted(found))
 
 
 def columns(places: Sequence[int], runs: int) -> NDArray[np.int64]:
-    """Return which of a run's nine each place is, shape (runs, places); -1 where the run does not know it."""
+    """Return which of a run's twelve each place is, shape (runs, places); -1 where the run does not know it."""
     table = np.full((runs, len(places)), -1, np.int64)
     for j, place in enumerate(places):
         run, slot = divmod(place, UNKNOWNS)

@@ -12,6 +12,7 @@ from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 OTHER_SPEEDS = ", or runs at other belt speeds"
+POOR_FIT = 0.003  # of the motion's range: five times what 12 % scatter, ripple and jitter leave over
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
     frozenset((3, 4)): f"a belt tachometer{OTHER_SPEEDS}",
@@ -90,6 +91,12 @@ def warnings(
     """Return what a reader must know beside the verdict."""
     best = rows[0]
     said = []
+    if best.fit.usual > POOR_FIT * motion.travel:
+        share = 100 * best.fit.usual / motion.travel
+        said.append(
+            f"no law fits well: the best one usually errs by {share:.2g} % of the motion, "
+            "so this friction may be none of the six"
+        )
     if any(LAWS[law].ramp for law in members) and not motion.belt_measured:
         said.append(
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
@@ -99,7 +106,12 @@ def warnings(
         droop = best.parameters["droop"]
         share = 100 * droop.value / motion.belt_speed
         said.append(f"the belt slows under load, by {share:.2g} % at Fs: measured by its own counts, part of every law")
-    if motion.swing > 0:
+    if "ripple" in best.parameters:
+        share, hertz = 100 * best.parameters["ripple"].value / motion.belt_speed, best.parameters["ripple_hz"].value
+        said.append(
+            f"the belt's speed swings by {share:.2g} % at {hertz:.3g} Hz: seen in the sticks, part of every law"
+        )
+    elif motion.swing > 0:
         share = 100 * motion.swing / motion.belt_speed
         said.append(f"the belt's counted speed swings by {share:.2g} % rms beside its load: the fit takes it as steady")
     if motion.datum_prior is None:
@@ -107,12 +119,12 @@ def warnings(
             "no datum: the spring's rest position was fitted along; laws 1 and 3 then know only datum + Fs/k "
             "(give --datum and --datum-sd)"
         )
-    if motion.damping_prior is None or (motion.mass is None and motion.stiffness is None):
+    if motion.damping_prior is None or motion.per_mass:
         said.append(
             "no damping calibration: c taken as 0 give or take 1 % of critical; laws 3 and 4 know only G_slip - c "
             "(give --damping and --damping-sd with --mass)"
         )
-    if motion.mass is None and motion.stiffness is None:
+    if motion.per_mass:
         said.append("no mass: forces are given per kilogram (give --mass or --stiffness for newtons)")
     said += _strained(best, motion)
     left = [cycle for cycle in cut.cycles if cycle.flag and cycle.flag != "excluded"]

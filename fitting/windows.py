@@ -25,6 +25,7 @@ SHORTEST_S = 0.03
 LEFT_THE_BELT = 0.05  # of the belt's speed
 SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
 OVERTAKING = 0.02  # of the belt's speed, above the plateau
+REST_S = 0.5  # a mass at rest for longer stands on a belt that stands; a sliding mass only turns there
 STILL = 0.05  # of the slip's acceleration: less than this, the mass rides (or crosses the top of a sine)
 
 
@@ -43,7 +44,7 @@ class Cycle:
     overtakes : bool
         Whether the mass overtakes the belt after landing: a slip that returns with more load than the belt can hold.
     flag : str
-        "" or why the cycle is not used: "gap", "excluded", "short".
+        "" or why the cycle is not used: "gap", "rest" (the belt stood during the slip), "excluded", "short".
     """
 
     number: int
@@ -64,7 +65,7 @@ class Cut:
     cycles : tuple of Cycle
         In order of time, used or not.
     plateau_fraction : float
-        Share of the record spent riding on the belt, the drag of the start-up left out.
+        Share of the record spent riding on the belt, the drag of the start-up and rests left out.
     starts_at_rest : bool
         Whether the record begins before the belt does.
     drag : (first, end)
@@ -110,10 +111,16 @@ def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:
     slow = [(i, j) for i, j in runs(v < SLIPPING * motion.belt_speed) if j - i >= shortest]
     if not slow:
         return Cut((), 0.0, False, (0, 0))
-    strongest = float(np.percentile(np.abs(a[np.concatenate([np.arange(i, j) for i, j in slow])]), 95))
-    still = STILL * strongest
     at_rest = np.abs(v) < REST_FRACTION * motion.belt_speed
     starts_at_rest = slow[0][0] == 0 and bool(at_rest[: min(shortest, n)].all())
+    rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > REST_S]
+    slipping = np.zeros(n, np.bool_)
+    for stretch in slow:
+        slipping[slice(*stretch)] = True
+    for stretch in rests:
+        slipping[slice(*stretch)] = False
+    strongest = float(np.percentile(np.abs(a[slipping]), 95)) if slipping.any() else 0.0
+    still = STILL * strongest
 
     onsets = [_onset(a, i, still) for i, _ in slow]
     landings = [_landing(a, j, still) for _, j in slow]
@@ -143,6 +150,8 @@ def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:
         flag = ""
         if motion.broken[slip[0] + 1 : slip[1]].any():
             flag = "gap"
+        elif any(i < landings[k] and j > onset for i, j in rests):
+            flag = "rest"
         elif slip[1] - slip[0] < 2 * shortest:
             flag = "short"
         if motion.broken[stick[0] + 1 : stick[1]].any():
@@ -158,8 +167,8 @@ def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:
         for k, (i, j) in enumerate(sticks)
         if not (k == 0 and starts_at_rest)
     )
-    began = time[min(sticks[0][1], n - 1)] if starts_at_rest else time[0]
-    span = float(time[-1] - began)
+    first = min(sticks[0][1], n - 1) if starts_at_rest else 0
+    span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
     return Cut(tuple(cycles), riding / span if span > 0 else 0.0, starts_at_rest, drag)
 
 

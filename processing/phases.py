@@ -178,7 +178,7 @@ def in_motion(series: Series) -> NDArray[np.bool_]:
     away = np.flatnonzero(np.abs(x - x[0]) > slack)
     back = np.flatnonzero(np.abs(x - x[-1]) > slack)
     mask = np.zeros(x.size, bool)
-    if away.size:
+    if away.size and back.size:
         mask[away[0] : back[-1] + 1] = True
         if away[0] * series.interval < LEAST_STICK:
             mask[: away[0]] = True

@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from daq import runfile
 from daq.errors import InputError
 from processing import portrait, series
 from processing.kinematics import Kinematics
@@ -137,10 +138,12 @@ def save(figure: Figure, target: Path) -> None:
     ------
     InputError
         For an ending that is none of .png, .svg, .pdf.
+    RefusedError
+        The disk refuses; what stood there before still does.
     """
     if target.suffix.lower() not in FORMATS:
         raise InputError(
             f"cannot draw a {target.suffix or 'file without an ending'}", str(target), "use .png, .svg or .pdf"
         )
-    with mpl.rc_context(fname=STYLE):
-        figure.savefig(target)
+    with runfile.replacing(target, force=True) as temporary, mpl.rc_context(fname=STYLE):
+        figure.savefig(temporary, format=target.suffix.lower()[1:])

@@ -258,8 +258,14 @@ class Board:
             block_size=self.block,
             max_rate_hz=MAX_RATE_HZ,
             max_edge_rate_hz=MAX_EDGE_RATE_HZ,
-            name=f"simulated rig, scene {self.scene.name}",
+            name=f"simulated rig, scene {self.scene.name}{self._cut_off()}",
         )
+
+    def _cut_off(self) -> str:
+        """Return what to say where jitter is so large that it is cut off to keep the samples in order."""
+        if self._jitter is None or not self._jitter.is_cut_off(1 / self.rate_hz):
+            return ""
+        return f" (jitter cut off at {self._jitter.longest(1 / self.rate_hz):.2g} s)"
 
 
 def calibration(scene: Scene, encoder: QuadratureEncoder) -> str:

@@ -152,7 +152,8 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
     """
     from rig_sim.compare import compare as measure
 
-    found = measure(_scene(scene, set_), until)
+    with terminal.progress("measuring", 100, "%") as show:
+        found = measure(_scene(scene, set_), until, progress=show)
     data = asdict(found)
     table = terminal.table("", ["method", "setting", "error", "CPU s", "us per cycle"], left=2)
     for row in found.rows:

@@ -23,6 +23,7 @@ RK4_STEPS = (0.1, 0.03, 0.01, 0.003)  # of sqrt(m/k)
 DOP853_RTOL = (1e-6, 1e-9, 1e-12, 2.3e-14)
 STIFF_RTOL = (1e-6, 1e-9)
 MOST_STEPS = 10**8
+LONGEST = 2000  # swings of the mass: the slowest method takes some minutes for them
 LONG_ENOUGH_S = 0.5  # of CPU: runs below are repeated until they have taken that
 NO_REFERENCE = (
     "the tightest other method, as the multi-precision reference knows one equation of motion and no droop; "
@@ -60,22 +61,38 @@ class Comparison:
 Run = Callable[[], EventList]
 
 
-def compare(scene: Scene, until: float, *, methods: Sequence[str] = METHODS) -> Comparison:
+def compare(
+    scene: Scene,
+    until: float,
+    *,
+    methods: Sequence[str] = METHODS,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Comparison:
     """Run every method on a scene from t = 0 to ``until`` and return errors and CPU times.
+
+    ``progress`` is told the share done, in percent, before each run.
 
     Raises
     ------
     InputError
-        ``until`` is not positive; an unknown method; a scene without events.
+        ``until`` is not positive or longer than `LONGEST` swings; an unknown method; a scene without events.
     """
     if not (math.isfinite(until) and until > 0):
         raise InputError(f"is {until:g}", "--until", "give a positive number")
     for method in methods:
         if method not in METHODS:
             raise InputError(f"unknown method {method!r}", "--methods", f"take some of {', '.join(METHODS)}")
+    swing = 2.0 * math.pi * math.sqrt(scene.mass.m / scene.spring.k)
+    if until > LONGEST * swing:
+        what = f"is {until:g}, {until / swing:.3g} swings of the mass: every method would step through all of them"
+        raise InputError(what, "--until", f"give {LONGEST * swing:.4g} ({LONGEST} swings) or less")
     whole = flow_never_changes(scene) and scene.droop is None
     runs, compile_s = _runs(scene, until, methods) if whole else (_played(scene, until, methods), 0.0)
-    measured = [(method, setting, *_timed(run)) for method, setting, run in runs]
+    measured = []
+    for done, (method, setting, run) in enumerate(runs):
+        progress(100.0 * done / (len(runs) + 1))  # the reference is the last
+        measured.append((method, setting, *_timed(run)))
+    progress(100.0 * len(runs) / (len(runs) + 1))
     expected, told = _reference(scene, until) if whole else ([], NO_REFERENCE)
     lists = {(method, setting): found for method, setting, found, _ in measured}
     if not (expected or next(iter(lists.values())).t):

@@ -11,6 +11,7 @@ from rig_sim.scenes import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853")
 RK4_STEP = 0.01  # of sqrt(m/k)
+RK4_LONGEST = 1.0  # of sqrt(m/k): beyond, it follows no swing, and from 2.8 on it is unstable
 DOP853_RTOL = 2.3e-14  # 100 ulp: scipy does not go below, and above it misses touches of the edge in laws 1 and 2
 
 SamplePhase = Callable[..., Any]  # see `rig_sim.integrate.hybrid.sample_phase`
@@ -28,7 +29,7 @@ def phases_by(
     scene : Scene
         What will be played.
     step : float, optional
-        Of rk4-henon, in the scene's unit of time; default `RK4_STEP` x sqrt(m/k).
+        Of rk4-henon, in the scene's unit of time; default `RK4_STEP` x sqrt(m/k), `RK4_LONGEST` of it at most.
     rtol : float, optional
         Of dop853, relative and absolute; default and least `DOP853_RTOL`.
 
@@ -53,10 +54,15 @@ def phases_by(
         h = RK4_STEP * math.sqrt(scene.mass.m / scene.spring.k) if step is None else step
         if not (math.isfinite(h) and h > 0.0):
             raise InputError(f"is {h:g}", "--step", "give a positive number")
+        unit = math.sqrt(scene.mass.m / scene.spring.k)
+        if h > RK4_LONGEST * unit:
+            what = f"is {h:g}, and the mass swings with a period of {2 * math.pi * unit:.4g}: no motion would be left"
+            do = f"give {RK4_LONGEST * unit:.4g} (a sixth of it) or less; the default is {RK4_STEP * unit:.4g}"
+            raise InputError(what, "--step", do)
         return partial(sample_by, by_steps(h)), f"h {h:g}"
     from rig_sim.integrate.peers import by_solver
 
     tolerance = DOP853_RTOL if rtol is None else rtol
     if not DOP853_RTOL <= tolerance < 1.0:
-        raise InputError(f"is {tolerance:g}", "--rtol", f"give a number from {DOP853_RTOL} to 1")
+        raise InputError(f"is {tolerance:g}", "--rtol", f"give at least {DOP853_RTOL} and less than 1, such as 1e-9")
     return partial(sample_by, by_solver("dop853", tolerance, dense=True)), f"rtol {tolerance:g}"

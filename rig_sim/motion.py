@@ -19,6 +19,7 @@ the belt (`rig_sim.effects.ripple`).  Not modelled: creep in stick; the joint co
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import InputError
@@ -31,6 +32,7 @@ from rig_sim.integrate.modes import (
     LETTERS,
     OUTCOMES,
     RAMP,
+    STEP_LIMIT,
     STEPS,
     STICK,
     Flow,
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from rig_sim.encoder import Nodes
 
 DEFAULT_MAX_STEPS = 1_000_000
+INTERPRETED_STEPS = 50_000  # a second or two; a motion that needs more is played by compiled code, from its start
 MOST_EVENTS = 1_000_000  # in a list, which repeats without steps
 LEAST_FACTOR = 0.05  # of Fs: friction that wear and scatter never go below
 
@@ -367,7 +370,10 @@ def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = D
         raise InputError(f"is {max_steps}", "--max-steps", "give a positive number")
     if flow_never_changes(scene):
         x, v = float(scene.start.x), float(scene.start.v)
-        found = list_events(scene.flow(), x, v, until, since=since, max_steps=max_steps, max_events=MOST_EVENTS)
+        list_them = partial(list_events, scene.flow(), x, v, until, since=since, max_events=MOST_EVENTS)
+        found = list_them(max_steps=min(max_steps, INTERPRETED_STEPS))
+        if found.outcome == OUTCOMES[STEP_LIMIT].name and max_steps > INTERPRETED_STEPS:
+            found = list_them(max_steps=max_steps, compiled=True)  # the same list, from the same source
         listed = (Event(*event) for event in zip(found.t, found.x, found.kinds, strict=True))
         return Events(tuple(listed), found.outcome, found.advice, found.steps)
     motion = Motion(scene, max_steps=max_steps)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq import disk
 from daq.errors import InputError
 from rig_sim.methods import phases_by
 from rig_sim.motion import DEFAULT_MAX_STEPS, Motion
@@ -74,6 +75,8 @@ def write(
     InputError
         Another ending of ``path``, a folder that does not exist, a time or rate that is not positive, or a method or
         setting that is not known.
+    RefusedError
+        The disk refuses.
     """
     if path.suffix not in (".h5", ".csv"):
         raise InputError(f"ending {path.suffix!r}", str(path), "name the file .h5 or .csv")
@@ -89,15 +92,16 @@ def write(
     motion = Motion(scene, max_steps=max_steps, phases=phases)
     samples = math.floor(until * rate * (1 + 1e-15)) + 1
     part = path.with_name(path.name + ".part")
-    try:
-        written = (
-            _write_csv(motion, part, samples, rate)
-            if path.suffix == ".csv"
-            else _write_h5(motion, part, samples, rate, f"{method} {setting}".strip())
-        )
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    with disk.writing(path):
+        try:
+            written = (
+                _write_csv(motion, part, samples, rate)
+                if path.suffix == ".csv"
+                else _write_h5(motion, part, samples, rate, f"{method} {setting}".strip())
+            )
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
     return Written(written, motion.outcome.name, motion.outcome.advice, motion.steps)
 
 
@@ -126,9 +130,7 @@ def _write_csv(motion: Motion, part: Path, samples: int, rate: float) -> int:
 def _write_h5(motion: Motion, part: Path, samples: int, rate: float, method: str) -> int:
     from importlib.metadata import version
 
-    import h5py
-
-    with h5py.File(part, "w") as file:
+    with disk.hdf5(part, "w") as file:
         file.attrs.update({"NX_class": "NXroot", "default": "entry"})
         entry = file.create_group("entry")
         entry.attrs.update({"NX_class": "NXentry", "default": "motion"})

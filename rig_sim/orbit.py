@@ -34,6 +34,7 @@ from rig_sim.integrate.modes import (
     classify,
     drop,
     edges,
+    force,
     frame,
     landing,
     line,
@@ -109,6 +110,7 @@ class Turn:
     p: float  # where slip begins again, or where the mass rests
     phases: tuple[tuple[int, float, float], ...] = ()  # mode, duration, p at its start
     extremes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # p_min, p_max, w_min, w_max
+    mode: int = STICK  # in which the mass rests
 
 
 def cycle(scene: HasFlow | Flow) -> Orbit:
@@ -145,8 +147,12 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
         turn = converge(fr, work)
     if turn.end == "":
         return measured(fr, turn)
-    rest = position(fr, turn.p) if turn.end == "fixed point" else None
-    return Orbit(turn.end, turn.advice, x_rest=rest)
+    resting = None
+    if turn.end == "fixed point":
+        resting = position(fr, turn.p)
+        if turn.mode != STICK:  # where the spring holds friction alone; heavy damping has left few digits in p
+            resting = flow.x0 + force(flow, mirrored(fr, turn.mode), resting, -flow.v_belt, 0.0) / flow.k
+    return Orbit(turn.end, turn.advice, x_rest=resting)
 
 
 def is_grazing(fr: Frame) -> bool:
@@ -225,9 +231,8 @@ def follow(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
             if math.isinf(tau):
                 if mode != STICK and line(fr, mode)[0] < 0.0:
                     return Turn("no cycle", "damping is negative: the motion grows without end", p)
-                return Turn(
-                    "fixed point", "the mass comes to rest: less damping or another speed may stick", rest(fr, mode, p)
-                )
+                advice = "the mass comes to rest: less damping or another speed may stick"
+                return Turn("fixed point", advice, rest(fr, mode, p), mode=mode)
             if not math.isfinite(p + w):
                 return Turn(*OUTCOMES[NOT_FINITE], p)
             return Turn("no cycle", f"none found within {STEPS_ALLOWED_HERE} steps", p)
@@ -316,22 +321,40 @@ def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Bu
 
 
 def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
-    """Tell whether a slip is so close to its stable fixed point that it cannot get away.
+    """Tell whether a slip is so close to its stable fixed point, or so heavily damped, that it cannot get away.
 
-    There u^2 + omega0^2 (p - p_rest)^2 only falls; it is compared with the way to the edge and the curve's own scale.
+    Close: u^2 + omega0^2 (p - p_rest)^2 only falls; it is compared with the way to the edge and the curve's own scale.
+    Heavily damped: see `creeps`.
     """
     if mode != NEGATIVE:
         return False
     C, _ = line(fr, mode)
     room = fr.v - fr.d
-    slope = 0.0
+    slope = steepest = 0.0
     if fr.curve == HYPERBOLIC:
         q = 1.0 + fr.gamma * (slip_speed(fr, room) if fr.lag != 0.0 else room)
         slope = fr.A * fr.gamma / (q * q - fr.lag)
+        steepest = fr.A * fr.gamma / (1.0 - fr.lag)
         room = min(room, q / fr.gamma)
     if not C > slope:
         return False
+    if creeps(fr, w + fr.v, acceleration(fr, mode, p, w, 0.0), C - steepest):
+        return True
     return math.hypot(w + fr.v, fr.omega0 * (p - rest(fr, mode, p))) < SETTLED * room
+
+
+def creeps(fr: Frame, u: float, a: float, damping: float) -> bool:
+    """Tell whether a slip with speed u (m/s) and acceleration a (m/s^2) only slows down from here, and never stops.
+
+    ``damping`` (N s/m) is the least, friction's slope taken off, that holds at any speed from 0 to u.  The rate
+    r = -a/u obeys r' = r^2 - (C/m) r + k/m with C the damping of the moment.  With C >= ``damping`` > 2 sqrt(k m) that
+    is below 0 between the two roots, so an r from 0 to the larger root stays there: u falls, and reaches neither 0 nor
+    the belt's speed.
+    """
+    half = 0.5 * damping / fr.m
+    if not (half > fr.omega0 and u > 0.0 and a <= 0.0):
+        return False
+    return -a / u < half + math.sqrt((half - fr.omega0) * (half + fr.omega0))
 
 
 def rest(fr: Frame, mode: int, p: float) -> float:

@@ -40,7 +40,7 @@ from pydantic import Field, ValidationError
 
 from daq.errors import InputError, nearest
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.modes import LARGEST, SMALLEST, Flow, validate
+from rig_sim.integrate.modes import LARGEST, SMALLEST, Flow, steepest_fall, validate
 from rig_sim.sections import (
     Belt,
     Damper,
@@ -66,6 +66,7 @@ BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive", "shaker")
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "tell")
 SECTIONS = TERMS + EFFECTS
+LARGEST_FILE = 1 << 20  # bytes of a scene; what is longer is something else, and may have no end
 
 
 class Scene(Section):
@@ -222,7 +223,13 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
                 f"{nearest(name, builtin_names())}; or give the path of a TOML file",
             )
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        if path.exists() and not path.is_file():
+            raise InputError("is a folder or a device, not a file", where, "give the path of a TOML file")
+        with path.open("rb") as file:
+            held = file.read(LARGEST_FILE + 1)
+        if len(held) > LARGEST_FILE:
+            raise InputError(f"is larger than any scene: over {LARGEST_FILE} bytes", where, "give a scene's TOML file")
+        content = tomllib.loads(held.decode())
     except FileNotFoundError:
         raise InputError("no such file", where, f"check the path, or take a built-in scene: {_listed()}") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -321,6 +328,8 @@ def _check_together(found: Scene, where: str) -> None:
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
     if found.joint is not None and (found.belt is None or found.belt.length is None):
         raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
+    if found.belt is not None and found.belt.ripple_hz is not None and found.belt.ripple is None:
+        raise InputError("belt.ripple_hz without belt.ripple", where, "give the ripple's amplitude, or drop ripple_hz")
     if found.belt is not None and found.belt.ripple:
         if found.belt.ripple_hz is None:
             raise InputError("belt.ripple_hz is missing", where, "give the ripple's frequency in Hz")
@@ -329,10 +338,7 @@ def _check_together(found: Scene, where: str) -> None:
     if found.droop is not None:
         if found.belt is None or friction is None:
             raise InputError("droop without belt and friction", where, "add them or drop droop")
-        try:
-            validate(found.model_copy(update={"shaker": None}).flow())
-        except ValueError as error:
-            raise InputError(str(error), where, "lower droop.fraction, or drop droop") from None
+        _check_droop(found, found.droop.fraction, where)
     if found.shaker is not None:
         try:
             validate(found.flow())
@@ -346,3 +352,22 @@ def _check_together(found: Scene, where: str) -> None:
         raise InputError("belt.channel without an encoder", where, "add an encoder section or drop belt.channel")
     if not math.isfinite(found.spring.k / found.mass.m):
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")
+
+
+def _check_droop(found: Scene, fraction: float, where: str) -> None:
+    """Refuse a droop that has no single force, in the words of the scene's own keys."""
+    flow = found.model_copy(update={"shaker": None}).flow()
+    if flow.droop > 0.0 and flow.static != 1.0:
+        raise InputError(f"droop beside friction.static = {flow.static:g}", where, "drop one: with droop it must be 1")
+    if flow.droop > 0.0 and flow.Fs == 0.0:
+        raise InputError("droop with friction.Fs = 0: nothing loads the belt", where, "give Fs, or drop droop")
+    fall = steepest_fall(flow)
+    if flow.droop * fall >= 1.0:
+        most = fraction / (flow.droop * fall)
+        what = f"droop.fraction is {fraction:g}: friction would fall faster than the belt gives way"
+        do = f"give less than {most:.4g}" + ("" if most >= 1e-3 else ", or drop droop")
+        raise InputError(what, where, do + ", or a slower belt, or friction that falls less (gamma, G_slip)")
+    try:
+        validate(flow)
+    except ValueError as error:
+        raise InputError(str(error), where, "change that value, or drop droop") from None

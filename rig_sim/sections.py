@@ -2,13 +2,24 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 from rig_sim.friction.law import LAWS
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Negative = Annotated[float, Field(lt=0)]
+
+
+def _no_flag(value: object) -> object:
+    """Refuse true and false where a number belongs: Python takes them for 1 and 0."""
+    if isinstance(value, bool):
+        raise PydanticCustomError("a_flag", "input should be 1, 2, 3, 4, 5 or 6")
+    return value
+
+
+LawNumber = Annotated[Literal[1, 2, 3, 4, 5, 6], BeforeValidator(_no_flag)]
 EventRate = Annotated[float, Field(gt=0, le=1000)]  # per second: an effect that happens now and then
 
 
@@ -61,7 +72,7 @@ class Friction(Section):
         Break-away level over Fs; at least 1.
     """
 
-    law: Literal[1, 2, 3, 4, 5, 6]
+    law: LawNumber
     Fs: NotNegative
     G_slip: NotNegative | None = None
     gamma: NotNegative | None = None
@@ -141,7 +152,10 @@ class Encoder(Section):
 
 
 class Jitter(Section):
-    """``rms`` of the sampling instants about the commanded grid, s."""
+    """``rms`` of the sampling instants about the commanded grid, s.
+
+    Cut off at 0.45 of a sampling period, so that samples stay in order; the board's name says so where it matters.
+    """
 
     rms: NotNegative
 

@@ -20,7 +20,9 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from daq import wire
+import numpy as np
+
+from daq import cut, wire
 from daq.errors import DeviceError, InputError
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineTally, Rows, to_stream
@@ -41,6 +43,10 @@ _RECORD = re.compile(rb"([rwse])([0-9A-Fa-f]{2})([0-9A-Fa-f]{8})([0-9A-Fa-f]{8})
 _BANNER = re.compile(rb"QSB-[A-Z0-9]{1,8}$")
 _ERROR = re.compile(rb"e[0-9A-Fa-f]{0,18}")
 _SPACE = b" \r\n"
+_NIBBLE = np.full(256, 255, dtype=np.uint8)  # the value of a hex digit
+for _digits in (b"0123456789abcdef", b"0123456789ABCDEF"):
+    _NIBBLE[list(_digits)] = range(16)
+_KINDS = np.where(_NIBBLE < 16, ord("0"), np.arange(256)).astype(np.uint8)
 
 
 def check(wish: Wish) -> None:
@@ -75,15 +81,20 @@ def ident(decoder: str | None, interval: int = 1) -> wire.Ident:
     )
 
 
+def _holds(record: bytes) -> bool:
+    return any(pattern.fullmatch(record) for pattern in (_RECORD, _BANNER, _ERROR))
+
+
+def _is_sample(record: bytes) -> bool:
+    return record.startswith(b"s") and len(record) == 19
+
+
 class Records:
     """Cut a byte stream into records; never raises on garbage, back in step at the next ``!``."""
 
     def __init__(self) -> None:
         self._tail = b""
-        self._first = True
         self._skipping = False
-        self.bad = 0
-        self.bad_bytes = 0
 
     def feed(self, data: bytes) -> list[bytes]:
         """Take bytes as they came and return the records that hold, stripped of spaces and of their ``!``."""
@@ -93,25 +104,27 @@ class Records:
             record = line.translate(None, _SPACE)
             if self._skipping:
                 self._skipping = False
-                self.bad_bytes += len(line)
-            elif _RECORD.fullmatch(record) or _BANNER.fullmatch(record) or _ERROR.fullmatch(record):
+            elif _holds(record):
                 found.append(record)
-            else:
-                self._refuse(len(line))
-                if cut := _BANNER.search(record):  # a reset cut a record short and announced itself behind it
-                    found.append(cut[0])
-            self._first = False
+            elif cut_short := _BANNER.search(record):  # a reset cut a record short and announced itself behind it
+                found.append(cut_short[0])
         if len(self._tail) > LONGEST_RECORD:
-            if not self._skipping:
-                self._refuse(0)
-            self._first, self._skipping = False, True
-            self.bad_bytes += len(self._tail)
+            self._skipping = True
             self._tail = b""
         return found
 
-    def _refuse(self, length: int) -> None:
-        self.bad += not self._first  # listening may start inside a record
-        self.bad_bytes += length
+    def last(self, data: bytes) -> tuple[bytes, int]:
+        """Look ahead: return the last record that ``data`` completes, held or not, and how many; nothing is taken."""
+        if self._skipping:
+            return b"", 0
+        whole = self._tail + data
+        end = whole.rfind(b"!")
+        begin = whole.rfind(b"!", 0, max(end, 0)) + 1
+        return whole[begin : max(end, 0)].translate(None, _SPACE), whole.count(b"!")
+
+    def skip(self, data: bytes) -> None:
+        """Take bytes without reading the records that they complete."""
+        self._tail = (self._tail + data).rpartition(b"!")[2]
 
 
 class Tally(LineTally):
@@ -123,10 +136,14 @@ class Tally(LineTally):
 
     def feed(self, data: bytes) -> None:
         """Take bytes as they came."""
+        record, count = self._records.last(data)
+        if _is_sample(record) and _holds(record) and self.stride(int(record[11:], 16), count):
+            self._records.skip(data)
+            return
         for record in self._records.feed(data):
             if record.startswith(b"QSB"):
                 self.restarted()
-            elif record.startswith(b"s") and len(record) == 19:
+            elif _is_sample(record):
                 self.step(int(record[11:], 16))
 
     def begin_again(self, reached: int) -> None:
@@ -137,21 +154,28 @@ class Tally(LineTally):
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
     """Decode the reads of one connection."""
-    records = Records()
-    rows = Rows()
-    for stamp, data in reads:
-        bad = records.bad
-        for record in records.feed(data):
-            if record.startswith(b"QSB"):
-                if len(rows):
-                    rows.starts.append(len(rows))
-            elif record.startswith(b"s") and len(record) == 19:
-                rows.stamp_ns.append(stamp)
-                rows.up.append(int(record[3:11], 16))
-                rows.ticks.append(int(record[11:], 16))
-        rows.bad += [len(rows)] * (records.bad - bad)
-    rows.status = rows.illegal = [0] * len(rows)
-    rows.discarded_bytes = records.bad_bytes
+    rows = Rows.of(cut.cut(reads, b"!"), net=True)
+    lines = rows.lines
+    singly = np.ones(len(lines), dtype=np.bool_)
+    for where, together in lines.by_length(19, LONGEST_RECORD):
+        for same in cut.alike(together, _KINDS):
+            first = together[same[0]]
+            place = np.flatnonzero(~np.isin(first, list(_SPACE)))
+            record = first[place].tobytes()
+            if _is_sample(record) and _holds(record):  # then each of this shape does
+                line = where[same]
+                digits = _NIBBLE[together[same[:, np.newaxis], place[3:]].T]
+                rows.up[line], rows.ticks[line] = cut.number(digits[:8], 16), cut.number(digits[8:], 16)
+                rows.good[line], singly[line] = True, False
+    for k in np.flatnonzero(singly).tolist():
+        record = lines.line(k).translate(None, _SPACE)
+        held = _holds(record)
+        rows.bad[k] = not held
+        if held and _is_sample(record):
+            rows.good[k], rows.up[k], rows.ticks[k] = True, int(record[3:11], 16), int(record[11:], 16)
+        elif record.startswith(b"QSB") if held else _BANNER.search(record):  # of a reset, behind a record cut short
+            rows.starts.append(k)
+    rows.close(LONGEST_RECORD)
     return to_stream(rows, ident(header.get("decoder")), TICK_HZ / float(header["rate_hz"]))
 
 

@@ -19,21 +19,20 @@ xor                 two hex digits: XOR of the bytes before the separator in fro
 The rate is the sketch's own: it is measured before the recording starts.  Nothing is sent to the board.
 """
 
-import re
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import reduce
 from itertools import pairwise
-from operator import xor
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from daq import wire
+import numpy as np
+
+from daq import cut, wire
 from daq.errors import DeviceError, InputError, nearest
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineTally, Rows, to_stream
 from daq.protocols.session import Identity, Line, Plan, Wish
+from daq.protocols.text_columns import KINDS, Columns, columns
 
 if TYPE_CHECKING:
     from daq.ports import Port
@@ -45,95 +44,6 @@ LISTEN_S = 1.0  # of good lines, by their own times, before the rate is believed
 FEWEST_LINES = 20
 RATE_WITHIN = 0.1  # of the wished rate
 LONGEST_LINE = 256
-_TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
-_COUNTS = ("up", "down", "count", "ticks")
-_NAMES = (*_TIMES, *_COUNTS, "a", "b", "illegal", "xor", "-")
-_PATTERNS = {"a": "[01]", "b": "[01]", "illegal": r"\d{1,5}", "xor": r"\*?[0-9A-Fa-f]{2}", "-": r"[^,;\s]*"}
-_SEPARATOR = r"[ \t]*[,;\t ][ \t]*"
-
-
-@dataclass(frozen=True)
-class Columns:
-    """How to read a line: its pattern, and where each quantity stands in it (a group's number, or None)."""
-
-    pattern: "re.Pattern[bytes]"
-    time: int
-    us_per_unit: int
-    up: int
-    down: int | None
-    levels: tuple[int, int] | None
-    illegal: int | None
-    xor: int | None
-    bits: int
-
-    def read(self, line: bytes) -> "tuple[int, int, int, int, int] | None":
-        """Return (ticks, up, down, status, illegal) of a line, or None when it does not hold."""
-        found = self.pattern.fullmatch(line)
-        if found is None:
-            return None
-        if self.xor is not None:
-            before = line[: found.start(self.xor)].rstrip(b" \t*")[:-1].rstrip(b" \t")
-            if reduce(xor, before, 0) != int(found[self.xor].lstrip(b"*"), 16):
-                return None
-        limit = 1 << self.bits
-        up, down = int(found[self.up]), 0 if self.down is None else int(found[self.down])
-        if not (-limit <= 2 * up < 2 * limit if self.down is None else up < limit and down < limit):
-            return None
-        ticks = _microseconds(found[self.time], self.us_per_unit)
-        status = 0 if self.levels is None else int(found[self.levels[0]]) | int(found[self.levels[1]]) << 1
-        illegal = 0 if self.illegal is None else int(found[self.illegal])
-        return ticks & 0xFFFFFFFF, up & limit - 1, down, status, illegal & 0xFFFF
-
-
-def columns(declared: str | None) -> Columns:
-    """Return how to read lines of the declared columns.
-
-    Raises
-    ------
-    InputError
-        None are declared, one is unknown or twice there, or time or counts are missing.
-    """
-    where = "--columns"
-    if not declared:
-        raise InputError("text lines need their columns declared", where, "give for example --columns t_us,up,down")
-    names, widths = [], set()
-    for part in declared.split(","):
-        name, _, width = part.strip().partition(":")
-        if name not in _NAMES:
-            raise InputError(f"unknown column {name!r}", where, nearest(name, _NAMES))
-        if name in names and name != "-":
-            raise InputError(f"column {name!r} is there twice", where, "call what you do not need '-'")
-        if width and (width not in ("16", "32") or name not in _COUNTS):
-            raise InputError(f"{part.strip()!r} is no width of a counter", where, "write up:16 or up:32")
-        names.append(name)
-        if name in _COUNTS:
-            widths.add(int(width or 32))
-    times = [name for name in names if name in _TIMES]
-    if len(times) != 1:
-        what = "which column is the time?" if times else "there is no time column, and sample times matter"
-        raise InputError(what, where, "declare one of t_us, t_ms, t_s; a sketch prints it by micros()")
-    counts = sorted(name for name in names if name in _COUNTS)
-    if counts not in (["down", "up"], ["count"], ["ticks"]):
-        raise InputError("which columns are the counts?", where, "declare up and down, or count (or ticks)")
-    if len(widths) > 1:
-        raise InputError("up and down differ in width", where, "give both the same, as in up:16,down:16")
-    if ("a" in names) != ("b" in names):
-        raise InputError("one level of two", where, "declare a and b, or none of them")
-    whole = r"[+-]?\d{1,10}" if len(counts) == 1 else r"\d{1,10}"
-    decimal = r"\d{1,12}(?:\.\d{0,9})?"
-    fields = [f"({decimal if n in _TIMES else whole if n in _COUNTS else _PATTERNS[n]})" for n in names]
-    place = {name: number for number, name in enumerate(names, start=1)}
-    return Columns(
-        pattern=re.compile((r"[ \t]*" + _SEPARATOR.join(fields) + r"[ \t]*").encode()),
-        time=place[times[0]],
-        us_per_unit=_TIMES[times[0]],
-        up=place["up"] if "up" in place else place[counts[0]],
-        down=place.get("down"),
-        levels=(place["a"], place["b"]) if "a" in place else None,
-        illegal=place.get("illegal"),
-        xor=place.get("xor"),
-        bits=widths.pop(),
-    )
 
 
 def check(wish: Wish) -> None:
@@ -174,7 +84,6 @@ class Lines:
         self._first = True
         self._skipping = False
         self.bad = 0
-        self.bad_bytes = 0
         self.example = b""  # a line that did not hold
 
     def feed(self, data: bytes) -> list[tuple[int, int, int, int, int]]:
@@ -185,27 +94,37 @@ class Lines:
             stripped = line.rstrip(b"\r")
             if self._skipping:
                 self._skipping = False
-                self.bad_bytes += len(line)
             elif stripped and not stripped.startswith(b"#"):
                 row = self._form.read(stripped)
                 # A first line may have lost its beginning, which digits do not show.
                 if row is None:
                     self.example = self.example or stripped
-                    self._refuse(len(line))
+                    self.bad += not self._first
                 elif not self._first:
                     found.append(row)
             self._first = False
         if len(self._tail) > LONGEST_LINE:
-            if not self._skipping:
-                self._refuse(0)
+            self.bad += not self._skipping and not self._first
             self._first, self._skipping = False, True
-            self.bad_bytes += len(self._tail)
             self._tail = b""
         return found
 
-    def _refuse(self, length: int) -> None:
-        self.bad += not self._first
-        self.bad_bytes += length
+    def last(self, data: bytes) -> tuple[int | None, int]:
+        """Look ahead: return the time of the last line that ``data`` completes, and how many; nothing is taken.
+
+        The time is None when that line does not hold.
+        """
+        if self._first or self._skipping:
+            return None, 0
+        whole = self._tail + data
+        end = whole.rfind(b"\n")
+        begin = whole.rfind(b"\n", 0, max(end, 0)) + 1
+        row = self._form.read(whole[begin : max(end, 0)].rstrip(b"\r"))
+        return None if row is None else row[0], whole.count(b"\n")
+
+    def skip(self, data: bytes) -> None:
+        """Take bytes without reading the lines that they complete."""
+        self._tail = (self._tail + data).rpartition(b"\n")[2]
 
 
 class Tally(LineTally):
@@ -218,6 +137,10 @@ class Tally(LineTally):
 
     def feed(self, data: bytes) -> None:
         """Take bytes as they came."""
+        ticks, count = self._lines.last(data)
+        if ticks is not None and self.stride(ticks, count):
+            self._lines.skip(data)
+            return
         for row in self._lines.feed(data):
             self.step(row[0])
 
@@ -230,20 +153,27 @@ class Tally(LineTally):
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
     """Decode the reads of one connection."""
     form = columns(header["columns"])
-    lines = Lines(form)
-    rows = Rows()
-    for stamp, data in reads:
-        bad = lines.bad
-        for ticks, up, down, status, illegal in lines.feed(data):
-            rows.stamp_ns.append(stamp)
-            rows.ticks.append(ticks)
-            rows.up.append(up)
-            if form.down is not None:
-                rows.down.append(down)
-            rows.status.append(status)
-            rows.illegal.append(illegal)
-        rows.bad += [len(rows)] * (lines.bad - bad)
-    rows.discarded_bytes = lines.bad_bytes
+    rows = Rows.of(cut.cut(reads, b"\n"), net=form.down is None)
+    lines = rows.lines
+    told = rows.ticks, rows.up, rows.down, rows.status, rows.illegal
+    singly = lines.length > 0
+    for where, together in lines.by_length(3, LONGEST_LINE):
+        for same in cut.alike(together, KINDS):
+            found = form.read_alike(together[same])
+            if found is not None:
+                line, held = where[same], found[0]
+                rows.good[line], rows.bad[line], singly[line] = held, ~held, False
+                for column, values in zip(told, found[1], strict=True):
+                    column[line] = values
+    for k in np.flatnonzero(singly).tolist():
+        stripped = lines.line(k).rstrip(b"\r")
+        if stripped and not stripped.startswith(b"#"):
+            row = form.read(stripped)
+            rows.good[k], rows.bad[k] = row is not None, row is None
+            for column, value in zip(told, row or (0,) * 5, strict=True):
+                column[k] = value
+    rows.good[:1] = False  # a first line may have lost its beginning, which digits do not show
+    rows.close(LONGEST_LINE)
     return to_stream(rows, ident(form, header.get("decoder")), 1e9 / (TICK_NS * float(header["rate_hz"])))
 
 
@@ -281,6 +211,9 @@ class Text(Line):
         typical = median(steps)
         if typical == 0:
             raise DeviceError("the time in the lines stands still", self.url, "print micros() with each sample")
+        if typical >= 1 << 31:
+            what = f"the time in the lines runs backwards, by {(1 << 32) - typical:.0f} us from line to line"
+            raise DeviceError(what, self.url, "check which of --columns is the time; print micros() with each sample")
         usual = [step for step in steps if 0.5 * typical <= step <= 1.5 * typical]
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
         self._line_bytes = heard / max(1, len(times) + lines.bad)
@@ -344,10 +277,3 @@ class Text(Line):
             return what, self.url, "declare them by --columns as they are, and check --baud"
         what = f"only {good} lines came within {sessions.ANSWER_S:g} s"
         return what, self.url, f"let the sketch print at least {FEWEST_LINES // 5 + 1} lines a second"
-
-
-def _microseconds(text: bytes, us_per_unit: int) -> int:
-    """Return a time in whole us, rounded down; exact, as no float would be."""
-    whole, _, fraction = text.partition(b".")
-    digits = len(str(us_per_unit)) - 1
-    return int(whole) * us_per_unit + int((fraction + b"000000")[:digits] or b"0")

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from rig_sim.sections import Jitter
 
 LARGEST = 0.45  # of a period, either way: samples stay in order
+SELDOM = 3  # standard deviations: what is cut off beyond is 0.3 % of the draws
 
 
 class JitteringClock:
@@ -30,5 +31,14 @@ class JitteringClock:
         noise = np.array([self._draw.gauss(0.0, self._rms) for _ in range(count)])
         if first:
             noise[0] = 0.0
-        offsets: NDArray[np.float64] = np.clip(noise, -LARGEST * period, LARGEST * period)
+        longest = self.longest(period)
+        offsets: NDArray[np.float64] = np.clip(noise, -longest, longest)
         return offsets
+
+    def longest(self, period: float) -> float:
+        """Return where offsets are cut off (s)."""
+        return LARGEST * period
+
+    def is_cut_off(self, period: float) -> bool:
+        """Return whether more than a draw now and then is cut off."""
+        return SELDOM * self._rms > self.longest(period)

@@ -188,12 +188,19 @@ def validate(flow: Flow) -> None:
             raise ValueError(f"droop with static {flow.static} is not modelled; need static 1")
         if flow.Fs == 0.0:
             raise ValueError("droop is a share of the load Fs, which is 0; need Fs above 0")
-        fall = flow.gamma if flow.curve == HYPERBOLIC else flow.G_slip / flow.Fs if flow.curve == LINEAR else 0.0
+        fall = steepest_fall(flow)
         if flow.droop * fall >= 1.0:
             raise ValueError(
                 f"droop is {flow.droop:g} m/s: friction falls faster than the belt gives way, so the force is not one; "
                 f"need less than {1.0 / fall:g}"
             )
+
+
+def steepest_fall(flow: Flow) -> float:
+    """Return how fast friction falls with speed where it does so fastest, over Fs (s/m)."""
+    if flow.curve == HYPERBOLIC:
+        return flow.gamma
+    return flow.G_slip / flow.Fs if flow.curve == LINEAR and flow.Fs > 0.0 else 0.0
 
 
 class Frame(NamedTuple):

@@ -190,6 +190,60 @@ def test_counts_across_a_lost_port_are_not_joined(tmp_path):
 def test_a_motion_that_is_no_ring_down_writes_no_calibration(tmp_path, capsys):
     # It used to be written with a warning, and the next recording took it without one.
     kept = tmp_path / "rig.toml"
-    assert terminal.run(app, ["calibrate", "--mass", "300 g", "--duration", "4", "-o", str(kept), "--yes"]) == 4
+    assert (
+        terminal.run(
+            app, ["calibrate", "--port", "rig://rig", "--mass", "300 g", "--duration", "4", "-o", str(kept), "-y"]
+        )
+        == 4
+    )
     assert "not that of a spring" in capsys.readouterr().err
     assert not kept.exists()
+
+
+def test_the_examples_of_calibrate_run_on_the_simulated_rig(capsys, tmp_path):
+    # Without a port the ring-down used to be tried on a mass that the belt drags, and failed.
+    code, found, _ = said(capsys, "calibrate", "--mass", "300 g +- 1 g")
+    assert code == 0
+    assert found["omega0"] == pytest.approx(OMEGA0, abs=5 * found["omega0_sd"])
+    assert found["rig"]["datum"] == pytest.approx(0.0, abs=5 * found["rig"]["datum_sd"])
+    code, found, _ = said(capsys, "calibrate", "--distance", "100 mm +- 0.1 mm", "-o", "other.toml")
+    assert (code, found["error"]["where"]) == (2, "--distance")
+    assert "nobody moves the simulated rig" in found["error"]["what"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["check", "--port", "/dev/ttyNOPE"], 3),
+        (["check", "--port", "rig://rig", "--rate", "0"], 2),
+        (["check", "--port", "rig://nope"], 2),
+        (["check", "--port", "/dev/null", "--protocol", "qsb", "--rate", "1000"], 2),
+        (["calibrate", "--port", "/dev/ttyNOPE", "--distance", "0.1"], 3),
+        (["calibrate", "--port", "rig://rig", "--duration", "-1"], 2),
+        (["calibrate", "--port", "rig://rig", "--move", "nan", "--distance", "0.1"], 2),
+        (["calibrate", "--port", "/dev/null", "--protocol", "text"], 2),
+    ],
+)
+def test_nobody_is_asked_to_do_anything_before_the_request_is_known_to_be_possible(capsys, arguments, code):
+    # The prompt to leave the mass alone, or to pull it aside, used to come first.
+    assert terminal.run(app, arguments) == code
+    err = capsys.readouterr().err
+    assert "mass" not in err
+    assert err.count("\n") == 1
+
+
+def test_an_interrupted_check_names_no_journal_that_is_gone(capsys, monkeypatch):
+    def interrupted(*_, **__):
+        raise record.RecordingInterruptedError("interrupted; the journal is kept", "/gone", "recover it")
+
+    monkeypatch.setattr(record, "record", interrupted)
+    assert terminal.run(app, ["check", "--parked", "0.1"]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "daq: interrupted"
+
+
+def test_a_lost_port_stands_beside_no_sample_lost(tmp_path):
+    from daq.summary import Summary
+
+    numbers = (100, 0, 0, 0, 0, 0, 0, 2, 1000.0, 1000.0, None, 0.1, 0.0, (0.0, 1.0), "m", ())
+    assert ", no sample lost while the port was there\n" in Summary(*numbers, port_lost=1).as_text("recorded", "x")
+    assert ", no sample lost\n" in Summary(*numbers).as_text("recorded", "x")

@@ -1,6 +1,9 @@
 """Samples held against what came with them."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from daq import consistency, counter, wire
 from daq.assemble import Samples
@@ -51,3 +54,26 @@ def test_the_doubt_ends_where_the_board_began_anew():
     part = np.repeat([0, 1], 12)
     flags = consistency.check(samples(10 * np.arange(n), missed, illegal, part), IDENT, Rig(), 1000.0).flags
     assert np.flatnonzero(flags & counter.FLAG_DOUBT).tolist() == list(range(4, 12))
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 30_000, 50_000, 100_000])
+def test_a_fast_signal_gives_its_rate_whatever_the_jitter(rate_hz):
+    # Above 30 kHz jitter of 30 us used to pass for gaps, and the peak was told as 0.
+    n = 2 * rate_hz
+    jitter = np.clip(np.random.default_rng(3).normal(0, 30e-6, n), -0.45 / rate_hz, 0.45 / rate_hz)
+    time = np.arange(n) / rate_hz + jitter
+    true = np.floor(60_000 * time).astype(np.int64)
+    given = replace(samples(true, 0 * true, 0 * true), time=time)
+    checked = consistency.check(given, IDENT, Rig(), float(rate_hz))
+    assert checked.peak_count_rate == pytest.approx(60_000, rel=0.06)
+    assert len(checked.starts) == 1
+
+
+def test_gaps_everywhere_leave_the_peak_of_what_is_between_them():
+    n = 3000
+    time = np.arange(n) / 30_000
+    index = np.arange(n) + np.arange(n) // 10  # every eleventh is lost: no stretch is a millisecond long
+    true = np.floor(60_000 * time).astype(np.int64)
+    given = replace(samples(true, 0 * true, 0 * true), time=time, index=index)
+    checked = consistency.check(given, IDENT, Rig(), 30_000.0)
+    assert checked.peak_count_rate == pytest.approx(60_000, rel=0.3)

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq import protocols
+from daq import cut, protocols
 from daq.errors import DeviceError, InputError
 from daq.protocols import lines as lines_module
 from daq.protocols import qsb, text
 from daq.protocols import session as session_module
-from daq.protocols.session import Wish
+from daq.protocols.session import Plan, Wish
 
 RATE = 500
 
@@ -77,9 +77,9 @@ def test_lines_are_read_however_the_bytes_are_cut(name, cuts):
     data = b"".join(map(line, range(60)))
     reads, at = [], 0
     while at < len(data):
-        for cut in cuts:
-            reads.append((at, data[at : at + cut]))
-            at += cut
+        for size in cuts:
+            reads.append((at, data[at : at + size]))
+            at += size
     stream = protocols.load(header["protocol"]).decode(reads, header)
     assert stream.crc_errors == 0
     assert len(stream.ticks) >= 59  # of text, the first line may have lost its beginning and is left out
@@ -136,7 +136,7 @@ def test_a_million_corrupted_bytes_are_survived(form):
     # Every line that was not touched, nor stands beside one that was, is there and right.
     sound = [k for k in range(8, lines) if not {k + 1, k, k - 1, k - 2} & touched]
     assert np.isin(sound, whole[right]).all()
-    share = {"qsb": 0.03, "text": 0.08, "xor": 1 / 256}[name]
+    share = {"qsb": 0.012, "text": 0.035, "xor": 1 / 256}[name]
     assert wrong <= share * len(touched), wrong / len(touched)
     # What passed alone is wrong by little; two damaged lines side by side may vouch for each other.
     alone = np.array([k not in touched or not {k - 1, k + 1} & touched for k in whole.tolist()])
@@ -265,9 +265,95 @@ def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
         (lambda k: b"1,2,3,4\n", "not of the columns t_us,count"),
         (lambda k: b"", "nothing came"),
         (lambda k: b"77,5\n", "stands still"),
+        (lambda k: b"%d,5\n" % (10_000_000 - 2000 * k), "runs backwards, by 2000 us"),  # used to blame --duration
     ],
 )
 def test_a_sketch_that_prints_something_else_is_told_what(monkeypatch, line, said):
     monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
     with pytest.raises(DeviceError, match=said):
         planned(line, Wish(columns="t_us,count"))
+
+
+SHAPES = {
+    "t_us,up,down": lambda k: b"%d,%d,%d\r\n" % (2000 * k, 3 * k, 2 * k),
+    "t_us,count,a,b,illegal": lambda k: b"%d;%d;%d;%d;%d\n" % (2000 * k, int(motion(k)), k & 1, k >> 1 & 1, k // 9),
+    "ms,count:16": lambda k: b" %d.%d\t%+d \n" % (2 * k, k % 7, (int(motion(k)) + 2**15) % 2**16 - 2**15),
+    "t_s,-,count": lambda k: b"%d.%06d %s %d\n" % (*divmod(2000 * k, 10**6), b"x=%d" % (k % 3), int(motion(k))),
+    "t_us,count,xor": checked_line,
+}
+COLUMNS = ("seq", "ticks", "up", "down", "status", "illegal", "stamp_ns", "crc_frame")
+
+
+@pytest.mark.parametrize("declared", [None, *SHAPES])
+def test_lines_of_one_shape_say_together_what_they_say_one_at_a_time(declared, monkeypatch):
+    line = qsb_line if declared is None else SHAPES[declared]
+    header = {"protocol": "qsb", "rate_hz": 512.0} if declared is None else {"protocol": "text", "rate_hz": 500.0}
+    header["columns"] = declared
+    data, touched = corrupted(line, 4000, 11)
+    backend = protocols.load(header["protocol"])
+    reads = [(at, data[at : at + 300]) for at in range(0, len(data), 300)]
+    together = backend.decode(reads, header)
+    monkeypatch.setattr(cut, "FEWEST_ALIKE", 10**9)
+    singly = backend.decode(reads, header)
+    assert len(touched) > 300
+    assert together.crc_errors > 100
+    for name in COLUMNS:
+        assert np.array_equal(getattr(together, name), getattr(singly, name)), name
+    assert (together.crc_errors, together.discarded_bytes) == (singly.crc_errors, singly.discarded_bytes)
+
+
+@pytest.mark.parametrize("size", [1, 7, 40, 512, 5000])
+def test_a_tally_of_lines_reaches_the_same_however_they_were_cut(form, size):
+    name, line, _, _ = form
+    data, _ = corrupted(line, 3000, 3)
+    header = FORMS[name][1]
+    session = protocols.load(header["protocol"]).session(None, "", Wish(columns=header.get("columns")))
+    if name != "qsb":
+        session.prepare(Plan(500.0, 1, 0.0))
+    tally = session.tally()
+    for at in range(0, len(data), size):
+        tally.feed(data[at : at + size])
+    assert abs(tally.reached - 3000) <= (1 if name == "qsb" else 2)  # of text, the first line is left out
+    assert tally.resets == 0
+    tally.begin_again(5000)
+    tally.feed(data[:1000])
+    assert tally.reached > 5000
+
+
+def test_an_endless_line_is_one_damaged_one(form):
+    name, line, decode, _ = form
+    good = b"".join(map(line, range(1, 20)))
+    sound = decode(good)
+    for cut_at in (100, 10_000):
+        found = decode(good + b"7" * 5000, cut_at)
+        assert (found.crc_errors, found.discarded_bytes) == (1, 5000 + (name == "qsb"))  # and its line feed
+        assert np.array_equal(found.ticks, sound.ticks)
+
+
+@pytest.mark.parametrize(
+    ("line", "seen"),
+    [
+        (lambda k: b"%d,%d\n" % (2000 * k + 7, int(motion(k)) + 10), "a count off by 10"),
+        (lambda k: b"%d,%d\n" % (2000 * k + 47, int(motion(k))), "a time off by 40 us"),
+    ],
+)
+def test_one_wrong_digit_among_sound_lines_is_seen(line, seen):
+    # Both used to pass: less than a leap, and a time still in order.
+    lines = [text_line(k) for k in range(200)]
+    lines[90] = line(90)
+    stream = text.decode([(0, b"".join(lines))], {"columns": "t_us,count", "rate_hz": 500.0})
+    assert stream.crc_errors == 1, seen
+    assert 90 * 2000 not in (stream.ticks - 7) // 100 * 100
+
+
+@pytest.mark.parametrize("noise", [0.0, 5.0, 30.0, 100.0])
+def test_jitter_kicks_jumps_and_gaps_are_no_damage(noise):
+    rng = np.random.default_rng(int(noise))
+    k = np.arange(20_000)
+    time = 2000 * k + np.round(noise * rng.normal(size=k.size)).astype(int)
+    speed = np.where(k // 700 % 2, 40.0, -3.0) + np.where(k // 333 % 3 == 0, 5.0, 0.0)  # kicked, and reversed
+    count = np.floor(np.cumsum(speed)).astype(int) + 500 * (k > 9000)  # and a cog that slipped
+    sent = (k % 997 != 5) & (k // 40 != 77)
+    data = b"".join(b"%d,%d\n" % row for row in zip(time[sent].tolist(), count[sent].tolist(), strict=True))
+    stream = text.decode([(0, data)], {"columns": "t_us,count", "rate_hz": 500.0})
+    assert stream.crc_errors <= 1e-4 * k.size * (noise > 0)

@@ -19,3 +19,23 @@ def test_a_system_error_without_a_file_name_is_a_json_document_too(capsys):
     out, err = capsys.readouterr()
     assert json.loads(out)["error"]["what"] == "Input/output error"
     assert err == ""
+
+
+def test_the_version_is_a_json_document_too(capsys):
+    from daq.cli import app
+    from daq.version import VERSION
+
+    assert terminal.run(app, ["--version", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"command": "daq", "version": VERSION}
+
+
+def test_the_doctor_advises_only_what_is_needed_and_names_it(capsys):
+    # Under --json a sound package used to be advised "python -m pip uninstall ; then ...", with no name.
+    from daq import cli_setup
+    from daq.cli import app
+
+    terminal.run(app, ["doctor", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert all(check["do"] == "" for check in found["checks"] if check["ok"])
+    assert cli_setup._needs().do == ""
+    assert all("uninstall ;" not in check.do for check in cli_setup._packages())

@@ -10,7 +10,7 @@ from daq.wire import LEVELS, OVERRUN
 from rig_sim.scenes import scene
 
 CYCLES_PER_US = 16
-LONGEST_INTERRUPT = {"uno": 51, "mega": 53}  # cycles with interrupts off, entry included: the latch
+LONGEST_INTERRUPT = {"uno": 50, "mega": 52}  # cycles with interrupts off, entry included: the latch
 
 
 def rig(bench, edges_per_s, seconds, jitter=0.2, **changes):
@@ -59,7 +59,8 @@ def test_every_sample_of_the_rig_is_there_and_right(bench, switch_on, kind, peak
 
 
 @pytest.mark.parametrize(
-    ("kind", "rate", "baud"), [("uno", 1000, 115_200), ("uno", 997, 115_200), ("mega", 4999, 1_000_000)]
+    ("kind", "rate", "baud"),
+    [("uno", 1000, 115_200), ("uno", 997, 115_200), ("mega", 4999, 1_000_000), ("mega", 3701, 1_000_000)],
 )
 def test_sample_times_are_true_to_a_tick_and_spread_by_less_than_the_longest_interrupt(
     bench, switch_on, kind, rate, baud
@@ -78,8 +79,7 @@ def test_sample_times_are_true_to_a_tick_and_spread_by_less_than_the_longest_int
     # Before the latch an edge may be served, and before that what had turned interrupts off when both came; and the
     # instruction that was running ends first.
     assert np.ptp(late) <= named["A"] + max(named["clock"], named["program"]) + 5
-    if kind == "uno":
-        assert np.ptp(late) <= named["latch"]
+    assert np.ptp(late) <= named["latch"]  # on the Mega it used to be 55 cycles beside 53
 
 
 def test_no_latch_is_ever_torn(bench, switch_on):
@@ -111,7 +111,7 @@ def test_no_latch_is_ever_torn(bench, switch_on):
     assert len(np.unique(meeting[meeting < 60])) > 20
 
 
-@pytest.mark.parametrize(("kind", "cycles"), [("uno", 64), ("mega", 68)])
+@pytest.mark.parametrize(("kind", "cycles"), [("uno", 62), ("mega", 64)])
 def test_two_edges_so_close_are_always_told_apart(bench, switch_on, kind, cycles):
     rng = np.random.default_rng(cycles)
     start = 20_000 + np.cumsum(rng.integers(300, 500, 60_000))

@@ -1,4 +1,4 @@
-"""Rankings of synthetic runs, made once and shared by the tests of the fit."""
+"""Rankings of synthetic runs and smoothed runs of the simulated rig, made once and shared by the tests of the fit."""
 
 import importlib.util
 import sys
@@ -7,14 +7,29 @@ from pathlib import Path
 
 import pytest
 
+from daq import ports, runfile
+from daq.record import Request, record
 from fitting.ranking import rank
 from processing.smoothing import smooth
 
-# Tests have no packages: the generator beside this file is loaded by its path.
-_spec = importlib.util.spec_from_file_location("fitting_synthetic", Path(__file__).with_name("synthetic.py"))
-synthetic_rig = importlib.util.module_from_spec(_spec)
-sys.modules["fitting_synthetic"] = synthetic_rig
-_spec.loader.exec_module(synthetic_rig)
+
+def _beside(name):
+    """Load a generator beside this file by its path: tests have no packages."""
+    spec = importlib.util.spec_from_file_location(f"fitting_{name}", Path(__file__).with_name(f"{name}.py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+synthetic_rig = _beside("synthetic")
+stranger_records = _beside("strangers")
+
+
+@pytest.fixture(scope="session")
+def strangers():
+    """Give the module of records that are no stick-slip."""
+    return stranger_records
 
 
 @pytest.fixture(scope="session")
@@ -43,5 +58,21 @@ def motion_of(synthetic):
     def of(**changes):
         recording = synthetic.recording(**changes)
         return motion.of(smooth(recording), recording.rig, None)
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory):
+    """Give a function that records the rig scene, changed, and smooths it; remembered by its changes."""
+    folder, made = tmp_path_factory.mktemp("rig"), {}
+
+    def of(*changes, duration=20.0):
+        key = (*changes, duration)
+        if key not in made:
+            path = folder / f"run{len(made)}.h5"
+            record(Request(ports.rig_url("rig", ["seed=5", *changes], False), path, 1000, duration))
+            made[key] = smooth(runfile.load(path))
+        return made[key]
 
     return of

@@ -1,5 +1,6 @@
 """`fit-friction`: flags, JSON, exit codes, and what it leaves in the run file."""
 
+import csv
 import json
 import shutil
 import subprocess
@@ -135,4 +136,27 @@ def test_help_loads_nothing_numerical():
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "Example: fit-friction" in done.stdout
-    assert "--scheduler" not in done.stdout
+    assert "--scheduler" in done.stdout
+
+
+def test_the_ranking_can_be_had_as_a_table(run, tmp_path):
+    path, out = tmp_path / "run.h5", tmp_path / "ranking.csv"
+    shutil.copy(run, path)
+    document = terminal.plain(cli.fit(path, laws="3,5", csv=out).data)
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["law"]) for row in rows] == [row["law"] for row in document["ranking"]]
+    assert float(rows[0]["k/m"]) == document["ranking"][0]["parameters"]["k/m"]["value"]
+    assert float(rows[0]["gamma stderr"]) == document["ranking"][0]["parameters"]["gamma"]["stderr"]
+    assert rows[1]["gamma"] == ""
+    cli.fit(path, laws="5", csv=out)
+    assert len(out.read_text().splitlines()) == 2
+
+
+def test_a_strangers_table_and_the_run_itself_are_not_replaced(run, tmp_path):
+    mine = tmp_path / "mine.csv"
+    mine.write_text("mine")
+    for path in (mine, run):
+        with pytest.raises(InputError, match=r"no ranking|one of the runs"):
+            cli.fit(run, csv=path)
+    assert mine.read_text() == "mine"

@@ -11,7 +11,7 @@ from daq import runfile
 from daq.errors import DataError, InputError
 from fitting import cli, unknowns
 from fitting.ranking import rank
-from fitting.unknowns import DATUM, GIVE, UNKNOWNS, V_DR, WEAR, D, K
+from fitting.unknowns import DATUM, FADE, GIVE, UNKNOWNS, V_DR, D, K
 from processing.smoothing import smooth
 
 SPEEDS = (0.1, 0.2, 0.3)
@@ -37,14 +37,14 @@ def runs_of(synthetic):
 
 
 def test_what_runs_share_stands_once_and_the_rest_is_their_own():
-    places = unknowns.active(6, [False, True])
+    places = unknowns.active(6, [False, True], [False, False])
     table = unknowns.columns(places, 2)
-    own = [UNKNOWNS + slot for slot in (V_DR, DATUM, WEAR, GIVE)]
+    own = [UNKNOWNS + slot for slot in (V_DR, DATUM, FADE, GIVE)]
     assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
     assert (table[:, places.index(K)] == K).all()
     assert table[:, places.index(V_DR)].tolist() == [V_DR, -1]
     assert table[:, places.index(UNKNOWNS + GIVE)].tolist() == [-1, GIVE]
-    spread = unknowns.spread(np.arange(18.0)).reshape(2, UNKNOWNS)
+    spread = unknowns.spread(np.arange(2.0 * UNKNOWNS)).reshape(2, UNKNOWNS)
     assert spread[1, [K, D]].tolist() == [K, D]
     assert spread[1, V_DR] == UNKNOWNS + V_DR
 

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from fitting.prediction import LOCALS, Windows, evaluator
+from fitting.prediction import Windows, evaluator
+from fitting.unknowns import LOCALS, UNKNOWNS
 
 K, F, V = 35.184, 4.598, 0.22
 OMEGA = K**0.5
@@ -21,9 +23,14 @@ def one_window(time, riding=0, overtakes=0, firm=0.0):
     )
 
 
-def predicted(windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, wear=0.0, give=0.0):
-    u = np.array([K, np.log(F), V, shape, d, datum, c, wear, give])
-    evaluate = evaluator(curve, ramp, windows, u, list(range(9)), np.ones(9), np.ones(LOCALS))
+STEADY = (0.0, 0.0, 0.0)
+
+
+def predicted(
+    windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, fade=0.0, give=0.0, ripple=STEADY
+):
+    u = np.array([K, np.log(F), V, shape, d, datum, c, fade, give, *ripple])
+    evaluate = evaluator(curve, ramp, windows, u, list(range(UNKNOWNS)), np.ones(UNKNOWNS), np.ones(LOCALS))
     return evaluate(u, local[None], False)[0]
 
 
@@ -59,9 +66,9 @@ def test_touching_the_belt_at_the_start_changes_the_motion_continuously():
     assert ends == pytest.approx([ends[0]] * 3, abs=1e-5)
 
 
-def test_wear_lowers_the_level_as_a_smaller_level_would():
+def test_fading_lowers_the_level_as_a_smaller_level_would():
     time = np.linspace(0.0, 0.4, 41)
-    worn = predicted(one_window(time, firm=9.0), start(0.12, 0.1), wear=0.02)
+    worn = predicted(one_window(time, firm=9.0), start(0.12, 0.1), fade=0.02)
     fine = np.linspace(0.0, 0.4, 40_001)
     h = fine[1]
     x, v, path = 0.12, 0.1, [0.12]
@@ -71,6 +78,34 @@ def test_wear_lowers_the_level_as_a_smaller_level_would():
         v += 0.5 * h * (F * (1 - 0.02 * (t + h)) - K * x)
         path.append(x)
     assert worn == pytest.approx(np.array(path)[::1000], abs=6e-6)  # at four times the nominal wear
+
+
+def test_riding_a_belt_that_ripples_is_its_own_motion():
+    time = np.linspace(1.0, 1.7, 29)
+    cosine, sine, omega = 3e-3, -2e-3, 17.0
+    x = predicted(
+        one_window(time, riding=1),
+        start(-0.1, 0.3, riding=True),
+        ripple=(cosine, sine, omega),
+        c=0.1,
+        shape=9.6,
+        curve=2,
+    )
+    swing = (cosine * np.sin(omega * time) - sine * np.cos(omega * time)) / omega
+    assert x == pytest.approx(-0.1 + V * (time - 1.0) + swing - swing[0], abs=1e-14)
+
+
+def test_a_slip_on_a_belt_that_ripples_is_the_brute_force_motion():
+    gamma, c, ripple = 9.6, 0.05, (2e-3, 4e-3, 14.0)
+    time = 2.0 + np.linspace(0.0, 0.4, 41)
+    x = predicted(one_window(time, firm=9.0), start(0.12, 0.1), curve=2, shape=gamma, c=c, ripple=ripple)
+
+    def rates(t, state):
+        belt = V + ripple[0] * np.cos(ripple[2] * t) + ripple[1] * np.sin(ripple[2] * t)
+        return state[1], F / (1 + gamma * (belt - state[1])) - c * state[1] - K * state[0]
+
+    exact = solve_ivp(rates, (2.0, 2.4), (0.12, 0.1), t_eval=time, rtol=1e-12, atol=1e-14).y[0]
+    assert x == pytest.approx(exact, abs=1e-11)
 
 
 @pytest.mark.parametrize("riding", [0, 1])
@@ -89,12 +124,12 @@ def test_derivatives_are_those_of_the_positions():
     rng = np.random.default_rng(3)
     time = np.linspace(0.0, 0.9, 91)
     windows = one_window(time, firm=0.3)
-    u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001, 0.02])
-    scale, local_scale = np.ones(9), np.ones(LOCALS)
+    u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001, 0.02, 2e-3, 4e-3, 14.0])
+    scale, local_scale = np.ones(UNKNOWNS), np.ones(LOCALS)
     local = start(0.12, 0.15)[None]
-    evaluate = evaluator(2, True, windows, u, list(range(9)), scale, local_scale)
+    evaluate = evaluator(2, True, windows, u, list(range(UNKNOWNS)), scale, local_scale)
     _, jacobian = evaluate(u, local, True)
-    direction, own = rng.standard_normal(9), np.r_[rng.standard_normal(4), 0, 0]
+    direction, own = rng.standard_normal(UNKNOWNS), np.r_[rng.standard_normal(4), 0, 0]
     h = 1e-5
     up = evaluate(u + h * direction, local + h * own, False)[0]
     down = evaluate(u - h * direction, local - h * own, False)[0]

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from daq.errors import DataError, InputError
-from fitting.ranking import Evidence, choose, rank
+from fitting.evidence import Evidence, choose
+from fitting.ranking import rank
 from processing.smoothing import smooth
 
 

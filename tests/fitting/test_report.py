@@ -22,7 +22,7 @@ def test_the_page_asks_nothing_of_the_network(page):
 
 def test_the_page_holds_verdict_pictures_and_every_law(page, ranked):
     assert ranked(law=5).verdict in page
-    assert page.count("<svg") == 5
+    assert page.count("<svg") == 6
     for law in range(1, 7):
         assert f"</span>{law}</td>" in page
 
@@ -44,3 +44,16 @@ def test_an_older_report_is_replaced(tmp_path, page):
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(InputError, match="folder does not exist"):
         report.refuse_stranger(tmp_path / "none" / "run.html")
+
+
+def test_the_true_laws_orbit_is_the_nearest(ranked):
+    ranking = ranked(law=5)
+    nearest = min(ranking.rows, key=lambda row: row.orbit)
+    assert nearest.law in (5, 6)
+    assert ranking.row(1).orbit > 3 * nearest.orbit
+    assert 0 < nearest.orbit < 0.01
+
+
+def test_the_page_tells_orbits_beside_the_evidence(page, ranked):
+    assert f">{100 * ranked(law=5).best.orbit:.2g} %</td>" in page
+    assert "Error against run time" in page

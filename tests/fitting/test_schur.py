@@ -62,7 +62,7 @@ def test_the_reduced_hessian_is_the_inverse_of_the_marginal_covariance(linear):
     u, local = np.zeros(SHARED), np.zeros((CYCLES, LOCAL))
     task = problem(evaluate, rows)
     blocks = schur.normal_equations(task, u, local, *evaluate(u, local, True))
-    _, H, _, _ = schur.reduced(blocks)
+    H = schur.Reduced(blocks).H
     covariance = np.linalg.inv(full.T @ full + 1e-12 * np.eye(full.shape[1]))[:SHARED, :SHARED]
     assert np.linalg.inv(H) == pytest.approx(covariance, rel=1e-6)
 
@@ -124,3 +124,51 @@ def test_steps_into_what_cannot_be_followed_are_refused():
     found = schur.minimise(task, np.array([2.0]), np.zeros((1, 1)))
     assert 0.5 <= found.u[0] < 0.7
     assert math.isfinite(found.cost)
+
+
+def test_a_bent_valley_is_followed_in_few_steps():
+    # u1 must follow exp(2 u0) along a floor far flatter than its walls
+    def evaluate(u, local, derivatives):
+        wall = 1e2 * (u[1] - math.exp(2 * u[0]))
+        residual = np.array([wall, u[0] - 2.0])
+        slope = np.array([[-2e2 * math.exp(2 * u[0]), 1e2, 0.0], [1.0, 0.0, 0.0]])
+        return residual, slope
+
+    task = schur.Problem(
+        evaluate,
+        (slice(0, 2),),
+        np.ones(1),
+        np.full(2, -np.inf),
+        np.full(2, np.inf),
+        np.zeros(2),
+        np.zeros(2),
+        np.zeros((1, 1)),
+        np.ones((1, 1)),
+    )
+    found = schur.minimise(task, np.array([0.0, 1.0]), np.zeros((1, 1)), max_steps=70, tolerance=1e-12)
+    assert found.u == pytest.approx([2.0, math.exp(4.0)], rel=1e-6)
+
+
+def test_one_cycle_gone_astray_does_not_hold_up_the_others():
+    rows = tuple(slice(k, k + 1) for k in range(CYCLES))
+
+    def evaluate(u, local, derivatives):
+        # the last cycle's own unknown has a cliff just beside where it starts, in every direction that would help
+        residual = u[0] * np.arange(1.0, CYCLES + 1) - 3.0 * np.arange(1.0, CYCLES + 1) + local[:, 0]
+        residual[-1] += 1e6 * (abs(local[-1, 0]) > 1e-9)
+        slope = np.c_[np.arange(1.0, CYCLES + 1), np.ones(CYCLES)]
+        return residual, slope
+
+    task = schur.Problem(
+        evaluate,
+        rows,
+        np.ones(CYCLES),
+        np.full(1, -np.inf),
+        np.full(1, np.inf),
+        np.zeros(1),
+        np.zeros(1),
+        np.zeros((CYCLES, 1)),
+        np.ones((CYCLES, 1)),
+    )
+    found = schur.minimise(task, np.zeros(1), np.zeros((CYCLES, 1)), max_steps=20, tolerance=1e-10)
+    assert found.u[0] == pytest.approx(3.0, abs=1e-3)

@@ -1,6 +1,7 @@
 """Sticks and slips against the true ones, for all six laws, and records that hold none."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 import processing
 from daq.errors import InputError
 from daq.rig import Measured, Rig
+from processing import phases
 from processing.phases import half_sample_mode
 
 START = 0.5  # s: the belt starts after the record
@@ -189,3 +191,9 @@ def test_half_sample_mode_finds_the_heap_and_not_the_mean():
     assert half_sample_mode(values) == pytest.approx(0.22, abs=2e-4)
     assert half_sample_mode(np.array([1.0])) == 1.0
     assert half_sample_mode(np.array([0.0, 1.0, 1.2])) == pytest.approx(1.1)
+
+
+def test_a_first_sample_far_from_the_others_leaves_a_record_without_motion():
+    # White noise that began with an outlier ended in an IndexError: nothing was as far from the last sample.
+    x = np.r_[1.0, np.full(50, 0.4), 0.6]
+    assert not phases.in_motion(SimpleNamespace(position=x, pitch=0.2, interval=1e-3)).any()

@@ -404,3 +404,13 @@ def test_the_port_needs_no_heavy_package() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("rms", "rate", "said"), [(30e-6, 1000, ""), (30e-6, 20_000, " (jitter cut off at 2.3e-05 s)")]
+)
+def test_jitter_that_is_cut_off_is_said_in_the_boards_name(rms: float, rate: int, said: str) -> None:
+    # It used to be capped silently.
+    board = Board(scene("rig", **{"jitter.rms": rms}))
+    ident = frames_of(board.write(b"R %d\nI\n" % rate))[0]
+    assert ident.name == f"simulated rig, scene rig{said}"

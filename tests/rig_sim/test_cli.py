@@ -2,8 +2,10 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import pytest
 
 import rig_sim
 from daq import terminal
+from rig_sim import motion as motion_module
 from rig_sim.cli import app
 from rig_sim.motion import Motion
 
@@ -136,6 +139,17 @@ def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], t
         (["cycle", "base", "--set", "friction"], "--set"),
         (["cycle"], "command line"),
         (["map", "base"], "command line"),
+        # Each of these used to be accepted and to give nonsense, or to run for ever.
+        (
+            ["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "rk4-henon", "--step", "9"],
+            "--step",
+        ),
+        (["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "dop853", "--rtol", "1"], "--rtol"),
+        (["compare", "base", "--until", "1e6"], "--until"),
+        (["cycle", "base", "--set", "friction.law=true"], "scene base"),
+        (["cycle", "base", "--set", "belt.ripple_hz=2"], "scene base"),
+        (["cycle", "/dev/full"], "/dev/full"),
+        (["cycle", "."], "."),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(
@@ -176,3 +190,56 @@ def test_the_package_imports_nothing_until_asked() -> None:
     assert done.stdout.strip() == "[]"
     assert rig_sim.cycle(rig_sim.scene("base")).outcome == "cycle"
     assert rig_sim.events(rig_sim.scene("base"), 3.0).outcome == "completed"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what", "do"),
+    [
+        (["cycle", "base", "--set", "friction.law=true"], "friction.law is True", "it should be 1, 2, 3, 4, 5 or 6"),
+        (["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "dop853", "--rtol", "1"], "is 1",
+         "give at least 2.3e-14 and less than 1, such as 1e-9"),
+        (["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "rk4-henon", "--step", "100"],
+         "is 100, and the mass swings with a period of 6.283: no motion would be left",
+         "give 1 (a sixth of it) or less; the default is 0.01"),
+    ],
+)  # fmt: skip
+def test_a_refusal_tells_the_number_and_the_remedy(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], what: str, do: str
+) -> None:
+    error = answer(capsys, *arguments, code=2)["error"]
+    assert (error["what"], error["do"]) == (what, do)
+
+
+def test_a_scene_file_without_an_end_is_not_read_to_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # rig-sim cycle /dev/full used to read for ever.
+    large = tmp_path / "large.toml"
+    large.write_text("# much\n" * 200_000)
+    error = answer(capsys, "cycle", str(large), code=2)["error"]
+    assert "larger than any scene: over 1048576 bytes" in error["what"]
+
+
+def test_a_long_list_of_events_is_the_same_by_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A step limit of a million interpreted steps used to take most of a minute.
+    forced = rig_sim.scene("base", **{"drive.u0": 0.2, "drive.omega": 0.3})
+    interpreted = rig_sim.events(forced, 400.0)
+    monkeypatch.setattr(motion_module, "INTERPRETED_STEPS", 50)
+    assert interpreted.steps > 100
+    assert rig_sim.events(forced, 400.0) == interpreted
+    assert motion_module.events(forced, 400.0, max_steps=120).outcome == "step limit"
+    assert motion_module.events(forced, 400.0, max_steps=40).steps == 40
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="an interrupt is sent as a signal")
+def test_an_interrupted_run_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
+    line = [sys.executable, "-m", "rig_sim.cli", "run", "rig", "--until", "90000", "--rate", "1000", "-o", "m.csv"]
+    with subprocess.Popen(line, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and not (tmp_path / "m.csv.part").exists():
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    # Python ends by the signal itself where it came while a module was loaded; a shell tells 130 either way.
+    assert process.returncode in (130, -signal.SIGINT)
+    assert (out, err) == ("", "rig-sim: interrupted\n")
+    assert list(tmp_path.iterdir()) == []

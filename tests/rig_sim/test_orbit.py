@@ -8,8 +8,8 @@ from dataclasses import astuple
 import pytest
 
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.modes import Flow
-from rig_sim.orbit import cycle
+from rig_sim.integrate.modes import Flow, frame
+from rig_sim.orbit import creeps, cycle
 
 
 def flow_of(law, **changes):
@@ -158,3 +158,24 @@ def test_an_orbit_costs_no_heavy_imports():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("c", [3.2, 10.0, 1e3, 1e9])
+def test_heavy_damping_ends_at_the_fixed_point(law, c):
+    # It used to end as "no cycle": the slip lasts for c/k, in steps of m/c.
+    orbit = cycle(flow_of(law, c=c, G_slip=0.05, gamma=3.0, d=1e-3))
+    s = 0.5 - (1e-3 if LAWS[law].ramp else 0.0)
+    friction = {"constant": 1.0, "linear": 1.0 - 0.05 * s, "hyperbolic": 1.0 / (1.0 + 3.0 * s)}[LAWS[law].curve]
+    assert orbit.outcome == "fixed point"
+    assert orbit.x_rest == pytest.approx(friction, rel=1e-6)
+
+
+def test_damping_that_is_not_heavy_enough_is_followed_to_its_end():
+    """Creep is claimed only where no phase could stick again: else the motion is played."""
+    for c in (0.1, 0.5, 1.0, 1.5, 1.9, 2.5):
+        fr = frame(flow_of(5, c=c, gamma=3.0))
+        assert not creeps(fr, 0.5, -0.1, c - 3.0)
+    assert creeps(frame(flow_of(1, c=2.1)), 0.5, -0.1, 2.1)
+    assert not creeps(frame(flow_of(1, c=2.1)), 0.5, -0.9, 2.1)  # slows down faster than the larger root
+    assert not creeps(frame(flow_of(1, c=2.1)), 0.5, 0.1, 2.1)

@@ -1,0 +1,220 @@
+"""What ranking six laws costs: warm, by length of the record; on a machine's first call; and against scipy.
+
+``python benchmarks/fit_speed.py [--laws 3,5] [--lengths 30,60,120,300,600]``
+
+    warm      CPU seconds of `fitting.rank` alone (user and system, all threads) on the scene `rig` at 1 kHz with 5 %
+              scatter, for a record of each law; compiled and called once before.  The longest three lengths: law 5
+    first     wall and CPU seconds of the command `fit-friction` with an empty folder for machine code
+    scipy     one slip window of law 5: the same residuals, priors and unknowns, from the same start to the same
+              minimum, by `solve_ivp` with an event at the landing under `least_squares`, against our minimiser on the
+              engine's flow.  Medians of CPU seconds
+"""
+
+import argparse
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time as clock
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+
+import fitting
+import processing
+from daq import ports, runfile
+from daq.record import Request, record
+from fitting import motion as frame
+from fitting import prediction, schur, windows
+from fitting.setting import Run, Setting
+from fitting.unknowns import DAMPING, DATUM, LEVEL, LOG_F, SHAPE, V_DR, V_SLIP, X_SLIP, K
+from processing.kinematics import Kinematics
+
+RESULTS = Path(__file__).resolve().parent / "results"
+SCENE = ("scatter.Fs=0.05", "jitter.rms=50e-6", "damper.c=0.01")
+SHORT = 60  # s: up to there every law's record is measured, beyond that of law 5
+TIGHT = {"rtol": 1e-10, "atol": 1e-13}  # of solve_ivp: its positions good to well below a count
+
+
+def recorded(law: int, seconds: float, folder: str) -> Path:
+    """Record the simulated rig."""
+    path = Path(folder) / f"{law}-{seconds:g}.h5"
+    if not path.exists():
+        url = ports.rig_url("rig", [f"friction.law={law}", "seed=7", *SCENE], False)
+        record(Request(url, path, 1000, seconds))
+    return path
+
+
+def cpu_s(who: int = resource.RUSAGE_SELF) -> float:
+    """Return CPU seconds spent so far, of this process or of its children."""
+    used = resource.getrusage(who)
+    return used.ru_utime + used.ru_stime
+
+
+def warm(laws: list[int], lengths: list[float], folder: str) -> list[dict[str, Any]]:
+    """Rank records of each length; return a row for each."""
+    fitting.rank(processing.smooth(runfile.load(recorded(5, 10, folder))))
+    rows = []
+    for seconds in lengths:
+        for law in laws if seconds <= SHORT else [5]:
+            kinematics = processing.smooth(runfile.load(recorded(law, seconds, folder)))
+            begun = cpu_s()
+            ranking = fitting.rank(kinematics)
+            spent = cpu_s() - begun
+            rows.append({"law": law, "seconds": seconds, "cpu_s": spent, "set": list(ranking.laws_in_set)})
+            print(f"  law {law}, {seconds:4g} s: {spent:6.2f} CPU s   {spent / seconds * 1e3:5.1f} ms/s   "
+                  f"set {list(ranking.laws_in_set)}", flush=True)  # fmt: skip
+    return rows
+
+
+def first_call(folder: str) -> dict[str, Any]:
+    """Run the command with nothing compiled."""
+    path = recorded(5, 30, folder)
+    with tempfile.TemporaryDirectory() as empty:
+        environment = os.environ | {"NUMBA_CACHE_DIR": empty}
+        before, begun = cpu_s(resource.RUSAGE_CHILDREN), clock.monotonic()
+        done = subprocess.run(
+            [sys.executable, "-m", "fitting.cli", str(path), "--report", f"{empty}/report.html"],
+            env=environment, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        wall, spent = clock.monotonic() - begun, cpu_s(resource.RUSAGE_CHILDREN) - before
+    if done.returncode not in (0, 5):
+        raise SystemExit(done.stderr)
+    said = [line for line in done.stderr.splitlines() if line.startswith("compiling")]
+    return {"wall_s": wall, "cpu_s": spent, "said": said}
+
+
+class OneWindow:
+    """The fit of one slip window of law 5, for both minimisers."""
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        motion = frame.of(kinematics, kinematics.recording.rig, None)
+        cut = windows.cut(motion)
+        cycle = next(cycle for cycle in cut.used[2:] if not cycle.overtakes)
+        cycle = replace(cycle, stick=(cycle.slip[0], cycle.slip[0]))
+        setting = Setting.of(5, [Run(motion, replace(cut, cycles=cut.used))])
+        self.windows = prediction.Windows.of(motion, (cycle,))
+        self.setting, self.index = setting, [K, LOG_F, V_DR, SHAPE, DATUM, DAMPING]
+        self.own = [X_SLIP, V_SLIP, LEVEL]
+        self.local = self.windows.first_locals([motion])
+        self.weight = 1 / motion.resolution**2
+        sd = np.array([[0.1 * motion.travel, motion.belt_speed, 0.05, 0.05, 1.0, 1.0]])
+        self.local_precision = 1 / sd**2
+        self.start = np.r_[setting.start[self.index], self.local[0, self.own]]
+
+    def ours(self) -> tuple[np.ndarray, float, float]:
+        """Return unknowns, cost and CPU seconds of our minimiser."""
+        s = self.setting
+        begun = clock.process_time()
+        problem = schur.Problem(
+            evaluate=prediction.evaluator(s.curve, s.ramp, self.windows, s.start, self.index, s.scale, s.local_scale),
+            rows=self.windows.rows, weights=np.array([self.weight]),
+            lower=s.lower[self.index], upper=s.upper[self.index],
+            prior=s.prior[self.index], precision=s.precision[self.index],
+            local_prior=self.local, local_precision=self.local_precision,
+        )  # fmt: skip
+        found = schur.minimise(problem, s.start[self.index], self.local, max_steps=200, tolerance=1e-9)
+        spent = clock.process_time() - begun
+        if found is None:
+            raise SystemExit("the flow cannot be followed from the start")
+        return np.r_[found.u, found.local[0, self.own]], found.cost, spent
+
+    def residuals(self, unknowns: np.ndarray) -> np.ndarray:
+        """Return the same residuals by scipy: measured positions first, then the priors."""
+        k, log_f, belt, gamma, datum, damping, x, v, level = unknowns
+        force = math.exp(log_f + level)
+        time = self.windows.time
+
+        def rates(_: float, state: np.ndarray) -> list[float]:
+            x, v = state
+            return [v, force / (1 + gamma * (belt - v)) - k * (x - datum) - damping * v]
+
+        def lands(_: float, state: np.ndarray) -> float:
+            return state[1] - belt
+
+        lands.terminal, lands.direction = True, 1.0  # type: ignore[attr-defined]
+        slip = solve_ivp(rates, (time[0], time[-1]), [x, v], "DOP853", time, events=lands, **TIGHT)
+        model = np.empty(time.size)
+        model[: slip.t.size] = slip.y[0]
+        if slip.t.size < time.size:
+            model[slip.t.size :] = slip.y_events[0][0][0] + belt * (time[slip.t.size :] - slip.t_events[0][0])
+        s = self.setting
+        u_prior, u_precision = s.prior[self.index], s.precision[self.index]
+        return np.r_[
+            math.sqrt(self.weight) * (model - self.windows.position),
+            np.sqrt(u_precision) * (unknowns[: u_prior.size] - u_prior),
+            np.sqrt(self.local_precision[0, self.own]) * (unknowns[u_prior.size :] - self.local[0, self.own]),
+        ]
+
+    def scipys(self) -> tuple[np.ndarray, float, float, int]:
+        """Return unknowns, cost, CPU seconds and number of shots of `least_squares`."""
+        shots = 0
+
+        def counted(unknowns: np.ndarray) -> np.ndarray:
+            nonlocal shots
+            shots += 1
+            return self.residuals(unknowns)
+
+        s = self.setting
+        lower = np.r_[s.lower[self.index], np.full(3, -np.inf)]
+        upper = np.r_[s.upper[self.index], np.full(3, np.inf)]
+        scale = np.r_[s.scale[self.index], s.local_scale[self.own]]
+        begun = clock.process_time()
+        found = least_squares(counted, np.clip(self.start, lower + 1e-12, upper), bounds=(lower, upper), x_scale=scale,
+                              ftol=1e-9, xtol=1e-12, gtol=1e-12, max_nfev=200)  # fmt: skip
+        return found.x, float(found.cost), clock.process_time() - begun, shots
+
+
+def against_scipy(folder: str) -> dict[str, Any]:
+    """Fit one window both ways."""
+    one = OneWindow(processing.smooth(runfile.load(recorded(5, 30, folder))))
+    one.ours()
+    mine, cost, _ = one.ours()
+    spent = float(np.median([one.ours()[2] for _ in range(21)]))
+    theirs = [one.scipys() for _ in range(3)]
+    found, other, _, shots = theirs[0]
+    seconds = float(np.median([run[2] for run in theirs]))
+    gap = float(np.max(np.abs(mine - found) / np.r_[one.setting.scale[one.index], one.setting.local_scale[one.own]]))
+    return {"ours_s": spent, "scipy_s": seconds, "ratio": seconds / spent, "shots": shots,
+            "cost": cost, "scipy_cost": other, "largest_difference": gap, "samples": one.windows.time.size}  # fmt: skip
+
+
+def main() -> None:
+    """Measure, print, and keep the numbers."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--laws", default="1,2,3,4,5,6")
+    parser.add_argument("--lengths", default="30,60,120,300,600", help="seconds")
+    chosen = parser.parse_args()
+    laws = [int(law) for law in chosen.laws.split(",")]
+    lengths = [float(length) for length in chosen.lengths.split(",")]
+    with tempfile.TemporaryDirectory() as folder:
+        print("six laws ranked, warm:")
+        rows = warm(laws, lengths, folder)
+        for seconds in lengths:
+            spent = [row["cpu_s"] for row in rows if row["seconds"] == seconds]
+            print(f"{seconds:5g} s: {np.mean(spent):6.2f} CPU s on average, {max(spent):6.2f} at most")
+        cold = first_call(folder)
+        print(f"first call with nothing compiled: {cold['cpu_s']:.1f} CPU s, {cold['wall_s']:.1f} s; it says:")
+        for line in cold["said"]:
+            print(f"    {line}")
+        one = against_scipy(folder)
+        print(
+            f"one slip window ({one['samples']} samples): ours {1e3 * one['ours_s']:.2f} ms, "
+            f"scipy {one['scipy_s']:.2f} s ({one['shots']} shots): {one['ratio']:.0f} times; "
+            f"costs {one['cost']:.6g} and {one['scipy_cost']:.6g}, "
+            f"unknowns alike to {one['largest_difference']:.1e} of their scale"
+        )
+    RESULTS.mkdir(exist_ok=True)
+    document = {"warm": rows, "first": cold, "scipy": one}
+    (RESULTS / "fit_speed.json").write_text(json.dumps(document, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""Why a record holds no belt stick-slip: told from its cycles before any law is fitted, or from how badly all laws fit.
+
+A belt that drags a mass against a spring leaves three marks that no drive, hand or noise leaves together: every stick
+runs at one speed, every slip leads back against the belt, and the break-aways lie closer together than a slip is long.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from fitting.motion import REST_FRACTION, Array, Motion
+from fitting.setting import Run
+from fitting.trajectory import Fit
+from fitting.unknowns import LOG_F, K
+from fitting.windows import SLIPPING, Cut
+
+COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
+ONE_SPEED = 0.2  # of the usual stick's: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1
+FEWEST_STICKS = 2  # to tell one speed from several
+FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
+FILLED = 0.5  # of a record that riding, slips and rest fill at least
+RIDING = (0.6, 1.2)  # of the belt's speed
+SINE = 0.05  # of its amplitude: closer, a motion is a sine
+ONE_PLACE = 1.0  # of a slip's range: 12 % scatter and 25 % wear together spread the break-aways over 0.75
+LONG_STICK = 20  # samples
+DIES_AWAY = 0.7  # of the speed at first: a last third slower than that
+WORST_FIT = 0.02  # of a slip's length: a best law that usually errs by more describes something else
+LEAST_FRICTION = 1e-3  # of the spring's pull over a slip: with less, nothing holds the mass
+AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
+
+
+def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
+    """Say why a record is no stick-slip on a belt; "" where it may well be.
+
+    Parameters
+    ----------
+    motion, cut : Motion, Cut
+    sustained : bool
+        Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
+    """
+    # What stands still half the time is left out of the fit, but says as much as any cycle about what drives the mass.
+    seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
+    if not seen:
+        flags = ", ".join(dict.fromkeys(cycle.flag for cycle in cut.cycles))
+        return f"every cycle is left out ({flags})" if flags else _of_motion(motion)
+    time, x = motion.time, motion.position
+    begin = np.searchsorted(time, [cycle.onset for cycle in seen])
+    end = np.minimum(np.searchsorted(time, [cycle.landing for cycle in seen]), time.size - 1)
+    reach = np.array([np.ptp(x[i : j + 1]) for i, j in zip(begin, end, strict=True)])
+    back = (x[begin] - x[end]) / np.maximum(reach, motion.resolution)
+    if sustained and float(np.median(back)) < COMES_BACK:
+        return "the mass never comes back against the belt, as a spring would make it"
+    few = len(seen) < FEW
+    low, high = np.quantile(x[begin], (0, 1) if few else (0.1, 0.9))
+    if high - low > ONE_PLACE * float(np.median(reach)):
+        return (
+            f"the mass leaves the supposed belt anywhere over {1e3 * (high - low):.3g} mm, "
+            f"further than a slip is long ({1e3 * np.median(reach):.3g} mm)"
+        )
+    ends = [cycle.stick for cycle in seen if cycle.stick[1] - cycle.stick[0] >= LONG_STICK]
+    speeds = np.array([(x[j - 1] - x[i]) / (time[j - 1] - time[i]) for i, j in ends])
+    if sustained and speeds.size >= FEWEST_STICKS:
+        off = np.abs(speeds / np.median(speeds) - 1)
+        if float(np.quantile(off, 1.0 if few else 0.8)) > ONE_SPEED:
+            return f"its sticks run at {speeds.min():.3g} to {speeds.max():.3g} m/s, and a belt has one speed"
+    rested = len(seen) - len(cut.used)
+    if 2 * rested >= len(seen):
+        return f"the mass stands still in {rested} of {len(seen)} would-be slips"
+    if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
+        return "an oscillation that dies away, without a start-up; constant friction with damping is possible"
+    drag = cut.starts_at_rest and not sustained  # constant friction with damping: a start-up, then less and less motion
+    if not drag and _filled(motion, cut) < FILLED:
+        return f"only {len(seen)} cycle{'' if len(seen) == 1 else 's'} like it in {motion.span:.3g} s"
+    return ""
+
+
+def of_fits(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
+    """Say that no law describes the runs; "" where one does.  A sine looks the same at any friction."""
+    longest = max(_slip_length(run.motion, run.cut) for run in runs)
+    near = [fit for fit in fits if fit.usual < WORST_FIT * longest]
+    if not near:
+        return "no law comes near it"
+    best = min(near, key=lambda fit: fit.usual)
+    if sustained and math.exp(best.u[LOG_F]) < LEAST_FRICTION * best.u[K] * longest:
+        return f"law {best.law} comes nearest, without any friction"
+    return ""
+
+
+def _of_motion(motion: Motion) -> str:
+    """Say why a record without a single whole cycle shows no stick-slip."""
+    v = motion.velocity
+    if motion.travel < 20 * motion.resolution or motion.travel == 0:
+        return "nothing moves"
+    if v.min() >= SLIPPING * motion.belt_speed:
+        return f"the mass moves on at {motion.sign * np.median(v):.3g} m/s and never slips"
+    if _is_sine(motion):
+        return "a sine without a start-up; constant friction is possible"
+    if v.max() < SLIPPING * motion.belt_speed:
+        return f"the mass never moves with the belt, which is said to run at {motion.sign * motion.belt_speed:.3g} m/s"
+    return "no slip between two sticks"
+
+
+def _filled(motion: Motion, cut: Cut) -> float:
+    """Return the share of the record in which the mass rides, slips in a cycle that was found, or stands still."""
+    speed = motion.velocity / motion.belt_speed
+    known = (np.abs(speed) < REST_FRACTION) | ((speed > RIDING[0]) & (speed < RIDING[1]))
+    for cycle in cut.cycles:
+        known |= (motion.time >= cycle.onset) & (motion.time <= cycle.landing)
+    return float(np.mean(known))
+
+
+def _is_sine(motion: Motion) -> bool:
+    """Tell whether the position is a sine of at least two periods."""
+    x = motion.position - 0.5 * (motion.position.max() + motion.position.min())
+    up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
+    if up.size < 3:
+        return False
+    turns = 2 * np.pi * (up.size - 1) / (motion.time[up[-1]] - motion.time[up[0]]) * motion.time
+    shapes = np.stack([np.sin(turns), np.cos(turns), np.ones(turns.size)], axis=1)
+    rest = x - shapes @ np.linalg.lstsq(shapes, x, rcond=None)[0]
+    return float(np.std(rest)) < SINE * float(np.std(x))
+
+
+def _dies_away(velocity: Array) -> bool:
+    first, _, last = (float(np.max(np.abs(part))) for part in np.array_split(velocity, 3))
+    return last < DIES_AWAY * first
+
+
+def _slip_length(motion: Motion, cut: Cut) -> float:
+    """Return the median distance covered in a slip window, m."""
+    return float(np.median([np.ptp(motion.position[slice(*cycle.slip)]) for cycle in cut.used]))

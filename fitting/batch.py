@@ -1,0 +1,149 @@
+"""Many runs, each fitted by itself: a bad one tells its error in its own row and stops no other."""
+
+import os
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from daq.errors import (
+    EXIT_BUG,
+    EXIT_DATA,
+    EXIT_DEVICE,
+    EXIT_DONE,
+    EXIT_INPUT,
+    EXIT_UNDECIDED,
+    InputError,
+    StickslipError,
+)
+from fitting import report, task
+from fitting.task import Done, Prepared, Wishes
+from fitting.workers import workers
+
+WORST_FIRST = (EXIT_BUG, EXIT_DEVICE, EXIT_INPUT, EXIT_DATA)
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Why a run has no ranking, and the exit code that it alone would end in."""
+
+    what: str
+    where: str
+    do: str
+    code: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of one run: the document of the command for it alone, or its failure."""
+
+    file: Path
+    document: dict[str, Any]
+    failure: Failure | None = None
+
+    @property
+    def code(self) -> int:
+        """The exit code that this run alone would end in."""
+        if self.failure is not None:
+            return self.failure.code
+        return EXIT_DONE if len(self.document["set"]) == 1 else EXIT_UNDECIDED
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the run's part of the document."""
+        if self.failure is None:
+            return {"file": self.file} | self.document
+        error = {"what": self.failure.what, "where": self.failure.where, "do": self.failure.do}
+        return {"file": self.file, "error": error}
+
+
+def fit(
+    files: Sequence[Path],
+    places: Sequence[Path],
+    wishes: Wishes,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[Row]:
+    """Fit every run by itself; files are read and written here, by one process, whoever does the fitting.
+
+    Parameters
+    ----------
+    files, places : sequence of Path
+        Runs, and where their reports go.
+    wishes : Wishes
+    jobs : int
+        Processes; more than there are runs are not started.
+    scheduler : str, optional
+        Address of a dask scheduler, whose workers fit instead; they need no files.
+    progress : callable, optional
+        Called with the number of runs done.
+
+    Raises
+    ------
+    InputError
+        For fewer than one job, or a scheduler that cannot be used; never for a run.
+    """
+    if jobs < 1:
+        raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
+    rows = []
+    with workers(min(jobs, len(files)), scheduler) as each:
+        found = each(partial(_fitted, wishes=wishes), _read(files, places, wishes))
+        for file, place, one in zip(files, places, found, strict=True):
+            rows.append(_kept(file, place, one))
+            if progress is not None:
+                progress(float(len(rows)))
+    return rows
+
+
+def exit_code(rows: Sequence[Row]) -> int:
+    """Return 0 when every run is decided, else 5 when one is undecided, else the worst failure's."""
+    codes = {row.code for row in rows}
+    if codes == {EXIT_DONE}:
+        return EXIT_DONE
+    if EXIT_UNDECIDED in codes:
+        return EXIT_UNDECIDED
+    return next(code for code in WORST_FIRST if code in codes)
+
+
+def _read(files: Sequence[Path], places: Sequence[Path], wishes: Wishes) -> Iterator[Prepared | Failure]:
+    for file, place in zip(files, places, strict=True):
+        try:
+            report.refuse_stranger(place)
+            yield task.prepare(file, wishes)
+        except Exception as error:
+            yield _failure(error, file)
+
+
+def _fitted(run: Prepared | Failure, wishes: Wishes) -> Done | Failure:
+    """Fit one run, in whatever process."""
+    if isinstance(run, Failure):
+        return run
+    try:
+        return task.fit([run], wishes)
+    except Exception as error:
+        return _failure(error, run.recording.source)
+
+
+def _kept(file: Path, place: Path, found: Done | Failure) -> Row:
+    """Write what was found where it belongs."""
+    if isinstance(found, Failure):
+        return Row(file, {}, found)
+    try:
+        found.keep([file], [place])
+    except Exception as error:
+        return Row(file, {}, _failure(error, file))
+    return Row(file, found.ranking.as_json() | {"report": place})
+
+
+def _failure(error: Exception, file: Path) -> Failure:
+    """Return what the command would say of an error, and end in."""
+    if isinstance(error, StickslipError):
+        return Failure(error.what, error.where, error.do, error.exit_code)
+    if isinstance(error, OSError):
+        do = "check the path, its permissions and the free space on the disk"
+        return Failure(error.strerror or str(error), os.fspath(error.filename or file), do, EXIT_DEVICE)
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    what = f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"
+    return Failure(what, str(file), "this is a bug: fit this run alone, without --json, and report it", EXIT_BUG)

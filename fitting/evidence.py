@@ -1,0 +1,129 @@
+"""Evidence between laws, and the set of those that it cannot tell apart.
+
+Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
+A law pays for what it may adjust: (p/2n) log n in log error for p parameters and n cycles, and for the strain it puts
+on the calibrations, spread over the cycles.  Cycles that not even the best law describes (a kick) are no evidence.
+
+Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
+zero.  Inside the set a law is preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6,
+each jump law in its ramp law): then the winner's extra freedom bought nothing.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.motion import Array, Motion
+from fitting.setting import Run
+from fitting.trajectory import Fit
+
+NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
+FEWEST_CYCLES = 4
+DRAG_BLOCKS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Paired evidence: log error of each unit for each law, penalty included; shapes (laws, units) and (laws,)."""
+
+    laws: tuple[int, ...]
+    penalised: Array
+
+
+def _log_error(residual: Array, motion: Motion) -> float:
+    """Return the log of the rms, with the encoder's own error as the floor below which nothing is better."""
+    return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
+
+
+def judged(fits: Sequence[Fit]) -> NDArray[np.bool_]:
+    """Return which cycles are judged by, shape (cycles,): those that the best law describes, if these are enough.
+
+    A cycle with a kick in the middle of its slip is described by no law, and says nothing of which it is.
+    """
+    trusted = min(fits, key=lambda fit: fit.usual).trusted
+    return trusted if trusted.sum() >= FEWEST_CYCLES else np.ones_like(trusted)
+
+
+def unit_errors(fit: Fit, runs: Sequence[Run], taken: NDArray[np.bool_], *, sustained: bool) -> Array:
+    """Return the log error of every cycle of every run that is ``taken``, or of every piece of the start-up drags."""
+    found = []
+    for number, run in enumerate(runs):
+        part = fit.part(number)
+        if sustained:
+            own = taken[fit.windows.run == number]
+            kept = [rows for rows, good in zip(part.rows, own, strict=True) if good]
+            found.append(np.array([_log_error(part.residual[rows], run.motion) for rows in kept]))
+        elif run.cut.drag != (0, 0) and not run.cut.cycles[0].flag:
+            found.append(_drag_errors(part, run.motion, run.cut.drag))
+    return np.concatenate(found)
+
+
+def _drag_errors(fit: Fit, motion: Motion, drag: tuple[int, int]) -> Array:
+    """Return the log error of equal pieces of the start-up drag: the sine after it cannot tell law 1 from law 2."""
+    _, riding, first, count, *_ = fit.windows.table[0]
+    if not riding or fit.cycles[0].stick != drag:
+        raise RuntimeError("the first window is not the start-up drag")
+    end = first + count
+    return np.array([_log_error(part, motion) for part in np.array_split(fit.residual[first:end], DRAG_BLOCKS)])
+
+
+def penalised(fit: Fit, errors: Array) -> Array:
+    """Return the log errors with what the law pays for its freedom and for contradicting its calibrations."""
+    n = errors.size
+    return errors + (fit.free * math.log(n) + strain(fit)) / (2 * n)
+
+
+def strain(fit: Fit) -> float:
+    """Return what a fit pays for contradicting its calibrations, like a squared deviation where that is small.
+
+    Student's t with 4 degrees of freedom: a calibration can be plainly wrong, and then must not decide alone.
+    """
+    return float(np.sum(5 * np.log1p(fit.deviations**2 / 4)))
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Order of the laws, members of the set (best first), and score, weight and lag of each law."""
+
+    order: tuple[int, ...]
+    members: tuple[int, ...]
+    score: dict[int, float]
+    weight: dict[int, float]
+    behind: dict[int, tuple[float, float]]
+
+
+def choose(evidence: Evidence, alpha: float) -> Choice:
+    """Apply the set rule to the evidence.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        At least two units (cycles).
+    alpha : float
+        1 - confidence of the t-interval.
+    """
+    from scipy.stats import t as student
+
+    laws, errors = evidence.laws, evidence.penalised
+    n = errors.shape[1]
+    mean = errors.mean(axis=1)
+    winner = int(np.argmin(mean))
+    quantile = float(student.ppf(1 - alpha / 2, n - 1))
+    score = {law: float(2 * n * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
+    behind = {}
+    for i, law in enumerate(laws):
+        difference = errors[i] - errors[winner]
+        half = quantile * float(np.std(difference, ddof=1)) / math.sqrt(n)
+        behind[law] = (float(difference.mean()), half)
+    members = [law for law in sorted(laws, key=score.__getitem__) if behind[law][0] - behind[law][1] <= 0]
+    preferred = [law for law in members if law in NESTED[laws[winner]]]
+    if preferred:
+        first = preferred[0]
+        members = [first, *(law for law in members if law != first)]
+    others = [law for law in sorted(laws, key=score.__getitem__) if law not in members]
+    total = sum(math.exp(-value / 2) for value in score.values())
+    weight = {law: math.exp(-value / 2) / total for law, value in score.items()}
+    return Choice((*members, *others), tuple(members), score, weight, behind)

@@ -1,0 +1,126 @@
+"""Ripple: a belt whose speed swings at one frequency, found where the mass rides on it.
+
+In stick the mass moves as the belt does, so its velocity, less a straight line against its position (a ramp's, or a
+belt's that gives way), is the belt's swing seen through the windows of the sticks.  Its strongest harmonic is looked
+for on a grid by a Fourier transform with zeros where the mass slips, and settled by least squares on the samples
+themselves.  In the fit amplitude, phase and frequency are unknowns, with
+what the sticks show as a wide prior.
+
+Not modelled: a second harmonic, a frequency that drifts.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.motion import Array, Motion
+from fitting.windows import BEFORE_ONSET_S, Cut
+
+LEFT = 0.45  # of the velocity's variance in stick: a ripple worth the name leaves no more than this
+SMALLEST = 2e-3  # of the belt's speed
+SLOWEST_HZ, FASTEST_HZ = 0.2, 25.0  # slower than sticks are long it is no ripple; faster, smoothing has taken it away
+GRID_HZ = 100.0  # rate of the thinned record that is transformed
+FINER = 4  # times the transform's own grid of frequencies
+CANDIDATES = 5  # the gaps between sticks make false peaks beside the true one
+OUTLYING = 4.0  # robust standard deviations: corners that the cut left in
+FEWEST = 4  # sticks
+SETTLED_S = 0.02  # after a landing, at the least
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """The belt's speed swings by ``cosine`` cos(omega t) + ``sine`` sin(omega t); m/s, m/s, rad/s, t as recorded."""
+
+    cosine: float
+    sine: float
+    omega: float
+
+    @property
+    def amplitude(self) -> float:
+        """m/s."""
+        return math.hypot(self.cosine, self.sine)
+
+    def removed(self, motion: Motion) -> Motion:
+        """Return the motion with the swing taken off its smoothed velocity and acceleration, where corners show."""
+        even, odd = np.cos(self.omega * motion.time), np.sin(self.omega * motion.time)
+        return replace(
+            motion,
+            velocity=motion.velocity - (self.cosine * even + self.sine * odd),
+            acceleration=motion.acceleration - self.omega * (self.sine * even - self.cosine * odd),
+        )
+
+
+def find(motion: Motion, cut: Cut) -> Ripple | None:
+    """Return the ripple that the sticks show; None where they are few or show none to speak of.
+
+    Parameters
+    ----------
+    motion, cut : Motion, Cut
+        In the fit's frame.
+    """
+    index = _riding(motion, cut)
+    if index is None:
+        return None
+    time, x, v = motion.time[index], motion.position[index], motion.velocity[index]
+    columns = np.c_[np.ones_like(x), x - x.mean()]
+    middle = np.median(v)
+    kept = np.abs(v - middle) < 0.5 * motion.belt_speed
+    for _ in range(3):
+        rest = v - columns @ np.linalg.lstsq(columns[kept], v[kept], rcond=None)[0]
+        kept = np.abs(rest) <= OUTLYING * 1.4826 * np.median(np.abs(rest[kept]))
+    time, columns, v, rest = time[kept], columns[kept], v[kept], rest[kept]
+    peaks = _peaks(time, rest)
+    if not peaks:
+        return None
+    thin = slice(None, None, max(1, int(motion.time.size / motion.span / GRID_HZ)))
+    time, columns, v, rest = time[thin], columns[thin], v[thin], rest[thin]
+    before = float(rest @ rest)
+    origin = 0.5 * (time[0] + time[-1])  # far from it phase and frequency would trade against each other
+
+    def harmonic(hertz: float) -> tuple[float, Array]:
+        omega = 2 * math.pi * hertz
+        matrix = np.c_[columns, np.cos(omega * (time - origin)), np.sin(omega * (time - origin))]
+        found = np.linalg.lstsq(matrix, v, rcond=None)[0]
+        left = v - matrix @ found
+        return float(left @ left), np.asarray(found[2:], np.float64)
+
+    best = min(peaks, key=lambda hertz: harmonic(hertz)[0])
+    width = 0.5 / (time[-1] - time[0])
+    while width > 1e-3 / (time[-1] - time[0]):
+        best = min((best - width, best, best + width), key=lambda hertz: harmonic(hertz)[0])
+        width /= 2
+    after, (even, odd) = harmonic(best)
+    if after > LEFT * before or math.hypot(even, odd) < SMALLEST * motion.belt_speed:
+        return None
+    omega = 2 * math.pi * best
+    cos, sin = math.cos(omega * origin), math.sin(omega * origin)
+    return Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega)
+
+
+def _riding(motion: Motion, cut: Cut) -> NDArray[np.int64] | None:
+    """Return the samples in which the mass rides on the belt, well away from corners; None with too few sticks."""
+    settle = max(motion.half_window, SETTLED_S)
+    parts = []
+    for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
+        first = int(np.searchsorted(motion.time, before.landing + settle))
+        end = int(np.searchsorted(motion.time, after.onset - BEFORE_ONSET_S))
+        if end > first:
+            parts.append(np.arange(first, end))
+    return np.concatenate(parts) if len(parts) >= FEWEST else None
+
+
+def _peaks(time: Array, rest: Array) -> list[float]:
+    """Return the strongest frequencies of what is left in stick, Hz."""
+    grid = np.bincount(((time - time[0]) * GRID_HZ).astype(np.int64), weights=rest)
+    size = FINER * grid.size
+    power = np.abs(np.fft.rfft(grid, size)) ** 2
+    hertz = np.fft.rfftfreq(size, 1 / GRID_HZ)
+    power[(hertz < SLOWEST_HZ) | (hertz > FASTEST_HZ)] = 0.0
+    found: list[float] = []
+    while len(found) < CANDIDATES and power.any():
+        top = int(np.argmax(power))
+        found.append(float(hertz[top]))
+        power[max(top - FINER, 0) : top + FINER + 1] = 0.0
+    return found

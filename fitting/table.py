@@ -1,0 +1,45 @@
+"""The ranking as a table for other programs: comma-separated, a row for each run and law, parameters as columns."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from daq import runfile
+from daq.errors import InputError
+
+EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
+
+
+def refuse(path: Path, files: Sequence[Path]) -> None:
+    """Raise InputError when the table cannot go to ``path``: a folder, a run, a file that is no table of ours."""
+    if path.is_dir():
+        raise InputError("is a folder", str(path), "give a file name with --csv")
+    if not path.absolute().parent.is_dir():
+        raise InputError("its folder does not exist", str(path), f"make {path.absolute().parent} first")
+    if path.resolve() in {file.resolve() for file in files}:
+        raise InputError("is one of the runs", str(path), "give another name with --csv")
+    if path.exists():
+        with path.open("rb") as file:
+            if not file.read(16).startswith(b"file,law,name,"):
+                raise InputError("exists and is no ranking", str(path), "give another name with --csv")
+
+
+def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:
+    """Write the rankings of runs.
+
+    Parameters
+    ----------
+    path : Path
+    documents : sequence of (Path, dict)
+        Run file and its JSON document; a run without a ranking has no rows.
+    """
+    rows = [(file, row) for file, document in documents for row in document.get("ranking", ())]
+    names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
+    with runfile.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        told = [f"{name}{part}" for name in names for part in ("", " stderr")]
+        out.writerow(["file", *EVIDENCE, *told])
+        for run, row in rows:
+            found = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
+            out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *found])

@@ -1,0 +1,133 @@
+"""One task of `fit-friction`: runs read and calibrated as asked for, fitted as one contact, and told about."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from daq import runfile
+from daq.errors import InputError
+from daq.recording import Recording
+from daq.rig import Measured, Rig
+from fitting import report, store
+from fitting.ranking import ALL_LAWS, rank
+from fitting.result import Ranking
+from processing import stage
+from processing.kinematics import Kinematics
+from processing.smoothing import smooth
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the command line asks for, the same for every run; None leaves the run's own calibration as it is."""
+
+    laws: tuple[int, ...] = ALL_LAWS
+    mass: Measured | None = None
+    stiffness: Measured | None = None
+    datum: float | None = None
+    datum_sd: float | None = None
+    damping: float | None = None
+    damping_sd: float | None = None
+    belt_speed: float | str | None = None
+    excluded: tuple[int, ...] = ()
+    alpha: float = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A run as it was read: smoothed already, where its file holds that stage; with the calibration to use."""
+
+    recording: Recording
+    kinematics: Kinematics | None
+    rig: Rig
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """A ranking and the page of each run."""
+
+    ranking: Ranking
+    pages: tuple[str, ...]
+
+    def keep(self, files: Sequence[Path], places: Sequence[Path]) -> None:
+        """Write results into the run files and the reports beside them."""
+        for path, place, page, side in zip(
+            files, places, self.pages, self.ranking.runs or (self.ranking,), strict=True
+        ):
+            store.save(side, path)
+            report.write(page, place)
+
+
+def prepare(path: Path, wishes: Wishes) -> Prepared:
+    """Read a run.
+
+    Raises
+    ------
+    InputError
+        For a file that is no run, or a calibration that cannot be.
+    """
+    kinematics = stage.load(path)
+    recording = runfile.load(path) if kinematics is None else kinematics.recording
+    return Prepared(recording, kinematics, _rig(recording.rig, wishes))
+
+
+def fit(
+    runs: Sequence[Prepared],
+    wishes: Wishes,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Done:
+    """Smooth what is not yet smoothed, rank the laws, and write the pages."""
+    speed = wishes.belt_speed
+    known = "auto" if speed is None or isinstance(speed, str) else speed
+    motions = [smooth(run.recording, belt_speed=known) if run.kinematics is None else run.kinematics for run in runs]
+    ranking = rank(
+        motions,
+        [run.rig for run in runs],
+        wishes.laws,
+        belt_speed=speed,
+        excluded=wishes.excluded,
+        alpha=wishes.alpha,
+        jobs=jobs,
+        progress=progress,
+        scheduler=scheduler,
+    )
+    sides = ranking.runs or (ranking,)
+    return Done(
+        ranking, tuple(report.render(side, motion, wishes.alpha) for side, motion in zip(sides, motions, strict=True))
+    )
+
+
+def _rig(rig: Rig, wishes: Wishes) -> Rig:
+    """Return a run's calibration with what is known better."""
+    for name in ("mass", "stiffness"):
+        found = getattr(wishes, name)
+        if found is not None and not found.value > 0:
+            raise InputError(f"{name} is {found.value}", f"--{name}", "give one above 0")
+    if wishes.mass is not None:
+        rig = replace(rig, mass=wishes.mass)
+    if wishes.stiffness is not None:
+        rig = replace(rig, mass=wishes.mass, stiffness=wishes.stiffness)
+    if wishes.datum_sd is not None and wishes.datum is None and rig.datum is None:
+        raise InputError("--datum-sd without a datum", "--datum-sd", "give --datum too")
+    if wishes.datum is not None or wishes.datum_sd is not None:
+        rig = replace(rig, datum=_changed(rig.datum, wishes.datum, wishes.datum_sd))
+    if wishes.damping is None and wishes.damping_sd is None:
+        return rig
+    damping = _changed(rig.damping, wishes.damping, wishes.damping_sd)
+    if damping.value < 0:
+        raise InputError(f"damping is {damping.value}", "--damping", "give 0 or more, in N s/m")
+    if rig.mass is None and rig.stiffness is None:
+        raise InputError("--damping in N s/m without a mass", "--damping", "give --mass or --stiffness too")
+    return replace(rig, damping=damping)
+
+
+def _changed(known: Measured | None, value: float | None, sd: float | None) -> Measured:
+    """Return a calibration with the value, the error, or both replaced; a new value without an error is exact."""
+    if value is None:
+        value = known.value if known is not None else 0.0
+    elif sd is None:
+        sd = 0.0
+    if sd is None or sd < 0:
+        raise InputError(f"standard deviation is {sd}", "command line", "give one of 0 or more")
+    return Measured(float(value), float(sd))

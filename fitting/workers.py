@@ -1,0 +1,170 @@
+"""Where the fitting is done: in this process, in several on this machine, or by the workers of a dask scheduler.
+
+Each gives a ``map``: results in the order of the items, a few items ahead of the one asked for, the same to the last
+bit wherever they were made.
+"""
+
+import signal
+import socket
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from importlib.util import find_spec
+from multiprocessing import active_children, get_context
+from typing import Any
+from urllib.parse import urlsplit
+
+from daq.errors import DeviceError, InputError
+from daq.version import VERSION
+
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
+FLAG = "--scheduler"
+AHEAD = 2  # items a worker: one in the work, one at hand
+PATIENCE_S = 10
+
+
+@contextmanager
+def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Map]:
+    """Give ``map(function, items)``; whatever ends the block, Ctrl-C too, ends the work.
+
+    Parameters
+    ----------
+    jobs : int
+        Processes on this machine; one is this process itself.
+    scheduler : str, optional
+        Address of a dask scheduler, ``tcp://host:8786`` or ``host:8786``; goes before ``jobs``.
+
+    Raises
+    ------
+    InputError
+        When dask.distributed is not installed, nothing answers at the address, no worker is there, or the workers hold
+        another version of this package.
+    DeviceError
+        When a process or worker was killed.
+    """
+    if scheduler is not None:
+        with _cluster(scheduler) as each:
+            yield each
+    elif jobs > 1:
+        with _processes(jobs) as each:
+            yield each
+    else:
+        yield map
+
+
+@contextmanager
+def _processes(number: int) -> Iterator[Map]:
+    """Give ``map`` in fresh processes, which are ended, not waited for, when the block is left by an exception."""
+    others = set(active_children())
+    pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_deaf)
+
+    def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+        return _ordered(lambda item: pool.submit(function, item), items, AHEAD * number)
+
+    try:
+        yield each
+    except BaseException as error:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in set(active_children()) - others:
+            child.terminate()
+        if isinstance(error, BrokenProcessPool):
+            do = "a machine short of memory does that: use fewer --jobs"
+            raise DeviceError("a fitting process was killed", "--jobs", do) from None
+        raise
+    pool.shutdown()
+
+
+def _deaf() -> None:
+    """Leave Ctrl-C to the process that started this one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _cluster(address: str) -> Iterator[Map]:
+    """Give ``map`` on a dask scheduler's workers."""
+    if find_spec("distributed") is None:
+        raise InputError("dask.distributed is not installed", FLAG, "pip install 'stickslip[cluster]'")
+    from distributed import Client
+    from distributed.scheduler import KilledWorker
+
+    _knock(address)
+    try:
+        client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no dask scheduler answers: {error}", f"{FLAG} {address}", "start one: dask scheduler"
+        ) from None
+    futures: list[Any] = []
+
+    def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+        sent = client.scatter(function, hash=False)  # with what all items share, once
+
+        def submit(item: Any) -> Any:
+            future = client.submit(_call, sent, item, pure=False)
+            futures.append(future)
+            return future
+
+        return _ordered(submit, items, AHEAD * max(len(client.nthreads()), 1))
+
+    try:
+        _check_workers(client, address)
+        yield each
+    except KilledWorker:
+        do = "see the worker's log; short of memory, most likely"
+        raise DeviceError("a dask worker died of this work", f"{FLAG} {address}", do) from None
+    finally:
+        client.cancel(futures)
+        client.close()
+
+
+def _call(function: Callable[[Any], Any], item: Any) -> Any:
+    return function(item)
+
+
+def _knock(address: str) -> None:
+    """Raise InputError, at once and quietly, when nothing listens at a scheduler's address."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    try:
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if parts.scheme not in ("tcp", "tls") or not host or port is None:
+        raise InputError(f"{address!r} is no address", FLAG, "give the scheduler's, such as tcp://127.0.0.1:8786")
+    try:
+        socket.create_connection((host, port), PATIENCE_S).close()
+    except OSError as error:
+        what = f"no dask scheduler answers ({error.strerror or error})"
+        raise InputError(what, f"{FLAG} {address}", "start one ('dask scheduler') or check the address") from None
+
+
+def _check_workers(client: Any, address: str) -> None:
+    """Raise InputError unless there are workers, and they hold this version of the package."""
+    where = f"{FLAG} {address}"
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+    except TimeoutError:
+        raise InputError("the scheduler has no worker", where, f"start one: dask worker {address}") from None
+    try:
+        found = set(client.run(_version).values())
+    except ImportError as error:
+        raise InputError(f"the workers lack {error.name}", where, f"install stickslip {VERSION} there") from None
+    if found != {VERSION}:
+        held = ", ".join(sorted(found - {VERSION}))
+        raise InputError(f"the workers hold stickslip {held}", where, f"install {VERSION} there, as here")
+
+
+def _version() -> str:
+    return VERSION
+
+
+def _ordered(submit: Callable[[Any], Any], items: Iterable[Any], ahead: int) -> Iterator[Any]:
+    """Yield the results in order; of the items only so many are made, and held, at a time."""
+    waiting: deque[Any] = deque()
+    for item in items:
+        waiting.append(submit(item))
+        if len(waiting) >= ahead:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()

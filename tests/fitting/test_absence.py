@@ -1,0 +1,124 @@
+"""Records that are no belt stick-slip get no ranking but a clear reason, whatever is known of the rig."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq import cli as daq_cli
+from daq import terminal
+from daq.errors import DataError
+from daq.rig import Measured, Rig
+from fitting import cli
+from fitting.ranking import rank
+from processing.smoothing import smooth
+
+NAMES = (
+    "ramp",
+    "ramp_with_noise",
+    "constant",
+    "noise",
+    "random_walk",
+    "smooth_noise",
+    "sine",
+    "decay",
+    "coulomb_decay",
+    "positioning_drive",
+    "positioning_sweep",
+    "square",
+    "steps",
+    "two_sines",
+)
+KNOWN = {
+    "nothing": Rig(),
+    "mass": Rig(mass=Measured(0.3, 1e-3)),
+    "all": Rig(mass=Measured(0.3, 1e-3), datum=Measured(0.0, 5e-4), belt_speed=Measured(0.22, 2e-3)),
+}
+WHY = {
+    "constant": "nothing moves",
+    "ramp": "the mass (moves on at|never moves with)",
+    "sine": "a sine without a start-up; constant friction is possible",
+    "decay": "an oscillation that dies away",
+    "coulomb_decay": "an oscillation that dies away",
+    "steps": "the mass never comes back",
+}
+
+
+def standing(recording, seconds):
+    """Let the belt stand from ``seconds`` on: the mass stays where it is."""
+    x = recording.position.copy()
+    x[np.searchsorted(recording.time, seconds) :] = x[np.searchsorted(recording.time, seconds)]
+    return replace(recording, position=x)
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("known", KNOWN)
+@pytest.mark.parametrize("name", NAMES)
+def test_no_stick_slip_is_never_ranked(strangers, synthetic, name, known, seed):
+    time, position = strangers.ALL[name](np.random.default_rng(seed))
+    blank = synthetic.recording(law=5, duration=1.0)
+    recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=KNOWN[known])
+    with pytest.raises(DataError, match="no belt stick-slip in this record: " + WHY.get(name, "")):
+        rank(smooth(recording))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("flags", [(), ("--mass", "300 g", "--belt", "0.22", "--datum", "0")])
+def test_an_imported_stranger_ends_in_exit_code_4(tmp_path, strangers, name, flags, capsys):
+    time, position = strangers.ALL[name](np.random.default_rng(3))
+    table = tmp_path / "track.csv"
+    np.savetxt(table, np.c_[time, position], delimiter=",", header="t,x", comments="", fmt="%.7g")
+    run = tmp_path / "run.h5"
+    assert terminal.run(daq_cli.app, ["import", str(table), "-o", str(run), *flags]) == 0
+    capsys.readouterr()
+    assert terminal.run(cli.app, [str(run), "--json"]) == 4
+    told = json.loads(capsys.readouterr().out)["error"]
+    assert told["what"].startswith("no belt stick-slip in this record: ")
+    assert told["where"]
+    assert told["do"]
+    assert not Path(tmp_path / "run.report.html").exists()
+
+
+@pytest.mark.parametrize("law", [3, 4, 5])
+def test_a_belt_that_stands_for_most_of_the_record_leaves_the_law_as_it_is(synthetic, law):
+    # Standing counted as record without a stick: laws 3 and 4 became constant friction.
+    ranking = rank(smooth(standing(synthetic.recording(law=law, seed=2, duration=30.0), 10.0)))
+    assert ranking.laws_in_set[0] == law
+    assert ranking.cut.plateau_fraction > 0.24
+
+
+def test_a_slip_in_which_the_belt_stood_is_left_out(synthetic):
+    run = synthetic.recording(law=5, seed=4, duration=12.0)
+    x = run.position
+    joined = np.r_[x, np.full(6000, x[-1]), np.linspace(x[-1], x[0], 500), x]
+    time = np.arange(joined.size) / 1000
+    ranking = rank(smooth(replace(run, position=joined, time=time, segment=np.zeros(time.size, np.uint16))))
+    assert ranking.laws_in_set[0] == 5
+    assert [event.flag for event in ranking.events].count("rest") == 1
+
+
+def test_a_belt_that_never_runs_is_named_so(synthetic):
+    with pytest.raises(DataError, match="no belt stick-slip in this record: nothing moves"):
+        rank(smooth(synthetic.recording(law=5, duration=6.0, belt_start=99.0)))
+
+
+@pytest.mark.parametrize(("seconds", "cycles"), [(2.0, 1), (5.0, 2), (7.0, 3)])
+def test_a_few_cycles_are_counted_and_more_asked_for(synthetic, seconds, cycles):
+    with pytest.raises(DataError, match=f"^.*{cycles} complete stick-slip cycles?; a verdict needs 4; record longer"):
+        rank(smooth(synthetic.recording(law=5, duration=seconds)))
+
+
+def test_less_than_a_cycle_is_no_stick_slip_yet(synthetic):
+    with pytest.raises(DataError, match="no slip between two sticks"):
+        rank(smooth(synthetic.recording(law=5, duration=1.2)))
+
+
+def test_a_friction_like_none_of_the_six_is_said_to_be_so(strangers, synthetic):
+    time, position = strangers.sawtooth(np.random.default_rng(1))
+    blank = synthetic.recording(law=5, duration=1.0)
+    rig = Rig(mass=Measured(0.3))
+    recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=rig)
+    ranking = rank(smooth(recording))
+    assert any("no law fits well" in warning for warning in ranking.warnings)

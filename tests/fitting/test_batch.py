@@ -1,0 +1,251 @@
+"""`fit-friction --each`: every run by itself, here, in processes, or on a dask scheduler, and what a bad one does."""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import h5py
+import pytest
+
+from daq import runfile, terminal
+from daq.errors import DeviceError, InputError
+from fitting import batch, cli, workers
+from fitting.batch import Failure, Row
+from processing.smoothing import smooth
+
+needs_dask = pytest.mark.skipif(find_spec("distributed") is None, reason="dask.distributed is not installed")
+
+
+def written(path, recording):
+    runfile.write(
+        path,
+        runfile.RunData(
+            title="synthetic",
+            started=recording.started,
+            ended=recording.ended,
+            rate_hz=recording.rate_hz,
+            rig=recording.rig,
+            time=recording.time,
+            position=recording.position,
+        ),
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory, synthetic):
+    """Write a run of law 5, one of law 3, one too short, and a file that is none."""
+    folder = tmp_path_factory.mktemp("batch")
+    written(folder / "five.h5", synthetic.recording(law=5, duration=10.0))
+    written(folder / "three.h5", synthetic.recording(law=3, duration=10.0))
+    written(folder / "short.h5", synthetic.recording(law=5, duration=4.0))
+    (folder / "none.h5").write_text("no run")
+    return folder
+
+
+@pytest.fixture
+def folder(originals, tmp_path):
+    return Path(shutil.copytree(originals, tmp_path / "runs"))
+
+
+def documents(capsys, *arguments):
+    """Run the command; return exit code and document."""
+    code = terminal.run(cli.app, [*map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def without_times(document):
+    """Leave out what differs from run to run: CPU times, and where files lie."""
+    if isinstance(document, dict):
+        left_out = ("cpu_s", "file", "report", "where")
+        return {key: without_times(item) for key, item in document.items() if key not in left_out}
+    if isinstance(document, list):
+        return [without_times(item) for item in document]
+    return document
+
+
+@pytest.fixture(scope="module")
+def alone(originals, tmp_path_factory):
+    """Give each run's document from the command for it alone."""
+    folder = Path(shutil.copytree(originals, tmp_path_factory.mktemp("alone") / "runs"))
+    return {name: terminal.plain(cli.fit(folder / f"{name}.h5", laws="3,5").data) for name in ("five", "three")}
+
+
+@pytest.mark.parametrize("how", [(), ("--jobs", "2")])
+def test_a_batch_says_of_each_run_what_the_command_says_of_it_alone(folder, capsys, alone, how):
+    files = [folder / f"{name}.h5" for name in ("five", "none", "three", "short", "missing")]
+    code, document = documents(capsys, "--each", *files, "--laws", "3,5", *how)
+    five, none, three, short, missing = document["runs"]
+    assert [run["file"] for run in document["runs"]] == [str(file) for file in files]
+    assert without_times(five) == without_times(alone["five"])
+    assert without_times(three) == without_times(alone["three"])
+    assert "HDF5" in none["error"]["what"]
+    assert "complete stick-slip" in short["error"]["what"]
+    assert "no such file" in missing["error"]["what"]
+    assert code == 2
+    with h5py.File(files[0]) as file:
+        assert "fit_law5" in file["entry"]
+    assert (folder / "five.report.html").exists()
+    assert not (folder / "short.report.html").exists()
+
+
+def test_a_batch_is_a_table_on_the_screen(folder, capsys):
+    assert terminal.run(cli.app, ["--each", str(folder / "five.h5"), str(folder / "none.h5"), "--laws", "3,5"]) == 2
+    shown = capsys.readouterr().out
+    assert " five.h5     5   law 5 (friction falling hyperbolically)" in shown
+    assert " none.h5     -   error: is not an HDF5 file" in shown
+    assert "2 runs: 1 decided, 0 undecided, 1 failed" in shown
+
+
+@pytest.mark.parametrize(
+    ("codes", "expected"),
+    [((0, 0), 0), ((0, 5), 5), ((0, 4), 4), ((4, 2), 2), ((2, 3), 3), ((3, 1), 1), ((0, 4, 5), 5)],
+)
+def test_the_exit_code_of_a_batch(codes, expected):
+    rows = [
+        Row(
+            Path("x"),
+            {"set": [5] if code == 0 else [5, 6]},
+            Failure("", "", "", code) if code in (1, 2, 3, 4) else None,
+        )
+        for code in codes
+    ]
+    assert batch.exit_code(rows) == expected
+
+
+def test_a_foreign_report_is_that_runs_own_error(folder, capsys):
+    (folder / "five.report.html").write_text("mine")
+    code, document = documents(capsys, "--each", folder / "five.h5", folder / "three.h5", "--laws", "3")
+    assert "no report" in document["runs"][0]["error"]["what"]
+    assert document["runs"][1]["set"] == [3]
+    assert code == 2
+
+
+def test_a_bug_in_one_run_is_told_as_one_and_stops_no_other(folder, capsys, monkeypatch):
+    from fitting import task
+
+    def broken(runs, wishes):
+        if "five" in str(runs[0].recording.source):
+            raise ZeroDivisionError("by nothing")
+        return done(runs, wishes)
+
+    done = task.fit
+    monkeypatch.setattr(task, "fit", broken)
+    code, document = documents(capsys, "--each", folder / "five.h5", folder / "three.h5", "--laws", "3")
+    assert "ZeroDivisionError" in document["runs"][0]["error"]["what"]
+    assert document["runs"][1]["set"] == [3]
+    assert code == 1
+
+
+def test_no_job_is_refused(folder):
+    with pytest.raises(InputError, match="jobs is 0"):
+        cli.fit(folder / "five.h5", each=True, jobs=0)
+
+
+def killed(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_process_is_one_clear_error():
+    with pytest.raises(DeviceError, match="was killed"), workers.workers(2) as each:
+        list(each(killed, [1]))
+
+
+def test_an_interrupt_ends_the_processes(folder):
+    script = (
+        "import sys\nfrom fitting import workers, cli\nfrom time import sleep\n"
+        "from multiprocessing import active_children\n"
+        "if __name__ == '__main__':\n"
+        "    try:\n"
+        "        with workers.workers(2) as each:\n"
+        "            found = each(sleep, [0.0, 600.0, 600.0])\n"
+        "            next(found)\n"
+        "            print(*[child.pid for child in active_children()], flush=True)\n"
+        "            next(found)\n"
+        "    except KeyboardInterrupt:\n"
+        "        sys.exit(130)\n"
+    )
+    path = folder / "script.py"
+    path.write_text(script)
+    with subprocess.Popen(
+        [sys.executable, str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        children = [int(word) for word in run.stdout.readline().split()]
+        run.send_signal(signal.SIGINT)
+        _, said = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert children
+    assert said == ""
+    deadline = time.monotonic() + 20
+    while any(Path(f"/proc/{child}").exists() for child in children) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(Path(f"/proc/{child}").exists() for child in children)
+
+
+def test_without_dask_the_extra_is_named(folder, monkeypatch):
+    monkeypatch.setattr(workers, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"not installed; pip install 'stickslip\[cluster\]'"):
+        cli.fit(folder / "five.h5", scheduler="tcp://127.0.0.1:8786")
+
+
+@needs_dask
+@pytest.mark.parametrize("address", ["nonsense", "foo://1:2", "tcp://host:port", "tcp://:8786"])
+def test_what_is_no_address_is_refused(folder, address):
+    with pytest.raises(InputError, match="is no address"):
+        cli.fit(folder / "five.h5", scheduler=address)
+
+
+@needs_dask
+def test_an_address_where_nothing_listens_is_refused_at_once(folder):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    with pytest.raises(InputError, match="no dask scheduler answers"):
+        cli.fit(folder / "five.h5", each=True, scheduler=f"127.0.0.1:{port}")
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Start a scheduler and two workers of one thread, in processes of their own; give the address."""
+    script = (
+        "from distributed import LocalCluster\n"
+        "if __name__ == '__main__':\n"
+        "    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:\n"
+        "        print(cluster.scheduler_address, flush=True)\n"
+        "        input()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as run:
+        yield run.stdout.readline().strip()
+        run.stdin.write("\n")
+
+
+@needs_dask
+def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
+    files = [folder / "five.h5", folder / "none.h5", folder / "three.h5"]
+    code, document = documents(capsys, "--each", *files, "--laws", "3,5", "--scheduler", cluster)
+    assert code == 2
+    assert without_times(document["runs"][0]) == without_times(alone["five"])
+    assert "error" in document["runs"][1]
+    assert without_times(document["runs"][2]) == without_times(alone["three"])
+
+
+@needs_dask
+def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
+    from fitting.ranking import rank
+
+    runs = [smooth(synthetic.recording(law=5, duration=10.0, belt=speed)) for speed in (0.15, 0.25)]
+    here, there = rank(runs, laws=(3, 5)), rank(runs, laws=(3, 5), scheduler=cluster)
+    assert there.laws_in_set == here.laws_in_set
+    assert [row.parameters for row in there.rows] == [row.parameters for row in here.rows]

@@ -1,0 +1,71 @@
+"""A belt whose speed swings: seen in the sticks, fitted along, and never mistaken for a ramp."""
+
+import math
+
+import numpy as np
+import pytest
+
+from fitting import motion as frame
+from fitting import ripple, windows
+from fitting.ranking import rank
+
+HERTZ, AMPLITUDE = 2.3, 0.0044
+
+
+def found_in(kinematics):
+    motion = frame.of(kinematics, kinematics.recording.rig, None)
+    return ripple.find(motion, windows.cut(motion))
+
+
+@pytest.fixture(scope="module")
+def swinging(simulated):
+    """Give a function that records a law on a belt that swings by 2 %."""
+    return lambda law: simulated(
+        f"friction.law={law}", f"belt.ripple={AMPLITUDE}", f"belt.ripple_hz={HERTZ}", "scatter.Fs=0.1"
+    )
+
+
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
+def test_the_sticks_show_frequency_amplitude_and_phase(swinging, law):
+    swing = found_in(swinging(law))
+    assert swing.omega == pytest.approx(2 * math.pi * HERTZ, abs=2 * math.pi * 0.005)
+    assert swing.amplitude == pytest.approx(AMPLITUDE, rel=0.15)
+    # the scene's belt starts at 0.5 s: its swing is AMPLITUDE sin(2 pi f (t - 0.5)); compared in the middle of the run
+    t = 10.0 + np.linspace(0, 1 / HERTZ, 50)
+    seen = swing.cosine * np.cos(swing.omega * t) + swing.sine * np.sin(swing.omega * t)
+    assert seen == pytest.approx(AMPLITUDE * np.sin(2 * math.pi * HERTZ * (t - 0.5)), abs=0.3 * AMPLITUDE)
+
+
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
+def test_a_steady_belt_shows_none(simulated, law):
+    assert found_in(simulated(f"friction.law={law}", "scatter.Fs=0.1")) is None
+
+
+def test_constant_friction_has_no_sticks_to_show_it(swinging):
+    assert found_in(swinging(1)) is None
+
+
+@pytest.mark.parametrize("law", [3, 5])
+def test_a_belt_that_swings_is_no_ramp(swinging, law):
+    ranking = rank(swinging(law))
+    assert ranking.laws_in_set[0] == law
+    assert ranking.best.fit.usual < 5e-6  # down to the counts, 2.2 um
+    assert ranking.best.parameters["ripple"].value == pytest.approx(AMPLITUDE, rel=0.01)
+    assert ranking.best.parameters["ripple_hz"].value == pytest.approx(HERTZ, abs=1e-3)
+    assert any("swings by 2 % at 2.3 Hz" in warning for warning in ranking.warnings)
+
+
+def test_a_ramp_on_a_belt_that_swings_comes_back(swinging):
+    ranking = rank(swinging(6))
+    assert ranking.laws_in_set == (6,)
+    width = ranking.best.parameters["d"]
+    assert width.lo <= 0.03 <= width.hi
+    assert width.value == pytest.approx(0.03, rel=0.015)
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
+    motion = simulated(
+        f"seed={100 + seed}", "friction.law=1", "belt.ripple=0.0044", "belt.ripple_hz=1.3", "scatter.Fs=0.1"
+    )
+    assert 1 in rank(motion).laws_in_set
