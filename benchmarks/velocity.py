@@ -2,10 +2,10 @@
 
 ``python benchmarks/velocity.py [SEEDS] [SAMPLES]``: the bench is law 5 in SI units for 60 s at 1 kHz (scene `rig`, belt
 running from the start), counts = floor(x/pitch), sample times with 30 us of jitter recorded to 1 us, for SEEDS seeds
-(default 2); SAMPLES (default 2e6; 1e8 is the claim, and takes minutes) is the length of the record that is smoothed in
-chunks.  Errors are root mean square and largest of the velocity, mm/s.  CPU is that of one run of one process,
-compiling left out, best of a few.  Peers have their knobs tuned on the truth, which no user can; those that are not
-installed (dependency group `bench`) are left out and named.
+(default 2; `velocity_seeds.py` tells the claims of many); SAMPLES (default 2e6; 1e8 is the claim, and takes minutes) is
+the length of the record that is smoothed in chunks.  Errors are root mean square and largest of the velocity, mm/s.
+CPU is that of one run of one process, compiling left out, best of a few.  Peers have their knobs tuned on the truth,
+which no user can; those that are not installed (dependency group `bench`) are left out and named.
 """
 
 import json
@@ -67,6 +67,7 @@ class Bench:
         self.pitch = pitch
         self.landings = np.array([event.t for event in motion.events if event.kind.endswith("S")])
         onsets = np.array([event.t for event in motion.events if event.kind.startswith("S")])
+        self.kicks = np.array([event.t for event in motion.events if event.kind == "kick"])
         landed, left = (np.searchsorted(at, instants) for at in (self.landings, onsets))
         self.stuck = np.r_[-np.inf, self.landings][landed] > np.r_[-np.inf, onsets][left]
         self.near = np.zeros(n, bool)
@@ -250,7 +251,7 @@ def speed(bench: Bench) -> dict[str, float]:
     counted = savgol.Counted(even.count, even.pitch)
     values = np.empty((3, even.time.size))
     found = {}
-    for window in (5, 21, 41, 101, 301, 1001):
+    for window in (5, 21, 41, 101, 301, 1001, 1501, 3001):
         cpu, _ = timed(lambda w=window: savgol.inside(even.position, w, 4, counted, values), 20)
         peer, _ = timed(lambda w=window: [savgol_filter(even.position, w, 4, deriv=d) for d in range(3)], 3)
         found[f"sg {window},4"] = even.time.size / cpu / 1e6
@@ -335,13 +336,13 @@ def long_record(n: int) -> dict[str, float]:
         run = bench.run()
         long = replace(
             run,
-            time=np.concatenate([run.time + 60.0 * k for k in range(times)])[:n],
+            time=np.concatenate([run.time + 61.0 * k for k in range(times)])[:n],
             position=np.tile(run.position, times)[:n],
             count=np.tile(run.count, times)[:n],
         )
         runfile.write(path, long)
         del long
-        for method, setting in (("sg", (41, 4)), ("auto", ())):
+        for method, setting in (("sg", (41, 4)), ("rts", ()), ("auto", ())):
             begun = clock.process_time()
             chunked.smooth(path, method, *setting)
             found[f"{method}, CPU s"] = clock.process_time() - begun
@@ -354,6 +355,8 @@ def long_record(n: int) -> dict[str, float]:
                     for name in table:
                         table[name][at : at + chunked.CHUNK] = made[name][at : at + chunked.CHUNK]
             found[f"{method}, read + write alone, CPU s"] = clock.process_time() - begun
+            alone, whole = found[f"{method}, read + write alone, CPU s"], found[f"{method}, CPU s"]
+            found[f"{method}, share of the speed of read + write"] = alone / whole
     return found
 
 

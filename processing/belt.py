@@ -43,6 +43,12 @@ class Belt:
         return float(np.median(self.velocity[moving])) if moving.any() else math.nan
 
 
+def counted(recording: "Recording") -> bool:
+    """Tell whether the recording has a belt's counts that `beside` can use."""
+    rig = recording.rig
+    return recording.belt_count is not None and rig.belt_metres_per_count is not None and recording.unit == "m"
+
+
 def beside(recording: "Recording", series: Series, motion: Motion) -> Belt | None:
     """Return the belt of a recording; None without a channel or a common unit.
 
@@ -60,7 +66,7 @@ def beside(recording: "Recording", series: Series, motion: Motion) -> Belt | Non
         What a method made of the positions.
     """
     pitch = recording.rig.belt_metres_per_count
-    if recording.belt_count is None or pitch is None or recording.unit != "m":
+    if not counted(recording) or recording.belt_count is None or pitch is None:
         return None
     travel = (recording.belt_count - recording.belt_count[0]) * pitch.value
     own = replace(series, position=travel, origin=0.0, pitch=abs(pitch.value))

@@ -3,9 +3,7 @@
 A chunk is smoothed like a record of its own, from `MARGIN` samples before it to as many behind; what is kept is the
 chunk.  Savitzky-Golay takes one window throughout, chosen from stretches spread over the record; the smoothers learn
 their noise levels and find sticks in every chunk anew.  Memory does not grow with the record, but for a line per stick
-and slip.
-
-Not offered: nominal times of an import, whose even grid only the whole record tells.
+and slip.  The even grid of an import, which only the whole record tells, takes a pass of its own.
 """
 
 import math
@@ -21,9 +19,11 @@ from numpy.typing import NDArray
 from daq import runfile
 from daq.errors import InputError, nearest
 from daq.recording import Recording
-from processing import faults, kicks, methods, phases, savgol, series, stage
+from processing import belt as belts
+from processing import faults, import_grid, kicks, methods, phases, savgol, series, stage
 from processing import window as windows
 from processing.faults import Loss
+from processing.import_grid import ImportGrid
 from processing.kicks import Kick
 from processing.kinematics import Phase
 from processing.methods import Setting
@@ -57,7 +57,7 @@ class Told:
     plateau_fraction: float
     kicks: tuple[Kick, ...]
     plateau_speed: float = math.nan
-    belt_velocity: None = None  # a belt's own counts are not smoothed in chunks
+    belt_counted: bool = False
 
     @property
     def lost_counts(self) -> int:
@@ -90,7 +90,7 @@ def smooth(
     Raises
     ------
     InputError
-        As `processing.smooth`, and for nominal times of an import.
+        As `processing.smooth`.
     """
     begun = clock.process_time()
     methods.check(method)
@@ -98,10 +98,6 @@ def smooth(
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
     n = runfile.samples(path)
     first = runfile.load(path, slice(0, min(n, 2 * windows.LONGEST)))
-    if times == "nominal" and first.raw is None:
-        raise InputError(
-            "nominal times of so long an import", "--times", "give --times recorded, or import it in shorter parts"
-        )
     setting = windows.setting(window, order, _spread(path, n, times))
     setting = replace(setting, belt_speed=phases.given(belt_speed))
     if method == "sg" and setting.window is None:
@@ -110,11 +106,14 @@ def smooth(
     elif method == "sg" and setting.order is None:
         setting = replace(setting, order=savgol.ORDER)
     worker = _Worker(path, n, method, setting, times, belt_speed, repair_counts)
+    belt = belts.counted(first)
+    if times == "nominal" and first.raw is None:
+        worker.grid = import_grid.learn(path, n, [worker.low(begin) for begin in range(0, n, CHUNK)])
     told: list[Told] = []
 
     def write(entry: h5py.Group) -> None:
         smoothed = stage.begin(entry)
-        table = stage.empty(smoothed, n, first.unit)
+        table = stage.empty(smoothed, n, first.unit, belt=belt)
         for at in range(0, n, CHUNK):
             worker.chunk(at, min(at + CHUNK, n), table)
             progress(min(at + CHUNK, n))
@@ -165,20 +164,31 @@ class _Worker:
         self.speeds: list[float] = []
         self.stuck = 0
         self.span = (math.nan, math.nan)
+        self.grid: ImportGrid | None = None
+        self.belt_counted = False
         self._behind = 0.0  # counts lost so far in this segment
         self._anchors: dict[int, tuple[float, int]] = {}
 
+    @property
+    def _margin(self) -> int:
+        return max(MARGIN, 2 * (self.setting.window or 0))
+
+    def low(self, begin: int) -> int:
+        """Return the first sample that is smoothed with the chunk from ``begin`` on."""
+        return max(begin - self._margin, 0)
+
     def chunk(self, begin: int, end: int, table: h5py.Group) -> None:
         """Smooth samples begin..end-1 and write them."""
-        margin = max(MARGIN, 2 * (self.setting.window or 0))
-        low, high = max(begin - margin, 0), min(end + margin, self.n)
+        low, high = self.low(begin), min(end + self._margin, self.n)
         recording = runfile.load(self.path, slice(low, high))
-        data = series.of(recording, self.times, self._anchored(recording))
+        grid = None if self.grid is None else self.grid.times(low, recording.time)
+        data = series.of(recording, self.times, self._anchored(recording), grid)
         found = faults.losses(data) if self.repair != "off" else ()
         behind = faults.missing(recording.segment, found)
         data = faults.without(data, behind)
         motion = methods.estimate(self.method, data, self.setting)
-        seen = phases.find(data, motion, recording.rig.belt_speed, self.belt_speed)
+        belt = belts.beside(recording, data, motion)
+        seen = phases.find(data, motion, recording.rig.belt_speed, self.belt_speed, belt)
         own = slice(begin - low, end - low)
         position = motion.position[own]
         mine = [loss for loss in found if own.start <= loss.first < own.stop]
@@ -196,6 +206,10 @@ class _Worker:
             ("acceleration_errors", motion.acceleration_errors[own]),
         ):
             table[name][begin:end] = values
+        if belt is not None:
+            self.belt_counted = True
+            table["belt_velocity"][begin:end] = belt.velocity[own]
+            table["belt_velocity_errors"][begin:end] = belt.velocity_errors[own]
         self.losses += [Loss(loss.first + low, loss.last + low, loss.counts) for loss in mine]
         self.kicks += [
             Kick(kick.sample + low, kick.step) for kick in kicks.kicks(data) if own.start <= kick.sample < own.stop
@@ -273,4 +287,5 @@ class _Worker:
             span=self.span[1] - self.span[0],
             unit=unit,
             plateau_fraction=self.stuck / self.n,
+            belt_counted=self.belt_counted,
         )

@@ -185,7 +185,7 @@ def _summary(motion: "Kinematics | Told") -> dict[str, Any]:
         "sticks": len(motion.sticks),
         "slips": len(motion.slips),
         "belt_speed": motion.belt_speed,
-        "belt_channel": motion.belt_velocity is not None,
+        "belt_channel": motion.belt_counted,
         "plateau_fraction": motion.plateau_fraction,
         "lost_counts": motion.lost_counts,
         "repaired": motion.repaired,
@@ -233,7 +233,7 @@ def _sentences(motion: "Kinematics | Told", data: dict[str, Any], chosen: bool) 
         how += ", chosen from the record" if chosen else ""
     speed = motion.belt_speed
     belt = f"belt {speed:.5g} {unit}/s" if speed == speed else "belt speed unknown"
-    belt += " (it has its own counts)" if motion.belt_velocity is not None else ""
+    belt += " (it has its own counts)" if motion.belt_counted else ""
     sticks, slips = data["sticks"], data["slips"]
     lines = [
         f"{how}; {motion.times} times",

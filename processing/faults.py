@@ -17,7 +17,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from processing.evengrid import even_grid
 from processing.series import Series
 
 Array = NDArray[np.float64]
@@ -59,9 +58,8 @@ def losses(series: Series) -> tuple[Loss, ...]:
     if not series.pitch:
         return ()
     found: list[Loss] = []
-    for piece in series.pieces:
-        if piece.stop - piece.start > 2 * AROUND + SPREAD:
-            count = even_grid(series.time[piece], series.position[piece]) / series.pitch
+    for piece, count in zip(series.pieces, series.even_counts, strict=True):
+        if count.size > 2 * AROUND + SPREAD:
             found += [Loss(piece.start + loss.first, piece.start + loss.last, loss.counts) for loss in _in_piece(count)]
     return tuple(found)
 
@@ -121,26 +119,51 @@ def _in_piece(count: Array) -> list[Loss]:
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class Models:
+    """What may have happened around a suspect, less what smooth polynomials follow; samples count from the first.
+
+    ``bent`` are corners and kicks, ``stepped`` losses that begin at ``first`` and take ``width``.
+    """
+
+    smooth: Array
+    bent: Array
+    stepped: Array
+    first: Array
+    width: Array
+
+
+@lru_cache(maxsize=64)
+def _models(low: int, high: int, samples: int) -> Models:
+    """Return the models of so many samples, the suspects low..high among them."""
+    j = np.arange(samples, dtype=float)
+    t = (j - 0.5 * (low + high)) / AROUND
+    smooth = np.linalg.qr(np.vander(t, 5))[0]
+    corners = np.maximum(t - (CORNERS / AROUND)[:, None], 0.0)
+    starts = np.arange(max(low - SPREAD, 3), min(high + SPREAD, samples - 3 - SPREAD), dtype=float)
+    first, width = (own.ravel() for own in np.meshgrid(starts, np.arange(1.0, SPREAD + 1)))
+    bent = _beside(smooth, np.concatenate((corners, corners**2)))
+    return Models(smooth, bent, _beside(smooth, _ramps(j, first, width)), first, width)
+
+
 def _judged(count: Array, low: int, high: int) -> Loss | None:
     """Hold the record around the samples low..high against the models; None unless a step alone explains it."""
     begin, end = max(low - AROUND, 0), min(high + AROUND + SPREAD, count.size)
-    j = np.arange(begin, end, dtype=float)
-    t = (j - 0.5 * (low + high)) / AROUND
-    smooth = np.linalg.qr(np.vander(t, 5))[0]
+    models = _models(low - begin, high - begin, end - begin)
+    smooth, bent = models.smooth, models.bent
     y = _beside(smooth, count[begin:end] - count[begin])
-    corners = np.maximum(t - (CORNERS / AROUND)[:, None], 0.0)
-    bent = _beside(smooth, np.concatenate((corners, corners**2)))
     best_bent = float(_left(bent, y).min())
     if best_bent < CLEAR:
         return None
-    starts = np.arange(max(low - SPREAD, begin + 3), min(high + SPREAD, end - 3 - SPREAD), dtype=float)
-    first, width = (own.ravel() for own in np.meshgrid(starts, np.arange(1.0, SPREAD + 1)))
-    at = int(np.argmin(_left(_beside(smooth, _ramps(j, first, width)), y)))
+    first, width = models.first, models.width
+    at = int(np.argmin(_left(models.stepped, y)))
+    step = models.stepped[at]
     if width[at] > 1:  # it need not begin or end with a sample
         own = first[at] + np.arange(-1.0, 1.01, 0.25), width[at] + np.arange(-1.0, 1.51, 0.5)
         first, width = (part.ravel() for part in np.meshgrid(*own))
-        at = int(np.argmin(_left(_beside(smooth, _ramps(j, first, width)), y)))
-    step = _beside(smooth, _ramps(j, first[at : at + 1], width[at : at + 1]))[0]
+        finer = _beside(smooth, _ramps(np.arange(end - begin, dtype=float), first, width))
+        at = int(np.argmin(_left(finer, y)))
+        step = finer[at]
     if step @ step < 1e-9:
         return None
     squares = float(_left(step[None], y)[0])
@@ -148,14 +171,14 @@ def _judged(count: Array, low: int, high: int) -> Loss | None:
     if squares * BETTER > best_bent:
         # Perhaps a loss beside a corner: both together, against any two corners.
         with_step, sizes = _pairs(step[None], bent, y)
-        of_bent, _ = _pairs(bent, bent, y)
         both = int(np.argmin(with_step[0]))
         squares, size = float(with_step[0, both]), float(sizes[0, both])
-        if squares * BETTER > min(float(of_bent.min()), best_bent):
+        if squares * BETTER > best_bent or squares * BETTER > float(_pairs(bent, bent, y)[0].min()):
             return None
     if abs(size) < LEAST - ROUNDING:
         return None
-    return Loss(math.ceil(first[at]), max(math.ceil(first[at] + width[at] - 1), math.ceil(first[at])), round(size))
+    start = begin + first[at]
+    return Loss(math.ceil(start), max(math.ceil(start + width[at] - 1), math.ceil(start)), round(size))
 
 
 def _ramps(j: Array, first: Array, width: Array) -> Array:

@@ -127,6 +127,11 @@ class Kinematics:
         return tuple(phase for phase in self.phases if phase.kind == "slip")
 
     @property
+    def belt_counted(self) -> bool:
+        """Whether the belt has counts of its own."""
+        return self.belt_velocity is not None
+
+    @property
     def samples(self) -> int:
         """How many samples there are."""
         return int(self.time.size)

@@ -13,6 +13,7 @@ Source: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965) 1445.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,7 +134,7 @@ def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
 
     few = max(len(stretches) // 16, 1)
     middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 6.0, 1.5)
-    log_rho = lowest(lambda log_rho: cost(log_rho, 1)[0], (middle - 2.0, middle + 2.0), 2.0, 0.3)
+    log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
     return log_rho, cost(log_rho, 1)[1]
 
 
@@ -143,7 +144,7 @@ def least_variance(series: Series) -> float:
     return max(series.pitch**2 / 12, rounding**2, 1e-60)
 
 
-def lowest(function, bounds: tuple[float, float], step: float, width: float) -> float:  # type: ignore[no-untyped-def]
+def lowest(function: Callable[[float], float], bounds: tuple[float, float], step: float, width: float) -> float:
     """Return where a function of one number is least: on a grid of ``step``, then by golden section to ``width``."""
     grid = np.arange(bounds[0], bounds[1] + step / 2, step)
     at = int(np.argmin([function(float(value)) for value in grid]))
@@ -161,6 +162,23 @@ def lowest(function, bounds: tuple[float, float], step: float, width: float) -> 
             two = low + golden * (high - low)
             f_two = function(two)
     return 0.5 * (low + high)
+
+
+def vertex(function: Callable[[float], float], middle: float, step: float) -> float:
+    """Return where a smooth function of one number is least: the vertex of a parabola through three places.
+
+    The places are ``step`` apart, and are moved until the middle one is the lowest (or twelve steps away).
+    """
+    at, (low, here, high) = middle, (function(middle + k * step) for k in (-1, 0, 1))
+    for _ in range(12):
+        if low < here:
+            at, low, here, high = at - step, function(at - 2 * step), low, here
+        elif high < here:
+            at, low, here, high = at + step, here, high, function(at + 2 * step)
+        else:
+            break
+    bend = low - 2 * here + high
+    return at + 0.5 * step * (low - high) / bend if bend > 0 else at
 
 
 def smooth(series: Series, noise: Noise) -> Motion:

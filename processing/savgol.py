@@ -139,7 +139,8 @@ def inside(position: Array, window: int, order: int, counted: Counted | None, va
     own = slice(half_window, position.size - half_window)
     if counted is not None and sliding.fits(counted.count, window, order):
         weights, even = _power_weights(window, order)
-        compiled(sliding.slide, KERNELS)(counted.count, half_window, weights, even, values)
+        slide = sliding.slide_wide if sliding.wide(window) else sliding.slide
+        compiled(slide, KERNELS)(counted.count, half_window, weights, even, values)
         values[:, own] *= counted.pitch
         values[0, own] += position[own]
         return

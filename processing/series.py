@@ -6,6 +6,7 @@ A shorter hole (a lost sample or two) stays inside its piece: the recorded times
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
+from processing.evengrid import even_grid
 
 if TYPE_CHECKING:
     from daq.recording import Recording
@@ -57,8 +59,19 @@ class Series:
     source: str = ""
     count: NDArray[np.int64] | None = None
 
+    @cached_property
+    def even_counts(self) -> tuple[Array, ...]:
+        """Positions of each piece on its even grid, in counts; empty for a lone sample.  Needs a pitch."""
+        own = [(self.time[piece], self.position[piece] / self.pitch) for piece in self.pieces]
+        return tuple(even_grid(time, count) if time.size > 1 else np.empty(0) for time, count in own)
 
-def of(recording: "Recording", times: str = "recorded", anchor: "tuple[float, int] | None" = None) -> Series:
+
+def of(
+    recording: "Recording",
+    times: str = "recorded",
+    anchor: "tuple[float, int] | None" = None,
+    grid: Array | None = None,
+) -> Series:
     """Return the series of a recording.
 
     Parameters
@@ -69,6 +82,8 @@ def of(recording: "Recording", times: str = "recorded", anchor: "tuple[float, in
         The board's sample times, or an even grid at the nominal rate that starts with each segment.
     anchor : (float, int), optional
         Time and number of the sample at which the first segment's even grid starts; by default the first.
+    grid : array of shape (n,), optional
+        The even grid itself, where more than this recording tells it.
 
     Raises
     ------
@@ -83,7 +98,7 @@ def of(recording: "Recording", times: str = "recorded", anchor: "tuple[float, in
     if recorded.size < LEAST:
         raise InputError(f"holds {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
     segment = recording.segment
-    time = recorded if times == "recorded" else nominal(recording, anchor)
+    time = recorded if times == "recorded" else nominal(recording, anchor) if grid is None else grid
     check(time, positions, where)
     pitch, count = 0.0, None
     if recording.count is not None:
@@ -156,11 +171,16 @@ def nominal(recording: "Recording", anchor: "tuple[float, int] | None" = None) -
             gaps = np.diff(recorded[own])
             step = float(np.median(gaps)) if gaps.size else 1.0 / recording.rate_hz
             # Interval by interval: over a long record a small error of the step would add up to samples.
-            number = np.concatenate(([0], np.cumsum(np.maximum(np.rint(gaps / step), 1)))).astype(np.int64)
+            number = np.concatenate(([0], np.cumsum(interval_numbers(gaps, step))))
             if gaps.size:
                 step = float(recorded[last - 1] - recorded[first]) / float(number[-1])
         time[own] = recorded[first] + number * step
     return time
+
+
+def interval_numbers(gaps: Array, step: float) -> NDArray[np.int64]:
+    """Return how many steps each interval takes, at least one."""
+    return np.asarray(np.maximum(np.rint(gaps / step), 1).astype(np.int64))
 
 
 def evenly(time: Array) -> bool:

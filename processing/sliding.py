@@ -7,7 +7,8 @@ acceleration are sums over the moments M_p = sum_j j^p c_{i+j}, p = 0..4.  From 
 
 in whole numbers: nothing is rounded, so nothing piles up, and a stream gives what the whole record gives, bit for bit.
 Whole numbers of 64 bits may overflow on the way: seen from the count at the centre the moments are small, and the rest
-cancels modulo 2^64.
+cancels modulo 2^64.  In windows too long for that the fourth moment alone is not small, but changes little from
+one sample to the next: how often it went round 2^64 is counted, and it is exact again.
 
 Runs as written on Python integers that wrap, which are slow, or compiled (`daq.compiled`); only the latter is used.
 """
@@ -23,14 +24,21 @@ Counts = NDArray[np.int64]
 HIGHEST = 4  # order
 LARGEST = 2.0**62  # of a moment
 ENOUGH = 128.0  # counts per sample
+WHOLE = 2.0**64
+
+
+def wide(window: int) -> bool:
+    """Tell whether the fourth moment, seen from its centre, may need more than 64 bits."""
+    return 3 * LARGEST / max(window // 2, 1) ** 6 < ENOUGH
 
 
 def fastest(window: int, order: int) -> float:
-    """Return the most counts per sample at which every moment, seen from its centre, fits 64 bits; 0 for none.
+    """Return the most counts per sample at which every moment, seen from its centre, can be told; 0 for none.
 
     A window that could not take `ENOUGH` takes none, so that hardly any record has windows of both kinds.
     """
-    most = 3 * LARGEST / max(window // 2, 1) ** 6
+    half = max(window // 2, 1)
+    most = 1.25 * LARGEST / half**5 if wide(window) else 3 * LARGEST / half**6
     return most if order <= HIGHEST and most >= ENOUGH else 0.0
 
 
@@ -96,6 +104,52 @@ def slide(count: Counts, half: int, weights: Array, even: Counts, values: Array)
     for i in range(half, n - half):
         c = count[i]
         f0, f2, f4 = float(m0 - window * c), float(m2 - s2 * c), float(m4 - s4 * c)
+        values[0, i] = w00 * f0 + w02 * f2 + w04 * f4
+        values[1, i] = w11 * float(m1) + w13 * float(m3)
+        values[2, i] = w20 * f0 + w22 * f2 + w24 * f4
+        if i + 1 + half < n:
+            new, old = count[i + 1 + half], count[i - half]
+            m4 += 6 * m2 - 4 * (m3 + m1) + m0 + high4 * new - low4 * old
+            m3 += 3 * (m1 - m2) - m0 + high3 * new - low3 * old
+            m2 += m0 - 2 * m1 + high2 * new - low2 * old
+            m1 += high * new - low * old - m0
+            m0 += new - old
+
+
+def slide_wide(count: Counts, half: int, weights: Array, even: Counts, values: Array) -> None:
+    """As `slide`, for windows whose fourth moment needs more than 64 bits."""
+    n = count.size
+    window = np.int64(2 * half + 1)
+    m0 = m1 = m2 = m3 = m4 = np.int64(0)
+    rounded = 0.0  # the fourth moment, seen from the centre
+    for k in range(2 * half + 1):
+        j, c = np.int64(k - half), count[k]
+        m0 += c
+        m1 += j * c
+        m2 += j * j * c
+        m3 += j * j * j * c
+        m4 += j * j * j * j * c
+        rounded += float(j * j * j * j) * float(c - count[half])
+    high, low = np.int64(half), np.int64(-half - 1)
+    high2, low2 = high * high, low * low
+    high3, low3, high4, low4 = high2 * high, low2 * low, high2 * high2, low2 * low2
+    s2, s4 = even[0], even[1]
+    last = float(m4 - s4 * count[half])
+    over = np.rint((rounded - last) / WHOLE)
+    w00, w02, w04 = weights[0, 0], weights[0, 2], weights[0, 4]
+    w11, w13 = weights[1, 1], weights[1, 3]
+    w20, w22, w24 = weights[2, 0], weights[2, 2], weights[2, 4]
+    for i in range(half, n - half):
+        c = count[i]
+        f0, f2 = float(m0 - window * c), float(m2 - s2 * c)
+        left = float(m4 - s4 * c)
+        # The moment itself changes by less than a quarter of 2^64: where its 64 bits change by more, they went round.
+        if left - last > 0.5 * WHOLE:
+            over -= 1.0
+        elif last - left > 0.5 * WHOLE:
+            over += 1.0
+        last = left
+        f4 = WHOLE * over + left
         values[0, i] = w00 * f0 + w02 * f2 + w04 * f4
         values[1, i] = w11 * float(m1) + w13 * float(m3)
         values[2, i] = w20 * f0 + w22 * f2 + w24 * f4

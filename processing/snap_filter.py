@@ -1,7 +1,8 @@
 """Kernels: the Kalman filter of a motion of white snap that sticks and slips, its smoother, and its noise.
 
-State x, v, a, j (jerk); between samples the snap is white noise of density q (m^2/s^7), a reading is x + noise of
-variance r, and both change with the part of the motion a sample lies in (its label).  Between samples lie corners:
+State x, v, a, j (jerk); between samples the snap is a mean u (m/s^4) and white noise of density q (m^2/s^7), a reading
+is x + noise of variance r, and all change with the part of the motion a sample lies in (its label).  Between samples
+lie corners:
 
     LAND    onto a belt that runs evenly: x and v go on, a and j are 0 from here
     LEAVE   the belt: x and v go on, a and j change by an unknown step of variance jump[0], jump[1]
@@ -33,7 +34,8 @@ STATE = 15  # numbers in a filter's state: x v a j, the ten of p, and the time t
 STORED = 16  # numbers kept of a sample: the state as expected, 1/s, e/s
 LAND, LEAVE, MEET, KICK, START, STOP = 1, 2, 3, 4, 5, 6
 STICK, LANDING, SLIP, ONSET, RIDE, MET, LEAVING, REST = 0, 1, 5, 6, 10, 11, 12, 13  # LANDING and ONSET: four each
-LABELS = 14
+CUT = 14  # four: where a slip is cut off
+LABELS = 18
 NEAR_LANDING = (1 / 128, 1 / 48, 1 / 24, 1 / 8)  # of a slip's length: where its parts near a landing begin
 NEAR_ONSET = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
 JUMPS = 9  # variances: LEAVE a j, MEET a j, KICK v a j, START a j
@@ -61,8 +63,8 @@ def start(time: Array, position: Array, r: float, still: bool, state: Array) -> 
     state[14] = time[0]
 
 
-def predict(h: float, q: float, S: State) -> State:
-    """Carry the state over h seconds."""
+def predict(h: float, q: float, u: float, S: State) -> State:
+    """Carry the state over h seconds, in which the snap has mean u and density q."""
     x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = S
     h2 = 0.5 * h * h
     h3 = h2 * h * (1 / 3)
@@ -81,10 +83,10 @@ def predict(h: float, q: float, S: State) -> State:
     q4 = q3 * h
     q5 = q4 * h
     return (
-        x + h * v + h2 * a + h3 * j,
-        v + h * a + h2 * j,
-        a + h * j,
-        j,
+        x + h * v + h2 * a + h3 * (j + 0.25 * h * u),
+        v + h * a + h2 * (j + (1 / 3) * h * u),
+        a + h * (j + 0.5 * h * u),
+        j + h * u,
         b00 + h * b01 + h2 * b02 + h3 * b03 + q5 * h * h * (1 / 252),
         b01 + h * b02 + h2 * b03 + q5 * h * (1 / 72),
         b02 + h * b03 + q5 * (1 / 30),
@@ -166,6 +168,7 @@ def forward(
     at: Array,
     kind: Labels,
     q: Array,
+    u: Array,
     r: Array,
     jump: Array,
     state: Array,
@@ -173,14 +176,15 @@ def forward(
 ) -> None:
     """Filter from ``state`` on; write what was expected of each sample, (n, STORED).
 
-    ``label`` (n,) picks q and r; ``at`` and ``kind`` (c,) are the corners, in order of time, within the samples'.
+    ``label`` (n,) picks q, u and r; ``at`` and ``kind`` (c,) are the corners, in order of time, within the samples'.
     """
     S = unpacked(state)
     last = state[14]
     c = 0
     for i in range(time.size):
         while c < at.size and at[c] <= time[i]:
-            S = predict(at[c] - last, q[label[max(i - 1, 0)]], S)
+            b = label[max(i - 1, 0)]
+            S = predict(at[c] - last, q[b], u[b], S)
             S = turn(kind[c], jump, S)
             last = at[c]
             c += 1
@@ -189,7 +193,7 @@ def forward(
         if b == STICK or b == REST:
             S = line_predict(time[i] - last, S)
         else:
-            S = predict(time[i] - last, q[b], S)
+            S = predict(time[i] - last, q[b], u[b], S)
         last = time[i]
         pack(w, S)
         s = 1.0 / (S[4] + r[b])
@@ -345,184 +349,3 @@ def backward(
             if what == KICK:
                 steps[4, 0] += l1 * l1
                 steps[4, 1] += m11
-
-
-def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float, label: Labels) -> None:
-    """Name the part of the motion every sample lies in (the interval that ends there), for `forward`.
-
-    ``first`` is the label before the first corner: SLIP, STICK, RIDE or REST; the parts of a slip near its ends, and
-    of a ride, are told by their time from the corner in fractions of ``unit`` (s), the length of a slip.
-    """
-    c = 0
-    state = first
-    # Where a slip is cut off a landing may lie within the last samples, unseen: as rough as there.
-    ended = time[time.size - 1]
-    behind, before = -math.inf, math.inf
-    for i in range(time.size):
-        while c < at.size and at[c] <= time[i]:
-            behind = at[c]
-            k = kind[c]
-            state = STICK if k == LAND else RIDE if k == MEET else REST if k == STOP else SLIP
-            c += 1
-        before = at[c] if c < at.size else ended
-        label[i] = state
-        since, left = (time[i] - behind) / unit, (before - time[i]) / unit
-        if state == SLIP:
-            for part in range(4):
-                if left < NEAR_LANDING[part]:
-                    label[i] = LANDING + part
-                    break
-                if since < NEAR_ONSET[part]:
-                    label[i] = ONSET + part
-                    break
-        elif state == RIDE:
-            if since < NEAR_ONSET[0]:
-                label[i] = MET
-            elif left < NEAR_ONSET[0]:
-                label[i] = LEAVING
-
-
-def place(
-    time: Array,
-    position: Array,
-    stored: Array,
-    at: Array,
-    pick: NDArray[np.int64],
-    what: int,
-    low: Array,
-    high: Array,
-    half: float,
-    finest: float,
-    back: float,
-    on: float,
-    edges: Array,
-    parts: Labels,
-    corner: int,
-    q: Array,
-    r: Array,
-    jump: Array,
-    found: Array,
-) -> None:
-    """Move corners to where they are most likely; ``found`` (c, 2) gets mean and standard deviation of each time.
-
-    Only the corners ``pick``, all of kind ``what``, each within ``low`` and ``high``; looked for within ``half`` (s)
-    of where it stands, on the samples from ``back`` before to ``on`` behind it.  ``parts`` are the labels around the
-    corner by the time from it, cut at ``edges`` (s), of which number ``corner`` is the corner itself (0).  The grid
-    of times is refined until the likelihood is wider than its step, or the step below ``finest`` (s).
-    """
-    n = 4
-    gain, tried = np.empty(2 * n + 1), np.empty(2 * n + 1)
-    for k in range(pick.size):
-        middle, step = at[pick[k]], half / n
-        least, most = low[k], high[k]
-        begin = np.searchsorted(time, max(middle - half - back, least))
-        end = np.searchsorted(time, min(middle + half + on, most))
-        found[k, 0], found[k, 1] = middle, half
-        if end - begin < 8:
-            continue
-        least, most = max(least, time[begin]), min(most, time[end - 1])
-        for _ in range(12):
-            for i in range(2 * n + 1):
-                tried[i] = min(max(middle + (i - n) * step, least), most)
-            try_corner(
-                time[begin:end], position[begin:end], tried, what, edges, parts, corner, q, r, jump, stored[begin], gain
-            )
-            best = np.argmax(gain)
-            weight, mean, square = 0.0, 0.0, 0.0
-            for i in range(2 * n + 1):
-                w = math.exp(gain[i] - gain[best])
-                weight += w
-                mean += w * (tried[i] - middle)
-                square += w * (tried[i] - middle) ** 2
-            mean /= weight
-            spread = math.sqrt(max(square / weight - mean * mean, 0.0))
-            found[k, 0], found[k, 1] = middle + mean, max(spread, 0.3 * step)
-            if spread > 1.2 * step or step < finest:
-                break
-            middle = tried[best]
-            if 0 < best < 2 * n:
-                step /= 3
-
-
-def try_corner(
-    time: Array,
-    position: Array,
-    tried: Array,
-    what: int,
-    edges: Array,
-    parts: Labels,
-    corner: int,
-    q: Array,
-    r: Array,
-    jump: Array,
-    stored: Array,
-    gain: Array,
-) -> None:
-    """Put one corner at each of the times tried, and write the log likelihoods, up to a constant, into ``gain``.
-
-    ``stored`` is what the filter expected of the first sample; the rest as for `place`.
-    """
-    for k in range(tried.size):
-        S = unpacked(stored)
-        last = time[0]
-        total, product = 0.0, 1.0
-        ahead = True
-        part = 0
-        for i in range(time.size):
-            if ahead and tried[k] <= time[i]:
-                part = max(part, corner)
-                S = predict(tried[k] - last, q[parts[part]], S)
-                S = turn(what, jump, S)
-                last = tried[k]
-                ahead = False
-            while part < edges.size and time[i] - tried[k] >= edges[part]:
-                part += 1
-            b = parts[part]
-            S = predict(time[i] - last, q[b], S)
-            last = time[i]
-            s = 1.0 / (S[4] + r[b])
-            e = position[i] - S[0]
-            total -= e * e * s
-            product *= s
-            if product > 1e200 or product < 1e-200:
-                total += math.log(product)
-                product = 1.0
-            S = update(e, s, r[b], S)
-        gain[k] = 0.5 * (total + math.log(product))
-
-
-def average(motion: Array, before: Array, behind: Array, sure: NDArray[np.bool_]) -> None:
-    """Average three motions (6, n), the first of weight 4/6, or 1 where it is ``sure``; variances become errors.
-
-    The smoother's variance is that of readings and of the motion's own noise.  A slip is smooth but for its ends, and
-    errs by its readings' share alone: 1 - (2 d + 1)/8 of that variance in the d-th derivative.
-    """
-    for row in range(3):
-        share = 1 - (2 * row + 1) / 8
-        for i in range(motion.shape[1]):
-            if sure[i]:
-                motion[row + 3, i] = math.sqrt(max(motion[row + 3, i], 0.0))
-                continue
-            mean = (4 * motion[row, i] + before[row, i] + behind[row, i]) / 6
-            apart = 4 * (motion[row, i] - mean) ** 2 + (before[row, i] - mean) ** 2 + (behind[row, i] - mean) ** 2
-            variance = share * (4 * motion[row + 3, i] + before[row + 3, i] + behind[row + 3, i])
-            motion[row, i] = mean
-            motion[row + 3, i] = math.sqrt(max((variance + apart) / 6, 0.0))
-
-
-def gains(stored: Array, surprise: int, spans: NDArray[np.int64], gain: Array) -> None:
-    """Sum the log likelihoods of the samples in each span, up to a constant, into ``gain``.
-
-    ``stored`` is what a filter wrote down, here or in `processing.jerk_filter`; its column ``surprise`` holds 1/s, the
-    next one e/s.
-    """
-    for k in range(spans.shape[0]):
-        total, product = 0.0, 1.0
-        for i in range(spans[k, 0], spans[k, 1]):
-            s = stored[i, surprise]
-            total -= stored[i, surprise + 1] ** 2 / s
-            product *= s
-            if product > 1e200 or product < 1e-200:
-                total += math.log(product)
-                product = 1.0
-        gain[k] = 0.5 * (total + math.log(product))

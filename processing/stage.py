@@ -62,8 +62,8 @@ def begin(entry: h5py.Group) -> h5py.Group:
     return smooth
 
 
-def empty(smooth: h5py.Group, n: int, unit: str) -> h5py.Group:
-    """Make the table of the kinematics for ``n`` samples yet to be written."""
+def empty(smooth: h5py.Group, n: int, unit: str, *, belt: bool = False) -> h5py.Group:
+    """Make the table of the kinematics for ``n`` samples yet to be written, with columns for a counted ``belt``."""
     made = nexus.group(smooth, "kinematics", "NXdata", signal="velocity", axes="time", title="kinematics")
     made.attrs["time_indices"] = np.int64(0)
     made.attrs["auxiliary_signals"] = list(KINEMATICS["auxiliary"])
@@ -71,6 +71,9 @@ def empty(smooth: h5py.Group, n: int, unit: str) -> h5py.Group:
     for name, per in DERIVATIVES.items():
         nexus.column(made, name, n, "f8", unit + per)
         nexus.column(made, f"{name}_errors", n, "f4", unit + per)
+    if belt:
+        nexus.column(made, "belt_velocity", n, "f8", f"{unit}/s")
+        nexus.column(made, "belt_velocity_errors", n, "f4", f"{unit}/s")
     nexus.scale(made, "time")
     return made
 

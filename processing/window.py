@@ -75,7 +75,13 @@ def setting(window: int | str, order: int | None, series: Series) -> Setting:
         if match[2] is not None:
             seconds = float(match[1]) * {"us": 1e-6, "ms": 1e-3, "s": 1.0}[match[2]]
             longest = _longest(series)
-            samples = 2 * round(min(seconds / (2 * series.interval), longest)) + 1
+            if seconds > longest * series.interval:
+                raise InputError(
+                    f"window is {text}; the longest stretch of the record lasts {longest * series.interval:.4g} s",
+                    "--window",
+                    "give a shorter one",
+                )
+            samples = 2 * round(seconds / (2 * series.interval)) + 1
             if samples < 3:
                 raise InputError(
                     f"window is {text}, less than two sample intervals of {series.interval * 1e3:.3g} ms",

@@ -6,12 +6,12 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 import daq
 from daq import runfile
-from daq.errors import InputError
 from processing import chunked, stage
 from processing.smoothing import smooth
 
@@ -79,9 +79,38 @@ def test_nominal_times_go_on_over_the_chunks(tmp_path, small_chunks):
     assert stage.load(target).velocity == pytest.approx(whole.velocity, abs=1e-9)
 
 
-def test_nominal_times_of_a_long_import_are_refused(path):
-    with pytest.raises(InputError, match="nominal times of so long an import"):
-        chunked.smooth(path, times="nominal")
+@pytest.mark.parametrize("method", ["sg", "auto"])
+def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_chunks, method):
+    asked = (method, 41 if method == "sg" else "auto", None, "nominal")
+    whole = smooth(daq.load(path), *asked)
+    told = chunked.smooth(path, *asked)
+    found = stage.load(path)
+    assert daq.load(path).raw is None
+    assert found.time == pytest.approx(whole.time, abs=1e-9)
+    assert np.abs(whole.time - daq.load(path).time).max() > 3e-5
+    assert len(told.sticks) == len(whole.sticks)
+    apart = np.abs(found.velocity - whole.velocity) / (found.velocity_errors + whole.velocity_errors)
+    assert np.mean(apart < 2) > 0.99
+
+
+@pytest.mark.parametrize("method", ["sg", "auto"])
+def test_a_counted_belt_is_smoothed_in_chunks_too(tmp_path, small_chunks, method):
+    listed = ["--set", "belt.channel=true", "--set", "belt.ripple=0.02", "--set", "belt.ripple_hz=2"]
+    line = [sys.executable, "-m", "daq.cli", "record", "--duration", "20", *listed, "-o", "run.h5", "--json"]
+    subprocess.run(line, cwd=tmp_path, check=True, capture_output=True)
+    target = tmp_path / "run.h5"
+    asked = (method, 41 if method == "sg" else "auto")
+    whole = smooth(daq.load(target), *asked)
+    told = chunked.smooth(target, *asked)
+    found = stage.load(target)
+    assert whole.belt_counted
+    assert told.belt_counted
+    assert told.belt_speed == pytest.approx(whole.belt_speed, rel=1e-3)
+    assert (len(told.sticks), len(told.slips)) == (len(whole.sticks), len(whole.slips))
+    apart = np.abs(found.belt_velocity - whole.belt_velocity)
+    assert np.mean(apart < 2 * (found.belt_velocity_errors + whole.belt_velocity_errors)) > 0.99
+    with h5py.File(target) as file:
+        assert file["entry/smooth/kinematics/belt_velocity"].dims[0].keys() == ["time"]
 
 
 def test_memory_stays_below_300_mb_however_long_the_record(tmp_path):

@@ -1,0 +1,189 @@
+"""What is claimed of the velocity, on many seeds of the truth bench, and how often each claim holds.
+
+``python benchmarks/velocity_seeds.py [FIRST] [LAST] [SECTION ...]``: seeds FIRST to LAST (default 1 to 6); sections are
+`errors`, `sticks`, `scenes`, `windows`, `losses` and `kicks` (default all).  Every line tells mean, least and largest
+over the seeds, and how many of them keep the limit.
+"""
+
+import json
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+from velocity import CASES, Bench, chosen_windows, scenes
+
+from processing import faults, kicks, methods, phases
+from processing.methods import Setting
+
+RESULTS = Path(__file__).resolve().parent / "results"
+RMS = {"7.67 um, no jitter": 0.07, "7.67 um + 30 us": 0.07, "50 um + 30 us": 0.22}
+LARGEST = {"7.67 um, no jitter": 1.8, "7.67 um + 30 us": 1.8, "50 um + 30 us": 5.0}
+KICKS = (0.02, 0.05, 0.1)  # m/s
+
+Row = dict[str, float]
+Limits = dict[str, tuple[float, float]]
+
+
+def errors(seed: int) -> tuple[Row, Limits]:
+    """Return errors and coverage of `auto` in every case of the bench."""
+    row: Row = {}
+    limits: Limits = {}
+    for case, (pitch, jitter) in CASES.items():
+        bench = Bench(seed, pitch, jitter)
+        for times in ("recorded", "nominal"):
+            if times == "nominal" and case != "7.67 um + 30 us":
+                continue
+            name = case if times == "recorded" else f"{case}, nominal"
+            data = bench.series(times)
+            motion = methods.estimate("auto", data, Setting())
+            row[f"{name}: rms"], row[f"{name}: largest"] = bench.errors(motion.velocity)
+            limits[f"{name}: rms"] = (0.0, RMS[case] if times == "recorded" else 0.30)
+            limits[f"{name}: largest"] = (0.0, LARGEST[case] if times == "recorded" else 3.2)
+            row[f"{name}: sticks missing"] = float(_sticks(bench) - _found(bench, times))
+            limits[f"{name}: sticks missing"] = (0.0, 0.0)
+            if times == "nominal":
+                continue
+            error = 1e3 * (motion.velocity - bench.v)
+            inside = np.abs(error) <= 2e3 * motion.velocity_errors
+            row[f"{name}: coverage"] = float(inside.mean())
+            row[f"{name}: coverage near re-sticks"] = float(inside[bench.near].mean())
+            row[f"{name}: rms near re-sticks"] = float(np.sqrt(np.mean(error[bench.near] ** 2)))
+            row[f"{name}: rms in sticks"] = float(np.sqrt(np.mean(error[bench.stuck] ** 2)))
+            limits[f"{name}: coverage"] = (0.93, 0.97)
+            limits[f"{name}: coverage near re-sticks"] = (0.90, 1.0)
+            limits[f"{name}: rms near re-sticks"] = (0.0, 0.4)
+            limits[f"{name}: rms in sticks"] = (0.0, 0.02)
+            own = row[f"{name}: rms"]
+            for method, setting, factor in (("fd", Setting(), 45.0), ("sg", Setting(41, 4), 7.0)):
+                rough = methods.estimate(method, data, setting)
+                row[f"{name}: {method} over auto"] = bench.errors(rough.velocity)[0] / own
+                limits[f"{name}: {method} over auto"] = (factor, np.inf)
+            landings = [corner for corner in motion.corners if corner.what == "land"]
+            off = np.array([_off(corner.time + bench.time[0], bench.landings) for corner in landings])
+            sd = np.array([corner.sd for corner in landings])
+            near = np.abs(off) < 2e-3
+            row[f"{name}: landings late by, us"] = float(1e6 * np.mean(off[near]))
+            row[f"{name}: landings scatter by, us"] = float(1e6 * np.std(off[near]))
+            row[f"{name}: landings told to, us"] = float(1e6 * np.median(sd))
+    return row, limits
+
+
+def _off(at: float, true: np.ndarray) -> float:
+    return float(at - true[np.argmin(np.abs(true - at))])
+
+
+def _sticks(bench: Bench) -> int:
+    """Return how many true sticks of 30 ms or more begin and end in the record, with those cut off by its ends."""
+    edges = np.diff(np.concatenate(([0], bench.stuck.astype(np.int8), [0])))
+    return int(np.sum(np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1) >= 30))
+
+
+def _found(bench: Bench, times: str = "recorded", method: str = "auto") -> int:
+    data = bench.series(times)
+    motion = methods.estimate(method, data, Setting())
+    return sum(phase.kind == "stick" and phase.duration > 0.03 for phase in phases.find(data, motion).phases)
+
+
+def sticks(seed: int) -> tuple[Row, Limits]:
+    """Return how many sticks `auto` misses (negative: invents) in 20 s at belts of many speeds, laws 3, 5 and 6."""
+    row: Row = {}
+    for law in (3, 5, 6):
+        for speed in (0.1, 0.15, 0.2, 0.25, 0.3):
+            bench = Bench(seed, 7.67e-6, 30e-6, 20.0, **{"friction.law": law, "belt.speed": speed})
+            row[f"law {law}, belt {speed} m/s: sticks missing"] = float(_sticks(bench) - _found(bench))
+    return row, dict.fromkeys(row, (0.0, 0.0))
+
+
+def against_rts(seed: int) -> tuple[Row, Limits]:
+    """Return the error of `auto` over that of `rts` in many scenes."""
+    row = {name: ratio for name, (_, _, ratio) in scenes(seed).items()}
+    return row, dict.fromkeys(row, (0.0, 1.03))
+
+
+def window(seed: int) -> tuple[Row, Limits]:
+    """Return the error of `sg` with its own window over that with the best one."""
+    row = chosen_windows(seed)
+    return row, dict.fromkeys(row, (0.0, 1.08))
+
+
+def losses(seed: int) -> tuple[Row, Limits]:
+    """Return recall of lost counts at random places (corners too), sizes right away from corners, and false ones."""
+    row: Row = {}
+    limits: Limits = {}
+    bench = Bench(seed, 7.67e-6, 30e-6)
+    for size, width in ((10, 1), (-10, 1), (12, 2), (10, 3), (-10, 5), (10, 5), (40, 1), (40, 5), (-200, 4)):
+        rng = np.random.default_rng(seed)
+        at = np.linspace(150, 59_400, 150).astype(int) + rng.integers(0, 300, 150)
+        lost = sum(size * np.clip((np.arange(60_000) - k + 1) / width, 0, 1) for k in at)
+        count = np.floor(bench.x / bench.pitch + lost).astype(np.int64)
+        seen = faults.losses(bench.series(count=count))
+        found = [min(seen, key=lambda loss, k=k: abs(loss.first - k), default=None) for k in at]
+        hit = np.array([own is not None and abs(own.first - k) <= 6 for own, k in zip(found, at, strict=True)])
+        clear = np.array([np.abs(bench.landings - bench.time[k]).min() > 0.03 for k in at])
+        sized = np.array([own is not None and abs(own.counts - size) <= 1 for own in found])
+        name = f"{size} counts over {width}"
+        row[f"{name}: recall"], limits[f"{name}: recall"] = float(hit.mean()), (0.95, 1.0)
+        row[f"{name}: size right"] = float(sized[hit & clear].mean())
+        limits[f"{name}: size right"] = (0.95, 1.0)
+        row[f"{name}: false"], limits[f"{name}: false"] = float(len(seen) - hit.sum()), (0.0, 0.0)
+    clean = [Bench(100 * seed + k, pitch, 30e-6) for k in range(5) for pitch in (7.67e-6, 50e-6)]
+    row["false in 10 clean minutes"] = float(sum(len(faults.losses(own.series())) for own in clean))
+    limits["false in 10 clean minutes"] = (0.0, 0.0)
+    return row, limits
+
+
+def kicked(seed: int) -> tuple[Row, Limits]:
+    """Return how many kicks of a belt joint are found, how many that are none, and the error over that of `rts`."""
+    row: Row = {}
+    limits: Limits = {}
+    for kick in KICKS:
+        bench = Bench(seed, 7.67e-6, 30e-6, 60.0, **{"joint.kick": kick})
+        data = bench.series()
+        seen = np.array([bench.time[own.sample] for own in kicks.kicks(data)])
+        hit = [bool(seen.size) and np.abs(seen - at).min() < 4e-3 for at in bench.kicks]
+        true = [np.abs(bench.kicks - at).min() < 4e-3 for at in seen] if bench.kicks.size else []
+        row[f"{1e3 * kick:g} mm/s: recall"] = float(np.mean(hit))
+        row[f"{1e3 * kick:g} mm/s: false"] = float(len(true) - np.sum(true))
+        auto, rts = (methods.estimate(name, data, Setting()) for name in ("auto", "rts"))
+        row[f"{1e3 * kick:g} mm/s: auto over rts"] = bench.errors(auto.velocity)[0] / bench.errors(rts.velocity)[0]
+        limits[f"{1e3 * kick:g} mm/s: auto over rts"] = (0.0, 1.03)
+    return row, limits
+
+
+SECTIONS: dict[str, Callable[[int], tuple[Row, Limits]]] = {
+    "errors": errors,
+    "sticks": sticks,
+    "scenes": against_rts,
+    "windows": window,
+    "losses": losses,
+    "kicks": kicked,
+}
+
+
+def main(seeds: Iterable[int], names: list[str]) -> None:
+    """Print every figure of the sections named, with the seeds that miss its limit, and write the JSON."""
+    seeds = list(seeds)
+    RESULTS.mkdir(exist_ok=True)
+    for name in names:
+        rows = []
+        limits: Limits = {}
+        for seed in seeds:
+            row, limits = SECTIONS[name](seed)
+            rows.append(row)
+        print(f"\n{name}, seeds {seeds[0]} to {seeds[-1]}: mean, least, largest", flush=True)
+        for key in rows[0]:
+            values = np.array([row[key] for row in rows])
+            line = f"  {key:48} {values.mean():9.4g} {values.min():9.4g} {values.max():9.4g}"
+            if key in limits:
+                low, high = limits[key]
+                out = [seed for seed, value in zip(seeds, values, strict=True) if not low <= value <= high]
+                line += f"   {len(seeds) - len(out)} of {len(seeds)} in {low:g}..{high:g}"
+                line += f", not {' '.join(map(str, out))}" if out else ""
+            print(line, flush=True)
+        (RESULTS / f"velocity-{name}.json").write_text(json.dumps({"seeds": seeds, "rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    first, last = (int(sys.argv[k]) if len(sys.argv) > k else default for k, default in ((1, 1), (2, 6)))
+    main(range(first, last + 1), sys.argv[3:] or list(SECTIONS))
