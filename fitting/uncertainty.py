@@ -67,14 +67,17 @@ def covariance(fit: Fit, precision: Array) -> Array:
     cycles = own.shape[0]
     # A weak direction must neither make the inverse fail nor pass for a known one: in units of the curvatures, a
     # direction that only rounding holds gets the variance of a guess that is all there is to it.
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-100))  # its square must not overflow
     size, axes = np.linalg.eigh(H * scale[:, None] * scale)
     half = scale[:, None] * axes / np.sqrt(np.maximum(size, 1e-15))
     bread = half @ half.T
     meat = own.T @ own * (cycles / max(cycles - 1, 1)) + np.diag(precision)
     sandwich = bread @ meat @ bread
-    floor = np.sqrt(np.maximum(np.diag(bread) / np.maximum(np.diag(sandwich), 1e-300), 1.0))
-    return np.asarray(sandwich * floor[:, None] * floor)
+    least, found = np.diag(bread), np.diag(sandwich)
+    floor = np.sqrt(np.maximum(least / np.maximum(found, 1e-20 * least), 1.0))
+    spread = sandwich * floor[:, None] * floor
+    np.fill_diagonal(spread, np.maximum(np.diag(spread), least))
+    return np.asarray(spread)
 
 
 def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustained: bool = True) -> dict[str, Parameter]:

@@ -1,0 +1,43 @@
+"""Covariances where a direction is hardly or not at all known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fitting.schur import Blocks
+from fitting.uncertainty import covariance
+
+
+def fit_with(slopes, guess):
+    """Return what `covariance` reads of a fit whose cycles (c) each measure slopes (p,) times the unknowns, once."""
+    slopes = np.asarray(slopes, float)
+    cycles, p = slopes.shape
+    misfit = np.where(np.arange(cycles) % 2, 1.0, -1.0)
+    blocks = Blocks(
+        g=np.zeros(p),
+        H=slopes.T @ slopes + np.diag(guess),
+        gl=np.zeros((cycles, 1)),
+        Hl=np.ones((cycles, 1, 1)),
+        cross=np.zeros((cycles, p, 1)),
+        cycle_g=slopes * misfit[:, None],
+    )
+    return SimpleNamespace(solution=SimpleNamespace(blocks=blocks))
+
+
+def test_an_unknown_that_nothing_shows_is_boundless_and_leaves_the_others_alone():
+    slopes = np.array([[1.0, 2.0], [3.0, -1.0], [0.5, 1.0], [2.0, 2.0]])
+    known = covariance(fit_with(slopes, np.zeros(2)), np.zeros(2))
+    found = covariance(fit_with(np.c_[slopes, np.zeros(4)], np.zeros(3)), np.zeros(3))
+    assert np.isfinite(found).all()
+    assert found[2, 2] > 1e90
+    assert found[:2, :2] == pytest.approx(known, rel=1e-9)
+
+
+def test_a_direction_that_only_a_guess_holds_has_the_guess_s_variance():
+    guess = np.array([0.0, 1e-2])
+    slopes = 1e2 * np.ones((4, 2))  # only the sum is measured
+    found = covariance(fit_with(slopes, guess), guess)
+    assert found[1, 1] == pytest.approx(100.0, rel=1e-3)
+    assert found[0, 0] == pytest.approx(100.0, rel=1e-3)
+    assert found[0, 0] + found[1, 1] + 2 * found[0, 1] < 1e-3
