@@ -27,6 +27,7 @@ LONG_STICK = 20  # samples
 DIES_AWAY = 0.7  # of the speed at first: a last third slower than that
 WORST_FIT = 0.02  # of a slip's length: a best law that usually errs by more describes something else
 LEAST_FRICTION = 1e-3  # of the spring's pull over a slip: with less, nothing holds the mass
+SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
 
 
@@ -80,7 +81,8 @@ def of_fits(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
     near = [fit for fit in fits if fit.usual < WORST_FIT * longest]
     if not near:
-        return "no law comes near it"
+        sine = not sustained and all(_is_sine(run.motion) for run in runs)
+        return SINE_ALONE if sine else "no law comes near it"
     best = min(near, key=lambda fit: fit.usual)
     if sustained and math.exp(best.u[LOG_F]) < LEAST_FRICTION * best.u[K] * longest:
         return f"law {best.law} comes nearest, without any friction"
@@ -95,7 +97,7 @@ def _of_motion(motion: Motion) -> str:
     if v.min() >= SLIPPING * motion.belt_speed:
         return f"the mass moves on at {motion.sign * np.median(v):.3g} m/s and never slips"
     if _is_sine(motion):
-        return "a sine without a start-up; constant friction is possible"
+        return SINE_ALONE
     if v.max() < SLIPPING * motion.belt_speed:
         return f"the mass never moves with the belt, which is said to run at {motion.sign * motion.belt_speed:.3g} m/s"
     return "no slip between two sticks"

@@ -120,7 +120,7 @@ def rank(
         raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
     if not sustained and all(run.cut.drag == (0, 0) or run.cut.cycles[0].flag for run in runs):
         raise DataError(
-            "no belt stick-slip in this record: a sine without a start-up; constant friction is possible",
+            f"no belt stick-slip in this record: {absence.SINE_ALONE}",
             ", ".join(sources),
             "record again from before the belt starts: the first drag tells law 1 from law 2",
         )
