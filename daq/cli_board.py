@@ -142,14 +142,14 @@ def calibrate(
     Example: daq calibrate --mass "300 g +- 1 g"
     """
     from daq import calibrate as measure
-    from daq import runfile, settings, units
+    from daq import placing, settings, units
     from daq.rig import checked
 
     if not ring_down and distance is None:
         raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
     known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
     request = _request(known)
-    runfile.refuse_existing(output, force)
+    placing.refuse_existing(output, force)
     length = None if distance is None else units.measured(distance, "length", "--distance")
     if length is not None and length.value == 0:
         raise InputError("the distance is zero", "--distance", "give for example '100 mm'")
@@ -202,7 +202,7 @@ def calibrate(
         decoder=known.decoder,
     )  # fmt: skip
     text = _commented(ring) + made.to_toml() + board
-    with runfile.replacing(output, force) as temporary:
+    with placing.replacing(output, force) as temporary:
         temporary.write_text(text, encoding="utf-8")
     data = _as_json(made.metres_per_count, ring) | {"file": output, "rig": _values(made), "warnings": warnings}
     return Answer(data, _as_text(data, ring, warnings, output))

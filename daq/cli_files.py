@@ -62,10 +62,10 @@ def import_table(
 
     Example: daq import track.csv -o run.h5 --x-unit cm --mass "300 g" --stiffness "10.5 N/m"
     """
-    from daq import runfile, table_import
+    from daq import placing, runfile, table_import
 
     target = output or file.with_suffix(".h5")
-    runfile.refuse_existing(target, force, file)
+    placing.refuse_existing(target, force, file)
     wishes = table_import.Wishes(
         time=time,
         position=position,
@@ -115,12 +115,12 @@ def replay(
 
     Example: daq replay capture.sr --channels A=XA,B=XB -o run.h5
     """
+    from daq import placing, runfile
     from daq import replay as again
-    from daq import runfile
 
     kind = again.kind_of(source)
     target = output or _default_output(source, kind)
-    runfile.refuse_existing(target, force, source)
+    placing.refuse_existing(target, force, source)
     calibration = _rig(rig)
     if kind == "capture":
         return _replay_capture(source, target, (channels, step, direction, decoder), rate, capture_rate, rig, force)
@@ -200,13 +200,13 @@ def export(
     Example: daq export run.h5 --csv run.csv
     """
     from daq import export as tables
-    from daq import runfile
+    from daq import placing, runfile
 
     targets = {form: target for form, target in (("csv", csv), ("parquet", parquet)) if target is not None}
     if not targets:
         raise InputError("nothing to write", "command line", "give --csv FILE or --parquet FILE")
     for target in targets.values():
-        runfile.refuse_existing(target, force, file)
+        placing.refuse_existing(target, force, file)
     rows = tables.frame(runfile.load(file))
     for form, target in targets.items():
         tables.write(rows, target, form, force=force)

@@ -46,9 +46,25 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
         entry = numba.njit(function, cache=folder is not None, **options)
     finally:
         settings["CACHE_DIR"] = before
+    if folder is not None:
+        _keep_if_possible(entry, folder)
     if folder is None or not any(folder.rglob(f"*.{function.__name__}-*.nbi")):
         sys.stderr.write(f"compiling {function.__name__}: once per installation, some seconds\n")
     return entry  # type: ignore[no-any-return]
+
+
+def _keep_if_possible(entry: Any, folder: Path) -> None:
+    """Let a disk that refuses machine code cost the next call some seconds, and not this one its result."""
+    save = entry._cache.save_overload
+
+    def attempt(*what: Any) -> None:
+        try:
+            save(*what)
+        except OSError as error:
+            said = f"machine code is not kept: {folder}: {error.strerror or error}\n"
+            sys.stderr.write(said)
+
+    entry._cache.save_overload = attempt
 
 
 @cache

@@ -6,7 +6,7 @@ A CSV is written with as many digits as read back exactly, so ``daq import`` of 
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq import runfile
+from daq import placing
 from daq.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,8 +62,8 @@ def write(rows: "pd.DataFrame", target: Path, form: str, *, force: bool = False)
     InputError
         When the file exists, or Parquet was asked for and pyarrow is not installed.
     """
-    runfile.refuse_existing(target, force)
-    with runfile.replacing(target, force) as temporary:
+    placing.refuse_existing(target, force)
+    with placing.replacing(target, force) as temporary:
         if form == "csv":
             rows.to_csv(temporary, index=False, lineterminator="\n")
         else:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import assemble, belt, capability, clock, counter, journal, runfile, stream, wire
+from daq import assemble, belt, capability, clock, counter, journal, placing, runfile, stream, wire
 from daq.assemble import Samples, TruthRows
 from daq.consistency import Checked, check
 from daq.errors import DataError, InputError
@@ -40,7 +40,7 @@ def finalise(part: Path, output: Path, *, finished_by: str, force: bool = False)
     DataError
         The journal holds no samples.  It stays where it is, as after every other error.
     """
-    runfile.refuse_existing(output, force)
+    placing.refuse_existing(output, force)
     markers = journal.markers_path(part)
     taken = journal.read(part)
     data, summary = run_data(taken, journal.read_markers(markers), finished_by)

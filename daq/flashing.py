@@ -114,14 +114,14 @@ def write(kind: Board, target: Path, *, force: bool = False) -> tuple[Path, list
         existing = target / file.name
         if existing.exists() and not force and existing.read_bytes() != file.read_bytes():
             raise InputError("exists and holds something else", str(existing), "give another -o, or --force")
-    from daq import runfile
+    from daq import placing
 
     if target.exists() and not target.is_dir():
         raise InputError("is no folder", str(target), "give a folder, with -o")
     with disk.writing(target):
         target.mkdir(parents=True, exist_ok=True)
     for file in files:
-        with runfile.replacing(target / file.name, force=True) as temporary:
+        with placing.replacing(target / file.name, force=True) as temporary:
             temporary.write_bytes(file.read_bytes())
     written = [target / file.name for file in files]
     return target / kind.hex_name, [file for file in written if file.name != kind.hex_name]

@@ -81,7 +81,7 @@ class Request:
 
 def check_request(request: Request) -> None:
     """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
-    from daq.runfile import refuse_existing
+    from daq.placing import refuse_existing
 
     if request.rate_hz is not None and request.rate_hz < 1:
         raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")

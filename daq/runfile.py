@@ -9,7 +9,6 @@ Equal `RunData` give equal bytes under the same file name and library versions: 
 
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
@@ -20,7 +19,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import disk, layout
+from daq import disk, layout, placing
 from daq.errors import InputError
 from daq.nexus_read import AGAIN, EVERY, array, dataset, group, same_length, scalar, string, text
 from daq.recording import EVENT_NAMES as EVENT_NAMES
@@ -164,9 +163,9 @@ def write(path: str | os.PathLike[str], data: RunData, *, force: bool = False) -
         When the arrays of ``data`` do not belong together.
     """
     target = Path(path)
-    refuse_existing(target, force)
+    placing.refuse_existing(target, force)
     _check(data)
-    with replacing(target, force) as temporary, disk.hdf5(temporary, "w") as file:
+    with placing.replacing(target, force) as temporary, disk.hdf5(temporary, "w") as file:
         layout.build(file, data, target.name, SCHEMA)
 
 
@@ -206,7 +205,7 @@ def extend(
     with opened(target):
         pass
     stage = min(STAGES.index(name.split("_")[0]) for name in wanted)
-    with replacing(target, force=True) as temporary:
+    with placing.replacing(target, force=True) as temporary:
         shutil.copyfile(target, temporary)
         with disk.hdf5(temporary, "r+") as file:
             entry = file["entry"]
@@ -216,23 +215,6 @@ def extend(
             writer(entry)
             if default is not None:
                 entry.attrs["default"] = default
-
-
-def refuse_existing(path: Path, force: bool, source: Path | None = None) -> None:
-    """Raise InputError when ``path`` exists and ``force`` was not given, or when it cannot be written to.
-
-    Not even ``force`` lets an output replace the ``source`` it is made from.
-    """
-    if source is not None and path.exists() and source.exists() and path.samefile(source):
-        raise InputError("would replace its own source", str(path), "give another name (-o)")
-    if path.is_dir():
-        raise InputError("is a folder", str(path), "give a file name")
-    if path.exists() and not path.is_file():
-        raise InputError("is a device, not a file", str(path), "give a file name")
-    if path.exists() and not force:
-        raise InputError("the output file exists", str(path), "give another name (-o), or --force to replace it")
-    if not path.absolute().parent.is_dir():
-        raise InputError("its folder does not exist", str(path), f"make {path.absolute().parent} first")
 
 
 @contextmanager
@@ -299,43 +281,6 @@ def _damage(path: Path) -> Iterator[None]:
     except (OSError, RuntimeError, KeyError, ValueError) as error:
         what = f"is damaged: {str(error).splitlines()[0]}"
         raise InputError(what, str(path), "copy it again from its source, or daq recover its journal") from error
-
-
-@contextmanager
-def replacing(target: Path, force: bool) -> Iterator[Path]:
-    """Yield a temporary file beside ``target``; when the block succeeds it is synced and takes the target's name.
-
-    Raises
-    ------
-    RefusedError
-        The disk refuses (`daq.disk`); nothing is left behind, and what stood there before still does.
-    """
-    with disk.writing(target):
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=target.absolute().parent)
-        os.close(handle)
-        with _taking_its_place(Path(name), target, force) as temporary:
-            yield temporary
-
-
-@contextmanager
-def _taking_its_place(temporary: Path, target: Path, force: bool) -> Iterator[Path]:
-    try:
-        yield temporary
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~mask)
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())
-        refuse_existing(target, force)
-        temporary.replace(target)
-        if hasattr(os, "O_DIRECTORY"):
-            folder = os.open(target.absolute().parent, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _check(data: RunData) -> None:

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from daq import runfile
+from daq import placing
 from daq.errors import InputError
 from daq.version import VERSION
 from fitting import plot
@@ -68,7 +68,7 @@ def write(page: str, path: Path) -> None:
         The disk refuses; an older report still stands.
     """
     refuse_stranger(path)
-    with runfile.replacing(path, force=True) as temporary:
+    with placing.replacing(path, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 

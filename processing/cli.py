@@ -111,12 +111,12 @@ def inspect(
 
     Example: process inspect run.h5 --plot portrait.png
     """
-    from daq import runfile
+    from daq import placing
     from processing import plot as drawing
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
     if plot is not None:
-        runfile.refuse_existing(plot, force, file)
+        placing.refuse_existing(plot, force, file)
     motion, now = _motion(file)
     drawing.save(drawing.inspection(motion), target)
     recording = motion.recording
@@ -151,12 +151,12 @@ def export(
 
     Example: process export run.h5 --csv motion.csv
     """
-    from daq import runfile
+    from daq import placing
     from processing import export as tables
 
     if csv is None:
         raise InputError("nothing to write", "command line", "give --csv FILE")
-    runfile.refuse_existing(csv, force, file)
+    placing.refuse_existing(csv, force, file)
     motion, now = _motion(file)
     columns = tables.write_csv(motion, csv, force=force)
     rows = int(motion.time.size)

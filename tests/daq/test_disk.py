@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rig_sim
-from daq import disk, flashing, runfile, terminal
+from daq import disk, flashing, placing, runfile, terminal
 from daq.cli import app
 from rig_sim import motion_file
 
@@ -114,9 +114,9 @@ def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, mo
     def refuse(**_):
         raise PermissionError(13, "Permission denied", "some.partial")
 
-    monkeypatch.setattr(runfile.tempfile, "mkstemp", refuse)
+    monkeypatch.setattr(placing.tempfile, "mkstemp", refuse)
     with pytest.raises(disk.RefusedError, match=r"out.h5: may not be written; give a place"):
-        runfile.replacing(tmp_path / "out.h5", force=False).__enter__()
+        placing.replacing(tmp_path / "out.h5", force=False).__enter__()
 
 
 class Full(io.FileIO):
@@ -166,3 +166,17 @@ def test_a_file_through_a_sink_is_the_one_that_was_written(tmp_path):
     with h5py.File(path) as file:
         assert np.array_equal(file["x"], np.arange(5000.0))
         assert file["y"][()] == 2.0
+
+
+def twice(x):
+    return 2.0 * x
+
+
+def test_machine_code_that_does_not_fit_costs_no_result(full, tmp_path, capsys):
+    # A full home directory used to end every command that had something to compile.
+    from daq.compiled import build
+
+    quick = build(twice, tmp_path)
+    full(100)
+    assert quick(21.0) == 42.0
+    assert f"machine code is not kept: {tmp_path}: File too large" in capsys.readouterr().err
