@@ -55,7 +55,7 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
 
 def _keep_if_possible(entry: Any, folder: Path) -> None:
     """Let a disk that refuses machine code cost the next call some seconds, and not this one its result."""
-    save = entry._cache.save_overload
+    save = entry._cache.save_overload  # noqa: SLF001 - numba has no public way to say that a cache is optional
 
     def attempt(*what: Any) -> None:
         try:
@@ -64,7 +64,7 @@ def _keep_if_possible(entry: Any, folder: Path) -> None:
             said = f"machine code is not kept: {folder}: {error.strerror or error}\n"
             sys.stderr.write(said)
 
-    entry._cache.save_overload = attempt
+    entry._cache.save_overload = attempt  # noqa: SLF001
 
 
 @cache
