@@ -187,11 +187,13 @@ def _laws(ranking: "Ranking") -> "Table":
 
 def _parameters(ranking: "Ranking", alpha: float) -> "Table":
     """Return the best law's parameters."""
+    from fitting import report
+
     sure = f"{100 * (1 - alpha):g} % interval"
     table = terminal.table(f"law {ranking.best.law}", ("parameter", "value", "std. error", sure, "unit"))
     for name, item in ranking.best.parameters.items():
-        interval = f"{item.lo:.5g} ... {item.hi:.5g}"
-        table.add_row(name, f"{item.value:.6g}", f"{item.stderr:.2g}", interval, item.unit)
+        value, error, bounds, _ = report.interval(item)
+        table.add_row(name, value, error, bounds, item.unit)
     return table
 
 

@@ -13,6 +13,7 @@ from fitting.prediction import Windows, evaluator
 from fitting.result import Event
 from fitting.trajectory import Fit
 from fitting.unknowns import (
+    COSINE,
     DAMPING,
     DATUM,
     GIVE,
@@ -20,6 +21,8 @@ from fitting.unknowns import (
     LOCALS,
     LOG_F,
     NEXT_LEVEL,
+    OMEGA,
+    SINE,
     V_DR,
     V_SLIP,
     X_SLIP,
@@ -77,12 +80,22 @@ def _break_aways(fit: Fit, motion: Motion) -> tuple[Array, Array]:
         step = (high - low) / (TRIALS - 1)
         low, high = np.maximum(best - step, earliest), best + step
     place = np.array([_riding(fit, motion, k, best[k : k + 1])[0] for k in range(count)])
-    return best, _friction(fit, place) / math.exp(fit.u[LOG_F])
+    return best, _friction(fit, best, place) / math.exp(fit.u[LOG_F])
 
 
-def _edge_speed(fit: Fit) -> float:
+def _swing(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
+    """Return position (m), velocity and acceleration of the belt beside its steady run, at ``time``."""
+    omega = float(fit.u[OMEGA])
+    if omega == 0:
+        return np.zeros_like(time), np.zeros_like(time), np.zeros_like(time)
+    even, odd = np.cos(omega * time), np.sin(omega * time)
+    speed, quarter = fit.u[COSINE] * even + fit.u[SINE] * odd, fit.u[COSINE] * odd - fit.u[SINE] * even
+    return quarter / omega, speed, -omega * quarter
+
+
+def _edge_speed(fit: Fit, time: Array) -> Array:
     """Return the velocity at which a stick ends, m/s: the belt's, less what ramp and belt give way at the level."""
-    return float(fit.u[V_DR]) - _width(fit)
+    return np.asarray(float(fit.u[V_DR]) - _width(fit) + _swing(fit, time)[1])
 
 
 def _width(fit: Fit) -> float:
@@ -91,13 +104,13 @@ def _width(fit: Fit) -> float:
     return ramp + float(fit.u[GIVE] / fit.u[K]) * math.exp(fit.u[LOG_F])
 
 
-def _friction(fit: Fit, x: Array) -> Array:
-    """Return friction per unit mass (m/s^2) just before the break-away at ``x``.
+def _friction(fit: Fit, time: Array, x: Array) -> Array:
+    """Return friction per unit mass (m/s^2) just before the break-away at ``time`` and ``x``.
 
     On a ramp, or a belt that gives way, the mass is already slowing down, and that much of the load is not friction.
     """
-    u, speed = fit.u, _edge_speed(fit)
-    load = u[K] * (x - u[DATUM]) + u[DAMPING] * speed
+    u, speed = fit.u, _edge_speed(fit, time)
+    load = u[K] * (x - u[DATUM]) + u[DAMPING] * speed + _swing(fit, time)[2]
     slowing = _width(fit) * u[K] * speed / math.exp(u[LOG_F])
     return np.asarray(load - slowing)
 
@@ -107,7 +120,7 @@ def _reaches_level(fit: Fit, motion: Motion, k: int) -> float:
     onset = fit.cycles[k].onset
     time = np.arange(onset - LONGEST_DOUBT_S, onset + LONGEST_DOUBT_S, 1e-4)
     level = math.exp(float(fit.u[LOG_F] + fit.local[k, LEVEL]))
-    enough = _friction(fit, _riding(fit, motion, k, time)) >= level
+    enough = _friction(fit, time, _riding(fit, motion, k, time)) >= level
     return float(time[np.argmax(enough)]) if enough.any() else onset
 
 
@@ -123,12 +136,13 @@ def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
     for k, cycle in enumerate(fit.cycles):
         first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_ONSET_S))
         last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + AFTER_S))
-        for j, (begin, x) in enumerate(zip(trials[k], _riding(fit, motion, k, trials[k]), strict=True)):
+        starts = zip(trials[k], _riding(fit, motion, k, trials[k]), _edge_speed(fit, trials[k]), strict=True)
+        for j, (begin, x, edge) in enumerate(starts):
             after = max(first, int(np.searchsorted(motion.time, begin, side="right")))
             if after >= last:
                 continue
             row = np.zeros(LOCALS)
-            row[X_SLIP], row[V_SLIP] = x, _edge_speed(fit) - 1e-9 * u[V_DR]
+            row[X_SLIP], row[V_SLIP] = x, float(edge) - 1e-9 * u[V_DR]
             row[LEVEL] = row[NEXT_LEVEL] = fit.local[k, LEVEL]
             taken = np.r_[begin, motion.time[after:last]]
             table.append((len(local), 0, total, taken.size, 0, 0))
@@ -164,4 +178,6 @@ def _riding(fit: Fit, motion: Motion, k: int, time: Array) -> Array:
     first, end = fit.cycles[k].stick
     if _width(fit) > 0 or end <= first:
         return np.interp(time, motion.time, motion.position)
-    return np.asarray(fit.local[k, X_STICK] + fit.u[V_DR] * (time - motion.time[first]))
+    began = motion.time[first : first + 1]
+    swung = _swing(fit, time)[0] - _swing(fit, began)[0]
+    return np.asarray(fit.local[k, X_STICK] + fit.u[V_DR] * (time - began) + swung)

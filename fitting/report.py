@@ -94,7 +94,7 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         alone=len(ranking.laws_in_set) == 1,
         rows=[_row(row, ranking) for row in ranking.rows],
         best=ranking.best,
-        parameters=[(name, *_interval(item)) for name, item in ranking.best.parameters.items()],
+        parameters=[(name, *interval(item)) for name, item in ranking.best.parameters.items()],
         confidence=f"{100 * (1 - alpha):g} %",
         events=[_event(event) for event in ranking.events],
         warnings=ranking.warnings,
@@ -133,7 +133,7 @@ def _event(event: Any) -> tuple[str, str, str, str, str]:
     return str(event.number), f"{event.t:.3f}", shown(event.static_level), shown(event.kinetic_scale), event.flag
 
 
-def _interval(item: Parameter) -> tuple[str, str, str, str]:
+def interval(item: Parameter) -> tuple[str, str, str, str]:
     """Return value, standard error and interval with as many digits as the error deserves, and the unit."""
     digits = max(0, 1 - math.floor(math.log10(item.stderr))) if item.stderr > 0 else 6
     digits = min(digits, 12)

@@ -69,3 +69,13 @@ def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
         f"seed={100 + seed}", "friction.law=1", "belt.ripple=0.0044", "belt.ripple_hz=1.3", "scatter.Fs=0.1"
     )
     assert 1 in rank(motion).laws_in_set
+
+
+@pytest.mark.parametrize("law", [3, 6])
+def test_break_aways_from_a_belt_that_swings_carry_its_swing(swinging, law):
+    ranking = rank(swinging(law))
+    events = [event for event in ranking.events if not event.flag]
+    assert len(events) >= 10
+    assert [event.static_level / event.kinetic_scale for event in events] == pytest.approx(
+        [1.0] * len(events), abs=3e-3
+    )
