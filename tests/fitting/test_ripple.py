@@ -71,7 +71,7 @@ def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
     assert 1 in rank(motion).laws_in_set
 
 
-@pytest.mark.parametrize("law", [3, 6])
+@pytest.mark.parametrize("law", [3, 5])  # a ramp can be left, entered and left again within one swing
 def test_break_aways_from_a_belt_that_swings_carry_its_swing(swinging, law):
     ranking = rank(swinging(law))
     events = [event for event in ranking.events if not event.flag]
