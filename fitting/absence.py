@@ -12,8 +12,9 @@ import numpy as np
 from fitting.motion import REST_FRACTION, Array, Motion
 from fitting.setting import Run
 from fitting.trajectory import Fit
-from fitting.unknowns import LOG_F, K
+from fitting.unknowns import LOG_F, V_DR, D, K
 from fitting.windows import SLIPPING, Cut
+from rig_sim.friction.law import LAWS
 
 COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
 ONE_SPEED = 0.2  # of the usual stick's: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1
@@ -84,6 +85,8 @@ def of_fits(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
         sine = not sustained and all(_is_sine(run.motion) for run in runs)
         return SINE_ALONE if sine else "no law comes near it"
     best = min(near, key=lambda fit: fit.usual)
+    if LAWS[best.law].ramp and best.u[D] > best.u[V_DR]:
+        return f"law {best.law} comes nearest, with a ramp wider than the belt is fast"
     if sustained and math.exp(best.u[LOG_F]) < LEAST_FRICTION * best.u[K] * longest:
         return f"law {best.law} comes nearest, without any friction"
     return ""

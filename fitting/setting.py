@@ -18,6 +18,7 @@ UNKNOWN_DAMPING = 0.01  # of the critical one: one standard deviation when no ri
 STILL_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
 RIPPLE_KNOWN = 0.2  # of its amplitude: how well the sticks show it
 RIPPLE_CYCLES = 0.1  # of a turn over the whole record: further off lie other minima
+NO_FRICTION = 30.0  # log: so far below its first value friction is none, and its exponential still a number
 NO_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
 
 
@@ -88,7 +89,7 @@ class Setting:
             scale[r, :COSINE] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
             lower[r, :COSINE] = (
                 1e-6 * K0,
-                -np.inf,
+                level - NO_FRICTION,
                 0.05 * v,
                 0,
                 NO_RAMP * speed,

@@ -115,10 +115,15 @@ def test_less_than_a_cycle_is_no_stick_slip_yet(synthetic):
         rank(smooth(synthetic.recording(law=5, duration=1.2)))
 
 
-def test_a_friction_like_none_of_the_six_is_said_to_be_so(strangers, synthetic):
+def test_a_triangular_wave_is_no_ramp_that_is_never_left(strangers, synthetic):
     time, position = strangers.sawtooth(np.random.default_rng(1))
     blank = synthetic.recording(law=5, duration=1.0)
     rig = Rig(mass=Measured(0.3))
     recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=rig)
-    ranking = rank(smooth(recording))
+    with pytest.raises(DataError, match="no belt stick-slip in this record: "):
+        rank(smooth(recording))
+
+
+def test_a_law_that_fits_badly_is_said_to_do_so(synthetic):
+    ranking = rank(smooth(synthetic.recording(law=5)), laws=(1,))
     assert any("no law fits well" in warning for warning in ranking.warnings)
