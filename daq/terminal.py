@@ -179,6 +179,8 @@ def _shown(answer: object, as_json: bool) -> int:
 
 def main(app: cyclopts.App) -> NoReturn:
     """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
+    if sys.stdout is None:  # closed by who called; there is nobody to tell, but files may be wanted
+        sys.stdout = open(os.devnull, "w")
     sys.exit(run(app, sys.argv[1:]))
 
 

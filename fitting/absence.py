@@ -23,7 +23,7 @@ FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
 FILLED = 0.5  # of a record that riding, slips and rest fill at least
 RIDING = (0.6, 1.2)  # of the belt's speed
 SINE = 0.05  # of its amplitude: closer, a motion is a sine
-ONE_PLACE = 1.0  # of a slip's range: 12 % scatter and 25 % wear together spread the break-aways over 0.75
+ONE_PLACE = 4.0  # of a slip's range: where friction hardly falls a slip is short, and scatter moves its start by more
 LONG_STICK = 20  # samples
 DIES_AWAY = 0.7  # of the speed at first: a last third slower than that
 WORST_FIT = 0.02  # of a slip's length: a best law that usually errs by more describes something else
@@ -79,11 +79,15 @@ def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
 
 def of_fits(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
     """Say that no law describes the runs; "" where one does.  A sine looks the same at any friction."""
+    what = _misfit(fits, runs, sustained=sustained)
+    return SINE_ALONE if what and not sustained and all(_is_sine(run.motion) for run in runs) else what
+
+
+def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
     near = [fit for fit in fits if fit.usual < WORST_FIT * longest]
     if not near:
-        sine = not sustained and all(_is_sine(run.motion) for run in runs)
-        return SINE_ALONE if sine else "no law comes near it"
+        return "no law comes near it"
     best = min(near, key=lambda fit: fit.usual)
     if LAWS[best.law].ramp and best.u[D] > best.u[V_DR]:
         return f"law {best.law} comes nearest, with a ramp wider than the belt is fast"

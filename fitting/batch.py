@@ -98,13 +98,12 @@ def fit(
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """Return 0 when every run is decided, else 5 when one is undecided, else the worst failure's."""
+    """Return the worst failure's code, else 5 when a run is undecided, else 0."""
     codes = {row.code for row in rows}
-    if codes == {EXIT_DONE}:
-        return EXIT_DONE
-    if EXIT_UNDECIDED in codes:
-        return EXIT_UNDECIDED
-    return next(code for code in WORST_FIRST if code in codes)
+    failed = [code for code in WORST_FIRST if code in codes]
+    if failed:
+        return failed[0]
+    return EXIT_UNDECIDED if EXIT_UNDECIDED in codes else EXIT_DONE
 
 
 def _read(files: Sequence[Path], places: Sequence[Path], wishes: Wishes) -> Iterator[Prepared | Failure]:

@@ -81,6 +81,10 @@ def fit(
     places = pages.places(files, report)
     if csv is not None:
         table.refuse(csv, files)
+        if csv.resolve() in {place.resolve() for place in places}:
+            raise InputError("is the report's name too", str(csv), "give another name with --csv or --report")
+    if mass is not None and stiffness is not None:
+        raise InputError("--mass and --stiffness together", "command line", "give one: the fit finds the other")
     wishes = task.Wishes(
         laws=tuple(numbers(laws, "--laws")),
         mass=None if mass is None else measured(mass, "mass", "--mass"),

@@ -5,8 +5,9 @@ A law pays for what it may adjust: (p/2n) log n in log error for p parameters an
 on the calibrations, spread over the cycles.  Cycles that not even the best law describes (a kick) are no evidence.
 
 Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
-zero.  Inside the set a law is preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6,
-each jump law in its ramp law): then the winner's extra freedom bought nothing.
+zero, or when the difference, however regular, is next to nothing.  Inside the set a law is preferred to the winner only
+when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6, each jump law in its ramp law): then the winner's extra
+freedom bought nothing.
 """
 
 import math
@@ -23,6 +24,8 @@ from fitting.trajectory import Fit
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 FEWEST_CYCLES = 4
 DRAG_BLOCKS = 8
+MUCH = 8.0  # times the encoder's error: constant friction leaves 2 even with 200 us of jitter and a belt that ripples
+TIE = 1.0  # score: laws of the same freedom whose evidence differs by less are not told apart by it
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,13 @@ def unit_errors(fit: Fit, runs: Sequence[Run], taken: NDArray[np.bool_], *, sust
             found.append(np.array([_log_error(part.residual[rows], run.motion) for rows in kept]))
         elif run.cut.drag != (0, 0) and not run.cut.cycles[0].flag:
             found.append(_drag_errors(part, run.motion, run.cut.drag))
-    return np.concatenate(found)
+    return np.concatenate(found) if found else np.zeros(DRAG_BLOCKS)  # a drag too short to tell anything
+
+
+def leaves_much(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+    """Tell whether constant friction leaves far more of a motion without sustained sticks than counting explains."""
+    floor = max(run.motion.resolution for run in runs)
+    return all(fit.usual > MUCH * floor for fit in fits)
 
 
 def _drag_errors(fit: Fit, motion: Motion, drag: tuple[int, int]) -> Array:
@@ -118,7 +127,8 @@ def choose(evidence: Evidence, alpha: float) -> Choice:
         difference = errors[i] - errors[winner]
         half = quantile * float(np.std(difference, ddof=1)) / math.sqrt(n)
         behind[law] = (float(difference.mean()), half)
-    members = [law for law in sorted(laws, key=score.__getitem__) if behind[law][0] - behind[law][1] <= 0]
+    near = {law for law in laws if behind[law][0] - behind[law][1] <= 0 or score[law] < TIE}
+    members = [law for law in sorted(laws, key=score.__getitem__) if law in near]
     preferred = [law for law in members if law in NESTED[laws[winner]]]
     if preferred:
         first = preferred[0]

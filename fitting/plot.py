@@ -82,6 +82,7 @@ def friction(ranking: Ranking) -> Figure:
             mew=0,
             label="measured",
             rasterized=True,
+            zorder=4,
         )
         grid = curves.speeds(motion)
         top = 0.0

@@ -26,6 +26,7 @@ from processing.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 ALL_LAWS = (1, 2, 3, 4, 5, 6)
+LEAST_ALPHA = 1e-9  # surer is no interval
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
 
 
@@ -94,8 +95,8 @@ def rank(
     laws = tuple(dict.fromkeys(laws))
     if not laws or any(law not in LAWS for law in laws):
         raise InputError(f"laws are {list(laws)}", "--laws", "choose from 1 to 6, such as 1-6 or 3,5")
-    if not 0 < alpha < 1:
-        raise InputError(f"alpha is {alpha}", "--alpha", "give a number between 0 and 1, such as 0.05")
+    if not LEAST_ALPHA <= alpha < 1:
+        raise InputError(f"alpha is {alpha}", "--alpha", f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05")
     if jobs < 1:
         raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
     records = [_smoothed(one) for one in ([kinematics] if isinstance(kinematics, Kinematics) else kinematics)]
@@ -107,18 +108,22 @@ def rank(
         runs.append(_run(motion, frozenset(excluded)))
     sources = [str(record.recording.source) for record in records]
     sustained = _check(runs, sources)
-    competing = laws if sustained else tuple(law for law in laws if law in (1, 2))
-    if not competing:
+    plain = sustained
+    fits = search.every(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
+    if not sustained and evidence.leaves_much(fits, runs):
+        sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
+        fits = search.every(laws, runs, jobs, progress, scheduler)
+    fits = [fit for fit in fits if fit.law in laws]
+    if not sustained and not fits:
         raise DataError(
             "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
             sources[0],
             "add --laws 1,2",
         )
-    fits = search.every(competing, runs, jobs, progress, scheduler)
-    if what := absence.of_fits(fits, runs, sustained=sustained):
+    if what := absence.of_fits(fits, runs, sustained=plain):
         do = "check the calibration and the belt speed, or look at it with 'process inspect'"
         raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
-    if not sustained and all(run.cut.drag == (0, 0) or run.cut.cycles[0].flag for run in runs):
+    if not sustained and not any(run.cut.starts_at_rest for run in runs):
         raise DataError(
             f"no belt stick-slip in this record: {absence.SINE_ALONE}",
             ", ".join(sources),
@@ -185,6 +190,10 @@ def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: boo
 def _run(motion: Motion, excluded: frozenset[int]) -> Run:
     """Cut a record into cycles; where the belt's speed swings, as it would move on a steady belt."""
     cut = windows.cut(motion, excluded)
+    beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
+    if beyond and cut.cycles:
+        what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
+        raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
     swing = ripple.find(motion, cut)
     if swing is not None:
         cut = windows.cut(swing.removed(motion), excluded)

@@ -16,7 +16,7 @@ from rig_sim.friction.law import LAWS
 
 STUCK = 0.98  # of a law's error: where its jump or ramp law errs less than that, it found a better place
 HOPELESS = 30.0  # times the best law's error after the first pass: so far behind a law is not fitted any further
-CONTENDER = 3.0  # times the best law's error: up to there a law is fitted to every sample, beyond to the thinned record
+CONTENDER = 10.0  # times the best law's error: up to there a law is fitted to every sample, beyond to a thinned record
 
 
 def every(

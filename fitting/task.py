@@ -1,5 +1,6 @@
 """One task of `fit-friction`: runs read and calibrated as asked for, fitted as one contact, and told about."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -111,10 +112,10 @@ def _rig(rig: Rig, wishes: Wishes) -> Rig:
     if wishes.datum_sd is not None and wishes.datum is None and rig.datum is None:
         raise InputError("--datum-sd without a datum", "--datum-sd", "give --datum too")
     if wishes.datum is not None or wishes.datum_sd is not None:
-        rig = replace(rig, datum=_changed(rig.datum, wishes.datum, wishes.datum_sd))
+        rig = replace(rig, datum=_changed("--datum", rig.datum, wishes.datum, wishes.datum_sd))
     if wishes.damping is None and wishes.damping_sd is None:
         return rig
-    damping = _changed(rig.damping, wishes.damping, wishes.damping_sd)
+    damping = _changed("--damping", rig.damping, wishes.damping, wishes.damping_sd)
     if damping.value < 0:
         raise InputError(f"damping is {damping.value}", "--damping", "give 0 or more, in N s/m")
     if rig.mass is None and rig.stiffness is None:
@@ -122,12 +123,14 @@ def _rig(rig: Rig, wishes: Wishes) -> Rig:
     return replace(rig, damping=damping)
 
 
-def _changed(known: Measured | None, value: float | None, sd: float | None) -> Measured:
+def _changed(flag: str, known: Measured | None, value: float | None, sd: float | None) -> Measured:
     """Return a calibration with the value, the error, or both replaced; a new value without an error is exact."""
     if value is None:
         value = known.value if known is not None else 0.0
     elif sd is None:
         sd = 0.0
-    if sd is None or sd < 0:
-        raise InputError(f"standard deviation is {sd}", "command line", "give one of 0 or more")
+    if not math.isfinite(value):
+        raise InputError(f"is {value}", flag, "give a number")
+    if sd is None or not 0 <= sd < math.inf:
+        raise InputError(f"standard deviation is {sd}", f"{flag}-sd", "give a number of 0 or more")
     return Measured(float(value), float(sd))

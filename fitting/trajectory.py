@@ -38,6 +38,7 @@ FINE_PASS = (10, 1e-5)
 NO_TREND = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
 
 CALM = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
+RIVAL = 10.0  # times the best start's error after the first pass: so near a start may still turn out the better one
 NO_LEVEL = 10.0  # standard deviation of a level that must not pull at the mean
 TRUSTED = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
 LEAST_FADING = 1e-6  # 1/s
@@ -80,6 +81,8 @@ class Fit:
         Where the last pass ended.
     outcome : str
     cpu_s : float
+    rivals : tuple of State
+        Where other starts led after the first pass, if not much worse.
     """
 
     law: int
@@ -99,6 +102,7 @@ class Fit:
     state: "State"
     outcome: str
     cpu_s: float
+    rivals: "tuple[State, ...]" = ()
 
     @property
     def rms(self) -> float:
@@ -178,21 +182,27 @@ def begin(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool
     found = [state for state in (_pass_by(setting, windows, first, 0) for first in starts) if state is not None]
     if not found:
         return None
-    best = min(found, key=lambda state: state.usual)
-    return _fit(law, setting, windows, best, runs, clock.process_time() - begun)
+    best, *others = sorted(found, key=lambda state: state.usual)
+    fit = _fit(law, setting, windows, best, runs, clock.process_time() - begun)
+    return replace(fit, rivals=tuple(state for state in others if state.usual < RIVAL * best.usual))
 
 
 def settle(fit: Fit, runs: Sequence[Run]) -> Fit | None:
     """Fit again with noise level, weights and scatter as the passes before show them; None where that leads nowhere."""
     begun = clock.process_time()
     setting = Setting.of(fit.law, runs)
-    state: State | None = fit.state
-    for number in range(1, len(PASSES)):
+    ended = []
+    for first in (fit.state, *fit.rivals):
+        state: State | None = first
+        for number in range(1, len(PASSES)):
+            if state is not None:
+                state = _pass_by(setting, fit.windows, state, number)
         if state is not None:
-            state = _pass_by(setting, fit.windows, state, number)
-    if state is None:
+            ended.append(state)
+    if not ended:
         return None
-    return _fit(fit.law, setting, fit.windows, state, runs, fit.cpu_s + clock.process_time() - begun)
+    best = min(ended, key=lambda state: state.usual)
+    return _fit(fit.law, setting, fit.windows, best, runs, fit.cpu_s + clock.process_time() - begun)
 
 
 def search(law: int, runs: Sequence[Run], near: Fit) -> Fit | None:

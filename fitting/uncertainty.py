@@ -68,7 +68,7 @@ def covariance(fit: Fit, precision: Array) -> Array:
     # A weak direction must neither make the inverse fail nor pass for a known one: in units of the curvatures, a
     # direction that only rounding holds gets the variance of a guess that is all there is to it.
     scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-100))  # its square must not overflow
-    size, axes = np.linalg.eigh(H * scale[:, None] * scale)
+    size, axes = np.linalg.eigh(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
     half = scale[:, None] * axes / np.sqrt(np.maximum(size, 1e-15))
     bread = half @ half.T
     meat = own.T @ own * (cycles / max(cycles - 1, 1)) + np.diag(precision)

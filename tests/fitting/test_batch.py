@@ -106,7 +106,7 @@ def test_a_batch_is_a_table_on_the_screen(folder, capsys):
 
 @pytest.mark.parametrize(
     ("codes", "expected"),
-    [((0, 0), 0), ((0, 5), 5), ((0, 4), 4), ((4, 2), 2), ((2, 3), 3), ((3, 1), 1), ((0, 4, 5), 5)],
+    [((0, 0), 0), ((0, 5), 5), ((0, 4), 4), ((4, 2), 2), ((2, 3), 3), ((3, 1), 1), ((0, 4, 5), 4)],
 )
 def test_the_exit_code_of_a_batch(codes, expected):
     rows = [

@@ -163,3 +163,23 @@ def test_a_law_that_is_not_nested_is_not_preferred():
     noise -= noise.mean()
     chosen = choose(evidence((3, 5), 0.01 + noise, noise * 0), 0.05)
     assert chosen.members == (5, 3)
+
+
+@pytest.mark.parametrize(("law", "slope"), [(3, 0.1), (4, 0.15)])
+def test_short_sticks_are_sticks(simulated, law, slope):
+    # The mass sticks for a tenth of its period only; constant friction leaves 170 times what counting explains.
+    ranking = rank(simulated(f"friction.law={law}", f"friction.G_slip={slope}", "scatter.Fs=0.01"))
+    assert law in ranking.laws_in_set
+    assert ranking.best.fit.usual < 5e-6
+
+
+def test_equal_freedom_and_nearly_equal_evidence_are_a_set():
+    errors = np.array([np.full(9, -12.0), np.full(9, -12.0 + 0.02)])  # regular to the last bit, and next to nothing
+    assert choose(Evidence((4, 6), errors), 0.05).members == (4, 6)
+    assert choose(Evidence((4, 6), errors * [[1.0], [0.98]]), 0.05).members == (4,)
+
+
+@pytest.mark.parametrize("changes", [{"excluded": (99,)}, {"alpha": 1e-300}, {"alpha": 1.5}])
+def test_what_no_record_can_give_is_refused(simulated, changes):
+    with pytest.raises(InputError):
+        rank(simulated("friction.law=5"), laws=(5,), **changes)
