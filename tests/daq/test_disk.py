@@ -3,6 +3,7 @@
 import io
 import signal
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +19,24 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits of file 
 
 @pytest.fixture
 def full():
-    """Return a function after which no file grows beyond so many bytes: to a writer, a full disk."""
+    """Return a context in which no file grows beyond so many bytes: to a writer, a full disk.
+
+    It ends with the block, not with the test: what pytest itself prints may go to a file.
+    """
     import resource
 
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    signal.signal(signal.SIGXFSZ, handler)
+    @contextmanager
+    def limited(size):
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+            signal.signal(signal.SIGXFSZ, handler)
+
+    return limited
 
 
 def refused(capsys, application, *arguments):
@@ -36,19 +47,19 @@ def refused(capsys, application, *arguments):
 @pytest.mark.parametrize("name", ["motion.h5", "motion.csv"])
 def test_a_motion_that_does_not_fit_leaves_nothing(full, tmp_path, name):
     # HDF5 used to print its library's own text, twice, and to end in a segmentation fault.
-    full(20_000)
-    with pytest.raises(disk.RefusedError, match=f"{name}: the disk is full; make room"):
-        motion_file.write(rig_sim.scene("rig"), tmp_path / name, until=20.0, rate=1000.0)
-    assert list(tmp_path.iterdir()) == []
+    with full(20_000):
+        with pytest.raises(disk.RefusedError, match=f"{name}: the disk is full; make room"):
+            motion_file.write(rig_sim.scene("rig"), tmp_path / name, until=20.0, rate=1000.0)
+        assert list(tmp_path.iterdir()) == []
 
 
 def test_a_run_whose_disk_is_full_keeps_its_journal_and_says_how_to_go_on(full, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    full(30_000)  # the journal of two seconds is smaller, the run file larger
-    code, line = refused(capsys, app, "record", "--duration", 2, "-o", "run.h5")
-    assert code == 3
-    assert line.startswith("daq: run.h5: the disk is full; the journal is kept; mend that, then get the data with")
-    assert [path.name for path in tmp_path.iterdir()] == ["run.h5.part"]
+    with full(30_000):  # the journal of two seconds is smaller, the run file larger
+        code, line = refused(capsys, app, "record", "--duration", 2, "-o", "run.h5")
+        assert code == 3
+        assert line.startswith("daq: run.h5: the disk is full; the journal is kept; mend that, then get the data with")
+        assert [path.name for path in tmp_path.iterdir()] == ["run.h5.part"]
 
 
 @pytest.fixture
@@ -61,35 +72,35 @@ def run(tmp_path, capsys):
 
 def test_a_stage_that_does_not_fit_leaves_the_run_as_it_was(full, run):
     before = run.read_bytes()
-    full(len(before) + 1000)
+    with full(len(before) + 1000):
 
-    def write(entry):
-        entry.create_dataset("smooth/x", data=np.arange(100_000.0), chunks=(1000,), maxshape=(None,))
+        def write(entry):
+            entry.create_dataset("smooth/x", data=np.arange(100_000.0), chunks=(1000,), maxshape=(None,))
 
-    with pytest.raises(disk.RefusedError, match="the disk is full"):
-        runfile.extend(run, "smooth", write)
-    assert run.read_bytes() == before
-    assert list(run.parent.iterdir()) == [run]
+        with pytest.raises(disk.RefusedError, match="the disk is full"):
+            runfile.extend(run, "smooth", write)
+        assert run.read_bytes() == before
+        assert list(run.parent.iterdir()) == [run]
 
 
 @pytest.mark.parametrize("arguments", [["export", "RUN", "--csv", "out"], ["replay", "RUN", "-o", "out.h5"]])
 def test_every_output_names_itself(full, run, capsys, monkeypatch, arguments):
     # An export used to blame the command: "daq: daq: No space left on device".
     monkeypatch.chdir(run.parent)
-    full(5000)
-    code, line = refused(capsys, app, *(str(run) if word == "RUN" else word for word in arguments))
-    assert code == 3
-    assert line.startswith(f"daq: {arguments[-1]}: the disk is full; ")
-    assert list(run.parent.iterdir()) == [run]
+    with full(5000):
+        code, line = refused(capsys, app, *(str(run) if word == "RUN" else word for word in arguments))
+        assert code == 3
+        assert line.startswith(f"daq: {arguments[-1]}: the disk is full; ")
+        assert list(run.parent.iterdir()) == [run]
 
 
 def test_firmware_on_a_full_disk_is_a_disks_failure_and_leaves_no_empty_file(full, tmp_path, capsys):
     # It used to exit with 2, and to leave files of 0 bytes.
-    full(1000)
-    code, line = refused(capsys, app, "firmware", "--board", "uno", "-o", tmp_path / "fw")
-    assert code == 3
-    assert ": the disk is full; " in line
-    assert all(path.stat().st_size > 0 for path in (tmp_path / "fw").iterdir())
+    with full(1000):
+        code, line = refused(capsys, app, "firmware", "--board", "uno", "-o", tmp_path / "fw")
+        assert code == 3
+        assert ": the disk is full; " in line
+        assert all(path.stat().st_size > 0 for path in (tmp_path / "fw").iterdir())
 
 
 def test_firmware_into_a_file_is_the_callers_mistake(tmp_path, capsys):
@@ -103,11 +114,11 @@ def test_firmware_into_a_file_is_the_callers_mistake(tmp_path, capsys):
 def test_a_picture_that_does_not_fit_leaves_no_file(full, run, capsys):
     from processing.cli import app as process
 
-    full(5000)
-    code, line = refused(capsys, process, "inspect", run, "--plot", run.parent / "out.png")
-    assert code == 3
-    assert "out.png: the disk is full" in line
-    assert list(run.parent.iterdir()) == [run]
+    with full(5000):
+        code, line = refused(capsys, process, "inspect", run, "--plot", run.parent / "out.png")
+        assert code == 3
+        assert "out.png: the disk is full" in line
+        assert list(run.parent.iterdir()) == [run]
 
 
 def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, monkeypatch):
@@ -177,6 +188,6 @@ def test_machine_code_that_does_not_fit_costs_no_result(full, tmp_path, capsys):
     from daq.compiled import build
 
     quick = build(twice, tmp_path)
-    full(100)
-    assert quick(21.0) == 42.0
-    assert f"machine code is not kept: {tmp_path}: File too large" in capsys.readouterr().err
+    with full(100):
+        assert quick(21.0) == 42.0
+        assert f"machine code is not kept: {tmp_path}: File too large" in capsys.readouterr().err
