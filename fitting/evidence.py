@@ -5,9 +5,9 @@ A law pays for what it may adjust: (p/2n) log n in log error for p parameters an
 on the calibrations, spread over the cycles.  Cycles that not even the best law describes (a kick) are no evidence.
 
 Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
-zero, or when the difference, however regular, is next to nothing.  Inside the set a law is preferred to the winner only
-when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6, each jump law in its ramp law): then the winner's extra
-freedom bought nothing.
+zero, or when the difference, however regular, is next to nothing and the winner is no limit of it.  Inside the set a
+law is preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6, each jump law in its
+ramp law): then the winner's extra freedom bought nothing.
 """
 
 import math
@@ -24,6 +24,7 @@ from fitting.trajectory import Fit
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 FEWEST_CYCLES = 4
 DRAG_BLOCKS = 8
+KIN = 2.0  # times the best law's error: a limit of it that is further off is no near relative
 MUCH = 8.0  # times the encoder's error: constant friction leaves 2 even with 200 us of jitter and a belt that ripples
 TIE = 1.0  # score: laws of the same freedom whose evidence differs by less are not told apart by it
 
@@ -44,10 +45,17 @@ def _log_error(residual: Array, motion: Motion) -> float:
 def judged(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     """Return which cycles are judged by, shape (cycles,): those that the best law describes, if these are enough.
 
-    A cycle with a kick in the middle of its slip is described by no law, and says nothing of which it is.
+    A cycle with a kick in the middle of its slip is described by no law, and says nothing of which it is.  Laws that
+    are limits of each other differ there by where their minimisers ended, so near relatives must all describe it.
     """
-    trusted = min(fits, key=lambda fit: fit.usual).trusted
+    best = min(fits, key=lambda fit: fit.usual)
+    kin = [fit for fit in fits if fit.usual < KIN * best.usual and _related(fit.law, best.law)]
+    trusted = np.logical_and.reduce([fit.trusted for fit in kin])
     return trusted if trusted.sum() >= FEWEST_CYCLES else np.ones_like(trusted)
+
+
+def _related(law: int, other: int) -> bool:
+    return law == other or law in NESTED[other] or other in NESTED[law]
 
 
 def unit_errors(fit: Fit, runs: Sequence[Run], taken: NDArray[np.bool_], *, sustained: bool) -> Array:
@@ -127,7 +135,8 @@ def choose(evidence: Evidence, alpha: float) -> Choice:
         difference = errors[i] - errors[winner]
         half = quantile * float(np.std(difference, ddof=1)) / math.sqrt(n)
         behind[law] = (float(difference.mean()), half)
-    near = {law for law in laws if behind[law][0] - behind[law][1] <= 0 or score[law] < TIE}
+    alike = {law for law in laws if score[law] < TIE and laws[winner] not in NESTED[law]}
+    near = {law for law in laws if behind[law][0] - behind[law][1] <= 0} | alike
     members = [law for law in sorted(laws, key=score.__getitem__) if law in near]
     preferred = [law for law in members if law in NESTED[laws[winner]]]
     if preferred:
