@@ -11,6 +11,7 @@ import numpy as np
 from fitting.motion import Array, Motion
 from fitting.prediction import Windows, evaluator
 from fitting.result import Event
+from fitting.ripple import Ripple
 from fitting.trajectory import Fit
 from fitting.unknowns import (
     COSINE,
@@ -84,13 +85,8 @@ def _break_aways(fit: Fit, motion: Motion) -> tuple[Array, Array]:
 
 
 def _swing(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
-    """Return position (m), velocity and acceleration of the belt beside its steady run, at ``time``."""
-    omega = float(fit.u[OMEGA])
-    if omega == 0:
-        return np.zeros_like(time), np.zeros_like(time), np.zeros_like(time)
-    even, odd = np.cos(omega * time), np.sin(omega * time)
-    speed, quarter = fit.u[COSINE] * even + fit.u[SINE] * odd, fit.u[COSINE] * odd - fit.u[SINE] * even
-    return quarter / omega, speed, -omega * quarter
+    """Return position (m), velocity and acceleration of the belt beside its steady run, as the fit has it."""
+    return Ripple(*(float(value) for value in fit.u[[COSINE, SINE, OMEGA]])).swing(time)
 
 
 def _edge_speed(fit: Fit, time: Array) -> Array:

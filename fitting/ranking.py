@@ -108,7 +108,7 @@ def rank(
         runs.append(_run(motion, frozenset(excluded)))
     sources = [str(record.recording.source) for record in records]
     sustained = _check(runs, sources)
-    plain = sustained
+    seen = sustained  # as the record itself shows, before any law is fitted
     fits = search.every(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
     if not sustained and evidence.leaves_much(fits, runs):
         sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
@@ -120,7 +120,7 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
-    if what := absence.of_fits(fits, runs, sustained=plain):
+    if what := absence.of_fits(fits, runs, sustained=seen):
         do = "check the calibration and the belt speed, or look at it with 'process inspect'"
         raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
     if not sustained and not any(run.cut.starts_at_rest for run in runs):

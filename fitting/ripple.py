@@ -44,12 +44,16 @@ class Ripple:
 
     def removed(self, motion: Motion) -> Motion:
         """Return the motion with the swing taken off its smoothed velocity and acceleration, where corners show."""
-        even, odd = np.cos(self.omega * motion.time), np.sin(self.omega * motion.time)
-        return replace(
-            motion,
-            velocity=motion.velocity - (self.cosine * even + self.sine * odd),
-            acceleration=motion.acceleration - self.omega * (self.sine * even - self.cosine * odd),
-        )
+        _, velocity, acceleration = self.swing(motion.time)
+        return replace(motion, velocity=motion.velocity - velocity, acceleration=motion.acceleration - acceleration)
+
+    def swing(self, time: Array) -> tuple[Array, Array, Array]:
+        """Return position (m), velocity and acceleration of the belt beside its steady run; 0 where omega is."""
+        if self.omega == 0:
+            return np.zeros_like(time), np.zeros_like(time), np.zeros_like(time)
+        even, odd = np.cos(self.omega * time), np.sin(self.omega * time)
+        speed, quarter = self.cosine * even + self.sine * odd, self.cosine * odd - self.sine * even
+        return quarter / self.omega, speed, -self.omega * quarter
 
 
 def find(motion: Motion, cut: Cut) -> Ripple | None:

@@ -40,15 +40,8 @@ HIDDEN = {  # what is known only together with a datum or a damping that nothing
     DATUM: ("x0", "Fs/m", "Fs/k", "Fs", "Fs0/m", "wear"),
     DAMPING: ("c/m", "c", "G_slip/m", "G_slip"),
 }
-OWN = (
-    "v_dr",
-    "x0",
-    "Fs0/m",
-    "wear",
-    "droop",
-    "ripple",
-    "ripple_hz",
-)  # of each run; the other parameters are one for all
+# Of each run; the other parameters are one for all.
+OWN = ("v_dr", "x0", "Fs0/m", "wear", "droop", "ripple", "ripple_hz")
 
 
 def covariance(fit: Fit, precision: Array) -> Array:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from daq import runfile
 from daq.recording import Recording
 from daq.rig import Measured, Rig
 
@@ -211,6 +212,21 @@ def recording(scene=None, **changes):
         operator="",
         provenance={},
     )
+
+
+def written(path, recording):
+    """Write a recording as a run file and return its path."""
+    data = runfile.RunData(
+        title="synthetic",
+        started=recording.started,
+        ended=recording.ended,
+        rate_hz=recording.rate_hz,
+        rig=recording.rig,
+        time=recording.time,
+        position=recording.position,
+    )
+    runfile.write(path, data)
+    return path
 
 
 def nominal(law, seed, **changes):

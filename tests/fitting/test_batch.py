@@ -14,7 +14,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from daq import runfile, terminal
+from daq import terminal
 from daq.errors import DeviceError, InputError
 from fitting import batch, cli, workers
 from fitting.batch import Failure, Row
@@ -23,29 +23,13 @@ from processing.smoothing import smooth
 needs_dask = pytest.mark.skipif(find_spec("distributed") is None, reason="dask.distributed is not installed")
 
 
-def written(path, recording):
-    runfile.write(
-        path,
-        runfile.RunData(
-            title="synthetic",
-            started=recording.started,
-            ended=recording.ended,
-            rate_hz=recording.rate_hz,
-            rig=recording.rig,
-            time=recording.time,
-            position=recording.position,
-        ),
-    )
-    return path
-
-
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory, synthetic):
     """Write a run of law 5, one of law 3, one too short, and a file that is none."""
     folder = tmp_path_factory.mktemp("batch")
-    written(folder / "five.h5", synthetic.recording(law=5, duration=10.0))
-    written(folder / "three.h5", synthetic.recording(law=3, duration=10.0))
-    written(folder / "short.h5", synthetic.recording(law=5, duration=4.0))
+    synthetic.written(folder / "five.h5", synthetic.recording(law=5, duration=10.0))
+    synthetic.written(folder / "three.h5", synthetic.recording(law=3, duration=10.0))
+    synthetic.written(folder / "short.h5", synthetic.recording(law=5, duration=4.0))
     (folder / "none.h5").write_text("no run")
     return folder
 

@@ -17,20 +17,7 @@ from fitting import cli
 @pytest.fixture(scope="module")
 def run(tmp_path_factory, synthetic):
     recording = synthetic.recording(law=5, duration=10.0)
-    path = tmp_path_factory.mktemp("run") / "run.h5"
-    runfile.write(
-        path,
-        runfile.RunData(
-            title="synthetic",
-            started=recording.started,
-            ended=recording.ended,
-            rate_hz=recording.rate_hz,
-            rig=recording.rig,
-            time=recording.time,
-            position=recording.position,
-        ),
-    )
-    return path
+    return synthetic.written(tmp_path_factory.mktemp("run") / "run.h5", recording)
 
 
 @pytest.fixture(scope="module")

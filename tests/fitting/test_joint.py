@@ -113,23 +113,10 @@ def test_what_means_one_run_is_refused_beside_several(runs_of, flags):
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory, runs_of):
+def files(tmp_path_factory, synthetic, runs_of):
     folder, paths = tmp_path_factory.mktemp("joint"), []
     for number, kinematics in enumerate(runs_of(5, 2), start=1):
-        data = kinematics.recording
-        paths.append(folder / f"run{number}.h5")
-        runfile.write(
-            paths[-1],
-            runfile.RunData(
-                title="synthetic",
-                started=data.started,
-                ended=data.ended,
-                rate_hz=data.rate_hz,
-                rig=data.rig,
-                time=data.time,
-                position=data.position,
-            ),
-        )
+        paths.append(synthetic.written(folder / f"run{number}.h5", kinematics.recording))
     return paths
 
 
