@@ -275,6 +275,8 @@ def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustain
 
 def _side(row: LawResult, motion: Motion, alpha: float, run: int, *, sustained: bool) -> LawResult:
     """Return a law's row as one of the runs sees it."""
+    if row.fit.runs == 1:
+        return row
     part = row.fit.part(run)
     return replace(
         row,
