@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.quadrature import DECODERS, Decoder, levels_of
-from daq.sigrok import PIECE
+from daq.imports.sigrok import PIECE
+from daq.wire.quadrature import DECODERS, Decoder, levels_of
 
 RESULTS = Path(__file__).resolve().parent / "results"
 REPEATS = 5

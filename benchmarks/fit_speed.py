@@ -29,8 +29,9 @@ from scipy.optimize import least_squares
 
 import fitting
 import processing
-from daq import ports, runfile
-from daq.record import Request, record
+from daq.recorder import ports
+from daq.recorder.record import Request, record
+from daq.runfile import store
 from fitting import motion as frame
 from fitting import prediction, schur, windows
 from fitting.setting import Run, Setting
@@ -61,11 +62,11 @@ def cpu_s(who: int = resource.RUSAGE_SELF) -> float:
 
 def warm(laws: list[int], lengths: list[float], folder: str) -> list[dict[str, Any]]:
     """Rank records of each length; return a row for each."""
-    fitting.rank(processing.smooth(runfile.load(recorded(5, 10, folder))))
+    fitting.rank(processing.smooth(store.load(recorded(5, 10, folder))))
     rows = []
     for seconds in lengths:
         for law in laws if seconds <= SHORT else [5]:
-            kinematics = processing.smooth(runfile.load(recorded(law, seconds, folder)))
+            kinematics = processing.smooth(store.load(recorded(law, seconds, folder)))
             begun = cpu_s()
             ranking = fitting.rank(kinematics)
             spent = cpu_s() - begun
@@ -176,7 +177,7 @@ class OneWindow:
 
 def against_scipy(folder: str) -> dict[str, Any]:
     """Fit one window both ways."""
-    one = OneWindow(processing.smooth(runfile.load(recorded(5, 30, folder))))
+    one = OneWindow(processing.smooth(store.load(recorded(5, 30, folder))))
     one.ours()
     mine, cost, _ = one.ours()
     spent = float(np.median([one.ours()[2] for _ in range(21)]))

@@ -34,9 +34,10 @@ import numpy as np
 import fitting
 import processing
 import rig_sim
-from daq import ports, runfile
 from daq.errors import DataError
-from daq.record import Request, record
+from daq.recorder import ports
+from daq.recorder.record import Request, record
+from daq.runfile import store
 from rig_sim.motion import Motion
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -90,7 +91,7 @@ def ranked(changes: dict[str, Any], duration: float, folder: str) -> Any:
     path = Path(folder) / f"{changes['seed']}-{changes.get('belt.speed', 0)}.h5"
     listed = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
     record(Request(ports.rig_url("rig", listed, False), path, 1000, duration))
-    kinematics = processing.smooth(runfile.load(path))
+    kinematics = processing.smooth(store.load(path))
     path.unlink()
     return kinematics
 

@@ -31,7 +31,7 @@ def cpu(line: list[str], folder: str) -> tuple[float, str]:
 def run(law: int, seed: int, folder: str) -> dict[str, object]:
     """Record, smooth and fit one run; return what each stage cost and said."""
     changes = ["--set", f"friction.law={law}", "--set", f"seed={seed}"]
-    recorder = [sys.executable, "-m", "daq.cli", "record", "--rate", "1000", "-o", "run.h5", "--force", *changes]
+    recorder = [sys.executable, "-m", "daq.cli.app", "record", "--rate", "1000", "-o", "run.h5", "--force", *changes]
     record_s, _ = cpu(recorder, folder)
     smooth_s, smoothed = cpu([sys.executable, "-m", "processing.cli", "smooth", "run.h5", "--json"], folder)
     fit_s, fitted = cpu([sys.executable, "-m", "fitting.cli", "run.h5", "--json"], folder)

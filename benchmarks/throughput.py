@@ -18,9 +18,11 @@ import time
 import tty
 from pathlib import Path
 
-from daq import finalise, protocols, wire
+from daq import protocols
+from daq.finalise import run
 from daq.protocols.session import Plan, Wish
-from daq.record import Request, record
+from daq.recorder.record import Request, record
+from daq.wire import frames as wire
 
 RESULTS = Path(__file__).resolve().parent / "results"
 REPEATS = 5
@@ -122,7 +124,7 @@ def recording(seconds: float, rate_hz: int) -> dict[str, float]:
                 began.extend((time.process_time(), time.monotonic()))
             marks[:] = [time.process_time(), time.monotonic()]
 
-        build = finalise.finalise
+        build = run.finalise
         spent: list[float] = []
 
         def timed(*arguments: object, **more: object) -> object:
@@ -132,12 +134,12 @@ def recording(seconds: float, rate_hz: int) -> dict[str, float]:
             finally:
                 spent.append(time.process_time() - begun)
 
-        finalise.finalise = timed
+        run.finalise = timed
         try:
             request = Request(os.ttyname(slave), Path(folder) / "run.h5", rate_hz, seconds, baud=1_000_000)
             found = record(request, progress=note, stop=threading.Event())
         finally:
-            finalise.finalise = build
+            run.finalise = build
             board.kill()
             board.wait()
             os.close(master)
@@ -152,7 +154,17 @@ def recording(seconds: float, rate_hz: int) -> dict[str, float]:
 def whole_command(seconds: float) -> float:
     """Return the CPU share of `daq record --realtime --rate 5000`, simulation, start and run file included."""
     with tempfile.TemporaryDirectory() as folder:
-        line = [sys.executable, "-m", "daq.cli", "record", "--realtime", "--rate", "5000", "--duration", str(seconds)]
+        line = [
+            sys.executable,
+            "-m",
+            "daq.cli.app",
+            "record",
+            "--realtime",
+            "--rate",
+            "5000",
+            "--duration",
+            str(seconds),
+        ]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         subprocess.run(line, cwd=folder, check=True, capture_output=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)

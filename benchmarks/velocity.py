@@ -27,10 +27,10 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 import rig_sim
-from daq import runfile
-from daq.compiled import compiled
-from daq.recording import RunData
-from daq.rig import Measured, Rig
+from daq.compute.compile import compiled
+from daq.runfile import store
+from daq.runfile.recording import RunData
+from daq.runfile.rig import Measured, Rig
 from processing import chunked, faults, jerk_filter, methods, rts, savgol, series, stage
 from processing import window as windows
 from processing.gram import coefficients
@@ -340,7 +340,7 @@ def long_record(n: int) -> dict[str, float]:
             position=np.tile(run.position, times)[:n],
             count=np.tile(run.count, times)[:n],
         )
-        runfile.write(path, long)
+        store.write(path, long)
         del long
         for method, setting in (("sg", (41, 4)), ("rts", ()), ("auto", ())):
             begun = clock.process_time()
@@ -351,7 +351,7 @@ def long_record(n: int) -> dict[str, float]:
                 table = stage.empty(stage.begin(copy.create_group("entry")), n, "m")
                 made = file["entry/smooth/kinematics"]
                 for at in range(0, n, chunked.CHUNK):
-                    runfile.load(path, slice(at, at + chunked.CHUNK))
+                    store.load(path, slice(at, at + chunked.CHUNK))
                     for name in table:
                         table[name][at : at + chunked.CHUNK] = made[name][at : at + chunked.CHUNK]
             found[f"{method}, read + write alone, CPU s"] = clock.process_time() - begun

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from daq.runfile import Recording as Recording
-    from daq.runfile import load as load
+    from daq.runfile.store import Recording as Recording
+    from daq.runfile.store import load as load
 
 __all__ = ["Recording", "load"]
 
@@ -12,7 +12,7 @@ __all__ = ["Recording", "load"]
 def __getattr__(name: str) -> Any:
     """Import the run-file reader when it is first asked for: ``import daq`` alone loads nothing."""
     if name in __all__:
-        from daq import runfile
+        from daq.runfile import store
 
-        return getattr(runfile, name)
+        return getattr(store, name)
     raise AttributeError(f"module 'daq' has no attribute {name!r}")

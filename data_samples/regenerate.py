@@ -28,7 +28,7 @@ def record(folder: Path, name: str, changes: dict[str, int]) -> dict[str, object
     """Record one run of the built-in rig and return its line of the manifest."""
     flags = [part for key, value in changes.items() for part in ("--set", f"{key}={value}")]
     what = ["--rate", RATE_HZ, "--duration", DURATION_S, "-o", name, "--force", *flags]
-    command(folder, "daq.cli", "record", *what)
+    command(folder, "daq.cli.app", "record", *what)
     return {"scene": "rig", "changes": changes, "rate_hz": RATE_HZ, "duration_s": DURATION_S}
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.rig import Measured
+from daq.runfile.rig import Measured
 from processing.kinematics import Kinematics
 
 Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 from cyclopts import Parameter
 
-from daq import terminal
+from daq.console import application
+from daq.console.application import Answer, Json
 from daq.errors import EXIT_DONE, EXIT_UNDECIDED, InputError
-from daq.terminal import Answer, Json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fitting.batch import Row
     from fitting.result import Ranking
 
-app = terminal.application(
+app = application.application(
     "fit-friction", "Fit six friction laws to a recorded run and rank them.", "fit-friction run.h5 --report run.html"
 )
 
@@ -71,7 +71,7 @@ def fit(
 
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
-    from daq.units import measured, quantity
+    from daq.console.units import measured, quantity
     from fitting import batch, table, task
     from fitting import report as pages
 
@@ -98,7 +98,7 @@ def fit(
         alpha=alpha,
     )
     if each:
-        with terminal.progress("fitting", float(len(files)), "runs") as tell:
+        with application.progress("fitting", float(len(files)), "runs") as tell:
             rows = batch.fit(files, places, wishes, jobs, scheduler, tell)
         if csv is not None:
             table.write(csv, [(row.file, row.document) for row in rows])
@@ -107,7 +107,7 @@ def fit(
     for place in places:
         pages.refuse_stranger(place)
     runs = [task.prepare(path, wishes) for path in files]
-    with terminal.progress("fitting", float(len(wishes.laws)), "laws") as tell:
+    with application.progress("fitting", float(len(wishes.laws)), "laws") as tell:
         done = task.fit(runs, wishes, jobs, scheduler, tell)
     done.keep(files, places)
     if csv is not None:
@@ -147,7 +147,7 @@ def numbers(text: str, flag: str) -> list[int]:
 
 def _batch(rows: "Sequence[Row]") -> list[Any]:
     """Return the table of a batch: file, set, and the verdict or what went wrong."""
-    table = terminal.table("every run by itself", ("file", "set", "verdict"))
+    table = application.table("every run by itself", ("file", "set", "verdict"))
     table.columns[0].overflow = table.columns[2].overflow = "fold"
     table.columns[2].justify, table.columns[2].no_wrap = "left", False
     common = Path(os.path.commonpath([row.file.absolute().parent for row in rows]))
@@ -179,7 +179,7 @@ def _laws(ranking: "Ranking") -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
     from fitting.verdict import length
 
-    table = terminal.table("friction laws, best first", ("law", "error", "behind", "weight", "in set"))
+    table = application.table("friction laws, best first", ("law", "error", "behind", "weight", "in set"))
     for row in ranking.rows:
         behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
         weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
@@ -194,7 +194,7 @@ def _parameters(ranking: "Ranking", alpha: float) -> "Table":
     from fitting import report
 
     sure = f"{100 * (1 - alpha):g} % interval"
-    table = terminal.table(f"law {ranking.best.law}", ("parameter", "value", "std. error", sure, "unit"))
+    table = application.table(f"law {ranking.best.law}", ("parameter", "value", "std. error", sure, "unit"))
     for name, item in ranking.best.parameters.items():
         value, error, bounds, _ = report.interval(item)
         table.add_row(name, value, error, bounds, item.unit)
@@ -203,7 +203,7 @@ def _parameters(ranking: "Ranking", alpha: float) -> "Table":
 
 def main() -> NoReturn:
     """Run the command."""
-    terminal.main(app)
+    application.main(app)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import DataError, InputError
-from daq.rig import Measured, Rig
+from daq.runfile.rig import Measured, Rig
 from fitting import belt
 from fitting.belt import BeltLine
 from processing.kinematics import Kinematics

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.errors import DataError, InputError
-from daq.rig import Rig
+from daq.runfile.rig import Rig
 from fitting import absence, evidence, orbit, ripple, search, twin, uncertainty, verdict, windows
 from fitting import cycles as break_aways
 from fitting import motion as frame

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.rig import Measured
+from daq.runfile.rig import Measured
 from fitting.motion import Array, Motion
 from fitting.windows import Cut
 

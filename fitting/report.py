@@ -7,8 +7,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from daq import placing
 from daq.errors import InputError
+from daq.output import atomic
 from daq.version import VERSION
 from fitting import plot
 from fitting.result import Parameter, Ranking
@@ -68,7 +68,7 @@ def write(page: str, path: Path) -> None:
         The disk refuses; an older report still stands.
     """
     refuse_stranger(path)
-    with placing.replacing(path, force=True) as temporary:
+    with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 

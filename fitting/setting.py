@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.rig import Measured
+from daq.runfile.rig import Measured
 from fitting import regression, unknowns
 from fitting.motion import Array, Motion
 from fitting.ripple import Ripple

@@ -17,7 +17,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq import nexus, runfile
+from daq.runfile import nexus, store
 from daq.version import VERSION
 from fitting.curves import curve, speeds, unit
 from fitting.result import LawResult, Ranking
@@ -38,7 +38,7 @@ def save(ranking: Ranking, path: Path) -> None:
         For a file that is no run.
     """
     names = ["fit", *(f"fit_law{law}" for law in range(1, 7))]
-    runfile.extend(path, names, lambda entry: _write(entry, ranking), default="fit")
+    store.extend(path, names, lambda entry: _write(entry, ranking), default="fit")
 
 
 def _write(entry: h5py.Group, ranking: Ranking) -> None:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from daq import placing
 from daq.errors import InputError
+from daq.output import atomic
 
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 
@@ -36,7 +36,7 @@ def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:
     """
     rows = [(file, row) for file, document in documents for row in document.get("ranking", ())]
     names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
-    with placing.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+    with atomic.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
         told = [f"{name}{part}" for name in names for part in ("", " stderr")]
         out.writerow(["file", *EVIDENCE, *told])

@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from daq import runfile
 from daq.errors import InputError
-from daq.recording import Recording
-from daq.rig import Measured, Rig
+from daq.runfile import store as runfile
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Measured, Rig
 from fitting import report, store
 from fitting.ranking import ALL_LAWS, rank
 from fitting.result import Ranking

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.rig import Measured
+from daq.runfile.rig import Measured
 from fitting import trajectory
 from fitting.motion import Array
 from fitting.setting import Run

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from daq.rig import Measured
+from daq.runfile.rig import Measured
 from fitting import wear
 from fitting.motion import Array, Motion
 from fitting.result import Parameter

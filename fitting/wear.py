@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.rig import Measured
+from daq.runfile.rig import Measured
 from fitting.unknowns import LEVEL
 
 if TYPE_CHECKING:

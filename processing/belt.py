@@ -16,7 +16,7 @@ from processing.methods import Motion, Setting
 from processing.series import Series
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
+    from daq.runfile.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import runfile
 from daq.errors import InputError, nearest
-from daq.recording import Recording
+from daq.runfile import store
+from daq.runfile.recording import Recording
 from processing import belt as belts
 from processing import faults, import_grid, kicks, methods, phases, savgol, series, stage
 from processing import window as windows
@@ -96,8 +96,8 @@ def smooth(
     methods.check(method)
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
-    n = runfile.samples(path)
-    first = runfile.load(path, slice(0, min(n, 2 * windows.LONGEST)))
+    n = store.samples(path)
+    first = store.load(path, slice(0, min(n, 2 * windows.LONGEST)))
     setting = windows.setting(window, order, _spread(path, n, times))
     setting = replace(setting, belt_speed=phases.given(belt_speed))
     if method == "sg" and setting.window is None:
@@ -120,7 +120,7 @@ def smooth(
         told.append(worker.told(clock.process_time() - begun, first.unit))
         stage.finish(smoothed, told[0], first.unit, first.digest)
 
-    runfile.extend(path, "smooth", write, default="smooth")
+    store.extend(path, "smooth", write, default="smooth")
     return told[0]
 
 
@@ -128,7 +128,7 @@ def _spread(path: Path, n: int, times: str) -> Series:
     """Return eight stretches spread over the record, as one series of as many pieces."""
     size = min(LOOKED_AT, n)
     starts = np.unique(np.linspace(0, n - size, 8).astype(int)).tolist()
-    parts = [series.of(runfile.load(path, slice(at, at + size)), times) for at in starts]
+    parts = [series.of(store.load(path, slice(at, at + size)), times) for at in starts]
     pieces, at, end = [], 0, 0.0
     time, position = [], []
     for part in parts:
@@ -180,7 +180,7 @@ class _Worker:
     def chunk(self, begin: int, end: int, table: h5py.Group) -> None:
         """Smooth samples begin..end-1 and write them."""
         low, high = self.low(begin), min(end + self._margin, self.n)
-        recording = runfile.load(self.path, slice(low, high))
+        recording = store.load(self.path, slice(low, high))
         grid = None if self.grid is None else self.grid.times(low, recording.time)
         data = series.of(recording, self.times, self._anchored(recording), grid)
         found = faults.losses(data) if self.repair != "off" else ()

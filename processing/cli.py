@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 from cyclopts import Parameter
 
-from daq import terminal
+from daq.console import application
+from daq.console.application import Answer, Json
 from daq.errors import InputError
-from daq.terminal import Answer, Json
 
 if TYPE_CHECKING:
     from processing.chunked import Told
@@ -25,7 +25,7 @@ NAMES = {
     "fd": "finite differences",
 }
 
-app = terminal.application(
+app = application.application(
     "process", "Position, velocity and acceleration from a recorded run.", "process smooth run.h5"
 )
 
@@ -57,18 +57,18 @@ def smooth(
 
     Example: process smooth run.h5 --window 20ms
     """
-    from daq import runfile
+    from daq.runfile import store
     from processing import chunked, stage
     from processing.smoothing import smooth as rebuild
 
     asked = (method, window, order, times, belt_speed, repair_counts)
     motion: Kinematics | Told
-    n = runfile.samples(file)
+    n = store.samples(file)
     if n > chunked.LARGE:
-        with terminal.progress("smoothing", n, "samples") as tell:
+        with application.progress("smoothing", n, "samples") as tell:
             motion = chunked.smooth(file, *asked, progress=tell)
     else:
-        made = rebuild(runfile.load(file), *asked)
+        made = rebuild(store.load(file), *asked)
         stage.save(made, file)
         motion = made
     chosen = window == "auto" and motion.method == "sg"
@@ -85,11 +85,11 @@ def compare(file: Run, /, *, json: Json = False) -> Answer:
 
     Example: process compare run.h5
     """
-    from daq import runfile
+    from daq.runfile import store
     from processing import compare as comparison
 
-    recording = runfile.load(file)
-    rows = comparison.rows(recording, runfile.truth(file))
+    recording = store.load(file)
+    rows = comparison.rows(recording, store.truth(file))
     told = any(row.rms_error is not None for row in rows)
     return Answer({"rows": [vars(row) for row in rows], "truth": told}, _table(rows, file, recording.unit, told))
 
@@ -111,12 +111,12 @@ def inspect(
 
     Example: process inspect run.h5 --plot portrait.png
     """
-    from daq import placing
+    from daq.output import atomic
     from processing import plot as drawing
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
     if plot is not None:
-        placing.refuse_existing(plot, force, file)
+        atomic.refuse_existing(plot, force, file)
     motion, now = _motion(file)
     drawing.save(drawing.inspection(motion), target)
     recording = motion.recording
@@ -151,12 +151,12 @@ def export(
 
     Example: process export run.h5 --csv motion.csv
     """
-    from daq import placing
+    from daq.output import atomic
     from processing import export as tables
 
     if csv is None:
         raise InputError("nothing to write", "command line", "give --csv FILE")
-    placing.refuse_existing(csv, force, file)
+    atomic.refuse_existing(csv, force, file)
     motion, now = _motion(file)
     columns = tables.write_csv(motion, csv, force=force)
     rows = int(motion.time.size)
@@ -166,14 +166,14 @@ def export(
 
 def _motion(file: Path) -> "tuple[Kinematics, bool]":
     """Return the stored motion, or one smoothed in memory and True."""
-    from daq import runfile
+    from daq.runfile import store
     from processing import stage
     from processing.smoothing import smooth as rebuild
 
     stored = stage.load(file)
     if stored is not None:
         return stored, False
-    return rebuild(runfile.load(file)), True
+    return rebuild(store.load(file)), True
 
 
 def _summary(motion: "Kinematics | Told") -> dict[str, Any]:
@@ -255,7 +255,7 @@ def _usual(spreads: list[float]) -> str:
 def _table(rows: "list[Row]", file: Path, unit: str, told: bool) -> Any:
     factor, name = (1e3, "mm/s") if unit == "m" else (1.0, f"{unit}/s")
     headings = ("method", "setting", "CPU ms", "stated", "true rms", "true max")
-    table = terminal.table(f"{file}: errors of the velocity, {name}", headings, left=2)
+    table = application.table(f"{file}: errors of the velocity, {name}", headings, left=2)
     for row in rows:
         errors = (row.sigma_v, row.rms_error, row.max_error)
         shown = ["-" if value is None else f"{factor * value:.3g}" for value in errors]
@@ -285,7 +285,7 @@ def _portrayal(file: Path, data: dict[str, Any], motion: "Kinematics") -> Any:
 
 def main() -> NoReturn:
     """Run the command line."""
-    terminal.main(app)
+    application.main(app)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.recording import Recording, Truth
+from daq.runfile.recording import Recording, Truth
 from processing import methods, series
 from processing import window as windows
 from processing.methods import Motion, Setting

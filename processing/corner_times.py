@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from processing import snap_corners
 from processing.corners import KERNELS, Layout, state_after, stretches
 from processing.levels import Levels, Room, filtered

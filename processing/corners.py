@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from processing import rts, snap_corners
 from processing.phases import Found
 from processing.series import Series

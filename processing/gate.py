@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from processing import jerk_filter, rts, snap_corners
 from processing.corner_times import placed
 from processing.corners import KERNELS, Layout, Stretch, spans_of, sticks_of, stretches, without

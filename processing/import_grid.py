@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import runfile
+from daq.runfile import store
 from processing.series import interval_numbers
 
 Array = NDArray[np.float64]
@@ -55,4 +55,4 @@ def _stretches(edges: Sequence[int]) -> list[tuple[int, int]]:
 
 
 def _times(path: Path, own: tuple[int, int]) -> Array:
-    return runfile.load(path, slice(own[0], own[1] + 1)).time
+    return store.load(path, slice(own[0], own[1] + 1)).time

@@ -12,7 +12,7 @@ The filter writes down what it expected of every sample; the smoother goes back 
 with the adjoint state l and its information m (F the step above, h = (1,0,0), e the surprise, s its variance, k the
 gain).  In what is stored s stands for 1/s.
 
-Every function runs as written or compiled (`daq.compiled`).
+Every function runs as written or compiled (`daq.compute.compile`).
 Source: G. J. Bierman, Automatica 9 (1973) 503 (the modified Bryson-Frazier smoother); Q of the integrated Wiener
 process: Wahba, J. R. Stat. Soc. B 40 (1978) 364.
 """

@@ -15,7 +15,7 @@ from processing.faults import Loss
 from processing.kicks import Kick
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
+    from daq.runfile.recording import Recording
 
 Array = NDArray[np.float64]
 

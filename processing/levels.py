@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from processing import rts, snap_filter
 from processing.corners import KERNELS, Labels, Layout, Stretch, labels, looked_at, without
 from processing.methods import Motion

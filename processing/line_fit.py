@@ -1,6 +1,6 @@
 """Kernel: straight lines through a stretch of samples, around every one of them, in one pass.
 
-Runs as written or compiled (`daq.compiled`).
+Runs as written or compiled (`daq.compute.compile`).
 """
 
 import numpy as np

@@ -3,7 +3,7 @@
 The recurrence is the one of `processing.localfit`; windows lie in the fast index of every array, so that a processor
 takes several at once and no sum depends on how many.
 
-Runs as written or compiled (`daq.compiled`).
+Runs as written or compiled (`daq.compute.compile`).
 """
 
 import math

@@ -15,7 +15,7 @@ Source: G. E. Forsythe, J. SIAM 5 (1957) 74.
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from processing import local_kernel
 
 Array = NDArray[np.float64]

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
-from daq.rig import Measured
+from daq.runfile.rig import Measured
 from processing import rts
 from processing.belt import Belt
 from processing.differences import reading_error

@@ -10,8 +10,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from daq import placing
 from daq.errors import InputError
+from daq.output import atomic
 from processing import portrait, series
 from processing.kinematics import Kinematics
 
@@ -145,5 +145,5 @@ def save(figure: Figure, target: Path) -> None:
         raise InputError(
             f"cannot draw a {target.suffix or 'file without an ending'}", str(target), "use .png, .svg or .pdf"
         )
-    with placing.replacing(target, force=True) as temporary, mpl.rc_context(fname=STYLE):
+    with atomic.replacing(target, force=True) as temporary, mpl.rc_context(fname=STYLE):
         figure.savefig(temporary, format=target.suffix.lower()[1:])

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from daq.errors import InputError
 from processing import jerk_filter, localfit
 from processing import window as windows

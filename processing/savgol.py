@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from processing import localfit, sliding
 from processing import window as windows
 from processing.differences import reading_error

@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from processing import gate, line_fit, phases, rts, snap_corners, snap_filter
 from processing.corner_times import placed
 from processing.corners import KERNELS, Labels, Layout, Stretch, laid_out, stretches

@@ -17,7 +17,7 @@ from daq.errors import InputError
 from processing.evengrid import even_grid
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
+    from daq.runfile.recording import Recording
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ Whole numbers of 64 bits may overflow on the way: seen from the count at the cen
 cancels modulo 2^64.  In windows too long for that the fourth moment alone is not small, but changes little from
 one sample to the next: how often it went round 2^64 is counted, and it is exact again.
 
-Runs as written on Python integers that wrap, which are slow, or compiled (`daq.compiled`); only the latter is used.
+Runs as written on Python integers that wrap, which are slow, or compiled (`daq.compute.compile`); only the latter is
+used.
 """
 
 import numpy as np

@@ -16,7 +16,7 @@ from processing.kinematics import Kinematics
 REPAIRS = ("off", "flag", "fix")
 
 if TYPE_CHECKING:
-    from daq.recording import Recording
+    from daq.runfile.recording import Recording
 
 
 def smooth(

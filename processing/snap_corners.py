@@ -1,6 +1,6 @@
 """Kernels: corners of a motion of white snap: the labels they give the samples, their times, what they gain.
 
-Every function runs as written or compiled (`daq.compiled`).
+Every function runs as written or compiled (`daq.compute.compile`).
 """
 
 import math

@@ -16,7 +16,7 @@ The covariance p is kept as its ten numbers p00 p01 p02 p03 p11 p12 p13 p22 p23 
 state and m its information, sum(l3^2)/sum(m33) is 1 at the level of greatest likelihood, and the level times that
 ratio comes closer to it.
 
-Every function runs as written or compiled (`daq.compiled`).
+Every function runs as written or compiled (`daq.compute.compile`).
 Source: as for `processing.jerk_filter`; the fixed point: J. Burridge, Commun. Stat. 16 (1987); D. MacKay, Neural
 Comput. 4 (1992) 415.
 """

@@ -1,6 +1,6 @@
 """Kernel: how the mean snap before a landing moves what is expected of the samples around it.
 
-Runs as written or compiled (`daq.compiled`).
+Runs as written or compiled (`daq.compute.compile`).
 """
 
 import numpy as np

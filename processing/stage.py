@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from daq import nexus, nexus_read, runfile
 from daq.errors import InputError
+from daq.runfile import nexus, nexus_read, store
 from daq.version import VERSION
 from processing.faults import Loss
 from processing.kicks import Kick
@@ -35,7 +35,7 @@ DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 
 def save(kinematics: Kinematics, path: Path) -> None:
     """Write the stage into the run file, replacing an earlier one (and dropping what was fitted to that)."""
-    runfile.extend(path, "smooth", lambda entry: _write(entry, kinematics), default="smooth")
+    store.extend(path, "smooth", lambda entry: _write(entry, kinematics), default="smooth")
 
 
 def _write(entry: h5py.Group, motion: Kinematics) -> None:
@@ -148,8 +148,8 @@ def load(path: Path) -> Kinematics | None:
     InputError
         For a file that is no run, or a stage that is damaged or was made from other raw data.
     """
-    recording = runfile.load(path)
-    with runfile.opened(path) as file:
+    recording = store.load(path)
+    with store.opened(path) as file:
         entry = file["entry"]
         if "smooth" not in entry:
             return None

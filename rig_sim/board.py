@@ -1,4 +1,4 @@
-"""The board: samples the encoder's counters at the commanded rate and speaks the wire of `daq.wire`.
+"""The board: samples the encoder's counters at the commanded rate and speaks the wire of `daq.wire.frames`.
 
 Rules.  Time 0 is the first sample, where the device clock (1 us ticks) reads 0.  Sample i is taken at i/rate plus
 jitter, and the recorded time is that true instant, rounded down to its tick: jitter is recorded, not hidden.  The
@@ -22,9 +22,9 @@ from itertools import groupby, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import wire
 from daq.errors import InputError
-from daq.quadrature import EDGES_PER_COUNT
+from daq.wire import frames as wire
+from daq.wire.quadrature import EDGES_PER_COUNT
 from rig_sim.encoder import QuadratureEncoder
 from rig_sim.motion import Motion, Path
 from rig_sim.scenes import Scene

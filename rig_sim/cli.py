@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import Parameter
 
-from daq import terminal
+from daq.console import application
+from daq.console.application import Answer, Json, SetChanges
 from daq.errors import InputError
-from daq.terminal import Answer, Json, SetChanges
 
 if TYPE_CHECKING:
     from rig_sim.scenes import Scene
 
 Until = Annotated[float, Parameter(help="Time to end at, in the scene's unit (s for SI scenes).")]
 MaxSteps = Annotated[
-    int, terminal.Whole, Parameter(help="Phases after which the run ends with the outcome 'step limit'.")
+    int, application.Whole, Parameter(help="Phases after which the run ends with the outcome 'step limit'.")
 ]
 
-app = terminal.application(
+app = application.application(
     "rig-sim",
     "The stick-slip rig in software: exact motion between events, six friction laws.",
     "rig-sim cycle base --set friction.law=3",
@@ -152,10 +152,10 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
     """
     from rig_sim.compare import compare as measure
 
-    with terminal.progress("measuring", 100, "%") as show:
+    with application.progress("measuring", 100, "%") as show:
         found = measure(_scene(scene, set_), until, progress=show)
     data = asdict(found)
-    table = terminal.table("", ["method", "setting", "error", "CPU s", "us per cycle"], left=2)
+    table = application.table("", ["method", "setting", "error", "CPU s", "us per cycle"], left=2)
     for row in found.rows:
         error = row.note if row.error is None else f"{row.error:.1e}"
         per_cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
@@ -183,7 +183,7 @@ def _shown(value: Any) -> str:
 
 def main() -> NoReturn:
     """Run ``rig-sim`` on the process's own command line."""
-    terminal.main(app)
+    application.main(app)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
-from daq.quadrature import Decoder, levels_of
+from daq.wire.quadrature import Decoder, levels_of
 from rig_sim.sections import Encoder
 
 Floats = NDArray[np.float64]

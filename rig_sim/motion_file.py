@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import disk
 from daq.errors import InputError
+from daq.output import disk
 from rig_sim.methods import phases_by
 from rig_sim.motion import DEFAULT_MAX_STEPS, Motion
 from rig_sim.scenes import Scene

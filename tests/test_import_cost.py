@@ -7,7 +7,7 @@ import sys
 import pytest
 
 MODULES = {
-    "daq": "daq.cli",
+    "daq": "daq.cli.app",
     "process": "processing.cli",
     "fit-friction": "fitting.cli",
     "rig-sim": "rig_sim.cli",

@@ -1,17 +1,18 @@
-"""Our own binary frames (`daq.wire`): boards with our firmware and the simulated rig, byte for byte the same."""
+"""Our own binary frames (`daq.wire.frames`): boards with our firmware and the simulated rig, byte for byte the same."""
 
 import time
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from daq import capability, wire
 from daq.errors import DeviceError, InputError, nearest
+from daq.protocols import link_budget
 from daq.protocols import session as sessions
 from daq.protocols.session import Identity, Line, Plan, Wish
+from daq.wire import frames
 
 if TYPE_CHECKING:
-    from daq.ports import Port
-    from daq.stream import Stream
+    from daq.recorder.ports import Port
+    from daq.wire.decode import Stream
 
 BAUD = 115_200
 RATE_HZ = 1000
@@ -21,8 +22,8 @@ def check(wish: Wish) -> None:
     """Refuse columns, which frames declare themselves, and a decoder that there is not."""
     if wish.columns is not None:
         raise InputError("our frames declare their columns themselves", "--columns", "leave it out: it is for text")
-    if wish.decoder is not None and wish.decoder not in wire.DECODERS:
-        raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, wire.DECODERS))
+    if wish.decoder is not None and wish.decoder not in frames.DECODERS:
+        raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, frames.DECODERS))
 
 
 def session(port: "Port", url: str, wish: Wish) -> "Frames":
@@ -32,9 +33,9 @@ def session(port: "Port", url: str, wish: Wish) -> "Frames":
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
     """Decode the reads of one connection."""
-    from daq import stream
+    from daq.wire import decode
 
-    return stream.decode(reads)
+    return decode.decode(reads)
 
 
 class Frames(Line):
@@ -63,8 +64,8 @@ class Frames(Line):
     def plan(self, identity: Identity) -> Plan:
         """Return the wished rate (1000 Hz) in frames as long as the rate allows."""
         rate_hz = float(self.wish.rate_hz or RATE_HZ)
-        block = capability.block_size(identity.ident, rate_hz)
-        return Plan(rate_hz, block, capability.bytes_per_s(identity.ident, rate_hz, block))
+        block = link_budget.block_size(identity.ident, rate_hz)
+        return Plan(rate_hz, block, link_budget.bytes_per_s(identity.ident, rate_hz, block))
 
     def prepare(self, plan: Plan) -> Identity:
         """Set rate and samples per frame; the next identification is the receipt.
@@ -104,10 +105,10 @@ class Frames(Line):
 
     def _ask(self, strange: bytes) -> Identity:
         """Send `I` until an identification comes, and its CONFIG when it announces one."""
-        reader = wire.FrameReader()
+        reader = frames.FrameReader()
         until = time.monotonic() + sessions.ANSWER_S
         ask = 0.0
-        ident: wire.Ident | None = None
+        ident: frames.Ident | None = None
         heard = len(strange)
         while time.monotonic() < until:
             if ident is None and time.monotonic() >= ask:
@@ -119,14 +120,14 @@ class Frames(Line):
             heard += len(data)
             self.received.append((time.monotonic_ns(), data))
             for frame in reader.feed(data):
-                if isinstance(frame, wire.Notice):
+                if isinstance(frame, frames.Notice):
                     raise DeviceError(f"the board refuses: {frame.text}", self.url, "ask for what it can do")
-                if isinstance(frame, wire.Ident):
+                if isinstance(frame, frames.Ident):
                     ident = frame
                     self._begin_with(ident)
-                if isinstance(frame, wire.Config) and ident is not None:
+                if isinstance(frame, frames.Config) and ident is not None:
                     return self._settled(ident, frame.toml)
-            if ident is not None and wire.Capability.CONFIG not in ident.capabilities:
+            if ident is not None and frames.Capability.CONFIG not in ident.capabilities:
                 return self._settled(ident, None)
         if ident is not None:
             raise DeviceError("the board announces a CONFIG and does not send it", self.url, "reset it and try again")
@@ -137,14 +138,14 @@ class Frames(Line):
         do = "check the port ('daq ports'), the cable, and that the board runs our firmware"
         raise DeviceError(f"no answer within {sessions.ANSWER_S:g} s", self.url, do)
 
-    def _begin_with(self, ident: wire.Ident) -> None:
+    def _begin_with(self, ident: frames.Ident) -> None:
         """Drop what came before an identification: the noise of a board that had to find our baud rate."""
         came = b"".join(data for _, data in self.received)
-        start = came.rfind(wire.encode_ident(ident))
+        start = came.rfind(frames.encode_ident(ident))
         if start > 0:
             self.received[:] = [(self.received[-1][0], came[start:])]
 
-    def _settled(self, ident: wire.Ident, config: str | None) -> Identity:
+    def _settled(self, ident: frames.Ident, config: str | None) -> Identity:
         # A slow board may answer each `I` that was sent while it booted: let those answers come before the samples.
         rest = self.drain()
         if rest:
@@ -159,7 +160,7 @@ class FrameTally:
         self.reached = 0
         self.resets = 0  # identifications after the first sample: the board has restarted
         self.notice = ""
-        self._frames = wire.FrameReader()
+        self._frames = frames.FrameReader()
         self._next: int | None = None
 
     def feed(self, data: bytes) -> None:
@@ -173,20 +174,20 @@ class FrameTally:
                 self._next = seq + n & 0xFFFF
                 return
         for payload in self._frames.payloads(data):
-            if payload[0] == wire.SAMPLES and len(payload) > wire.SAMPLES_HEADER:
+            if payload[0] == frames.SAMPLES and len(payload) > frames.SAMPLES_HEADER:
                 seq = payload[3] | payload[4] << 8
                 ahead = seq if self._next is None else seq - self._next & 0xFFFF
                 if ahead < 0x8000:  # else a repeated or late frame
                     self.reached += ahead + payload[2]
                     self._next = seq + payload[2] & 0xFFFF
-            elif payload[0] == wire.IDENT and self._next is not None:
+            elif payload[0] == frames.IDENT and self._next is not None:
                 self.resets += 1
                 self._next = None
-            elif payload[0] == wire.NOTICE:
+            elif payload[0] == frames.NOTICE:
                 self.notice = payload[2:].decode(errors="replace")
 
     def begin_again(self, reached: int) -> None:
         """Begin with sequence number 0 again, ``reached`` periods after the start."""
-        self._frames = wire.FrameReader()
+        self._frames = frames.FrameReader()
         self._next = None
         self.reached = max(self.reached, reached)

@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import wire
-from daq.counter import LATE_FRAMES, increments
-from daq.cut import Cut
-from daq.stream import Stream
+from daq.wire import frames
+from daq.wire.counters import LATE_FRAMES, increments
+from daq.wire.cut import Cut
+from daq.wire.decode import Stream
 
 LEAP_COUNTS = 32
 LEAP_MOTIONS = 8  # how much farther than the motion about it a line must leap to be damaged
@@ -135,7 +135,7 @@ class LineTally:
         self.reached = max(self.reached, reached)
 
 
-def to_stream(rows: Rows, ident: wire.Ident, period_ticks: float) -> Stream:
+def to_stream(rows: Rows, ident: frames.Ident, period_ticks: float) -> Stream:
     """Return lines as a stream of frames of one sample each; lines that cannot be true are counted as damaged."""
     before = np.concatenate(([0], np.cumsum(rows.good)))  # good lines before each line
     line = np.flatnonzero(rows.good)

@@ -22,15 +22,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq import cut, wire
 from daq.errors import DeviceError, InputError
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineTally, Rows, to_stream
 from daq.protocols.session import Identity, Line, Plan, Wish
+from daq.wire import cut, frames
 
 if TYPE_CHECKING:
-    from daq.ports import Port
-    from daq.stream import Stream
+    from daq.recorder.ports import Port
+    from daq.wire.decode import Stream
 
 BAUD = 230_400
 TICK_HZ = 512
@@ -66,12 +66,12 @@ def session(port: "Port", url: str, wish: Wish) -> "Qsb":
     return Qsb(port, url, wish)
 
 
-def ident(decoder: str | None, interval: int = 1) -> wire.Ident:
+def ident(decoder: str | None, interval: int = 1) -> frames.Ident:
     """Return what is known of every QSB."""
-    return wire.Ident(
+    return frames.Ident(
         firmware=(0, 0, 0),
         decoder=decoder or "x4",
-        capabilities=wire.Capability(0),
+        capabilities=frames.Capability(0),
         counter_bits=32,
         tick_ns=TICK_NS,
         block_size=1,

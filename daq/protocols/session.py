@@ -19,11 +19,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from daq import wire
+from daq.wire import frames
 
 if TYPE_CHECKING:
-    from daq.ports import Port
-    from daq.stream import Stream
+    from daq.recorder.ports import Port
+    from daq.wire.decode import Stream
 
 ANSWER_S = 5.0  # an Arduino resets when its port is opened and boots for up to 2 s
 ASK_AGAIN_S = 0.5
@@ -41,7 +41,7 @@ class Wish:
     rate_hz : int or None
         Samples per second.
     decoder : str or None
-        One of `daq.wire.DECODERS`.
+        One of `daq.wire.frames.DECODERS`.
     columns : str or None
         The columns of text lines.
     """
@@ -55,7 +55,7 @@ class Wish:
 class Identity:
     """What a board said about itself, or what its protocol says of it; and the rig's calibration when it holds one."""
 
-    ident: wire.Ident
+    ident: frames.Ident
     config: str | None = None
 
 
@@ -209,6 +209,6 @@ class Line:
         self.port.write("".join(f"{command}\n" for command in commands).encode())
 
 
-def with_decoder(ident: wire.Ident, decoder: str | None) -> wire.Ident:
+def with_decoder(ident: frames.Ident, decoder: str | None) -> frames.Ident:
     """Return the identification of a board whose decoder the user names."""
     return ident if decoder is None else replace(ident, decoder=decoder)

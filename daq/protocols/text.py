@@ -27,16 +27,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq import cut, wire
 from daq.errors import DeviceError, InputError, nearest
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineTally, Rows, to_stream
 from daq.protocols.session import Identity, Line, Plan, Wish
 from daq.protocols.text_columns import KINDS, Columns, columns
+from daq.wire import cut, frames
 
 if TYPE_CHECKING:
-    from daq.ports import Port
-    from daq.stream import Stream
+    from daq.recorder.ports import Port
+    from daq.wire.decode import Stream
 
 BAUD = 115_200
 TICK_NS = 1000
@@ -49,8 +49,8 @@ LONGEST_LINE = 256
 def check(wish: Wish) -> None:
     """Refuse columns that cannot be read, and a decoder that there is not."""
     columns(wish.columns)
-    if wish.decoder is not None and wish.decoder not in wire.DECODERS:
-        raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, wire.DECODERS))
+    if wish.decoder is not None and wish.decoder not in frames.DECODERS:
+        raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, frames.DECODERS))
 
 
 def session(port: "Port", url: str, wish: Wish) -> "Text":
@@ -58,11 +58,11 @@ def session(port: "Port", url: str, wish: Wish) -> "Text":
     return Text(port, url, wish)
 
 
-def ident(form: Columns, decoder: str | None) -> wire.Ident:
+def ident(form: Columns, decoder: str | None) -> frames.Ident:
     """Return what the declared columns say of the board."""
-    has = wire.Capability
+    has = frames.Capability
     told = has.LEVELS * (form.levels is not None) | has.ILLEGAL * (form.illegal is not None)
-    return wire.Ident(
+    return frames.Ident(
         firmware=(0, 0, 0),
         decoder=decoder or "x4",
         capabilities=has(told),

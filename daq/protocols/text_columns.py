@@ -8,8 +8,8 @@ from operator import xor
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import cut
 from daq.errors import InputError, nearest
+from daq.wire import cut
 
 _TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
 _COUNTS = ("up", "down", "count", "ticks")
@@ -60,7 +60,7 @@ class Columns:
         return found.string[: found.start(self.xor or 0)].rstrip(b" \t*")[:-1].rstrip(b" \t")
 
     def read_alike(self, rows: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], list[NDArray[np.int64]]] | None:
-        """Do what `read` does with lines of one length and shape (`daq.cut.alike`), (k, size), at once.
+        """Do what `read` does with lines of one length and shape (`daq.wire.cut.alike`), (k, size), at once.
 
         Returns
         -------

@@ -9,7 +9,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any
 
-from daq.compiled import build, cache_folder, register
+from daq.compute.compile import build, cache_folder, register
 
 KERNEL_MODULES = (
     "rig_sim.friction.curve",

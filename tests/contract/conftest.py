@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq import wire
 from daq.protocols import session
-from daq.quadrature import levels_of
+from daq.wire import frames
+from daq.wire.quadrature import levels_of
 
 AWAY_S = 0.3
 LATE_UNITS = 3
@@ -142,9 +142,9 @@ class FakeFrames(Fake):
     unit = 8
 
     def ident(self):
-        has = wire.Capability
+        has = frames.Capability
         told = has.BLOCKS | has.LEVELS | has.ILLEGAL
-        return wire.encode_ident(wire.Ident((1, 2, 3), "x4", told, 16, 1000, self.block, 5000, 10**8, "fake"))
+        return frames.encode_ident(frames.Ident((1, 2, 3), "x4", told, 16, 1000, self.block, 5000, 10**8, "fake"))
 
     def greeting(self):
         self.block = 8
@@ -165,7 +165,7 @@ class FakeFrames(Fake):
         columns = UP[here] % 65536, DOWN[here] % 65536, levels_of(UP[here] - DOWN[here])
         dt = [0, *[1000] * 7]
         ticks = (8000 * k + 777) % 2**32
-        return wire.encode_samples(wire.SampleBlock(8 * k & 0xFFFF, ticks, 0, dt, *(c.tolist() for c in columns)))
+        return frames.encode_samples(frames.SampleBlock(8 * k & 0xFFFF, ticks, 0, dt, *(c.tolist() for c in columns)))
 
 
 class FakeQsb(Fake):

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import daq
-from daq import finalise, journal, reader
-from daq.record import RecordingInterruptedError, Request, record
+from daq.finalise import run as finalise
+from daq.recorder import reader
+from daq.recorder.record import RecordingInterruptedError, Request, record
+from daq.runfile import journal
 
 from .conftest import AWAY_S, motion
 

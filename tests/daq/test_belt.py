@@ -10,14 +10,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import daq
-from daq import belt, capability, counter, ports, runfile
-from daq.assemble import Samples
-from daq.consistency import check
 from daq.errors import InputError
+from daq.finalise import belt_counter
+from daq.finalise.integrity import check
+from daq.finalise.timeline import Samples
+from daq.protocols import link_budget
 from daq.protocols.session import Plan
-from daq.record import Request, record
-from daq.rig import Measured, Rig
-from daq.wire import Capability, Ident
+from daq.recorder import ports
+from daq.recorder.record import Request, record
+from daq.runfile import store
+from daq.runfile.rig import Measured, Rig
+from daq.wire import counters
+from daq.wire.frames import Capability, Ident
 
 DELTA = 0.12566 / 4096 / 4
 
@@ -29,23 +33,23 @@ DELTA = 0.12566 / 4096 / 4
 )
 def test_an_up_and_down_counter_unwraps_either_way(bits: int, start: int, steps: list[int]) -> None:
     true = start + np.cumsum([0, *steps])
-    np.testing.assert_array_equal(counter.moves(true % (1 << bits), bits), np.diff(true))
-    found = belt.unwrapped(true % (1 << bits), bits, np.array([0]))
+    np.testing.assert_array_equal(counters.moves(true % (1 << bits), bits), np.diff(true))
+    found = belt_counter.unwrapped(true % (1 << bits), bits, np.array([0]))
     np.testing.assert_array_equal(found - found[0], true - true[0])
 
 
 def test_each_segment_begins_at_its_own_reading() -> None:
     values = np.array([65530, 65535, 4, 9, 500, 490, 480], np.uint16)
-    found = belt.unwrapped(values, 16, np.array([0, 4]))
+    found = belt_counter.unwrapped(values, 16, np.array([0, 4]))
     assert found.tolist() == [65530, 65535, 65540, 65545, 500, 490, 480]
 
 
 def test_the_speed_is_the_mean_over_its_span_and_knows_no_other_segment() -> None:
     time = np.arange(200) * 1e-3 + np.where(np.arange(200) >= 100, 5.0, 0.0)
     count = np.where(np.arange(200) < 100, 30 * np.arange(200), -20 * np.arange(200))
-    found = belt.velocity(count, time, np.array([0, 100]), 1000.0, 1e-5)
+    found = belt_counter.velocity(count, time, np.array([0, 100]), 1000.0, 1e-5)
     np.testing.assert_allclose(found, np.where(np.arange(200) < 100, 0.3, -0.2), rtol=1e-12)
-    assert belt.velocity(count[:1], time[:1], np.array([0]), 1000.0, 1e-5).tolist() == [0.0]
+    assert belt_counter.velocity(count[:1], time[:1], np.array([0]), 1000.0, 1e-5).tolist() == [0.0]
 
 
 def samples(belt_column: np.ndarray | None, gap_s: float) -> Samples:
@@ -78,7 +82,7 @@ def test_a_gap_the_belts_counter_may_have_gone_round_in_is_not_joined() -> None:
     assert short.starts.tolist() == [0]
     sent = samples(run, 0.3).belt
     assert sent is not None
-    assert belt.unwrapped(sent, 16, short.starts)[-1] == 29 * 698
+    assert belt_counter.unwrapped(sent, 16, short.starts)[-1] == 29 * 698
     assert long.starts.tolist() == [0, 200]
     assert long.why[1] == "invalid"
 
@@ -87,8 +91,8 @@ def test_a_rate_too_slow_for_the_belts_counter_is_refused_before_the_run() -> No
     board = Ident((1, 0, 0), "x4", Capability.BELT, 16, 1000, 1, 5000, 0, "board")
     fine = Rig(metres_per_count=Measured(1e-4), belt_speed=Measured(0.22), belt_metres_per_count=Measured(1e-6))
     with pytest.raises(InputError, match="roll over"):
-        capability.check(board, fine, Plan(10.0, 1, 0.0), None)
-    assert capability.check(board, fine, Plan(20.0, 1, 0.0), None) == []
+        link_budget.check(board, fine, Plan(10.0, 1, 0.0), None)
+    assert link_budget.check(board, fine, Plan(20.0, 1, 0.0), None) == []
 
 
 def recorded(path: Path, *changes: str, duration: float = 8.0) -> daq.Recording:
@@ -103,7 +107,7 @@ def test_a_recorded_belt_is_the_simulated_one_through_every_roll_over(tmp_path: 
     assert run.raw.belt_count.dtype == np.uint16
     assert (np.diff(run.raw.belt_count.astype(int)) < 0).sum() == 3
     assert run.belt_count is not None
-    truth = runfile.truth(tmp_path / "run.h5")
+    truth = store.truth(tmp_path / "run.h5")
     assert truth is not None
     np.testing.assert_array_equal(
         run.belt_count, np.floor(0.22 * np.maximum(truth.time - 0.5, 0) / DELTA + 1e-6).astype(int)
@@ -119,7 +123,7 @@ def test_a_drooping_belt_slows_during_stick_by_its_fraction_and_a_backward_one_t
     for sign in (1, -1):
         path = tmp_path / f"{sign}.h5"
         changes = ("belt.channel=true", "droop.fraction=0.05", "tell.truth=true", f"belt.speed={sign * 0.22}")
-        run, truth = recorded(path, *changes), runfile.truth(path)
+        run, truth = recorded(path, *changes), store.truth(path)
         assert truth is not None
         assert run.belt_velocity is not None
         assert run.rig.belt_metres_per_count is not None
@@ -174,7 +178,7 @@ def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
     monkeypatch.setattr(board, "calibration", unknown)
     path = tmp_path / "run.h5"
     found = record(Request(ports.rig_url("rig", ["belt.channel=true"], False), path, 1000, 1.0))
-    run = runfile.load(path)
+    run = store.load(path)
     assert any("no metres per belt count" in warning for warning in found.warnings)
     assert run.raw is not None
     assert run.raw.belt_count is not None
@@ -191,7 +195,7 @@ def test_the_calibration_of_the_belts_encoder_reads_back_and_is_checked() -> Non
 
 
 def test_an_export_carries_the_belts_speed(tmp_path: Path) -> None:
-    from daq.cli import app
+    from daq.cli.app import app
 
     run = recorded(tmp_path / "run.h5", "belt.channel=true", duration=1.0)
     app(["export", str(tmp_path / "run.h5"), "--csv", str(tmp_path / "run.csv"), "--json"])
@@ -200,7 +204,7 @@ def test_an_export_carries_the_belts_speed(tmp_path: Path) -> None:
 
 
 def test_a_replayed_run_has_its_belt_and_another_calibration_gives_it_another_speed(tmp_path: Path) -> None:
-    from daq import replay
+    from daq.imports import replay
 
     first = recorded(tmp_path / "run.h5", "belt.channel=true", "gaps.rate=0.4", "gaps.duration=0.7")
     assert len(set(first.segment.tolist())) > 1

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import daq
-from daq import calibrate, checkup, record, terminal
-from daq.cli import app
+from daq.calibration import board_test, rig_constants
+from daq.cli.app import app
+from daq.console import application
 from daq.errors import DataError
-from daq.rig import Measured, Rig
+from daq.recorder import record
+from daq.runfile.rig import Measured, Rig
 
 REST = ["belt.speed=0.0", "scatter.Fs=0"]
 OMEGA0 = math.sqrt(35.184)
@@ -29,7 +31,7 @@ def url(*changes):
 
 
 def said(capsys, *arguments):
-    code = terminal.run(app, [*map(str, arguments), "--json"])
+    code = application.run(app, [*map(str, arguments), "--json"])
     out, err = capsys.readouterr()
     assert out.count("\n") == 1
     return code, json.loads(out), err
@@ -87,7 +89,7 @@ def test_a_channel_that_never_changes_is_named(tmp_path):
     found = record.record(record.Request(url("belt.start=0.1"), tmp_path / "run.h5", 1000, 2.0))
     run = daq.load(tmp_path / "run.h5")
     run.raw.levels[:] &= 1
-    names = {finding.name: finding for finding in checkup.findings(found, run, 0.0)}
+    names = {finding.name: finding for finding in board_test.findings(found, run, 0.0)}
     assert names["channels"].ok is False
     assert "B never changes" in names["channels"].seen
 
@@ -173,9 +175,9 @@ def test_bad_requests_name_their_flag(capsys, arguments, where):
 def test_derived_errors_are_those_of_their_parts():
     ring = type("Ring", (), {"omega0": Measured(6.0, 0.006), "zeta": Measured(0.01, 1e-4)})()
     mass = Measured(0.3, 3e-4)
-    assert calibrate.stiffness(ring, mass).value == pytest.approx(10.8)
-    assert calibrate.stiffness(ring, mass).sd == pytest.approx(10.8 * math.hypot(1e-3, 2e-3))
-    assert calibrate.damping(ring, mass).sd == pytest.approx(0.036 * math.hypot(1e-2, 1e-3, 1e-3))
+    assert rig_constants.stiffness(ring, mass).value == pytest.approx(10.8)
+    assert rig_constants.stiffness(ring, mass).sd == pytest.approx(10.8 * math.hypot(1e-3, 2e-3))
+    assert rig_constants.damping(ring, mass).sd == pytest.approx(0.036 * math.hypot(1e-2, 1e-3, 1e-3))
 
 
 def test_counts_across_a_lost_port_are_not_joined(tmp_path):
@@ -183,7 +185,7 @@ def test_counts_across_a_lost_port_are_not_joined(tmp_path):
     run = daq.load(tmp_path / "run.h5")
     run.segment[-1] = 1
     with pytest.raises(DataError, match="port was lost"):
-        calibrate.metres_per_count(run, Measured(0.1))
+        rig_constants.metres_per_count(run, Measured(0.1))
     assert np.all(run.segment[:-1] == 0)
 
 
@@ -191,7 +193,7 @@ def test_a_motion_that_is_no_ring_down_writes_no_calibration(tmp_path, capsys):
     # It used to be written with a warning, and the next recording took it without one.
     kept = tmp_path / "rig.toml"
     assert (
-        terminal.run(
+        application.run(
             app, ["calibrate", "--port", "rig://rig", "--mass", "300 g", "--duration", "4", "-o", str(kept), "-y"]
         )
         == 4
@@ -226,7 +228,7 @@ def test_the_examples_of_calibrate_run_on_the_simulated_rig(capsys, tmp_path):
 )
 def test_nobody_is_asked_to_do_anything_before_the_request_is_known_to_be_possible(capsys, arguments, code):
     # The prompt to leave the mass alone, or to pull it aside, used to come first.
-    assert terminal.run(app, arguments) == code
+    assert application.run(app, arguments) == code
     err = capsys.readouterr().err
     assert "mass" not in err
     assert err.count("\n") == 1
@@ -237,12 +239,12 @@ def test_an_interrupted_check_names_no_journal_that_is_gone(capsys, monkeypatch)
         raise record.RecordingInterruptedError("interrupted; the journal is kept", "/gone", "recover it")
 
     monkeypatch.setattr(record, "record", interrupted)
-    assert terminal.run(app, ["check", "--parked", "0.1"]) == 130
+    assert application.run(app, ["check", "--parked", "0.1"]) == 130
     assert capsys.readouterr().err.splitlines()[-1] == "daq: interrupted"
 
 
 def test_a_lost_port_stands_beside_no_sample_lost(tmp_path):
-    from daq.summary import Summary
+    from daq.finalise.quality import Summary
 
     numbers = (100, 0, 0, 0, 0, 0, 0, 2, 1000.0, 1000.0, None, 0.1, 0.0, (0.0, 1.0), "m", ())
     assert ", no sample lost while the port was there\n" in Summary(*numbers, port_lost=1).as_text("recorded", "x")

@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 import daq
-from daq import clock, finalise, journal, wire
+from daq.finalise import clock_sync
+from daq.finalise import run as finalise
+from daq.runfile import journal
+from daq.wire import frames as wire
 
 
 def late_by_usb(device, drift, rng, batch_s=0.016):
@@ -28,7 +31,7 @@ def late_by_usb(device, drift, rng, batch_s=0.016):
 def test_drift_is_found_within_5_ppm_in_a_minute(ppm):
     device = np.arange(0, 60, 0.008)
     host = late_by_usb(device, ppm * 1e-6, np.random.default_rng(ppm + 5000))
-    assert clock.compare(host, device).ppm == pytest.approx(ppm, abs=5)
+    assert clock_sync.compare(host, device).ppm == pytest.approx(ppm, abs=5)
 
 
 def polled_line(drift, rng, poll_s, seconds=60, block=8, length=71, baud=115_200):
@@ -60,7 +63,7 @@ DRIFTS = [0, 1, -1, 20, -20, 100, -100, 3000, -3000]
 def test_a_line_polled_each_ms_in_step_with_the_host_is_known_within_5_ppm(ppm, seed):
     """What a USB serial chip does when asked for low latency, and a board with its own USB by itself."""
     host, device, following = polled_line(ppm * 1e-6, np.random.default_rng([seed, ppm + 5000]), 1e-3)
-    found = clock.compare(host, device, following, by_bytes=True)
+    found = clock_sync.compare(host, device, following, by_bytes=True)
     assert found.ppm == pytest.approx(ppm, abs=1.5)
     assert abs(found.ppm - ppm) < found.ppm_error < 8
     off = np.abs(found.offset - device[found.index] / (1 + ppm * 1e-6) + device[found.index])
@@ -76,7 +79,7 @@ def test_a_line_polled_each_16_ms_in_step_with_the_host_is_known_as_well_as_it_c
     By whole frames alone, which come every 8 ms, 130 ppm would be as good as it gets.
     """
     host, device, following = polled_line(ppm * 1e-6, np.random.default_rng([seed, ppm + 5000]), 16e-3)
-    found = clock.compare(host, device, following, by_bytes=True)
+    found = clock_sync.compare(host, device, following, by_bytes=True)
     within_frames = np.count_nonzero(following - device < 1e-4)
     assert abs(found.ppm - ppm) < (5 if within_frames > 0.5 * len(device) else 31)
     off = np.abs(found.offset - device[found.index] / (1 + ppm * 1e-6) + device[found.index])
@@ -97,7 +100,7 @@ def test_whole_frames_polled_in_step_are_told_as_little_sharp_as_they_are(seed):
     fresh = np.diff(at, prepend=-1) > 0
     host, at = polls[fresh] + rng.exponential(1e-4, fresh.sum()), at[fresh]
     following = np.append(device, np.nan)[at + 1]
-    found = clock.compare(host, device[at], following)
+    found = clock_sync.compare(host, device[at], following)
     assert abs(found.ppm - ppm) <= found.ppm_error < 300
     true = device[at][found.index] / (1 + ppm * 1e-6) - device[at][found.index]
     known = np.isfinite(found.offset_error)
@@ -107,7 +110,7 @@ def test_whole_frames_polled_in_step_are_told_as_little_sharp_as_they_are(seed):
 def test_reads_that_were_all_slow_widen_the_interval_and_are_no_contradiction():
     host, device, following = polled_line(50e-6, np.random.default_rng(1), 1e-3)
     late = host + np.where(device > 30, 0.004, 0.0)  # from 30 s on each read takes 4 ms more
-    found = clock.compare(late, device, following, by_bytes=True)
+    found = clock_sync.compare(late, device, following, by_bytes=True)
     assert abs(found.ppm - 50) <= found.ppm_error
     assert found.ppm_error > 50
 
@@ -116,7 +119,7 @@ def test_a_stamp_that_is_plainly_wrong_does_not_turn_the_line():
     device = np.arange(0, 60, 0.008)
     host = 100 + late_by_usb(device, 40e-6, np.random.default_rng(3))
     host[5000] -= 7.0
-    found = clock.compare(host, device)
+    found = clock_sync.compare(host, device)
     assert found.ppm == pytest.approx(40, abs=5)
     assert 5000 not in found.index
 
@@ -125,7 +128,7 @@ def test_the_supporting_line_is_the_highest_below_all_points_at_their_mean():
     rng = np.random.default_rng(8)
     x = np.sort(rng.uniform(0, 10, 101))
     y = 3 - 0.25 * x + rng.exponential(1.0, 101)
-    slope = clock.supporting_slope(x, y)
+    slope = clock_sync.supporting_slope(x, y)
     height = np.min(y - slope * (x - x.mean()))
     for other in np.linspace(slope - 1, slope + 1, 2001):
         assert np.min(y - other * (x - x.mean())) <= height + 1e-12
@@ -134,7 +137,7 @@ def test_the_supporting_line_is_the_highest_below_all_points_at_their_mean():
 def test_the_offset_is_the_least_delay():
     device = np.arange(0, 60, 0.008)
     host = 100 + late_by_usb(device, 0.0, np.random.default_rng(3))
-    found = clock.compare(host, device)
+    found = clock_sync.compare(host, device)
     assert np.median(found.offset) == pytest.approx(100.002, abs=1e-3)
     assert len(found.offset) == 60
     assert np.array_equal(found.offset, (host - device)[found.index])
@@ -142,7 +145,7 @@ def test_the_offset_is_the_least_delay():
 
 def test_a_stream_faster_than_real_time_has_no_drift():
     device = np.arange(0, 60, 0.008)
-    found = clock.compare(device / 40, device)
+    found = clock_sync.compare(device / 40, device)
     assert found.ppm is None
     assert len(found.offset) == 0
 
@@ -150,13 +153,13 @@ def test_a_stream_faster_than_real_time_has_no_drift():
 @pytest.mark.parametrize("seconds", [0.0, 0.5, 2.0])
 def test_a_short_run_has_no_drift(seconds):
     device = np.arange(0, seconds, 0.008)
-    assert clock.compare(device + 0.01, device).ppm is None
+    assert clock_sync.compare(device + 0.01, device).ppm is None
 
 
 def test_an_hour_takes_no_more_than_the_wider_bins():
     device = np.arange(0, 3600, 0.5)
-    found = clock.compare(device / (1 + 1e-4) + 0.01, device)
-    assert len(found.index) <= clock.MOST_POINTS + 1
+    found = clock_sync.compare(device / (1 + 1e-4) + 0.01, device)
+    assert len(found.index) <= clock_sync.MOST_POINTS + 1
     assert found.ppm == pytest.approx(100, abs=0.1)
 
 
@@ -164,7 +167,7 @@ def test_theil_sen_is_not_moved_by_a_quarter_of_outliers():
     x = np.arange(41.0)
     y = 2 * x + 1
     y[::4] += 1000
-    assert clock.theil_sen(x, y) == pytest.approx(2)
+    assert clock_sync.theil_sen(x, y) == pytest.approx(2)
 
 
 @pytest.mark.parametrize("ppm", [-3000, 20, 3000])

@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq import consistency, counter, wire
-from daq.assemble import Samples
-from daq.quadrature import levels_of
-from daq.rig import Rig
+from daq.finalise import integrity
+from daq.finalise.timeline import Samples
+from daq.runfile.rig import Rig
+from daq.wire import counters, frames
+from daq.wire.quadrature import levels_of
 
-IDENT = wire.Ident((1, 0, 0), "x4", wire.Capability.LEVELS | wire.Capability.ILLEGAL, 16, 1000, 4, 5000, 10**6, "test")
+IDENT = frames.Ident(
+    (1, 0, 0), "x4", frames.Capability.LEVELS | frames.Capability.ILLEGAL, 16, 1000, 4, 5000, 10**6, "test"
+)
 
 
 def samples(true, missed, illegal, part=None):
@@ -40,11 +43,11 @@ def test_every_sample_after_an_illegal_transition_is_flagged():
     true = 10 * np.arange(n)
     missed = np.where(np.arange(n) >= 30, 4, np.where(np.arange(n) >= 9, 2, 0))
     illegal = np.repeat((missed // 2).reshape(-1, 4)[:, -1], 4) + 65_535  # as sent: at the end of its frame
-    flags = consistency.check(samples(true, missed, illegal), IDENT, Rig(), 1000.0).flags
-    assert np.all(flags[missed > 0] & counter.FLAG_DOUBT)
+    flags = integrity.check(samples(true, missed, illegal), IDENT, Rig(), 1000.0).flags
+    assert np.all(flags[missed > 0] & counters.FLAG_DOUBT)
     assert not np.any(flags[:8])
-    assert np.array_equal((flags & counter.FLAG_PHASE) > 0, missed % 4 > 0)
-    assert np.flatnonzero(flags & counter.FLAG_ILLEGAL).tolist() == [8, 9, 10, 11, 28, 29, 30, 31]
+    assert np.array_equal((flags & counters.FLAG_PHASE) > 0, missed % 4 > 0)
+    assert np.flatnonzero(flags & counters.FLAG_ILLEGAL).tolist() == [8, 9, 10, 11, 28, 29, 30, 31]
 
 
 def test_the_doubt_ends_where_the_board_began_anew():
@@ -52,8 +55,8 @@ def test_the_doubt_ends_where_the_board_began_anew():
     missed = np.where((np.arange(n) >= 5) & (np.arange(n) < 12), 2, 0)
     illegal = np.where((np.arange(n) >= 4) & (np.arange(n) < 12), 1, 0)
     part = np.repeat([0, 1], 12)
-    flags = consistency.check(samples(10 * np.arange(n), missed, illegal, part), IDENT, Rig(), 1000.0).flags
-    assert np.flatnonzero(flags & counter.FLAG_DOUBT).tolist() == list(range(4, 12))
+    flags = integrity.check(samples(10 * np.arange(n), missed, illegal, part), IDENT, Rig(), 1000.0).flags
+    assert np.flatnonzero(flags & counters.FLAG_DOUBT).tolist() == list(range(4, 12))
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 30_000, 50_000, 100_000])
@@ -64,7 +67,7 @@ def test_a_fast_signal_gives_its_rate_whatever_the_jitter(rate_hz):
     time = np.arange(n) / rate_hz + jitter
     true = np.floor(60_000 * time).astype(np.int64)
     given = replace(samples(true, 0 * true, 0 * true), time=time)
-    checked = consistency.check(given, IDENT, Rig(), float(rate_hz))
+    checked = integrity.check(given, IDENT, Rig(), float(rate_hz))
     assert checked.peak_count_rate == pytest.approx(60_000, rel=0.06)
     assert len(checked.starts) == 1
 
@@ -75,5 +78,5 @@ def test_gaps_everywhere_leave_the_peak_of_what_is_between_them():
     index = np.arange(n) + np.arange(n) // 10  # every eleventh is lost: no stretch is a millisecond long
     true = np.floor(60_000 * time).astype(np.int64)
     given = replace(samples(true, 0 * true, 0 * true), time=time, index=index)
-    checked = consistency.check(given, IDENT, Rig(), 30_000.0)
+    checked = integrity.check(given, IDENT, Rig(), 30_000.0)
     assert checked.peak_count_rate == pytest.approx(60_000, rel=0.3)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq import counter
-from daq.quadrature import levels_of
+from daq.wire import counters
+from daq.wire.quadrature import levels_of
 
 NONE = np.empty(0, dtype=np.int64)
 
@@ -18,7 +18,7 @@ NONE = np.empty(0, dtype=np.int64)
 )
 def test_a_counter_unwraps_to_what_it_counted(bits, start, steps):
     true = start + np.cumsum([0, *steps])
-    got = counter.unwrap(true % (1 << bits), bits)
+    got = counters.unwrap(true % (1 << bits), bits)
     assert np.array_equal(got - got[0], true - true[0])
     assert got[0] == start % (1 << bits)
 
@@ -27,20 +27,20 @@ def test_a_counter_unwraps_to_what_it_counted(bits, start, steps):
 def test_net_counts_follow_both_counters_through_any_number_of_roll_overs(moves):
     up = np.cumsum([move[0] for move in moves])
     down = np.cumsum([move[1] for move in moves])
-    net = counter.net_count((up % 65536).astype(np.uint16), (down % 65536).astype(np.uint16), 16)
+    net = counters.net_count((up % 65536).astype(np.uint16), (down % 65536).astype(np.uint16), 16)
     assert np.array_equal(np.diff(net), np.diff(up - down))
     assert (net[0] - (up - down)[0]) % 65536 == 0
     assert -32768 <= net[0] < 32768
 
 
 def test_a_count_below_zero_is_below_zero():
-    assert counter.net_count(np.array([3], dtype=np.uint16), np.array([10], dtype=np.uint16), 16).tolist() == [-7]
+    assert counters.net_count(np.array([3], dtype=np.uint16), np.array([10], dtype=np.uint16), 16).tolist() == [-7]
 
 
 def test_the_longest_safe_gap_is_the_counters_range_over_the_rate():
-    assert counter.longest_gap_s(107_000, 1, 16) == pytest.approx(0.6125, abs=1e-4)
-    assert counter.longest_gap_s(107_000, 4, 16) == pytest.approx(4 * 65536 / 107_000)
-    assert counter.longest_gap_s(0, 1, 16) == float("inf")
+    assert counters.longest_gap_s(107_000, 1, 16) == pytest.approx(0.6125, abs=1e-4)
+    assert counters.longest_gap_s(107_000, 4, 16) == pytest.approx(4 * 65536 / 107_000)
+    assert counters.longest_gap_s(0, 1, 16) == float("inf")
 
 
 def sent(true_index, n, ticks_per_sample=1000, start_ticks=0):
@@ -52,7 +52,7 @@ def sent(true_index, n, ticks_per_sample=1000, start_ticks=0):
 def test_gaps_of_any_length_are_sized_with_the_device_time(gaps, start_ticks):
     """A gap of 65,536 samples leaves no trace in the sequence number; the time tells."""
     true = np.cumsum([0, *(8 + gap for gap in gaps)])
-    order = counter.order_frames(*sent(true, 8, start_ticks=start_ticks), 1000.0, NONE)
+    order = counters.order_frames(*sent(true, 8, start_ticks=start_ticks), 1000.0, NONE)
     assert order.keep.all()
     assert not order.restart.any()
     assert np.array_equal(order.index, true)
@@ -63,7 +63,7 @@ def test_gaps_of_any_length_are_sized_with_the_device_time(gaps, start_ticks):
 def test_a_frame_that_comes_again_is_left_out(at, late):
     true = np.arange(60) * 8
     true = np.insert(true, at + late, true[at])
-    order = counter.order_frames(*sent(true, 8), 1000.0, NONE)
+    order = counters.order_frames(*sent(true, 8), 1000.0, NONE)
     assert np.flatnonzero(~order.keep).tolist() == [at + late]
     assert not order.restart.any()
     assert np.array_equal(order.index[order.keep], np.arange(60) * 8)
@@ -72,7 +72,7 @@ def test_a_frame_that_comes_again_is_left_out(at, late):
 def test_a_board_that_begins_anew_is_a_restart():
     first, again = sent(np.arange(50) * 8, 8), sent(np.arange(30) * 8, 8, start_ticks=77)
     seq, ticks, n = (np.concatenate(pair) for pair in zip(first, again, strict=True))
-    order = counter.order_frames(seq, ticks, n, 1000.0, NONE)
+    order = counters.order_frames(seq, ticks, n, 1000.0, NONE)
     assert np.flatnonzero(order.restart).tolist() == [50]
     assert order.index.tolist() == [*(np.arange(50) * 8), *(np.arange(30) * 8)]
     assert order.ticks[50] == 77
@@ -81,16 +81,16 @@ def test_a_board_that_begins_anew_is_a_restart():
 def test_a_restart_is_found_by_its_sequence_when_time_went_on():
     first, again = sent(np.arange(50) * 8, 8), sent(np.arange(30) * 8, 8, start_ticks=900_000)
     seq, ticks, n = (np.concatenate(pair) for pair in zip(first, again, strict=True))
-    assert np.flatnonzero(counter.order_frames(seq, ticks, n, 1000.0, NONE).restart).tolist() == [50]
+    assert np.flatnonzero(counters.order_frames(seq, ticks, n, 1000.0, NONE).restart).tolist() == [50]
 
 
 def test_an_identification_in_mid_stream_is_a_restart():
-    order = counter.order_frames(*sent(np.arange(20) * 8, 8), 1000.0, np.array([0, 12, 20]))
+    order = counters.order_frames(*sent(np.arange(20) * 8, 8), 1000.0, np.array([0, 12, 20]))
     assert np.flatnonzero(order.restart).tolist() == [12]
 
 
 def test_no_frames_have_no_order():
-    assert len(counter.order_frames(NONE, NONE, NONE, 1000.0, NONE).keep) == 0
+    assert len(counters.order_frames(NONE, NONE, NONE, 1000.0, NONE).keep) == 0
 
 
 @given(st.integers(-100_000, 100_000), st.lists(st.integers(-3000, 3000), max_size=40))
@@ -99,17 +99,17 @@ def test_clean_counts_agree_with_their_levels(start, moves):
     forward = np.cumsum(np.maximum(np.diff(n, prepend=0), 0))
     backward = forward - n
     up, down = (forward % 65536).astype(np.uint16), (backward % 65536).astype(np.uint16)
-    assert not counter.check_phase(up, down, levels_of(n)).any()
+    assert not counters.check_phase(up, down, levels_of(n)).any()
 
 
 @pytest.mark.parametrize("error", [1, 2, 3])
 def test_a_lost_count_disagrees_with_the_levels(error):
     n = np.arange(101)
     up = np.where(n >= 40, n - error, n).astype(np.uint16)
-    flagged = counter.check_phase(up, np.zeros(101, dtype=np.uint16), levels_of(n))
+    flagged = counters.check_phase(up, np.zeros(101, dtype=np.uint16), levels_of(n))
     assert np.array_equal(flagged, n >= 40)
 
 
 def test_both_counters_moving_in_one_sample_are_seen():
     up, down = np.array([65535, 0, 0, 1], dtype=np.uint16), np.array([4, 4, 5, 6], dtype=np.uint16)
-    assert counter.check_both_moved(up, down).tolist() == [False, False, False, True]
+    assert counters.check_both_moved(up, down).tolist() == [False, False, False, True]

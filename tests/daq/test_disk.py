@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 
 import rig_sim
-from daq import disk, flashing, placing, runfile, terminal
-from daq.cli import app
+from daq import firmware_files
+from daq.cli.app import app
+from daq.console import application as terminal
+from daq.output import atomic, disk
+from daq.runfile import store
 from rig_sim import motion_file
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits of file size are POSIX")
@@ -78,7 +81,7 @@ def test_a_stage_that_does_not_fit_leaves_the_run_as_it_was(full, run):
             entry.create_dataset("smooth/x", data=np.arange(100_000.0), chunks=(1000,), maxshape=(None,))
 
         with pytest.raises(disk.RefusedError, match="the disk is full"):
-            runfile.extend(run, "smooth", write)
+            store.extend(run, "smooth", write)
         assert run.read_bytes() == before
         assert list(run.parent.iterdir()) == [run]
 
@@ -107,7 +110,7 @@ def test_firmware_into_a_file_is_the_callers_mistake(tmp_path, capsys):
     (tmp_path / "fw").write_text("mine")
     code, line = refused(capsys, app, "firmware", "--board", "uno", "-o", tmp_path / "fw")
     assert (code, line.endswith("fw: is no folder; give a folder, with -o")) == (2, True)
-    hexfile, _ = flashing.write(flashing.board("uno"), tmp_path / "new")
+    hexfile, _ = firmware_files.write(firmware_files.board("uno"), tmp_path / "new")
     assert hexfile.stat().st_size > 1000
 
 
@@ -125,9 +128,9 @@ def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, mo
     def refuse(**_):
         raise PermissionError(13, "Permission denied", "some.partial")
 
-    monkeypatch.setattr(placing.tempfile, "mkstemp", refuse)
+    monkeypatch.setattr(atomic.tempfile, "mkstemp", refuse)
     with pytest.raises(disk.RefusedError, match=r"out.h5: may not be written; give a place"):
-        placing.replacing(tmp_path / "out.h5", force=False).__enter__()
+        atomic.replacing(tmp_path / "out.h5", force=False).__enter__()
 
 
 class Full(io.FileIO):
@@ -185,7 +188,7 @@ def twice(x):
 
 def test_machine_code_that_does_not_fit_costs_no_result(full, tmp_path, capsys):
     # A full home directory used to end every command that had something to compile.
-    from daq.compiled import build
+    from daq.compute.compile import build
 
     quick = build(twice, tmp_path)
     with full(100):

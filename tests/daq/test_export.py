@@ -7,17 +7,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from daq import cli_files, runfile, terminal
-from daq.recording import Raw, RunData, positions
-from daq.rig import Measured, Rig
+from daq.cli import files
+from daq.console import application
+from daq.runfile import store
+from daq.runfile.recording import Raw, RunData, positions
+from daq.runfile.rig import Measured, Rig
 
 N = 101
 
 
 @pytest.fixture
 def app() -> cyclopts.App:
-    made = terminal.application("daq", "files", "daq export")
-    cli_files.register(made)
+    made = application.application("daq", "files", "daq export")
+    files.register(made)
     return made
 
 
@@ -47,7 +49,7 @@ def run(tmp_path: Path) -> Path:
         raw=raw,
         segment=np.zeros(N, np.uint16),
     )
-    runfile.write(tmp_path / "run.h5", data)
+    store.write(tmp_path / "run.h5", data)
     return tmp_path / "run.h5"
 
 
@@ -63,8 +65,8 @@ def _read_csv(path: Path) -> pd.DataFrame:
 
 def test_both_tables_hold_every_sample_to_the_last_bit(run: Path, app: cyclopts.App) -> None:
     csv, parquet = run.with_suffix(".csv"), run.with_suffix(".parquet")
-    assert terminal.run(app, ["export", str(run), "--csv", str(csv), "--parquet", str(parquet)]) == 0
-    recording = runfile.load(run)
+    assert application.run(app, ["export", str(run), "--csv", str(csv), "--parquet", str(parquet)]) == 0
+    recording = store.load(run)
     assert recording.raw is not None
     for table in (_read_csv(csv), pd.read_parquet(parquet)):
         assert list(table.columns) == COLUMNS.split()
@@ -76,9 +78,9 @@ def test_both_tables_hold_every_sample_to_the_last_bit(run: Path, app: cyclopts.
 
 def test_an_exported_table_imports_as_the_same_motion(run: Path, app: cyclopts.App) -> None:
     csv, again = run.with_suffix(".csv"), run.with_name("again.h5")
-    assert terminal.run(app, ["export", str(run), "--csv", str(csv)]) == 0
-    assert terminal.run(app, ["import", str(csv), "-o", str(again)]) == 0
-    first, second = runfile.load(run), runfile.load(again)
+    assert application.run(app, ["export", str(run), "--csv", str(csv)]) == 0
+    assert application.run(app, ["import", str(csv), "-o", str(again)]) == 0
+    first, second = store.load(run), store.load(again)
     np.testing.assert_array_equal(second.position, first.position)
     np.testing.assert_array_equal(second.time, first.time - first.time[0])
 
@@ -101,7 +103,7 @@ def test_bad_requests_are_one_line_and_write_nothing(
 ) -> None:
     monkeypatch.chdir(run.parent)
     Path("old.csv").write_text("precious")
-    assert terminal.run(app, ["export", "run.h5", *flags]) == 2
+    assert application.run(app, ["export", "run.h5", *flags]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
     for word in words:
@@ -111,7 +113,7 @@ def test_bad_requests_are_one_line_and_write_nothing(
 
 
 def test_an_uncalibrated_run_says_count(run: Path, app: cyclopts.App) -> None:
-    recording = runfile.load(run)
+    recording = store.load(run)
     assert recording.count is not None
     bare = RunData(
         title="bare",
@@ -124,7 +126,7 @@ def test_an_uncalibrated_run_says_count(run: Path, app: cyclopts.App) -> None:
         count=recording.count,
     )
     other = run.with_name("bare.h5")
-    runfile.write(other, bare)
+    store.write(other, bare)
     csv = run.with_suffix(".csv")
-    assert terminal.run(app, ["export", str(other), "--csv", str(csv)]) == 0
+    assert application.run(app, ["export", str(other), "--csv", str(csv)]) == 0
     assert csv.read_text().splitlines()[0] == "time_s,position_count,count"

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from daq import flashing
+from daq import firmware_files
 from daq.errors import InputError
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 
 
 def run(folder, *words):
-    line = [sys.executable, "-m", "daq.cli", "firmware", *words]
+    line = [sys.executable, "-m", "daq.cli.app", "firmware", *words]
     return subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
 
 
@@ -55,7 +55,7 @@ def test_an_installed_package_brings_the_firmware_along(tmp_path):
     shutil.copytree(root / "daq", site / "daq", ignore=shutil.ignore_patterns("__pycache__"))
     for source, target in included.items():
         shutil.copytree(root / source, site / target)
-    words = [sys.executable, "-m", "daq.cli", "firmware", "--board", "mega", "-o", "here", "--json"]
+    words = [sys.executable, "-m", "daq.cli.app", "firmware", "--board", "mega", "-o", "here", "--json"]
     path = {**os.environ, "PYTHONPATH": str(site)}
     done = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, check=False, env=path)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -84,7 +84,7 @@ def test_what_holds_something_else_is_kept_unless_forced(tmp_path):
 
 def test_another_board_is_refused_with_the_nearest_name(tmp_path):
     with pytest.raises(InputError, match="uno") as caught:
-        flashing.board("un")
+        firmware_files.board("un")
     assert caught.value.exit_code == 2
     assert run(tmp_path, "--board", "teensy").returncode == 2
     assert run(tmp_path).returncode == 2

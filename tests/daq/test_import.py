@@ -11,10 +11,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daq import cli_files, frame_rate, runfile, table, table_import, terminal, units
+from daq.cli import files
+from daq.console import application, units
 from daq.errors import InputError
-from daq.rig import Measured
-from daq.table_import import Wishes
+from daq.imports import frame_rate, table, track
+from daq.imports.track import Wishes
+from daq.runfile import store
+from daq.runfile.rig import Measured
 
 MASS, STIFFNESS = 0.3, 10.5552  # pi sqrt(m/k) = 0.52963 s
 
@@ -75,7 +78,7 @@ def test_the_format_is_found(csv: Path, head: str, how: dict[str, Any]) -> None:
     time, x = sawtooth(100, 3)
     how = dict(how)
     columns = [time, x, x] if how.pop("wide", False) else [time, x]
-    found = table_import.read(make(csv, head, zip(*columns, strict=True), **how), wishes())
+    found = track.read(make(csv, head, zip(*columns, strict=True), **how), wishes())
     np.testing.assert_allclose(found.run.time, time, atol=1e-8)
     np.testing.assert_allclose(found.run.position, x, atol=1e-8)
     assert found.decimal == how.get("decimal", ".")
@@ -119,7 +122,7 @@ def test_units_come_from_the_flag_or_the_header(
     csv: Path, head: str, t_size: float, x_size: float, changes: Any
 ) -> None:
     csv.write_text(f"{head}\n0,1\n2,3\n5,7\n")
-    found = table_import.read(csv, Wishes(**changes))
+    found = track.read(csv, Wishes(**changes))
     np.testing.assert_allclose(found.run.time, np.array([0, 2, 5]) * t_size, rtol=1e-15)
     np.testing.assert_allclose(found.run.position, np.array([1, 3, 7]) * x_size, rtol=1e-15)
     assert found.warnings == ()
@@ -127,7 +130,7 @@ def test_units_come_from_the_flag_or_the_header(
 
 def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
     csv.write_text("t,x (cm)\n0,1\n2,3\n")
-    found = table_import.read(csv, Wishes(x_unit="mm"))
+    found = track.read(csv, Wishes(x_unit="mm"))
     assert found.run.position.tolist() == [0.001, 0.003]
     assert "not in cm" in found.warnings[0]
 
@@ -143,7 +146,7 @@ def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
 )
 def test_a_frame_rate_makes_the_times(csv: Path, text: str, changes: Any, time: Any, position: Any) -> None:
     csv.write_text(text)
-    found = table_import.read(csv, Wishes(**changes))
+    found = track.read(csv, Wishes(**changes))
     np.testing.assert_allclose(found.run.time, np.array(time) / 400, rtol=1e-15)
     assert found.run.position.tolist() == position
 
@@ -151,14 +154,14 @@ def test_a_frame_rate_makes_the_times(csv: Path, text: str, changes: Any, time: 
 def test_columns_are_chosen_by_name_or_number(csv: Path) -> None:
     csv.write_text("i,Clock,laser A,laser B\n0,0.5,1,2\n1,0.6,3,4\n")
     for time, position in (("Clock", "laser B"), ("clock", "LASER B"), ("2", "4")):
-        found = table_import.read(csv, Wishes(time=time, position=position))
+        found = track.read(csv, Wishes(time=time, position=position))
         assert found.run.position.tolist() == [2, 4]
         np.testing.assert_allclose(found.run.time, [0, 0.1], atol=1e-15)
 
 
 def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n0.1,2\n0.35,2\n0.4,5\n")
-    found = table_import.read(csv, Wishes())
+    found = track.read(csv, Wishes())
     assert not found.even
     assert found.run.time.tolist() == [0, 0.1, 0.35, 0.4]
 
@@ -195,7 +198,7 @@ def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
 def test_bad_tables_are_refused_by_line(csv: Path, text: str, changes: Any, words: list[str]) -> None:
     csv.write_text(text)
     with pytest.raises(InputError) as error:
-        table_import.read(csv, Wishes(**changes))
+        track.read(csv, Wishes(**changes))
     line = str(error.value)
     assert "\n" not in line
     for word in words:
@@ -211,14 +214,14 @@ def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -
 
 
 def test_a_right_frame_rate_is_accepted(csv: Path) -> None:
-    found = table_import.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), wishes())
+    found = track.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), wishes())
     assert found.warnings == ()
 
 
 def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> None:
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))  # a 400 fps film played at 30
-    found = table_import.read(csv, wishes())
+    found = track.read(csv, wishes())
     assert "frame rate must be wrong" in found.warnings[0]
     fitting = float(found.warnings[0].split(" would fit")[0].split()[-1])
     assert fitting == pytest.approx(400, rel=0.01)
@@ -227,7 +230,7 @@ def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> Non
 def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))
-    found = table_import.read(csv, wishes(frame_rate_hz=400.0))
+    found = track.read(csv, wishes(frame_rate_hz=400.0))
     np.testing.assert_allclose(found.run.time, time, atol=1e-6)
     assert len(found.warnings) == 1
     assert "times were multiplied by 0.075" in found.warnings[0]
@@ -235,14 +238,14 @@ def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
 
 def test_times_that_agree_with_the_given_frame_rate_stay_as_they_are(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n0.0025,2\n0.005,2\n0.00752,2\n")
-    found = table_import.read(csv, Wishes(frame_rate_hz=400.0))
+    found = track.read(csv, Wishes(frame_rate_hz=400.0))
     assert found.run.time.tolist() == [0, 0.0025, 0.005, 0.00752]
     assert found.warnings == ()
 
 
 def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv: Path) -> None:
     csv.write_text("t,x\n0,0\n1,1\n2,2\n")
-    assert "could not be checked" in table_import.read(csv, wishes()).warnings[0]
+    assert "could not be checked" in track.read(csv, wishes()).warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -294,8 +297,8 @@ def test_what_is_no_quantity_is_refused(text: str, words: list[str]) -> None:
 
 @pytest.fixture
 def app() -> cyclopts.App:
-    made = terminal.application("daq", "files", "daq import track.csv")
-    cli_files.register(made)
+    made = application.application("daq", "files", "daq import track.csv")
+    files.register(made)
     return made
 
 
@@ -304,12 +307,12 @@ def test_the_command_writes_a_run_that_loads(csv: Path, app: cyclopts.App, capsy
     make(csv, "t;x [cm]\n", zip(time, 100 * x, strict=True), delimiter=";", decimal=",")
     target = csv.with_name("run.h5")
     line = ["import", str(csv), "-o", str(target), "--mass", "300 g +- 1 g", "--belt", "22 cm/s", "--datum", "2 mm"]
-    assert terminal.run(app, [*line, "--stiffness", "10.5552 N/m", "--json"]) == 0
+    assert application.run(app, [*line, "--stiffness", "10.5552 N/m", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["samples"] == time.size
     assert told["warnings"] == []
     assert (told["delimiter"], told["decimal"], told["even"]) == ("semicolon", ",", True)
-    recording = runfile.load(target)
+    recording = store.load(target)
     np.testing.assert_allclose(recording.position, x + 0.002, atol=1e-9)
     assert recording.raw is None
     assert recording.count is None
@@ -325,21 +328,21 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(
 ) -> None:
     csv.write_text("t,x\n0,1\n1,oops\n")
     target = csv.with_name("run.h5")
-    assert terminal.run(app, ["import", str(csv), "-o", str(target)]) == 2
+    assert application.run(app, ["import", str(csv), "-o", str(target)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not target.exists()
     target.write_text("precious")
     csv.write_text("t,x\n0,1\n1,2\n")
-    assert terminal.run(app, ["import", str(csv), "-o", str(target)]) == 2
+    assert application.run(app, ["import", str(csv), "-o", str(target)]) == 2
     assert "--force" in capsys.readouterr().err
     assert target.read_text() == "precious"
-    assert terminal.run(app, ["import", str(csv), "-o", str(target), "--mass", "-1"]) == 2
-    assert terminal.run(app, ["import", str(csv), "-o", str(target), "--force"]) == 0
-    assert runfile.load(target).position.tolist() == [1, 2]
+    assert application.run(app, ["import", str(csv), "-o", str(target), "--mass", "-1"]) == 2
+    assert application.run(app, ["import", str(csv), "-o", str(target), "--force"]) == 0
+    assert store.load(target).position.tolist() == [1, 2]
 
 
 def test_the_start_is_the_files_date_unless_given(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n1.5,2\n")
-    given_start = table_import.read(csv, Wishes(started="2024-05-01T12:00:00+02:00")).run
+    given_start = track.read(csv, Wishes(started="2024-05-01T12:00:00+02:00")).run
     assert (given_start.started, given_start.ended) == ("2024-05-01T12:00:00+02:00", "2024-05-01T12:00:01.500000+02:00")
-    assert "modification" in str(table_import.read(csv, Wishes()).run.provenance["start_time_from"])
+    assert "modification" in str(track.read(csv, Wishes()).run.provenance["start_time_from"])

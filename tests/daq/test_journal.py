@@ -2,8 +2,8 @@
 
 import pytest
 
-from daq import journal
 from daq.errors import InputError
+from daq.runfile import journal
 
 HEADER = {"protocol": "frames", "rate_hz": 1000}
 RECORDS = [

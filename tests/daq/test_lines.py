@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq import cut, protocols
+from daq import protocols
 from daq.errors import DeviceError, InputError
 from daq.protocols import lines as lines_module
 from daq.protocols import qsb, text
 from daq.protocols import session as session_module
 from daq.protocols.session import Plan, Wish
+from daq.wire import cut
 
 RATE = 500
 

@@ -5,19 +5,20 @@ from dataclasses import replace
 
 import pytest
 
-from daq import capability, ports
 from daq.errors import DeviceError, InputError
+from daq.protocols import link_budget
 from daq.protocols.session import Line, Plan, Wish
-from daq.rig import Measured, Rig
-from daq.wire import Capability, Ident
+from daq.recorder import ports
+from daq.runfile.rig import Measured, Rig
+from daq.wire.frames import Capability, Ident
 
 BOARD = Ident((1, 0, 0), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 8, 5000, 125_000, "uno")
 RIG = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(0.22))
 
 
 def check(board, rig, rate_hz, block, baud):
-    plan = Plan(rate_hz, block, capability.bytes_per_s(board, rate_hz, block))
-    return capability.check(board, rig, plan, baud)
+    plan = Plan(rate_hz, block, link_budget.bytes_per_s(board, rate_hz, block))
+    return link_budget.check(board, rig, plan, baud)
 
 
 def test_a_missing_port_is_named_with_what_is_there():
@@ -86,8 +87,8 @@ def test_only_the_rig_out_of_real_time_waits_for_its_reader():
 
 
 def test_1_khz_in_blocks_fits_115200_baud_and_is_8875_bytes_a_second():
-    assert capability.block_size(BOARD, 1000) == 8
-    assert capability.bytes_per_s(BOARD, 1000, 8) == 8875
+    assert link_budget.block_size(BOARD, 1000) == 8
+    assert link_budget.bytes_per_s(BOARD, 1000, 8) == 8875
     assert check(BOARD, RIG, 1000, 8, 115_200) == []
 
 
@@ -123,8 +124,8 @@ def test_a_rate_at_which_counters_roll_over_unseen_is_refused():
 
 
 def test_slow_rates_are_sent_in_single_frames():
-    assert capability.block_size(BOARD, 20) == 1
-    assert capability.block_size(replace(BOARD, capabilities=Capability.LEVELS), 1000) == 1
+    assert link_budget.block_size(BOARD, 20) == 1
+    assert link_budget.block_size(replace(BOARD, capabilities=Capability.LEVELS), 1000) == 1
 
 
 def test_a_usb_serial_driver_is_asked_for_low_latency_and_may_say_no(monkeypatch):
@@ -152,8 +153,8 @@ def test_bytes_of_a_pseudo_terminal_or_a_url_have_no_time_of_their_own(tmp_path)
 
 def test_lines_that_come_already_are_not_refused_for_a_baud_rate_that_is_only_a_name():
     plan = Plan(1000.0, 1, 24_000.0, comes_already=True)
-    assert capability.check(BOARD, RIG, plan, 115_200) == []
-    assert len(capability.check(BOARD, RIG, replace(plan, bytes_per_s=11_400.0), 115_200)) == 1
+    assert link_budget.check(BOARD, RIG, plan, 115_200) == []
+    assert len(link_budget.check(BOARD, RIG, replace(plan, bytes_per_s=11_400.0), 115_200)) == 1
 
 
 def test_a_socket_that_does_not_say_how_many_bytes_wait_is_read_in_large_pieces():

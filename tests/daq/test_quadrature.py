@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq import quadrature
-from daq.quadrature import DECODERS, EDGES_PER_COUNT, GRAY, PHASE, Decoder, PulseDecoder, levels_of
+from daq.wire import quadrature
+from daq.wire.quadrature import DECODERS, EDGES_PER_COUNT, GRAY, PHASE, Decoder, PulseDecoder, levels_of
 
 UP = [(0, 1), (1, 3), (3, 2), (2, 0)]  # levels A + 2 B: 00 -> 10 -> 11 -> 01 -> 00
 DOWN = [(after, before) for before, after in UP]

@@ -15,12 +15,15 @@ import pytest
 from serial import SerialException
 
 import daq
-from daq import finalise, journal, ports, reader, runfile, wire
 from daq.errors import DataError, DeviceError, InputError
+from daq.finalise import run as finalise
 from daq.protocols import session
-from daq.quadrature import levels_of
-from daq.record import RecordingInterruptedError, Request, record
-from daq.wire import Capability
+from daq.recorder import ports, reader
+from daq.recorder.record import RecordingInterruptedError, Request, record
+from daq.runfile import journal, store
+from daq.wire import frames
+from daq.wire.frames import Capability
+from daq.wire.quadrature import levels_of
 
 CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\n"
 RATE = 1000
@@ -52,7 +55,7 @@ class FakeBoard:
         self.capabilities = every | Capability.CONFIG * (config is not None) if capabilities is None else capabilities
         self.block = 8
         self.decoder = "x4"
-        self.decoders = wire.DECODERS
+        self.decoders = frames.DECODERS
         self.buffer = b""
         self.running = False
         self.frame = 0
@@ -60,8 +63,8 @@ class FakeBoard:
         self.closed = False
 
     def ident(self):
-        return wire.encode_ident(
-            wire.Ident((1, 2, 3), self.decoder, self.capabilities, 16, 1000, self.block, 5000, 10**8, "fake")
+        return frames.encode_ident(
+            frames.Ident((1, 2, 3), self.decoder, self.capabilities, 16, 1000, self.block, 5000, 10**8, "fake")
         )
 
     def write(self, data):
@@ -70,13 +73,13 @@ class FakeBoard:
             if line == "I":
                 self.buffer += self.ident()
                 if Capability.CONFIG in self.capabilities:
-                    self.buffer += wire.encode_config(self.config)
+                    self.buffer += frames.encode_config(self.config)
             elif line.startswith("B"):
                 self.block = int(line[1:])
             elif line.startswith("M") and line[2:] in self.decoders:
                 self.decoder = line[2:]
             elif line.startswith("M"):
-                self.buffer += wire.encode_notice(f"{line}: no such decoder")
+                self.buffer += frames.encode_notice(f"{line}: no such decoder")
             elif line == "S":
                 self.running, self.frame = True, 0
             elif line == "X":
@@ -88,7 +91,7 @@ class FakeBoard:
         ticks = self.start_ticks + 1000 * first
         dt = [0, *[1000] * (self.block - 1)]
         columns = (dt, (up % 65536).tolist(), (down % 65536).tolist(), levels_of(n).tolist())
-        return wire.encode_samples(wire.SampleBlock(first & 0xFFFF, ticks % 2**32, 0, *columns))
+        return frames.encode_samples(frames.SampleBlock(first & 0xFFFF, ticks % 2**32, 0, *columns))
 
     @property
     def in_waiting(self):
@@ -291,13 +294,13 @@ def test_a_gap_too_long_for_the_counters_is_invalid_and_not_joined(tmp_path, att
 def test_counts_that_disagree_with_their_levels_are_flagged(tmp_path, attach):
     class Miscounting(FakeBoard):
         def samples(self, frame):
-            block = wire.FrameReader().feed(super().samples(frame))[0]
+            block = frames.FrameReader().feed(super().samples(frame))[0]
             if frame < 20:
-                return wire.encode_samples(block)
+                return frames.encode_samples(block)
             up = [(u + 2) % 65536 for u in block.up]
             illegal = 1
-            return wire.encode_samples(
-                wire.SampleBlock(block.seq, block.time, illegal, block.dt, up, block.down, block.status)
+            return frames.encode_samples(
+                frames.SampleBlock(block.seq, block.time, illegal, block.dt, up, block.down, block.status)
             )
 
     attach(Miscounting())
@@ -521,7 +524,7 @@ def test_a_journal_without_samples_is_said_to_be_that_and_stays(tmp_path):
 
 
 def run_daq(*arguments, cwd):
-    command = [sys.executable, "-m", "daq.cli", *arguments]
+    command = [sys.executable, "-m", "daq.cli.app", *arguments]
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -547,13 +550,13 @@ def test_the_simulated_rig_is_recorded_to_the_last_sample(tmp_path):
     run = daq.load(tmp_path / answer["file"])
     assert run.rig.mass.value == pytest.approx(0.3, rel=0.01)
     assert run.unit == "m"
-    assert runfile.truth(run.source) is None
+    assert store.truth(run.source) is None
 
 
 def test_truth_is_recorded_beside_each_sample_when_the_rig_tells_it(tmp_path):
     url = ports.rig_url("rig", ["tell.truth=true"], False)
     record(Request(url, tmp_path / "run.h5", RATE, 2.0))
-    run, truth = daq.load(tmp_path / "run.h5"), runfile.truth(tmp_path / "run.h5")
+    run, truth = daq.load(tmp_path / "run.h5"), store.truth(tmp_path / "run.h5")
     assert truth.time == pytest.approx(run.time, abs=1e-6)
     offset = run.position - truth.x
     assert (
@@ -624,11 +627,11 @@ def test_a_killed_recorder_loses_at_most_its_last_second(tmp_path):
     ],
 )
 def test_bad_requests_end_in_one_line_and_touch_nothing(tmp_path, monkeypatch, capsys, arguments, code, said):
-    from daq import terminal
-    from daq.cli import app
+    from daq.cli.app import app
+    from daq.console import application
 
     monkeypatch.chdir(tmp_path)
-    assert terminal.run(app, ["record", *arguments]) == code
+    assert application.run(app, ["record", *arguments]) == code
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1
@@ -645,7 +648,7 @@ def test_a_board_that_stops_with_a_notice_ends_the_run_and_its_words_are_kept(tm
     assert found.samples < 20_000
     assert any("force reversal" in line for line in heard)
     assert any("force reversal" in warning for warning in found.warnings)
-    kinds = dict(zip(runfile.load(output).event_kind, runfile.load(output).event_note, strict=True))
+    kinds = dict(zip(store.load(output).event_kind, store.load(output).event_note, strict=True))
     assert "force reversal" in kinds["notice"]
 
 
@@ -694,7 +697,7 @@ def test_the_decoder_asked_for_is_the_one_that_counts_and_its_calibration_the_on
     edges = 1 if decoder == "x4" else 4
     assert run.rig.metres_per_count.value == pytest.approx(edges * 7.67e-6, rel=0.01)
     assert found.phase_errors == 0
-    truth = runfile.truth(tmp_path / "run.h5")
+    truth = store.truth(tmp_path / "run.h5")
     error = run.position - truth.x
     assert np.ptp(error[:1000]) < 3 * 30.7e-6 + 1e-3 * np.ptp(truth.x[:1000])  # a few lines, and the pitch as measured
 
@@ -710,7 +713,7 @@ def test_a_given_calibration_replaces_the_boards(tmp_path):
 
 def test_a_port_that_never_came_back_is_told_with_its_time(tmp_path, monkeypatch):
     # It used to look like a healthy, short recording.
-    monkeypatch.setattr("daq.reader.REOPEN_S", 0.3)
+    monkeypatch.setattr("daq.recorder.reader.REOPEN_S", 0.3)
     real = ports.open_port
     opened = []
 

@@ -10,21 +10,25 @@ import h5py
 import numpy as np
 import pytest
 
-from daq import cli_files, decode, journal, replay, runfile, sigrok, terminal, wire
+from daq.cli import files
+from daq.console import application
 from daq.errors import InputError
-from daq.quadrature import GRAY, PHASE
-from daq.rig import Measured, Rig
+from daq.imports import capture, replay, sigrok
+from daq.runfile import journal, store
+from daq.runfile.rig import Measured, Rig
+from daq.wire import frames
+from daq.wire.quadrature import GRAY, PHASE
 
 PAIR = {0: "A", 1: "B"}
-WIRED = decode.Wiring((0, 1), "x4")
+WIRED = capture.Wiring((0, 1), "x4")
 SWING = np.round(900 * np.sin(np.arange(20_011) * 1e-3) + 2.4).astype(np.int64)  # below an edge a sample
 CONFIG = "[rig]\nmass = 0.3\n[encoder]\nmetres_per_count = 1e-5\ndatum = 0.001\n"
 
 
 @pytest.fixture
 def app() -> cyclopts.App:
-    made = terminal.application("daq", "files", "daq replay")
-    cli_files.register(made)
+    made = application.application("daq", "files", "daq replay")
+    files.register(made)
     return made
 
 
@@ -50,10 +54,10 @@ def part(tmp_path: Path) -> Path:
         "warnings": [],
         "provenance": {"port": "fake"},
     }
-    ident = wire.Ident(
+    ident = frames.Ident(
         firmware=(0, 1, 0),
         decoder="x4",
-        capabilities=wire.Capability.BLOCKS | wire.Capability.LEVELS,
+        capabilities=frames.Capability.BLOCKS | frames.Capability.LEVELS,
         counter_bits=16,
         tick_ns=1000,
         block_size=8,
@@ -62,10 +66,10 @@ def part(tmp_path: Path) -> Path:
         name="board",
     )
     writer = journal.Writer(path, header)
-    writer.append(journal.RECEIVED, 1_000_000, wire.encode_ident(ident) + wire.encode_config(CONFIG))
+    writer.append(journal.RECEIVED, 1_000_000, frames.encode_ident(ident) + frames.encode_config(CONFIG))
     for frame in range(30):
         up = 65_000 + 3 * np.arange(8 * frame, 8 * frame + 8)
-        block = wire.SampleBlock(
+        block = frames.SampleBlock(
             seq=8 * frame,
             time=8000 * frame,
             illegal=0,
@@ -74,7 +78,7 @@ def part(tmp_path: Path) -> Path:
             down=[0] * 8,
             status=GRAY[up & 3].tolist(),
         )
-        writer.append(journal.RECEIVED, 8_000_000 * (frame + 1), wire.encode_samples(block))
+        writer.append(journal.RECEIVED, 8_000_000 * (frame + 1), frames.encode_samples(block))
     writer.close()
     return path
 
@@ -108,7 +112,7 @@ def test_step_pulses_become_two_counters(tmp_path: Path, write_capture: Callable
     step = np.tile([0, 1], 300)
     direction = np.repeat([1, 0], 300)
     path = write_capture(tmp_path / "s.sr", step + 2 * direction, {0: "step", 1: "dir"}, rate="1 kHz")
-    wired = decode.wiring(sigrok.read(path), None, "step", "dir", None)
+    wired = capture.wiring(sigrok.read(path), None, "step", "dir", None)
     run, totals = replay.from_capture(sigrok.read(path), wired, 1000.0, Rig())
     assert (totals.up, totals.down) == (150, 150)
     assert run.raw is not None
@@ -122,8 +126,8 @@ def test_illegal_transitions_are_marked_in_the_run(tmp_path: Path, write_capture
     path = write_capture(tmp_path / "bad.sr", GRAY[count & 3], PAIR, rate="1 kHz")
     run, totals = replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig())
     assert totals.illegal == 1
-    runfile.write(tmp_path / "run.h5", run)
-    recording = runfile.load(tmp_path / "run.h5")
+    store.write(tmp_path / "run.h5", run)
+    recording = store.load(tmp_path / "run.h5")
     assert list(zip(recording.event_sample.tolist(), recording.event_kind, strict=True)) == [
         (120, "illegal"),
         (120, "phase"),
@@ -146,13 +150,13 @@ def test_a_journal_is_replayed_and_kept(
     part: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     before = part.read_bytes()
-    assert terminal.run(app, ["replay", str(part), "-o", str(tmp_path / "a.h5"), "--json"]) == 0
+    assert application.run(app, ["replay", str(part), "-o", str(tmp_path / "a.h5"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     keys = "samples lost crc_errors illegal phase_errors segments rate_hz clock_ppm duration_s file warnings"
     assert set(keys.split()) <= set(told)
     assert (told["samples"], told["lost"], told["segments"], told["phase_errors"]) == (240, 0, 1, 0)
     assert part.read_bytes() == before
-    recording = runfile.load(tmp_path / "a.h5")
+    recording = store.load(tmp_path / "a.h5")
     start = 65_000 - 65_536
     np.testing.assert_array_equal(recording.count, start + 3 * np.arange(240))
     np.testing.assert_allclose(recording.position, (start + 3 * np.arange(240)) * 1e-5 + 0.001, rtol=1e-15)
@@ -160,13 +164,13 @@ def test_a_journal_is_replayed_and_kept(
 
 def test_a_run_is_decoded_anew_from_its_raw_counters(part: Path, app: cyclopts.App, tmp_path: Path) -> None:
     first, second = tmp_path / "a.h5", tmp_path / "b.h5"
-    assert terminal.run(app, ["replay", str(part), "-o", str(first)]) == 0
-    runfile.extend(first, "smooth", lambda entry: entry.create_group("smooth"), default="smooth")
-    before = runfile.load(first)
+    assert application.run(app, ["replay", str(part), "-o", str(first)]) == 0
+    store.extend(first, "smooth", lambda entry: entry.create_group("smooth"), default="smooth")
+    before = store.load(first)
     with h5py.File(first, "r+") as file:
         file["entry/instrument/encoder/value_log/raw_value"][...] = 7  # derived, so not to be trusted
-    assert terminal.run(app, ["replay", str(first), "-o", str(second)]) == 0
-    after = runfile.load(second)
+    assert application.run(app, ["replay", str(first), "-o", str(second)]) == 0
+    after = store.load(second)
     np.testing.assert_array_equal(after.count, before.count)
     np.testing.assert_array_equal(after.position, before.position)
     assert after.digest == before.digest
@@ -177,9 +181,9 @@ def test_another_calibration_moves_positions_and_no_raw_data(part: Path, app: cy
     rig = tmp_path / "rig.toml"
     rig.write_text("[rig]\nmass = 0.5\n[encoder]\nmetres_per_count = 2e-5\n")
     first, second = tmp_path / "a.h5", tmp_path / "b.h5"
-    assert terminal.run(app, ["replay", str(part), "-o", str(first)]) == 0
-    assert terminal.run(app, ["replay", str(first), "-o", str(second), "--rig", str(rig)]) == 0
-    before, after = runfile.load(first), runfile.load(second)
+    assert application.run(app, ["replay", str(part), "-o", str(first)]) == 0
+    assert application.run(app, ["replay", str(first), "-o", str(second), "--rig", str(rig)]) == 0
+    before, after = store.load(first), store.load(second)
     np.testing.assert_allclose(after.position, 2 * (before.position - 0.001), rtol=1e-12)
     assert after.rig.mass == Measured(0.5)
     assert after.digest == before.digest
@@ -188,9 +192,9 @@ def test_another_calibration_moves_positions_and_no_raw_data(part: Path, app: cy
 def test_an_import_is_replayed_as_it_stands(app: cyclopts.App, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("t,x\n0,1\n1,2\n")
     first, second = str(tmp_path / "a.h5"), str(tmp_path / "b.h5")
-    assert terminal.run(app, ["import", str(tmp_path / "t.csv"), "-o", first]) == 0
-    assert terminal.run(app, ["replay", first, "-o", second]) == 0
-    again = runfile.load(second)
+    assert application.run(app, ["import", str(tmp_path / "t.csv"), "-o", first]) == 0
+    assert application.run(app, ["replay", first, "-o", second]) == 0
+    again = store.load(second)
     assert again.position.tolist() == [1, 2]
     assert again.count is None
 
@@ -220,7 +224,7 @@ def test_bad_requests_are_one_line_and_write_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("notes.txt").write_text("hello")
-    assert terminal.run(app, ["replay", *arguments, "-o", "out.h5"]) == 2
+    assert application.run(app, ["replay", *arguments, "-o", "out.h5"]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1
     for word in words:
@@ -230,10 +234,10 @@ def test_bad_requests_are_one_line_and_write_nothing(
 
 def test_a_source_is_never_replaced_by_its_replay(part: Path, app: cyclopts.App, tmp_path: Path) -> None:
     run = tmp_path / "a.h5"
-    assert terminal.run(app, ["replay", str(part), "-o", str(run)]) == 0
+    assert application.run(app, ["replay", str(part), "-o", str(run)]) == 0
     before = run.read_bytes()
-    assert terminal.run(app, ["replay", str(run), "-o", str(run), "--force"]) == 2
-    assert terminal.run(app, ["replay", str(part), "-o", str(run)]) == 2
+    assert application.run(app, ["replay", str(run), "-o", str(run), "--force"]) == 2
+    assert application.run(app, ["replay", str(part), "-o", str(run)]) == 2
     assert run.read_bytes() == before
 
 
@@ -241,10 +245,10 @@ def test_real_captures_become_runs(captures: Path, app: cyclopts.App, tmp_path: 
     run = tmp_path / "y.h5"
     source = captures / "avago_adns_2051_move_mouse_up_down.sr"
     line = ["replay", str(source), "--channels", "A=YA,B=YB", "-o", str(run), "--json"]
-    assert terminal.run(app, line) == 0
+    assert application.run(app, line) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["edges"], told["illegal"], told["samples"], told["rate_hz"]) == (629, 0, 3000, 1000)
-    recording = runfile.load(run)
+    recording = store.load(run)
     assert recording.unit == "count"
     assert recording.count is not None
     assert recording.count[-1] - recording.count[0] == told["net"]

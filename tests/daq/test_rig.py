@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.errors import InputError
-from daq.rig import DECODERS, Measured, Rig
+from daq.runfile.rig import DECODERS, Measured, Rig
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=1e-300, max_value=1e300)

@@ -15,10 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daq import nexus, runfile
 from daq.errors import InputError
-from daq.recording import EVENTS, Raw, Recording, RunData, Truth, positions
-from daq.rig import Measured, Rig
+from daq.runfile import nexus, store
+from daq.runfile.recording import EVENTS, Raw, Recording, RunData, Truth, positions
+from daq.runfile.rig import Measured, Rig
 
 RIG = Rig(
     name="bench 2",
@@ -219,9 +219,9 @@ def runs(draw: st.DrawFn) -> RunData:
 @given(data=runs())
 def test_what_is_written_reads_back_to_the_last_bit(tmp_path: Path, data: RunData) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, data, force=True)
-    same(runfile.load(path), data)
-    truth = runfile.truth(path)
+    store.write(path, data, force=True)
+    same(store.load(path), data)
+    truth = store.truth(path)
     if data.truth is None:
         assert truth is None
     else:
@@ -234,7 +234,7 @@ def test_equal_runs_give_equal_bytes(tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
     for folder in ("one", "two"):
-        runfile.write(tmp_path / folder / "run.h5", run())
+        store.write(tmp_path / folder / "run.h5", run())
     first, second = ((tmp_path / folder / "run.h5").read_bytes() for folder in ("one", "two"))
     assert first == second
 
@@ -242,7 +242,7 @@ def test_equal_runs_give_equal_bytes(tmp_path: Path) -> None:
 def test_provenance_is_the_only_place_that_differs_between_hosts(tmp_path: Path) -> None:
     for name, host in (("a", "alpha"), ("b", "beta")):
         (tmp_path / name).mkdir()
-        runfile.write(tmp_path / name / "run.h5", run(provenance={"hostname": host}))
+        store.write(tmp_path / name / "run.h5", run(provenance={"hostname": host}))
     differ = []
     with h5py.File(tmp_path / "a/run.h5") as a, h5py.File(tmp_path / "b/run.h5") as b:
 
@@ -259,10 +259,10 @@ def test_provenance_is_the_only_place_that_differs_between_hosts(tmp_path: Path)
 @pytest.mark.parametrize("made", [run(), imported()], ids=["recorded", "imported"])
 def test_nxcheck_finds_no_errors_and_no_warnings_at_any_stage(tmp_path: Path, made: RunData) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, replace(made, operator="A. Person", truth=Truth(*np.ones((4, 3)), scene="rig")))
+    store.write(path, replace(made, operator="A. Person", truth=Truth(*np.ones((4, 3)), scene="rig")))
     assert nxcheck(path) == (0, 0)
-    runfile.extend(path, "smooth", smooth, default="smooth")
-    runfile.extend(path, ["fit", "fit_law1"], fit, default="fit")
+    store.extend(path, "smooth", smooth, default="smooth")
+    store.extend(path, ["fit", "fit_law1"], fit, default="fit")
     assert nxcheck(path) == (0, 0)
 
 
@@ -277,17 +277,17 @@ def test_nxcheck_accepts_optional_channels(tmp_path: Path) -> None:
         belt_count=extra.astype(np.int64),
         rig=replace(RIG, belt_metres_per_count=Measured(7.67e-6, 1e-9)),
     )
-    runfile.write(tmp_path / "run.h5", full)
+    store.write(tmp_path / "run.h5", full)
     assert nxcheck(tmp_path / "run.h5") == (0, 0)
 
 
 def test_default_attributes_lead_to_a_plot(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, run())
+    store.write(path, run())
     shown = []
     for name, writer in (("data", None), ("smooth", smooth), ("fit", fit)):
         if writer is not None:
-            runfile.extend(path, ["fit", "fit_law1"] if name == "fit" else name, writer, default=name)
+            store.extend(path, ["fit", "fit_law1"] if name == "fit" else name, writer, default=name)
         with h5py.File(path) as file:
             group = file
             while "default" in group.attrs:
@@ -303,7 +303,7 @@ def test_default_attributes_lead_to_a_plot(tmp_path: Path) -> None:
 
 
 def test_data_are_links_not_copies(tmp_path: Path) -> None:
-    runfile.write(tmp_path / "run.h5", run())
+    store.write(tmp_path / "run.h5", run())
     with h5py.File(tmp_path / "run.h5") as file:
         for name in ("time", "value"):
             assert file[f"entry/data/{name}"] == file[f"entry/instrument/encoder/value_log/{name}"]
@@ -313,8 +313,8 @@ def test_xarray_reads_tables_over_time(tmp_path: Path) -> None:
     xarray = pytest.importorskip("xarray")
     path = tmp_path / "run.h5"
     data = run()
-    runfile.write(path, data)
-    runfile.extend(path, "smooth", smooth, default="smooth")
+    store.write(path, data)
+    store.extend(path, "smooth", smooth, default="smooth")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         for group in ("entry/smooth/kinematics", "entry/data"):
@@ -327,7 +327,7 @@ def test_xarray_reads_tables_over_time(tmp_path: Path) -> None:
 
 
 def test_types_and_units_are_those_of_the_layout(tmp_path: Path) -> None:
-    runfile.write(tmp_path / "run.h5", run())
+    store.write(tmp_path / "run.h5", run())
     with h5py.File(tmp_path / "run.h5") as file:
         raw = file["entry/raw"]
         wanted = {"sample": "u4", "segment": "u2", "count_up": "u2", "count_down": "u2", "device_time": "u4"}
@@ -349,8 +349,8 @@ def test_types_and_units_are_those_of_the_layout(tmp_path: Path) -> None:
 
 
 def test_uncalibrated_positions_are_counts_and_say_so(tmp_path: Path) -> None:
-    runfile.write(tmp_path / "run.h5", run(rig=Rig()))
-    recording = runfile.load(tmp_path / "run.h5")
+    store.write(tmp_path / "run.h5", run(rig=Rig()))
+    recording = store.load(tmp_path / "run.h5")
     assert recording.unit == "count"
     np.testing.assert_array_equal(recording.position, recording.count)
 
@@ -363,12 +363,12 @@ def test_position_is_count_times_pitch_plus_datum() -> None:
 
 def test_extending_leaves_raw_data_untouched(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, run(20_001))
-    before, loaded = raw_digest(path), runfile.load(path)
-    runfile.extend(path, "smooth", smooth, default="smooth")
-    runfile.extend(path, ["fit", "fit_law1"], fit, default="fit")
+    store.write(path, run(20_001))
+    before, loaded = raw_digest(path), store.load(path)
+    store.extend(path, "smooth", smooth, default="smooth")
+    store.extend(path, ["fit", "fit_law1"], fit, default="fit")
     assert raw_digest(path) == before
-    after = runfile.load(path)
+    after = store.load(path)
     assert after.digest == loaded.digest
     assert after.default == "fit"
     same(after, run(20_001))
@@ -376,10 +376,10 @@ def test_extending_leaves_raw_data_untouched(tmp_path: Path) -> None:
 
 def test_a_new_smooth_drops_the_fit_made_from_the_old_one(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, run())
-    runfile.extend(path, "smooth", smooth, default="smooth")
-    runfile.extend(path, ["fit", "fit_law1"], fit, default="fit")
-    runfile.extend(path, "smooth", smooth, default="smooth")
+    store.write(path, run())
+    store.extend(path, "smooth", smooth, default="smooth")
+    store.extend(path, ["fit", "fit_law1"], fit, default="fit")
+    store.extend(path, "smooth", smooth, default="smooth")
     with h5py.File(path) as file:
         assert "smooth" in file["entry"]
         assert not [name for name in file["entry"] if name.startswith("fit")]
@@ -387,17 +387,17 @@ def test_a_new_smooth_drops_the_fit_made_from_the_old_one(tmp_path: Path) -> Non
 
 def test_repeated_stages_do_not_pile_up(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, run(20_001))
-    runfile.extend(path, "smooth", smooth, default="smooth")
+    store.write(path, run(20_001))
+    store.extend(path, "smooth", smooth, default="smooth")
     once = path.stat().st_size
     for _ in range(5):
-        runfile.extend(path, "smooth", smooth, default="smooth")
+        store.extend(path, "smooth", smooth, default="smooth")
     assert path.stat().st_size < 1.25 * once
 
 
 def test_a_stage_that_fails_leaves_the_file_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, run())
+    store.write(path, run())
     before = path.read_bytes()
 
     def broken(entry: h5py.Group) -> None:
@@ -405,25 +405,25 @@ def test_a_stage_that_fails_leaves_the_file_as_it_was(tmp_path: Path) -> None:
         raise RuntimeError("stop")
 
     with pytest.raises(RuntimeError, match="stop"):
-        runfile.extend(path, "smooth", broken)
+        store.extend(path, "smooth", broken)
     assert path.read_bytes() == before
     assert [item.name for item in tmp_path.iterdir()] == ["run.h5"]
 
 
 def test_extend_never_replaces_the_record(tmp_path: Path) -> None:
-    runfile.write(tmp_path / "run.h5", run())
+    store.write(tmp_path / "run.h5", run())
     with pytest.raises(ValueError, match="never the record"):
-        runfile.extend(tmp_path / "run.h5", "raw", lambda entry: None)
+        store.extend(tmp_path / "run.h5", "raw", lambda entry: None)
 
 
 def test_an_existing_file_is_refused_and_kept(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     path.write_text("precious")
     with pytest.raises(InputError, match=r"exists; give another name \(-o\), or --force"):
-        runfile.write(path, run())
+        store.write(path, run())
     assert path.read_text() == "precious"
-    runfile.write(path, run(), force=True)
-    assert runfile.load(path).title == "a run"
+    store.write(path, run(), force=True)
+    assert store.load(path).title == "a run"
 
 
 @pytest.mark.parametrize(
@@ -440,13 +440,13 @@ def test_an_existing_file_is_refused_and_kept(tmp_path: Path) -> None:
 )
 def test_parts_that_do_not_belong_together_are_refused(tmp_path: Path, changes: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        runfile.write(tmp_path / "run.h5", run(**changes))
+        store.write(tmp_path / "run.h5", run(**changes))
     assert list(tmp_path.iterdir()) == []
 
 
 def refused(path: Path) -> str:
     with pytest.raises(InputError) as error:
-        runfile.load(path)
+        store.load(path)
     line = str(error.value)
     assert "\n" not in line
     assert str(path) in line
@@ -468,7 +468,7 @@ def test_missing_foreign_and_cut_files_are_named(tmp_path: Path) -> None:
     with h5py.File(path, "w") as file:
         file["numbers"] = [1, 2]
     assert "no run file" in refused(path)
-    runfile.write(path, run(), force=True)
+    store.write(path, run(), force=True)
     whole = path.read_bytes()
     for kept in (len(whole) - 1, len(whole) // 2, 100):
         path.write_bytes(whole[:kept])
@@ -477,7 +477,7 @@ def test_missing_foreign_and_cut_files_are_named(tmp_path: Path) -> None:
 
 def test_a_damaged_chunk_is_found_by_its_checksum(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, run(20_001))
+    store.write(path, run(20_001))
     with h5py.File(path) as file:
         offset = file["entry/raw/count_up"].id.get_chunk_info(0).byte_offset
     content = bytearray(path.read_bytes())
@@ -492,13 +492,13 @@ def test_a_damaged_chunk_is_found_by_its_checksum(tmp_path: Path) -> None:
 )
 def test_other_schemas_are_refused(tmp_path: Path, place: str, schema: Any, words: str) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, run())
+    store.write(path, run())
     with h5py.File(path, "r+") as file:
         file[place].attrs["stickslip_schema"] = schema
     assert words in refused(path)
     before = path.read_bytes()
     with pytest.raises(InputError):
-        runfile.extend(path, "smooth", smooth)
+        store.extend(path, "smooth", smooth)
     assert path.read_bytes() == before
 
 
@@ -523,7 +523,7 @@ LOG = "instrument/encoder/value_log"
 )
 def test_wrong_content_is_named(tmp_path: Path, name: str, value: Any, words: str) -> None:
     path = tmp_path / "run.h5"
-    runfile.write(path, run())
+    store.write(path, run())
     with h5py.File(path, "r+") as file:
         del file["entry"][name]
         if value is not None:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from daq import settings
+from daq.console import settings
 from daq.errors import InputError
-from daq.rig import Rig
+from daq.runfile.rig import Rig
 
 
 @pytest.fixture(autouse=True)

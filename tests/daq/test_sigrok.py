@@ -12,9 +12,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daq import cli_files, decode, sigrok, terminal
+from daq.cli import files
+from daq.console import application
 from daq.errors import InputError
-from daq.quadrature import GRAY
+from daq.imports import capture, sigrok
+from daq.wire.quadrature import GRAY
 
 
 def walk_up_and_down(up: int, down: int) -> Any:
@@ -72,29 +74,29 @@ def test_an_unknown_probe_lists_the_captures(path: Path, write_capture: Any) -> 
         assert name in str(error.value)
 
 
-def totals(path: Path, decoder: str | None = None, **probes: str) -> decode.Totals:
+def totals(path: Path, decoder: str | None = None, **probes: str) -> capture.Totals:
     found = sigrok.read(path)
-    wired = decode.wiring(found, probes.get("channels"), probes.get("step"), probes.get("direction"), decoder)
-    return decode.decode(found, wired)
+    wired = capture.wiring(found, probes.get("channels"), probes.get("step"), probes.get("direction"), decoder)
+    return capture.decode(found, wired)
 
 
 @pytest.mark.parametrize("chunk", [None, 1, 7])
 def test_a_known_walk_counts_as_walked(path: Path, chunk: int | None, write_capture: Any) -> None:
     write_capture(path, walk_up_and_down(101, 60) << 3, {3: "A", 4: "B"}, chunk=chunk)
-    assert totals(path, channels="A=A,B=B") == decode.Totals(101, 60, 41, 0, 161)
-    assert totals(path, channels="B=A,A=B") == decode.Totals(60, 101, -41, 0, 161)
+    assert totals(path, channels="A=A,B=B") == capture.Totals(101, 60, 41, 0, 161)
+    assert totals(path, channels="B=A,A=B") == capture.Totals(60, 101, -41, 0, 161)
 
 
 def test_both_channels_at_once_are_illegal_and_not_counted(path: Path, write_capture: Any) -> None:
     write_capture(path, [0, 1, 3, 0, 1], {0: "A", 1: "B"})
-    assert totals(path, channels="A=A,B=B") == decode.Totals(3, 0, 3, 1, 4)
+    assert totals(path, channels="A=A,B=B") == capture.Totals(3, 0, 3, 1, 4)
 
 
 def test_step_and_direction_count_rises(path: Path, write_capture: Any) -> None:
     step = np.array([1, 0, 1, 0, 1, 1, 0, 1, 0])  # high from the start: not seen to rise
     direction = np.array([1, 1, 1, 1, 1, 0, 0, 0, 0])
     write_capture(path, step + 2 * direction, {0: "step", 1: "dir"})
-    assert totals(path, step="0", direction="dir") == decode.Totals(2, 1, 1, 0, 3)
+    assert totals(path, step="0", direction="dir") == capture.Totals(2, 1, 1, 0, 3)
 
 
 @pytest.mark.parametrize(
@@ -200,13 +202,13 @@ def test_a_mouse_moves_by_the_stated_edges(captures: Path, name: str, channels: 
 @pytest.mark.parametrize(("step", "direction"), [("3", "4"), ("5", "6")])
 def test_a_motion_controller_steps_there_and_back(captures: Path, step: str, direction: str) -> None:
     found = totals(captures / "smoothieware.sr", step=step, direction=direction)
-    assert found == decode.Totals(16_000, 16_000, 0, 0, 32_000)
+    assert found == capture.Totals(16_000, 16_000, 0, 0, 32_000)
 
 
 @pytest.fixture
 def app() -> cyclopts.App:
-    made = terminal.application("daq", "files", "daq decode")
-    cli_files.register(made)
+    made = application.application("daq", "files", "daq decode")
+    files.register(made)
     return made
 
 
@@ -214,7 +216,7 @@ def test_the_command_answers_in_json(
     path: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], write_capture: Any
 ) -> None:
     write_capture(path, walk_up_and_down(8, 4), {0: "A", 1: "B"})
-    assert terminal.run(app, ["decode", str(path), "--channels", "A=A,B=B", "--decoder", "x1", "--json"]) == 0
+    assert application.run(app, ["decode", str(path), "--channels", "A=A,B=B", "--decoder", "x1", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert {key: told[key] for key in ("up", "down", "net", "illegal", "edges")} == {
         "up": 2,
@@ -229,5 +231,5 @@ def test_illegal_transitions_are_a_warning_not_a_failure(
     path: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], write_capture: Any
 ) -> None:
     write_capture(path, [0, 3, 0], {0: "A", 1: "B"})
-    assert terminal.run(app, ["decode", str(path), "--channels", "A=A,B=B"]) == 0
+    assert application.run(app, ["decode", str(path), "--channels", "A=A,B=B"]) == 0
     assert "warning: 2 illegal" in capsys.readouterr().out

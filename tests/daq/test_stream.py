@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq import cut, deframe, stream, wire
 from daq.protocols.frames import FrameTally
-from daq.wire import Capability, FrameReader, Ident, SampleBlock, Truth
+from daq.wire import cut, decode, deframe
+from daq.wire import frames as wire
+from daq.wire.frames import Capability, FrameReader, Ident, SampleBlock, Truth
 
 IDENT = Ident((0, 0, 1), "x4", Capability.LEVELS, 16, 1000, 8, 1000, 100_000, "rig")
 COLUMNS = ("dt", "up", "down", "status")
@@ -70,7 +71,7 @@ def in_reads(line, cuts):
 @given(st.integers(0, 2**32), st.lists(st.integers(4, 400), min_size=1, max_size=8))
 def test_a_stream_says_what_the_frame_reader_says(seed, cuts):
     line = sent_line(seed)
-    found = stream.decode(in_reads(line, cuts))
+    found = decode.decode(in_reads(line, cuts))
     reader = FrameReader()
     frames = reader.feed(line)
     samples = [frame for frame in frames if isinstance(frame, SampleBlock)]
@@ -91,7 +92,7 @@ def test_a_stream_says_what_the_frame_reader_says(seed, cuts):
 @given(st.integers(0, 2**32), st.lists(st.integers(4, 400), min_size=1, max_size=8))
 def test_a_stream_is_the_same_however_it_was_cut(seed, cuts):
     line = sent_line(seed)
-    found, whole = stream.decode(in_reads(line, cuts)), stream.decode([(0, line)])
+    found, whole = decode.decode(in_reads(line, cuts)), decode.decode([(0, line)])
     for name in ("first", "n", "seq", "ticks", "crc_frame", "idents", "truth_frame", "length", *COLUMNS):
         assert np.array_equal(getattr(found, name), getattr(whole, name)), name
 
@@ -101,7 +102,7 @@ def test_a_stream_is_the_same_however_it_was_cut(seed, cuts):
 def test_a_frame_has_the_stamp_of_the_read_that_ended_it_and_a_part_that_of_the_read_that_ended_inside(seed, cuts):
     line = sent_line(seed)
     reads = in_reads(line, cuts)
-    found = stream.decode(reads)
+    found = decode.decode(reads)
     reader, stamps = FrameReader(), []
     for stamp, data in reads:
         stamps += [stamp for frame in reader.feed(data) if isinstance(frame, SampleBlock)]
@@ -138,7 +139,7 @@ def test_an_endless_line_is_one_damaged_frame_and_a_first_one_none():
     good = wire.encode_notice("good")
     for endless, errors in ((good + b"\x07" * 20_000, 1), (b"\x07" * 20_000, 0), (b"\x07" * 20_000 + b"\0" + good, 0)):
         for size in (512, 40_000):
-            found = stream.decode(in_reads(endless, [size]))
+            found = decode.decode(in_reads(endless, [size]))
             assert (found.crc_errors, found.discarded_bytes) == (errors, 20_000)
 
 
@@ -148,11 +149,11 @@ def test_the_layout_is_that_of_the_identification_before_the_samples():
     plain, wide = wire.encode_samples(block(0, 1, draw)), wire.encode_samples(block(0, 1, draw, belt=True))
     first, second = wire.encode_ident(IDENT), wire.encode_ident(belted)
     # What a board sent before it could be told who it is has another layout: it is counted, not misread.
-    found = stream.decode([(0, plain + second + wide + wide)])
+    found = decode.decode([(0, plain + second + wide + wide)])
     assert (len(found.n), found.unknown, len(found.belt)) == (2, 1, 2)
-    found = stream.decode([(0, first + second + wide + first + plain)])
+    found = decode.decode([(0, first + second + wide + first + plain)])
     assert (len(found.n), found.unknown, found.ident) == (1, 1, belted)
-    assert stream.decode([]).ident is None
+    assert decode.decode([]).ident is None
 
 
 @settings(max_examples=30)

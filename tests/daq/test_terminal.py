@@ -2,40 +2,40 @@
 
 import json
 
-from daq import terminal
+from daq.console import application
 from daq.errors import EXIT_DEVICE
 
 
 def test_a_system_error_without_a_file_name_is_a_json_document_too(capsys):
     # It used to be taken for a stdout that cannot be written to, and told on stderr alone.
-    app = terminal.application("rig", "A rig.", "rig fail")
+    app = application.application("rig", "A rig.", "rig fail")
 
     @app.command
-    def fail(*, json: terminal.Json = False) -> terminal.Answer:
+    def fail(*, json: application.Json = False) -> application.Answer:
         """Fail.  Example: rig fail."""
         raise OSError(5, "Input/output error")
 
-    assert terminal.run(app, ["fail", "--json"]) == EXIT_DEVICE
+    assert application.run(app, ["fail", "--json"]) == EXIT_DEVICE
     out, err = capsys.readouterr()
     assert json.loads(out)["error"]["what"] == "Input/output error"
     assert err == ""
 
 
 def test_the_version_is_a_json_document_too(capsys):
-    from daq.cli import app
+    from daq.cli.app import app
     from daq.version import VERSION
 
-    assert terminal.run(app, ["--version", "--json"]) == 0
+    assert application.run(app, ["--version", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"command": "daq", "version": VERSION}
 
 
 def test_the_doctor_advises_only_what_is_needed_and_names_it(capsys):
     # Under --json a sound package used to be advised "python -m pip uninstall ; then ...", with no name.
-    from daq import cli_setup
-    from daq.cli import app
+    from daq.cli import setup
+    from daq.cli.app import app
 
-    terminal.run(app, ["doctor", "--json"])
+    application.run(app, ["doctor", "--json"])
     found = json.loads(capsys.readouterr().out)
     assert all(check["do"] == "" for check in found["checks"] if check["ok"])
-    assert cli_setup._needs().do == ""
-    assert all("uninstall ;" not in check.do for check in cli_setup._packages())
+    assert setup._needs().do == ""
+    assert all("uninstall ;" not in check.do for check in setup._packages())

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq import wire
-from daq.wire import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
+from daq.wire import frames as wire
+from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "wire.md"
 

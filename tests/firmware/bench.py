@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import serial
 
-from daq.quadrature import levels_of
-from daq.stream import Stream, decode
-from daq.wire import FrameReader
+from daq.wire.decode import Stream, decode
+from daq.wire.frames import FrameReader
+from daq.wire.quadrature import levels_of
 from rig_sim.encoder import QuadratureEncoder
 from rig_sim.motion import Motion
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import serial
 
-from daq import flashing, wire
-from daq.record import Request, record
-from daq.runfile import load
-from daq.wire import Ident, Notice, SampleBlock
+from daq import firmware_files
+from daq.recorder.record import Request, record
+from daq.runfile.store import load
+from daq.wire import frames as wire
+from daq.wire.frames import Ident, Notice, SampleBlock
 from rig_sim.scenes import scene
 
 BAUDS = (115_200, 250_000, 500_000, 1_000_000)
@@ -27,7 +28,7 @@ def test_it_identifies_itself_at_power_up(bench, switch_on):
     assert said[0] == 0
     assert [type(frame) for frame in frames] == [Ident]
     assert frames[0].name == "stickslip uno"
-    assert ".".join(map(str, frames[0].firmware)) == flashing.VERSION
+    assert ".".join(map(str, frames[0].firmware)) == firmware_files.VERSION
 
 
 @pytest.mark.parametrize(

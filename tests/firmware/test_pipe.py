@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from daq.counter import FLAG_BOTH
-from daq.runfile import load
+from daq.runfile.store import load
+from daq.wire.counters import FLAG_BOTH
 from rig_sim.board import calibration
 from rig_sim.encoder import QuadratureEncoder
 from rig_sim.scenes import scene
@@ -34,11 +34,11 @@ def both(bench, emulator, latch_address, tmp_path_factory):
     hexfile = bench.FIRMWARE / "stickslip-uno.hex"
     with bench.Board(emulator, "uno", hexfile, folder, edges=edges, watch=latch_address("uno"), speed=3) as board:
         words = ["record", "--port", board.port, "--rate", 1000, "--duration", SECONDS, "-o", "board.h5"]
-        by_board = run(folder, "daq.cli", *words)
+        by_board = run(folder, "daq.cli.app", *words)
         report = board.stop()
-    run(folder, "daq.cli", "replay", "board.h5", "--rig", "rig.toml", "-o", "calibrated.h5")
+    run(folder, "daq.cli.app", "replay", "board.h5", "--rig", "rig.toml", "-o", "calibrated.h5")
     words = ["record", "--scene", "rig", "--set", f"seed={SEED}", "--duration", SECONDS, "-o", "simulated.h5"]
-    by_rig = run(folder, "daq.cli", *words)
+    by_rig = run(folder, "daq.cli.app", *words)
     return folder, board, report, by_board, by_rig
 
 
@@ -67,7 +67,7 @@ def test_the_fastest_rate_is_recorded_in_real_time(bench, emulator, tmp_path):
     hexfile = bench.FIRMWARE / "stickslip-uno.hex"
     words = ["record", "--rate", 5000, "--baud", 1_000_000, "--duration", 4, "-o", "fast.h5"]
     with bench.Board(emulator, "uno", hexfile, tmp_path, edges=edges, speed=1) as board:
-        found = run(tmp_path, "daq.cli", *words, "--port", board.port)
+        found = run(tmp_path, "daq.cli.app", *words, "--port", board.port)
     assert (found["samples"], found["lost"], found["crc_errors"], found["illegal"]) == (20_000, 0, 0, 0)
     assert found["measured_rate_hz"] == pytest.approx(5000, rel=1e-9)
 

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from daq.runfile import load
+from daq.runfile.store import load
 
 PULSE_HZ = 1_000_000
 IN_FLIGHT = 4  # pulses that may come between the entry of a latch and its reading of a counter, 30 cycles later
@@ -67,7 +67,7 @@ def test_a_run_behind_a_jk_box_is_recorded_by_the_command(bench, switch_on, tmp_
     edges = bench.of_pulses(up, down, width=8)
     words = ["record", "--decoder", "two-counter", "--duration", "1.4", "-o", "run.h5", "--json"]
     with switch_on("mega", edges=edges, pins=bench.COUNTER_PINS["mega"], speed=2) as board:
-        line = [sys.executable, "-m", "daq.cli", *words, "--port", board.port]
+        line = [sys.executable, "-m", "daq.cli.app", *words, "--port", board.port]
         done = subprocess.run(line, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

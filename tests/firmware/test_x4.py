@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from daq.quadrature import PHASE
-from daq.record import Request, record
-from daq.runfile import load
-from daq.wire import LEVELS, OVERRUN
+from daq.recorder.record import Request, record
+from daq.runfile.store import load
+from daq.wire.frames import LEVELS, OVERRUN
+from daq.wire.quadrature import PHASE
 from rig_sim.scenes import scene
 
 CYCLES_PER_US = 16

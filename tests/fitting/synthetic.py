@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq import runfile
-from daq.recording import Recording
-from daq.rig import Measured, Rig
+from daq.runfile import store
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Measured, Rig
 
 STICK, SLIP, RAMP = 0, 1, 2
 
@@ -216,7 +216,7 @@ def recording(scene=None, **changes):
 
 def written(path, recording):
     """Write a recording as a run file and return its path."""
-    data = runfile.RunData(
+    data = store.RunData(
         title="synthetic",
         started=recording.started,
         ended=recording.ended,
@@ -225,7 +225,7 @@ def written(path, recording):
         time=recording.time,
         position=recording.position,
     )
-    runfile.write(path, data)
+    store.write(path, data)
     return path
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq import cli as daq_cli
-from daq import terminal
+from daq.cli import app as daq_cli
+from daq.console import application
 from daq.errors import DataError
-from daq.rig import Measured, Rig
+from daq.runfile.rig import Measured, Rig
 from fitting import cli
 from fitting.ranking import rank
 from processing.smoothing import smooth
@@ -71,9 +71,9 @@ def test_an_imported_stranger_ends_in_exit_code_4(tmp_path, strangers, name, fla
     table = tmp_path / "track.csv"
     np.savetxt(table, np.c_[time, position], delimiter=",", header="t,x", comments="", fmt="%.7g")
     run = tmp_path / "run.h5"
-    assert terminal.run(daq_cli.app, ["import", str(table), "-o", str(run), *flags]) == 0
+    assert application.run(daq_cli.app, ["import", str(table), "-o", str(run), *flags]) == 0
     capsys.readouterr()
-    assert terminal.run(cli.app, [str(run), "--json"]) == 4
+    assert application.run(cli.app, [str(run), "--json"]) == 4
     told = json.loads(capsys.readouterr().out)["error"]
     assert told["what"].startswith("no belt stick-slip in this record: ")
     assert told["where"]

@@ -5,8 +5,9 @@ import math
 
 import pytest
 
-from daq import cli as daq_cli
-from daq import runfile, terminal
+from daq.cli import app as daq_cli
+from daq.console import application
+from daq.runfile import store
 from fitting import cli
 from fitting.ranking import rank
 from processing.smoothing import smooth
@@ -27,7 +28,7 @@ def recorded(tmp_path_factory):
         line = ["record", "--scene", "rig", "--duration", "16", "-o", str(path), "--json"]
         for change in (f"friction.law={law}", f"seed={seed}", f"belt.speed={speed}"):
             line += ["--set", change]
-        assert terminal.run(daq_cli.app, line) == 0
+        assert application.run(daq_cli.app, line) == 0
         return path
 
     return of
@@ -36,7 +37,7 @@ def recorded(tmp_path_factory):
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("law", [1, 2, 3, 4, 5, 6])
 def test_a_backward_belt_gives_the_same_law(recorded, law, seed):
-    forward, backward = (rank(smooth(runfile.load(recorded(law, seed, speed)))) for speed in (0.22, -0.22))
+    forward, backward = (rank(smooth(store.load(recorded(law, seed, speed)))) for speed in (0.22, -0.22))
     assert backward.laws_in_set == forward.laws_in_set
     assert law in backward.laws_in_set
     for name, item in forward.best.parameters.items():
@@ -53,7 +54,7 @@ def test_a_backward_belt_gives_the_same_law(recorded, law, seed):
 def test_the_command_tells_a_backward_belt_by_its_sign(recorded, capsys):
     path = recorded(5, 1, -0.22)
     capsys.readouterr()
-    assert terminal.run(cli.app, [str(path), "--json"]) == 0
+    assert application.run(cli.app, [str(path), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["set"] == [5]
     assert document["ranking"][0]["parameters"]["v_dr"]["value"] == pytest.approx(-0.22, rel=2e-3)

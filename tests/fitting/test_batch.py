@@ -14,7 +14,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from daq import terminal
+from daq.console import application
 from daq.errors import DeviceError, InputError
 from fitting import batch, cli, workers
 from fitting.batch import Failure, Row
@@ -41,7 +41,7 @@ def folder(originals, tmp_path):
 
 def documents(capsys, *arguments):
     """Run the command; return exit code and document."""
-    code = terminal.run(cli.app, [*map(str, arguments), "--json"])
+    code = application.run(cli.app, [*map(str, arguments), "--json"])
     return code, json.loads(capsys.readouterr().out)
 
 
@@ -59,7 +59,7 @@ def without_times(document):
 def alone(originals, tmp_path_factory):
     """Give each run's document from the command for it alone."""
     folder = Path(shutil.copytree(originals, tmp_path_factory.mktemp("alone") / "runs"))
-    return {name: terminal.plain(cli.fit(folder / f"{name}.h5", laws="3,5").data) for name in ("five", "three")}
+    return {name: application.plain(cli.fit(folder / f"{name}.h5", laws="3,5").data) for name in ("five", "three")}
 
 
 @pytest.mark.parametrize("how", [(), ("--jobs", "2")])
@@ -81,7 +81,7 @@ def test_a_batch_says_of_each_run_what_the_command_says_of_it_alone(folder, caps
 
 
 def test_a_batch_is_a_table_on_the_screen(folder, capsys):
-    assert terminal.run(cli.app, ["--each", str(folder / "five.h5"), str(folder / "none.h5"), "--laws", "3,5"]) == 2
+    assert application.run(cli.app, ["--each", str(folder / "five.h5"), str(folder / "none.h5"), "--laws", "3,5"]) == 2
     shown = capsys.readouterr().out
     assert " five.h5     5   law 5 (friction falling hyperbolically)" in shown
     assert " none.h5     -   error: is not an HDF5 file" in shown

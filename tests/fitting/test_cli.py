@@ -9,8 +9,9 @@ import sys
 import h5py
 import pytest
 
-from daq import runfile, terminal
+from daq.console import application
 from daq.errors import InputError
+from daq.runfile import store
 from fitting import cli
 
 
@@ -41,7 +42,7 @@ def test_what_is_no_range_is_refused(text):
 
 def test_the_document_has_the_promised_keys(fitted):
     _, answer = fitted
-    document = json.loads(json.dumps(terminal.plain(answer.data)))
+    document = json.loads(json.dumps(application.plain(answer.data)))
     assert document["set"] == [5]
     assert document["verdict"].startswith("law 5 ")
     row = document["ranking"][0]
@@ -79,10 +80,10 @@ def test_the_report_goes_beside_the_run(fitted):
 
 def test_damping_without_a_mass_is_refused(run, tmp_path):
     path = tmp_path / "bare.h5"
-    data = runfile.load(run)
-    runfile.write(
+    data = store.load(run)
+    store.write(
         path,
-        runfile.RunData(
+        store.RunData(
             title="",
             started=data.started,
             ended=data.ended,
@@ -129,7 +130,7 @@ def test_help_loads_nothing_numerical():
 def test_the_ranking_can_be_had_as_a_table(run, tmp_path):
     path, out = tmp_path / "run.h5", tmp_path / "ranking.csv"
     shutil.copy(run, path)
-    document = terminal.plain(cli.fit(path, laws="3,5", csv=out).data)
+    document = application.plain(cli.fit(path, laws="3,5", csv=out).data)
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["law"]) for row in rows] == [row["law"] for row in document["ranking"]]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.rig import Measured
+from daq.runfile.rig import Measured
 from fitting import regression, windows
 
 KNOWN = Measured(0.0, 5e-4)

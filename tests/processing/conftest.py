@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from daq.recording import Recording, RunData, Truth
-from daq.rig import Measured, Rig
+from daq.runfile.recording import Recording, RunData, Truth
+from daq.runfile.rig import Measured, Rig
 
 Array = NDArray[np.float64]
 

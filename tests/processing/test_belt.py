@@ -10,9 +10,11 @@ import pytest
 
 import daq
 import processing
-from daq import ports, runfile, terminal
-from daq.record import Request, record
-from daq.recording import Truth
+from daq.console import application
+from daq.recorder import ports
+from daq.recorder.record import Request, record
+from daq.runfile import store
+from daq.runfile.recording import Truth
 from processing import stage
 from processing.cli import app
 
@@ -23,7 +25,7 @@ FS = 1.379353536
 def run(path: Path, *changes: str, duration: float = 12.0, channel: bool = True) -> tuple[Path, Truth]:
     listed = ["tell.truth=true", "scatter.Fs=0", f"belt.channel={str(channel).lower()}", *changes]
     record(Request(ports.rig_url("rig", listed, False), path, 1000, duration))
-    truth = runfile.truth(path)
+    truth = store.truth(path)
     assert truth is not None
     return path, truth
 
@@ -149,10 +151,10 @@ def test_the_command_reports_the_counted_speed_and_the_export_has_its_columns(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, _ = run(tmp_path / "run.h5", "droop.fraction=0.2", duration=6.0)
-    assert terminal.run(app, ["smooth", str(path), "--json"]) == 0
+    assert application.run(app, ["smooth", str(path), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["belt_channel"] is True
     assert data["belt_speed"] == pytest.approx(processing.smooth(daq.load(path)).belt_speed)
-    assert terminal.run(app, ["export", str(path), "--csv", str(tmp_path / "out.csv")]) == 0
+    assert application.run(app, ["export", str(path), "--csv", str(tmp_path / "out.csv")]) == 0
     table = pd.read_csv(tmp_path / "out.csv")
     assert {"belt_velocity_m_per_s", "belt_velocity_error_m_per_s"} <= set(table.columns)

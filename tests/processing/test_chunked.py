@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import daq
-from daq import runfile
+from daq.runfile import store
 from processing import chunked, stage
 from processing.smoothing import smooth
 
@@ -25,7 +25,7 @@ def small_chunks(monkeypatch):
 @pytest.fixture
 def path(tmp_path, motion, run_data):
     target = tmp_path / "run.h5"
-    runfile.write(target, run_data(motion(5, 20.0, start=0.5)))
+    store.write(target, run_data(motion(5, 20.0, start=0.5)))
     return target
 
 
@@ -59,7 +59,7 @@ def test_lost_counts_are_carried_from_chunk_to_chunk(tmp_path, motion, run_data,
     for at, size in ((3000, 40), (6950, -25), (15_000, 60)):
         count[at:] += size
     target = tmp_path / "run.h5"
-    runfile.write(target, replace(data, count=count, position=count * 7.67e-6 + 7.67e-6 / 2))
+    store.write(target, replace(data, count=count, position=count * 7.67e-6 + 7.67e-6 / 2))
     told = chunked.smooth(target, "rts", repair_counts=repair)
     found = stage.load(target)
     assert [(loss.first, loss.counts) for loss in told.losses] == [(3000, 40), (6950, -25), (15_000, 60)]
@@ -70,7 +70,7 @@ def test_lost_counts_are_carried_from_chunk_to_chunk(tmp_path, motion, run_data,
 
 
 def test_nominal_times_go_on_over_the_chunks(tmp_path, small_chunks):
-    line = [sys.executable, "-m", "daq.cli", "record", "--duration", "20", "-o", "run.h5", "--json"]
+    line = [sys.executable, "-m", "daq.cli.app", "record", "--duration", "20", "-o", "run.h5", "--json"]
     subprocess.run(line, cwd=tmp_path, check=True, capture_output=True)
     target = tmp_path / "run.h5"
     whole = smooth(daq.load(target), "sg", 41, 4, "nominal")
@@ -96,7 +96,7 @@ def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_chunks, m
 @pytest.mark.parametrize("method", ["sg", "auto"])
 def test_a_counted_belt_is_smoothed_in_chunks_too(tmp_path, small_chunks, method):
     listed = ["--set", "belt.channel=true", "--set", "belt.ripple=0.02", "--set", "belt.ripple_hz=2"]
-    line = [sys.executable, "-m", "daq.cli", "record", "--duration", "20", *listed, "-o", "run.h5", "--json"]
+    line = [sys.executable, "-m", "daq.cli.app", "record", "--duration", "20", *listed, "-o", "run.h5", "--json"]
     subprocess.run(line, cwd=tmp_path, check=True, capture_output=True)
     target = tmp_path / "run.h5"
     asked = (method, 41 if method == "sg" else "auto")
@@ -127,17 +127,17 @@ print(json.dumps([told.samples, int(peak.split()[1]) / 1024]))
 """
     time = np.arange(n) * 1e-3
     count = np.floor(0.1 / 7.67e-6 * np.sin(2 * np.pi * time / 3)).astype(np.int64)
-    run = runfile.RunData(
+    run = store.RunData(
         title="long",
         started="2026-01-01T00:00:00+00:00",
         ended="2026-01-01T00:50:00+00:00",
         rate_hz=1000.0,
-        rig=daq.rig.Rig(metres_per_count=daq.rig.Measured(7.67e-6)),
+        rig=daq.runfile.rig.Rig(metres_per_count=daq.runfile.rig.Measured(7.67e-6)),
         time=time,
         position=count * 7.67e-6,
         count=count,
     )
-    runfile.write(tmp_path / "long.h5", run)
+    store.write(tmp_path / "long.h5", run)
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True)
     samples, megabytes = json.loads(done.stdout.splitlines()[-1])
     assert samples == n

@@ -8,21 +8,22 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from daq import runfile, terminal
+from daq.console import application
+from daq.runfile import store
 from processing.cli import app
 
 
 @pytest.fixture
 def path(tmp_path, motion, run_data):
     target = tmp_path / "run.h5"
-    runfile.write(target, run_data(motion(5, 6.0, start=0.5), told=True))
+    store.write(target, run_data(motion(5, 6.0, start=0.5), told=True))
     return target
 
 
 @pytest.fixture
 def typed(capsys):
     def run(*arguments):
-        code = terminal.run(app, [str(argument) for argument in arguments])
+        code = application.run(app, [str(argument) for argument in arguments])
         said = capsys.readouterr()
         return code, said.out, said.err
 
@@ -50,7 +51,7 @@ def test_smooth_says_what_it_chose_and_found(typed, path):
 
 def test_an_unknown_belt_speed_is_null(typed, tmp_path, motion, run_data):
     target = tmp_path / "still.h5"
-    runfile.write(target, run_data(motion(5, 0.4, start=0.5)))
+    store.write(target, run_data(motion(5, 0.4, start=0.5)))
     data = document(typed, "smooth", target)
     assert data["belt_speed"] is None
     assert data["warnings"] == ["the mass never moves in this record"]
@@ -113,7 +114,7 @@ def test_compare_states_true_errors_only_where_truth_was_told(typed, path, tmp_p
     )
     assert smooth["max_error"] > smooth["rms_error"]
     silent = tmp_path / "silent.h5"
-    runfile.write(silent, run_data(motion(5, 6.0, start=0.5)))
+    store.write(silent, run_data(motion(5, 6.0, start=0.5)))
     for row in document(typed, "compare", silent)["rows"]:
         assert row["rms_error"] is None
         assert row["sigma_v"] > 0
@@ -124,7 +125,7 @@ def test_compare_states_true_errors_only_where_truth_was_told(typed, path, tmp_p
 
 def test_smoothing_does_not_look_at_the_truth(typed, path, tmp_path, motion, run_data):
     silent = tmp_path / "silent.h5"
-    runfile.write(silent, run_data(motion(5, 6.0, start=0.5)))
+    store.write(silent, run_data(motion(5, 6.0, start=0.5)))
     told, kept = (document(typed, "smooth", target) for target in (path, silent))
     assert {**told, "cpu_s": 0} == {**kept, "cpu_s": 0}
 

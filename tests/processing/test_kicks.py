@@ -50,11 +50,11 @@ def test_a_track_without_counts_shows_none(imported):
 
 
 def test_kicks_are_kept_in_the_run_file(tmp_path, kicked, motion, run_data):
-    from daq import runfile
+    from daq.runfile import store
 
     time, x, _ = kicked
     target = tmp_path / "run.h5"
-    runfile.write(target, run_data(type(motion(5, 1.0))(time[:20_000], x[:20_000], x[:20_000], ())))
+    store.write(target, run_data(type(motion(5, 1.0))(time[:20_000], x[:20_000], x[:20_000], ())))
     made = processing.smooth(daq.load(target))
     stage.save(made, target)
     assert made.kicks

@@ -8,7 +8,7 @@ import pytest
 
 import processing
 from daq.errors import InputError
-from daq.rig import Measured, Rig
+from daq.runfile.rig import Measured, Rig
 from processing import phases
 from processing.phases import half_sample_mode
 

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from daq.errors import InputError
 from processing import savgol, sliding
 from processing.gram import coefficients

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import processing
-from daq.compiled import compiled
+from daq.compute.compile import compiled
 from daq.errors import InputError
 from processing import jerk_filter, landing_snap, methods, rts, series, snap_corners, snap_filter, snap_mean
 from processing.corners import Layout

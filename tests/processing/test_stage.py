@@ -11,8 +11,8 @@ import pytest
 import xarray
 
 import daq
-from daq import runfile
 from daq.errors import InputError
+from daq.runfile import store
 from processing import stage
 from processing.smoothing import smooth
 
@@ -20,7 +20,7 @@ from processing.smoothing import smooth
 @pytest.fixture
 def path(tmp_path, motion, run_data):
     target = tmp_path / "run.h5"
-    runfile.write(target, run_data(motion(5, 5.0, start=0.5)))
+    store.write(target, run_data(motion(5, 5.0, start=0.5)))
     return target
 
 
@@ -67,7 +67,7 @@ def test_raw_data_are_untouched_and_smoothing_again_replaces(path):
 def test_unknown_numbers_survive_the_file(tmp_path, imported, path, run_data, motion):
     still = motion(5, 0.4, start=0.5)  # the belt has not started yet
     target = tmp_path / "still.h5"
-    runfile.write(target, run_data(still))
+    store.write(target, run_data(still))
     stage.save(smooth(daq.load(target)), target)
     found = stage.load(target)
     assert np.isnan(found.belt_speed)

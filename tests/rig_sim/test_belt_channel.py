@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import cumulative_simpson
 
 from daq.errors import InputError
-from daq.rig import Rig
-from daq.wire import Capability, Config, FrameReader, Ident, SampleBlock
+from daq.runfile.rig import Rig
+from daq.wire.frames import Capability, Config, FrameReader, Ident, SampleBlock
 from rig_sim.board import Board
 from rig_sim.effects.belt_channel import BeltEncoder
 from rig_sim.motion import Motion

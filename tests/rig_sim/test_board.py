@@ -12,9 +12,9 @@ import pytest
 import serial
 
 from daq.errors import InputError
-from daq.quadrature import PHASE
-from daq.rig import Rig
-from daq.wire import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
+from daq.runfile.rig import Rig
+from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
+from daq.wire.quadrature import PHASE
 from rig_sim.board import Board
 from rig_sim.motion import Motion
 from rig_sim.protocol_rig import Serial, parse_url

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import rig_sim
-from daq import terminal
+from daq.console import application
 from rig_sim import motion as motion_module
 from rig_sim.cli import app
 from rig_sim.motion import Motion
@@ -42,7 +42,7 @@ def reference_cases() -> list[dict[str, Any]]:
 
 
 def answer(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> Any:
-    assert terminal.run(app, [*arguments, "--json"]) == code
+    assert application.run(app, [*arguments, "--json"]) == code
     printed = capsys.readouterr()
     assert printed.err == ""
     return json.loads(printed.out)
@@ -73,7 +73,7 @@ def test_scenes_lists_name_title_and_terms(capsys: pytest.CaptureFixture[str]) -
     assert [row["name"] for row in rows] == ["base", "damped", "forced", "rig"]
     assert rows[0]["terms"] == ["mass", "spring", "belt", "friction", "start"]
     assert all(row["title"] for row in rows)
-    assert terminal.run(app, ["scenes"]) == 0
+    assert application.run(app, ["scenes"]) == 0
     assert "laboratory rig" in capsys.readouterr().out
 
 
@@ -85,7 +85,7 @@ def test_events_have_the_promised_keys(capsys: pytest.CaptureFixture[str]) -> No
     assert len(found["events"]) == 15
     short = answer(capsys, "events", "base", "--until", "60", "--max-steps", "5")
     assert (short["outcome"], short["steps"]) == ("step limit", 5)
-    assert terminal.run(app, ["events", "base", "--until", "60", "--max-steps", "5"]) == 0
+    assert application.run(app, ["events", "base", "--until", "60", "--max-steps", "5"]) == 0
     assert "raise the number of steps" in capsys.readouterr().out
 
 
@@ -164,7 +164,7 @@ def test_bad_input_is_one_line_and_exit_2(
     assert error["where"] == where
     assert error["what"]
     assert error["do"]
-    assert terminal.run(app, arguments) == 2
+    assert application.run(app, arguments) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.count("\n") == 1

@@ -7,7 +7,7 @@ import sys
 import mpmath
 import pytest
 
-from daq import terminal
+from daq.console import application
 from daq.errors import InputError
 from rig_sim.cli import app
 from rig_sim.compare import compare, difference
@@ -87,7 +87,7 @@ def test_lists_that_part_have_no_error_but_say_where():
 
 
 def test_compare_ranks_the_methods_of_the_contract(capsys):
-    assert terminal.run(app, ["compare", "base", "--until", "10", "--json"]) == 0
+    assert application.run(app, ["compare", "base", "--until", "10", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     rows = {(row["method"], row["setting"]): row for row in found["rows"]}
     assert {method for method, _ in rows} == {"exact", "rk4-henon", "dop853", "radau", "lsoda"}
@@ -102,7 +102,7 @@ def test_compare_ranks_the_methods_of_the_contract(capsys):
 
 def test_compare_prints_a_table_of_80_columns(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    assert terminal.run(app, ["compare", "base", "--until", "5"]) == 0
+    assert application.run(app, ["compare", "base", "--until", "5"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert any("rk4-henon" in line for line in lines)
     assert all(len(line) <= 80 for line in lines if "rtol" in line or "h 0" in line)

@@ -10,8 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.quadrature import PHASE
-from daq.wire import FrameReader, SampleBlock, Truth
+from daq.wire.frames import FrameReader, SampleBlock, Truth
+from daq.wire.quadrature import PHASE
 from rig_sim.board import Board
 from rig_sim.effects.gaps import SilentStretches
 from rig_sim.encoder import Nodes

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.errors import InputError
-from daq.quadrature import PHASE, Decoder, levels_of
+from daq.wire.quadrature import PHASE, Decoder, levels_of
 from rig_sim.encoder import Nodes, QuadratureEncoder
 from rig_sim.sections import Encoder
 

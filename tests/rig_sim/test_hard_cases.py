@@ -9,7 +9,7 @@ import math
 import mpmath
 import pytest
 
-from daq import terminal
+from daq.console import application
 from rig_sim.compare import difference
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate import reference
@@ -302,7 +302,7 @@ def test_the_last_turn_of_a_thousand_million_time_units_is_whole_periods_after_t
 def told(capsys, *line, code=0):
     from rig_sim.cli import app
 
-    assert terminal.run(app, [*line, "--json"]) == code
+    assert application.run(app, [*line, "--json"]) == code
     return json.loads(capsys.readouterr().out)
 
 

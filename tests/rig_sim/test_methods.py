@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq import terminal
+from daq.console import application
 from daq.errors import InputError
 from rig_sim.cli import app
 from rig_sim.methods import METHODS, phases_by
@@ -87,7 +87,7 @@ def test_the_file_is_the_same_for_all_methods_and_names_its_own(
     for method in METHODS:
         path = tmp_path / f"{method}{ending}"
         line = ["run", "base", "--until", "10", "--rate", "20", "-o", str(path), "--method", method, "--json"]
-        assert terminal.run(app, line) == 0
+        assert application.run(app, line) == 0
         told = json.loads(capsys.readouterr().out)
         assert (told["method"], told["samples"], told["outcome"]) == (method, 201, "completed")
         if ending == ".csv":

@@ -7,7 +7,7 @@ from types import ModuleType
 import h5py
 import pytest
 
-from daq import terminal
+from daq.console import application
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
@@ -47,12 +47,12 @@ def test_no_scene_of_the_benchmark_loads_or_stores_what_it_does_not_name(
 def test_a_recording_holds_the_truth_only_where_the_scene_tells_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from daq.cli import app
+    from daq.cli.app import app
 
     held = []
     for name, changes in (("plain.h5", []), ("told.h5", ["--set", "tell.truth=true"])):
         path = tmp_path / name
-        assert terminal.run(app, ["record", "--duration", "1", "-o", str(path), *changes, "--json"]) == 0
+        assert application.run(app, ["record", "--duration", "1", "-o", str(path), *changes, "--json"]) == 0
         capsys.readouterr()
         held.append(names_in(path))
     plain, told = held

@@ -1,0 +1,139 @@
+"""Is this board to be trusted: its pace, its line, its clock, its counting; from one short recording.
+
+In its first seconds the mass is left alone: what is counted then was not there.  Then it is moved by hand towards +x:
+the count must follow, and both channels must change their levels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.finalise.quality import Summary
+from daq.runfile.recording import Recording
+from daq.wire.quadrature import EDGES_PER_COUNT
+
+PACE_WITHIN = 0.01  # of the commanded rate
+PARKED_EDGES = 4  # a parked mass may dither about an edge
+MOVED_EDGES = 400  # by more than this a mass was not parked (an x4 count is never far off by itself)
+HAND_EDGES = 40  # a hand moves a mass by more
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing looked at.
+
+    Attributes
+    ----------
+    name : str
+        What.
+    ok : bool or None
+        None when it could not be told.
+    seen : str
+        With its number.
+    do : str
+        What to do where it is not well.
+    """
+
+    name: str
+    ok: bool | None
+    seen: str
+    do: str = ""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What was counted in a stretch of the recording: the net count, and the span of all counts, in counts."""
+
+    seconds: float
+    counts: int
+    span: int
+
+
+def stretch(run: Recording, begin_s: float, end_s: float) -> Stretch:
+    """Return what was counted between two times of a run."""
+    here = (run.time >= begin_s) & (run.time < end_s)
+    if run.count is None or not here.any():
+        return Stretch(0.0, 0, 0)
+    count = run.count[here]
+    return Stretch(float(np.ptp(run.time[here])), int(count[-1] - count[0]), int(np.ptp(count)))
+
+
+def findings(summary: Summary, run: Recording, parked_s: float) -> list[Finding]:
+    """Judge a recording whose first ``parked_s`` seconds were parked, and whose rest was a move by hand."""
+    parked = stretch(run, 0.0, parked_s)
+    moved = stretch(run, parked_s, float("inf"))
+    pace = summary.measured_rate_hz / summary.rate_hz - 1
+    found = [
+        Finding(
+            "rate",
+            abs(pace) <= PACE_WITHIN,
+            f"{summary.measured_rate_hz:.6g} Hz by its own clock, {summary.rate_hz:.6g} asked for",
+            "lower --rate, or update its firmware",
+        ),
+        Finding(
+            "line",
+            summary.lost + summary.crc_errors + summary.dropped_bytes == 0,
+            f"{summary.lost} samples lost, {summary.crc_errors} damaged",
+            "try another cable or port, a lower --rate, or a faster line",
+        ),
+        _clock(summary),
+        Finding(
+            "counting",
+            summary.illegal + summary.phase_errors == 0,
+            f"{summary.illegal} illegal transitions, {summary.phase_errors} samples that disagree with their levels",
+            "check the encoder's plug and supply; move more slowly",
+        ),
+    ]
+    if parked_s > 0:
+        found.append(_parked(parked, run))
+    if moved.seconds > 0:
+        found.append(_moved(moved, run))
+        levels = _levels(run, parked_s, moved)
+        if levels is not None:
+            found.append(levels)
+    return found
+
+
+def _clock(summary: Summary) -> Finding:
+    if summary.clock_ppm is None:
+        return Finding("clock", None, "cannot be compared with this machine's in so short a time, or not at all")
+    return Finding("clock", True, f"{summary.clock_ppm:+.0f} ppm against this machine's")
+
+
+def _parked(parked: Stretch, run: Recording) -> Finding:
+    edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
+    seen = f"{parked.counts:+d} counts in {parked.seconds:.3g} s, within a span of {parked.span}"
+    if parked.span * edges > MOVED_EDGES and run.rig.decoder in ("x4", "x1"):
+        return Finding("parked drift", False, seen + ": the mass moved", "leave it alone while it is parked")
+    do = "it vibrates about an edge: a J-K box counts that; use x4" if "jk" in run.rig.decoder else "check its mount"
+    return Finding("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, seen, do)
+
+
+def _moved(moved: Stretch, run: Recording) -> Finding:
+    edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
+    pitch = run.rig.metres_per_count
+    sign = -1 if pitch is not None and pitch.value < 0 else 1
+    seen = f"move the mass by hand towards +x: {moved.counts:+d} counts"
+    if pitch is not None:
+        seen += f", {1e3 * moved.counts * pitch.value:+.3g} mm"
+    if moved.span * edges < HAND_EDGES:
+        return Finding(
+            "direction", False, seen, "nothing was counted: check the encoder's supply, and its wires A and B"
+        )
+    if abs(moved.counts) * edges < HAND_EDGES:
+        return Finding("direction", None, seen + ": it came back", "move it one way and leave it there")
+    do = "swap the wires A and B, or give metres_per_count the other sign"
+    return Finding("direction", moved.counts * sign > 0, seen, do)
+
+
+def _levels(run: Recording, parked_s: float, moved: Stretch) -> Finding | None:
+    """Return whether both channels change while the mass moves; None when the board sends no levels."""
+    if run.raw is None or moved.span * EDGES_PER_COUNT.get(run.rig.decoder, 1) < HAND_EDGES or not run.raw.levels.any():
+        return None
+    levels = run.raw.levels[run.time >= parked_s]
+    still = [name for name, bit in (("A", 1), ("B", 2)) if np.ptp(levels & bit) == 0]
+    if not still:
+        return Finding("channels", True, "A and B both change")
+    return Finding(
+        "channels", False, f"{' and '.join(still)} never changes", f"check the wire of {' and '.join(still)}"
+    )

@@ -1,0 +1,115 @@
+"""From a known distance and a ring-down to a rig.toml: what the lab knows of its rig, with standard deviations.
+
+Count zero lies where the counters stand at zero: where the mass stood when the board was powered up or reset, which an
+Arduino does whenever its port is opened.  The datum found here is that of the mark at which the mass stood then; it
+holds for every recording that is opened with the mass at the same mark.
+
+Not measured here: the mass, which a balance tells better, and the belt's speed, which every stick shows.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.calibration.ring_down import RingDown
+from daq.errors import DataError
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Measured, Rig
+
+STILL_S = 0.5  # at either end of a known distance the mass must stand for so long
+STILL_COUNTS = 4
+CELL = 1 / math.sqrt(12)  # counts: standard deviation of where a mass stands within its count
+
+
+def metres_per_count(run: Recording, distance: Measured) -> Measured:
+    """Return the pitch from a recording in which the mass was moved by a known distance and stood still after it.
+
+    Where it did not stand before (`stands_at_first`), the distance counts from the first sample.
+
+    Parameters
+    ----------
+    run : Recording
+        One segment.
+    distance : Measured
+        Towards +x, m; negative towards -x.
+
+    Raises
+    ------
+    DataError
+        The mass did not stand at the end, or hardly moved.
+    """
+    count = _counts(run)
+    n = max(1, round(STILL_S * run.rate_hz))
+    if count.size < 4 * n:
+        raise DataError("the recording is too short", "distance", f"record at least {4 * STILL_S:g} s")
+    end = count[-n:]
+    if np.ptp(end) > STILL_COUNTS:
+        what = f"the mass moved by {np.ptp(end)} counts within the last {STILL_S:g} s"
+        raise DataError(what, "distance", "let it stand there, and give it more time (--move)")
+    start = count[:n] if stands_at_first(run) else count[:1]
+    moved = float(np.mean(end) - np.mean(start))
+    if abs(moved) < 10:
+        what = f"the mass moved by {moved:.3g} counts only"
+        raise DataError(what, "distance", "move it farther, and see 'daq check' for the encoder")
+    value = distance.value / moved
+    return Measured(value, abs(value) * math.hypot(distance.sd / distance.value, math.sqrt(2) * CELL / moved))
+
+
+def stands_at_first(run: Recording) -> bool:
+    """Return whether the mass stands still when a recording begins."""
+    return bool(np.ptp(_counts(run)[: max(1, round(STILL_S * run.rate_hz))]) <= STILL_COUNTS)
+
+
+def ring_down(run: Recording) -> RingDown:
+    """Return the ring-down in a recording, lengths in counts; DataError when there is none."""
+    from daq.calibration import ring_down
+
+    return ring_down.fit(run.time, _counts(run).astype(np.float64) + 0.5, 1.0)
+
+
+def calibrated(rig: Rig, pitch: Measured | None, ring: RingDown | None, mass: Measured | None) -> Rig:
+    """Return a rig with everything that was measured, and what follows from it, in the place of what stood there.
+
+    Stiffness and damping need a mass, the datum metres per count; without it they stay as they were.
+    """
+    rig = replace(rig, mass=mass or rig.mass)
+    if pitch is not None:
+        rig = replace(rig, metres_per_count=pitch)
+    if ring is None:
+        return rig
+    if rig.mass is not None:
+        rig = replace(rig, stiffness=stiffness(ring, rig.mass), damping=damping(ring, rig.mass))
+    if rig.metres_per_count is not None:
+        rig = replace(rig, datum=datum(ring, rig.metres_per_count))
+    return rig
+
+
+def stiffness(ring: RingDown, mass: Measured) -> Measured:
+    """Return k = m omega0^2, N/m."""
+    w = ring.omega0
+    value = mass.value * w.value**2
+    return Measured(value, value * math.hypot(mass.sd / mass.value, 2 * w.sd / w.value))
+
+
+def damping(ring: RingDown, mass: Measured) -> Measured:
+    """Return c = 2 zeta omega0 m, N s/m."""
+    w, zeta, m = ring.omega0, ring.zeta, mass
+    value = 2 * zeta.value * w.value * m.value
+    sd = math.hypot(2 * zeta.sd * w.value * m.value, value * math.hypot(w.sd / w.value, m.sd / m.value))
+    return Measured(value, sd)
+
+
+def datum(ring: RingDown, pitch: Measured) -> Measured:
+    """Return where count zero lies, seen from the spring's rest, m."""
+    value = -ring.rest.value * pitch.value
+    return Measured(value, math.hypot(ring.rest.sd * pitch.value, ring.rest.value * pitch.sd))
+
+
+def _counts(run: Recording) -> NDArray[np.int64]:
+    if run.count is None:
+        raise DataError("holds no counts", str(run.source), "record from an encoder board")
+    if run.segment[-1] > 0:
+        raise DataError("the port was lost on the way, and counts are not joined", str(run.source), "try again")
+    return run.count

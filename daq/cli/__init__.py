@@ -1,0 +1,1 @@
+"""The ``daq`` command."""

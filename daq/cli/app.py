@@ -1,0 +1,24 @@
+"""The command `daq`: record a run, get runs from elsewhere, look after both."""
+
+from typing import NoReturn
+
+from daq.cli import board, files, firmware, record, setup
+from daq.console import application
+
+app = application.application(
+    "daq", "Record stick-slip runs from an encoder board or the simulated rig.", "daq record --rate 1000 -o run.h5"
+)
+record.register(app)
+board.register(app)
+files.register(app)
+setup.register(app)
+firmware.register(app)
+
+
+def main() -> NoReturn:
+    """Run the command line."""
+    application.main(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,330 @@
+"""`daq check` and `daq calibrate`: a board and its rig tried out before the first run that matters."""
+
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import cyclopts
+from cyclopts import Parameter
+
+from daq.cli.record import Baud, Columns, DecoderName, Force, PortName, ProtocolName, Rate, RigFile, rig_port
+from daq.console import application
+from daq.console.application import Answer, Json
+from daq.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
+
+if TYPE_CHECKING:
+    from daq.calibration.ring_down import RingDown
+    from daq.console.settings import Settings
+    from daq.finalise.quality import Summary
+    from daq.recorder.record import Request
+    from daq.runfile.recording import Recording
+    from daq.runfile.rig import Measured
+
+PARKED_S, MOVED_S = 5.0, 5.0
+SIMULATED_PARKED_S, SIMULATED_MOVED_S = 0.4, 2.0  # the belt of the scene `rig` starts after 0.5 s
+RING_DOWN_S, DISTANCE_S = 20.0, 10.0
+# The simulated rig in a ring-down: its belt at rest, the mass all but lifted off it, struck at its mark.
+STRUCK = ("belt.speed=0.0", "friction.Fs=0.05", "start.v=0.6")
+
+Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=(), help="Do not wait for Enter.")]
+
+
+def register(app: cyclopts.App) -> None:
+    """Add check and calibrate to the `daq` application."""
+    app.command(check)
+    app.command(calibrate)
+
+
+def check(
+    *,
+    port: PortName = None,
+    rate: Rate = None,
+    parked: Annotated[float | None, Parameter(help="Seconds in which the mass is left alone; default 5.")] = None,
+    move: Annotated[float | None, Parameter(help="Seconds in which it is moved towards +x; default 5.")] = None,
+    protocol: ProtocolName = None,
+    columns: Columns = None,
+    decoder: DecoderName = None,
+    rig: RigFile = None,
+    baud: Baud = None,
+    yes: Yes = False,
+    json: Json = False,
+) -> Answer:
+    """Try a board: its rate, losses, clock and drift while the mass is parked, then its direction by hand.
+
+    Exit code 4 when something is not well.  The simulated rig is parked until its belt starts, which then moves it:
+    0.4 s and 2 s.
+
+    Example: daq check --port /dev/ttyACM0
+    """
+    from daq.calibration import board_test
+    from daq.console import settings
+
+    known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
+    request = _request(known)
+    simulated = request.port.startswith("rig://")
+    parked_s = parked if parked is not None else SIMULATED_PARKED_S if simulated else PARKED_S
+    move_s = move if move is not None else SIMULATED_MOVED_S if simulated else MOVED_S
+    for flag, value in (("--parked", parked_s), ("--move", move_s)):
+        if not 0 <= value < float("inf"):
+            raise InputError(f"{value:g} s", flag, "give 0 or more seconds")
+    if parked_s + move_s == 0:
+        raise InputError("nothing to look at", "--parked and --move", "give one of them more than 0 s")
+    request = replace(request, duration_s=parked_s + move_s)
+    _reach(request)
+    told = False
+
+    def progress(seconds: float) -> None:
+        nonlocal told
+        if move_s and not told and seconds >= parked_s:
+            application.note(f"now move the mass by hand towards +x, within {move_s:g} s")
+            told = True
+
+    if parked_s:
+        _ask(f"leave the mass alone for {parked_s:g} s", not (yes or json or simulated))
+    summary, run = _take(request, progress)
+    found = board_test.findings(summary, run, parked_s)
+    ok = all(finding.ok is not False for finding in found)
+    still = board_test.stretch(run, 0.0, parked_s)
+    moved = board_test.stretch(run, parked_s, float("inf"))
+    data: dict[str, Any] = {key: value for key, value in summary.as_json().items() if key != "file"}
+    data |= {
+        "ok": ok,
+        "port": request.port,
+        "decoder": run.rig.decoder,
+        "parked": vars(still),
+        "parked_drift": still.counts,
+        "move": vars(moved),
+        "hand_move": moved.counts,
+        "checks": [vars(finding) for finding in found],
+    }
+    marks = {True: "OK", False: "FAIL", None: "--"}
+    lines = [f"{marks[finding.ok]:<4} {finding.name}: {finding.seen}" for finding in found]
+    lines += [f"     do: {finding.do}" for finding in found if finding.ok is not True and finding.do]
+    lines += [f"warning: {warning}" for warning in summary.warnings]
+    lines.append("next: daq calibrate" if ok else "see the lines marked FAIL")
+    return Answer(data, "\n".join(lines), EXIT_DONE if ok else EXIT_DATA)
+
+
+def calibrate(
+    *,
+    port: PortName = None,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")] = Path("rig.toml"),
+    distance: Annotated[
+        str | None,
+        Parameter(
+            help="Known distance to move the mass by towards +x, '100 mm +- 0.1 mm'; --distance=-0.1 for towards -x."
+        ),
+    ] = None,
+    ring_down: Annotated[bool, Parameter(name="--ring-down", help="Record and fit a ring-down.")] = True,
+    mass: Annotated[str | None, Parameter(help="Moving mass: '0.3', '300 g', '300 g +- 1 g'.")] = None,
+    duration: Annotated[float, Parameter(help="Seconds of the ring-down.")] = RING_DOWN_S,
+    move: Annotated[float, Parameter(help="Seconds in which the mass is moved by the distance.")] = DISTANCE_S,
+    rate: Rate = None,
+    protocol: ProtocolName = None,
+    columns: Columns = None,
+    decoder: DecoderName = None,
+    rig: RigFile = None,
+    baud: Baud = None,
+    yes: Yes = False,
+    force: Force = False,
+    json: Json = False,
+) -> Answer:
+    """Measure a rig: metres per count over a known distance; datum, omega0 and damping by a ring-down.
+
+    Begin with the mass at the mark from which every recording will start.  What is known already (by --rig, or from
+    the board) is kept where nothing new was measured.  The belt must be at rest.  Without a port the simulated rig,
+    all but lifted off its belt, is struck and rings down; nobody moves it, so it has no --distance: its board knows its
+    metres per count.
+
+    Example: daq calibrate --port /dev/ttyACM0 --distance "100 mm +- 0.1 mm" --mass "300 g +- 1 g"
+    Example: daq calibrate --mass "300 g +- 1 g"
+    """
+    from daq.calibration import rig_constants as measure
+    from daq.console import settings, units
+    from daq.output import atomic
+    from daq.runfile.rig import checked
+
+    if not ring_down and distance is None:
+        raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
+    known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
+    request = _request(known)
+    atomic.refuse_existing(output, force)
+    length = None if distance is None else units.measured(distance, "length", "--distance")
+    if length is not None and length.value == 0:
+        raise InputError("the distance is zero", "--distance", "give for example '100 mm'")
+    weighed = None
+    if mass is not None:
+        typed = units.measured(mass, "mass", "--mass")
+        weighed = checked("mass", typed.value, typed.sd, "--mass")
+    if known.port is None:
+        if length is not None:
+            what = "nobody moves the simulated rig by hand, so it has no known distance"
+            raise InputError(what, "--distance", "give the --port of a board, or leave --distance out")
+        request = replace(request, port=rig_port(None, list(STRUCK), realtime=False))
+    for flag, seconds, needed in (("--move", move, length is not None), ("--duration", duration, ring_down)):
+        if needed and not 0 < seconds < float("inf"):
+            raise InputError(f"{seconds:g} s", flag, "give more than 0 seconds")
+    _reach(replace(request, duration_s=duration if ring_down else move))
+    wait = not (yes or json or request.port.startswith("rig://"))
+    pitch = ring = None
+    found = None
+    warnings: list[str] = []
+    if length is not None:
+        _ask(f"let the mass stand; move it by {distance} within {move:g} s, and let it stand again", wait)
+        summary, found = _take(replace(request, duration_s=move))
+        pitch = measure.metres_per_count(found, length)
+        warnings += summary.warnings
+        if not measure.stands_at_first(found):
+            warnings.append("the mass moved from the very first sample on: the distance was counted from there")
+    if ring_down:
+        _ask(f"pull the mass aside, let it go, and leave it alone for {duration:g} s", wait)
+        summary, found = _take(replace(request, duration_s=duration))
+        ring = measure.ring_down(found)
+        warnings += summary.warnings
+        if ring.poor:
+            raise DataError(
+                f"the motion is not that of a spring with friction: off by {ring.rms:.3g} counts (rms) of "
+                f"{ring.amplitude:.4g}",
+                "ring-down",
+                "stop the belt, pull the mass aside, let it go and leave it alone; or --no-ring-down",
+            )
+    if found is None:
+        raise ValueError("neither step was taken")
+    made = measure.calibrated(found.rig, pitch, ring, weighed)
+    if ring is not None and made.mass is None:
+        warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
+    if made.metres_per_count is None:
+        warnings.append("without --distance there are no metres: lengths are counts")
+    warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
+    board = settings.board_toml(
+        port=known.port, protocol=known.protocol, columns=known.columns, baud=known.baud, rate=known.rate,
+        decoder=known.decoder,
+    )  # fmt: skip
+    text = _commented(ring) + made.to_toml() + board
+    with atomic.replacing(output, force) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    data = _as_json(made.metres_per_count, ring) | {"file": output, "rig": _values(made), "warnings": warnings}
+    return Answer(data, _as_text(data, ring, warnings, output))
+
+
+def _request(known: "Settings") -> "Request":
+    from daq.recorder.record import Request
+
+    return Request(
+        port=known.port or rig_port(None, None, realtime=False),
+        output=Path("run.h5"),
+        rate_hz=known.rate,
+        baud=known.baud,
+        protocol=known.protocol or "frames",
+        columns=known.columns,
+        decoder=known.decoder,
+        calibration=known.calibration,
+    )
+
+
+def _reach(request: "Request") -> None:
+    """Refuse what cannot be recorded, and a port that cannot be opened, before a person is asked to do anything."""
+    from daq import protocols
+    from daq.recorder import ports
+    from daq.recorder.record import check_request
+
+    with tempfile.TemporaryDirectory(prefix="daq-") as folder:
+        check_request(replace(request, output=Path(folder) / "run.h5"))
+    ports.open_port(request.port, request.baud or protocols.load(request.protocol).BAUD).close()
+
+
+def _take(request: "Request", progress: Callable[[float], None] = lambda seconds: None) -> "tuple[Summary, Recording]":
+    """Record into a folder of its own, and return what was found and the run."""
+    from daq.output import disk
+    from daq.recorder.record import RecordingInterruptedError, record
+    from daq.runfile import store
+
+    with tempfile.TemporaryDirectory(prefix="daq-") as folder:
+        output = Path(folder) / "run.h5"
+        with application.progress("recording", request.duration_s, "s") as show:
+
+            def both(seconds: float) -> None:
+                show(seconds)
+                progress(seconds)
+
+            try:
+                summary = record(replace(request, output=output), progress=both, say=application.note)
+            except RecordingInterruptedError as error:  # its journal goes with the folder
+                raise KeyboardInterrupt from error
+            except disk.RefusedError as error:
+                do = "make room there, or set TMPDIR to a folder on another disk"
+                raise disk.RefusedError(error.what.partition(";")[0], folder, do) from error
+        return summary, store.load(output)
+
+
+def _ask(line: str, wait: bool) -> None:
+    """Tell what to do, and wait for Enter where a person sits."""
+    if wait and sys.stdin.isatty():
+        sys.stderr.write(f"{line}; press Enter to begin ")
+        sys.stderr.flush()
+        sys.stdin.readline()
+    else:
+        application.note(line)
+
+
+def _as_json(pitch: "Measured | None", ring: "RingDown | None") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    if ring is not None:
+        metres = abs(pitch.value) if pitch is not None else None
+        found = {
+            "omega0": ring.omega0.value,
+            "omega0_sd": ring.omega0.sd,
+            "damping_ratio": ring.zeta.value,
+            "damping_ratio_sd": ring.zeta.sd,
+            "friction_counts": ring.friction.value,
+            "friction_counts_sd": ring.friction.sd,
+            "friction_length": None if metres is None else ring.friction.value * metres,
+            "weakening": None if ring.weakening is None or metres is None else ring.weakening.value / metres,
+            "rest_counts": ring.rest.value,
+            "rest_counts_sd": ring.rest.sd,
+            "rms_counts": ring.rms,
+            "swings": ring.swings,
+            "samples": ring.samples,
+            "poor": ring.poor,
+        }
+    return found
+
+
+def _values(rig: Any) -> dict[str, Any]:
+    from daq.runfile.rig import QUANTITIES
+
+    told: dict[str, Any] = {"decoder": rig.decoder, "counter_bits": rig.counter_bits}
+    for key in QUANTITIES:
+        measured = getattr(rig, key)
+        if measured is not None:
+            told |= {key: measured.value, f"{key}_sd": measured.sd}
+    return told
+
+
+def _commented(ring: "RingDown | None") -> str:
+    if ring is None:
+        return ""
+    told = f"omega0 = {ring.omega0.value:.8g} +- {ring.omega0.sd:.2g} rad/s"
+    told += f", damping ratio {ring.zeta.value:.4g} +- {ring.zeta.sd:.2g}, friction {ring.friction.value:.4g} counts"
+    return f"# ring-down of {ring.swings} half-swings: {told}\n"
+
+
+def _as_text(data: dict[str, Any], ring: "RingDown | None", warnings: list[str], output: Path) -> str:
+    rig = data["rig"]
+    lines = []
+    if ring is not None:
+        lines.append(f"omega0 {ring.omega0.value:.6g} +- {ring.omega0.sd:.2g} rad/s, from {ring.swings} half-swings")
+        lines.append(f"damping ratio {ring.zeta.value:.4g} +- {ring.zeta.sd:.2g}, beside friction")
+    units = (
+        ("metres_per_count", "m"),
+        ("stiffness", "N/m"),
+        ("damping", "N s/m"),
+        ("datum", "m"),
+        ("mass", "kg"),
+    )
+    lines += [f"{key} {rig[key]:.6g} +- {rig[key + '_sd']:.2g} {unit}" for key, unit in units if key in rig]
+    lines += [f"warning: {warning}" for warning in warnings]
+    return "\n".join([*lines, f"-> {output}", f"next: daq record --rig {output}"])

@@ -1,0 +1,196 @@
+"""`daq record`, `daq recover`, `daq ports`."""
+
+import contextlib
+import shlex
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import cyclopts
+
+from daq.console import application
+from daq.console.application import Answer, Json, SetChanges
+from daq.errors import InputError
+
+if TYPE_CHECKING:
+    from daq.finalise.quality import Summary
+
+DEFAULT_SCENE = "rig"
+
+Rate = Annotated[
+    int | None,
+    application.Whole,
+    cyclopts.Parameter(name="--rate", help="Samples per second; default 1000, 512 of a qsb, a text sketch's own."),
+]
+Duration = Annotated[float, cyclopts.Parameter(name="--duration", help="Seconds to record.")]
+PortName = Annotated[
+    str | None,
+    cyclopts.Parameter(name="--port", help="A device or URL; the simulated rig answers when none is given."),
+]
+Output = Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="The run file.")]
+Scene = Annotated[
+    str | None, cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file.")
+]
+Realtime = Annotated[
+    bool,
+    cyclopts.Parameter(name="--realtime", negative=(), help="The simulated rig keeps the pace of the wall clock."),
+]
+Baud = Annotated[
+    int | None,
+    application.Whole,
+    cyclopts.Parameter(name="--baud", help="Bits per second of a serial line; default 115200, 230400 of a qsb."),
+]
+ProtocolName = Annotated[
+    str | None,
+    cyclopts.Parameter(name="--protocol", help="What the board speaks: frames (ours, default), qsb or text."),
+]
+Columns = Annotated[
+    str | None,
+    cyclopts.Parameter(name="--columns", help="Columns of text lines, such as t_us,up,down or ticks,ms."),
+]
+DecoderName = Annotated[
+    str | None,
+    cyclopts.Parameter(name="--decoder", help="What the board is to decode with: x4, x1, jk, jk-latched, two-counter."),
+]
+RigFile = Annotated[
+    Path | None,
+    cyclopts.Parameter(name="--rig", help="The rig.toml of 'daq calibrate': calibration, and how to reach the board."),
+]
+Force = Annotated[bool, cyclopts.Parameter(name="--force", negative=(), help="Replace an existing file.")]
+
+
+def register(app: cyclopts.App) -> None:
+    """Add record, recover and ports to the `daq` application."""
+    app.command(record)
+    app.command(recover)
+    app.command(ports)
+
+
+def record(
+    *,
+    rate: Rate = None,
+    duration: Duration = 20.0,
+    port: PortName = None,
+    output: Output = Path("run.h5"),
+    scene: Scene = None,
+    set_: SetChanges = None,
+    realtime: Realtime = False,
+    protocol: ProtocolName = None,
+    columns: Columns = None,
+    decoder: DecoderName = None,
+    rig: RigFile = None,
+    baud: Baud = None,
+    force: Force = False,
+    json: Json = False,
+) -> Answer:
+    """Record a run.  Ctrl-C stops and keeps the data; a second Ctrl-C leaves the journal for 'daq recover'.
+
+    Port, protocol, columns, baud, rate and decoder may also come from the environment (STICKSLIP_PORT ...), from the
+    [board] of --rig, or from the user's config.toml, in this order.
+
+    Example: daq record --rate 1000 --duration 20 -o run.h5
+    """
+    from daq.console import settings
+    from daq.recorder.record import Request
+    from daq.recorder.record import record as take
+
+    simulated = scene is not None or bool(set_) or realtime
+    if port is not None and simulated:
+        given = "--scene" if scene is not None else "--set" if set_ else "--realtime"
+        raise InputError(f"{given} is for the simulated rig, but --port {port} was given", given, "give one of the two")
+    if port is None and simulated:
+        port = rig_port(scene, set_, realtime)
+    known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
+    request = Request(
+        port=known.port or rig_port(scene, set_, realtime),
+        output=output,
+        rate_hz=known.rate,
+        duration_s=duration,
+        force=force,
+        baud=known.baud,
+        protocol=known.protocol or "frames",
+        columns=known.columns,
+        decoder=known.decoder,
+        calibration=known.calibration,
+    )
+    with _stop_on_interrupt() as stop, application.progress("recording", duration, "s") as show:
+        found = take(request, progress=show, say=application.note, stop=stop)
+    return Answer(found.as_json(), _text("recorded", found))
+
+
+def rig_port(scene: str | None, changes: list[str] | None, realtime: bool) -> str:
+    """Return the URL of the simulated rig with a scene, a built-in name or a TOML file."""
+    from daq.recorder.ports import rig_url
+
+    name = scene if scene is not None else DEFAULT_SCENE
+    return rig_url(str(Path(name).absolute()) if name.endswith(".toml") else name, changes or [], realtime)
+
+
+def recover(
+    journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal that a recording left.")],
+    /,
+    *,
+    output: Annotated[
+        Path | None,
+        cyclopts.Parameter(name=["--output", "-o"], help="The run file; default the journal's name without .part."),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> Answer:
+    """Build the run file of a recording that was killed, out of its journal.
+
+    Example: daq recover run.h5.part
+    """
+    from daq.finalise.run import finalise
+
+    if journal.suffix != ".part":
+        raise InputError("is no journal", str(journal), "give the RUN.h5.part that the recording left")
+    found = finalise(journal, output or journal.with_suffix(""), finished_by="daq recover", force=force)
+    return Answer(found.as_json(), _text("recovered", found))
+
+
+def ports(*, json: Json = False) -> Answer:
+    """List the ports a board may be at, and what to do about one that may not be opened.
+
+    Example: daq ports
+    """
+    from daq.recorder.ports import list_ports
+
+    found = list_ports()
+    width = max(len(item.port) for item in found)
+    lines = []
+    for item in found:
+        lines.append(f"{item.port:<{width}}  {item.description}")
+        if item.do:
+            lines.append(f"{'':<{width}}  may not be opened: {item.do}")
+    if len(found) == 1:
+        lines.append("no serial port here: plug the board in and look again")
+    data = [vars(item) for item in found]
+    return Answer(data, "\n".join(lines))
+
+
+def _text(done: str, found: "Summary") -> str:
+    return found.as_text(done, f"process smooth {shlex.quote(str(found.file))}")
+
+
+@contextlib.contextmanager
+def _stop_on_interrupt() -> Iterator[threading.Event]:
+    """Yield an event that the first Ctrl-C (or end of the session) sets; the second raises KeyboardInterrupt."""
+    stop = threading.Event()
+
+    def on_interrupt(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+        application.note("stopping, the data are kept; Ctrl-C again leaves at once")
+
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
+    before = {name: signal.signal(getattr(signal, name), on_interrupt) for name in names}
+    try:
+        yield stop
+    finally:
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)

@@ -1,0 +1,212 @@
+"""`daq doctor`: is this machine ready; `daq demo`: the whole way from pulses to a law, in its own folder."""
+
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+import cyclopts
+
+from daq.console.application import Answer, Json
+from daq.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
+
+PACKAGES = ("daq", "processing", "fitting", "rig_sim")
+DEMO_FOLDER = "stickslip-demo"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the doctor's list: what was looked at, whether it is well, what was seen, what to do."""
+
+    name: str
+    ok: bool
+    detail: str
+    do: str = ""
+
+
+def register(app: cyclopts.App) -> None:
+    """Add doctor and demo to the `daq` application."""
+    app.command(doctor)
+    app.command(demo)
+
+
+def doctor(*, json: Json = False) -> Answer:
+    """Check that this machine is ready: our packages, their needs, ports, the simulated rig, a browser.
+
+    Example: daq doctor
+    """
+    checks = [_python(), *_packages(), _needs(), _commands(), _rig(), _ports(), _browser(), _folder()]
+    ok = all(check.ok for check in checks)
+    lines = [f"{'ok  ' if check.ok else 'FAIL'} {check.name}: {check.detail}" for check in checks]
+    lines += [f"     do: {check.do}" for check in checks if not check.ok]
+    lines.append("ready: try 'daq record --rate 1000'" if ok else "not ready: see the lines marked FAIL")
+    data = {"ok": ok, "checks": [vars(check) | {"do": "" if check.ok else check.do} for check in checks]}
+    return Answer(data, "\n".join(lines), EXIT_DONE if ok else EXIT_DEVICE)
+
+
+def _python() -> Check:
+    version = ".".join(str(part) for part in sys.version_info[:3])
+    return Check(
+        "python",
+        sys.version_info >= (3, 11),
+        f"{version} at {sys.executable}",
+        "install Python 3.11 or later",
+    )
+
+
+def _packages() -> list[Check]:
+    """Check that each package found under our names is ours: the index has another `daq` and `fitting`."""
+    from importlib.metadata import packages_distributions
+    from importlib.util import find_spec
+
+    home = Path(__file__).resolve().parent.parent
+    owners = packages_distributions()
+    checks = []
+    for package in PACKAGES:
+        spec = find_spec(package)
+        origin = Path(spec.origin).resolve() if spec and spec.origin else None
+        strangers = sorted({owner for owner in owners.get(package, []) if owner != "stickslip"})
+        ours = origin is not None and origin.parent.parent == home and not strangers
+        seen = str(origin.parent) if origin else "not found"
+        if strangers:
+            seen += f"; also installed by {', '.join(strangers)}"
+        remedy = "install stickslip again"
+        if strangers:
+            remedy = f"python -m pip uninstall {' '.join(strangers)}; then {remedy}"
+        checks.append(Check(f"package {package}", ours, seen, remedy))
+    return checks
+
+
+def _needs() -> Check:
+    """Check that every distribution we declare is installed in a version we accept."""
+    from importlib.metadata import PackageNotFoundError, requires, version
+
+    seen, missing = [], []
+    for line in requires("stickslip") or []:
+        if "extra ==" in line:
+            continue
+        name = line.split(";")[0].strip()
+        for mark in "<>=!~[ (":
+            name = name.split(mark)[0]
+        try:
+            seen.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            missing.append(name)
+    detail = f"missing {', '.join(missing)}" if missing else ", ".join(seen)
+    return Check(
+        "needed packages", not missing, detail, f"python -m pip install {' '.join(missing)}" if missing else ""
+    )
+
+
+def _commands() -> Check:
+    scripts = Path(sys.executable).parent
+    elsewhere = []
+    for command in ("daq", "process", "fit-friction", "rig-sim"):
+        found = shutil.which(command)
+        if found is not None and Path(found).parent.resolve() != scripts.resolve():
+            elsewhere.append(f"{command} is {found}")
+    detail = "; ".join(elsewhere) if elsewhere else f"in {scripts}"
+    return Check("commands", not elsewhere, detail, f"put {scripts} first on PATH, or activate its environment")
+
+
+def _rig() -> Check:
+    """Ask the simulated rig for its name over the same port layer as a real board."""
+    from daq.recorder import ports
+    from daq.wire import frames as wire
+
+    try:
+        with ports.open_port("rig://rig") as port:
+            port.write(b"I\n")
+            frames = wire.FrameReader().feed(port.read(4096))
+    except (StickslipError, OSError) as error:
+        return Check("simulated rig", False, str(error), "install stickslip again")
+    names = [frame.name for frame in frames if isinstance(frame, wire.Ident)]
+    return Check("simulated rig", bool(names), names[0] if names else "no answer", "install stickslip again")
+
+
+def _ports() -> Check:
+    from serial.tools.list_ports import comports
+
+    found = [port.device for port in comports()]
+    return Check("serial ports", True, ", ".join(found) if found else "none; the simulated rig needs none")
+
+
+def _browser() -> Check:
+    import webbrowser
+
+    names = ("chromium", "chromium-browser", "google-chrome", "firefox")
+    found = next((path for path in map(shutil.which, names) if path), None)
+    if found is None:
+        try:
+            found = webbrowser.get().__class__.__name__
+        except webbrowser.Error:
+            found = None
+    return Check("browser", True, found or "none found; reports are files that any browser opens elsewhere")
+
+
+def _folder() -> Check:
+    import os
+
+    here = Path.cwd()
+    free = shutil.disk_usage(here).free
+    writable = os.access(here, os.W_OK)
+    detail = f"{here}: {free / 1e9:.1f} GB free" + ("" if writable else ", not writable")
+    return Check("this folder", writable and free > 100e6, detail, "work in a folder with write permission and space")
+
+
+def demo(*, json: Json = False) -> Answer:
+    """Record the simulated rig, rebuild its velocity and rank the six laws, in ./stickslip-demo/.
+
+    Example: daq demo
+    """
+    folder = Path.cwd() / DEMO_FOLDER
+    folder.mkdir(exist_ok=True)
+    began = time.monotonic()
+    steps = []
+    verdict = ""
+    for module, typed in (
+        ("daq.cli.app", ["daq", "record", "--rate", "1000", "-o", "run.h5", "--force"]),
+        ("processing.cli", ["process", "smooth", "run.h5"]),
+        ("fitting.cli", ["fit-friction", "run.h5"]),
+    ):
+        out = sys.stderr if json else sys.stdout
+        out.write(f"\n$ {' '.join(typed)}\n")
+        out.flush()
+        code, lines = _echo([sys.executable, "-m", module, *typed[1:]], folder, out)
+        steps.append({"command": " ".join(typed), "exit_code": code})
+        if code not in (EXIT_DONE, EXIT_UNDECIDED):
+            raise StepError(f"'{' '.join(typed)}' ended with exit code {code}", str(folder), "run 'daq doctor'")
+        verdict = next((line for line in reversed(lines) if line.startswith("verdict: ")), verdict)
+    run, report = folder / "run.h5", folder / "run.report.html"
+    wall_s = time.monotonic() - began
+    data = {
+        "folder": folder,
+        "file": run,
+        "report": report,
+        "verdict": verdict,
+        "steps": steps,
+        "wall_s": wall_s,
+    }
+    text = f"\ndone in {wall_s:.0f} s; open {report} in a browser\n{verdict}"
+    return Answer(data, text)
+
+
+class StepError(StickslipError):
+    """A step of the demo failed: its own message stands above."""
+
+    exit_code = EXIT_DEVICE
+
+
+def _echo(command: list[str], folder: Path, out: IO[str]) -> tuple[int, list[str]]:
+    """Run a command in a folder, pass its stdout through as it comes, return its exit code and lines."""
+    lines = []
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+        if process.stdout is not None:
+            for line in process.stdout:
+                out.write(line)
+                out.flush()
+                lines.append(line.rstrip("\n"))
+    return process.returncode, lines

@@ -1,0 +1,1 @@
+"""How every command meets a person: arguments, settings, units, errors, progress."""

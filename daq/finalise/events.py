@@ -1,0 +1,78 @@
+"""What happened during a run: sample, kind and a few words each, for the run file's events.
+
+Of samples that are flagged in a row only the first is an event; its note says how many there are, and the flags of the
+samples mark each one.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.finalise.integrity import Checked
+from daq.finalise.timeline import Samples
+from daq.runfile.recording import EVENTS
+from daq.wire import counters, decode
+from daq.wire import frames as wire
+
+Event = tuple[int, int, str]
+
+
+def events_of(
+    samples: Samples,
+    checked: Checked,
+    said: Sequence[decode.Stream],
+    markers: Sequence[tuple[int, str]],
+    rate_hz: float,
+) -> list[Event]:
+    """Return everything that happened, in order of its sample.
+
+    Parameters
+    ----------
+    said : sequence of Stream
+        The connections: their notices, and the lines that were damaged.
+    markers : sequence of (int, str)
+        Stamp in monotonic ns, text; one that was set before or after the run is left out.
+    """
+    found: list[Event] = []
+    for start, why in zip(checked.starts[1:].tolist(), checked.why[1:], strict=True):
+        gap_ms = 1e3 * (samples.time[start] - samples.time[start - 1])
+        if why == "invalid":
+            note = f"{gap_ms:.0f} ms without a sample: the counters may have rolled over"
+            found.append((start, EVENTS["invalid"], note))
+        elif why == "reopened":
+            note = f"the port was lost for {gap_ms:.0f} ms: the position may start anew"
+            found.append((start, EVENTS["reopened"], note))
+        else:
+            note = f"the board restarted, {gap_ms:.0f} ms lost: the position starts anew"
+            found.append((start, EVENTS["reopened"], note))
+    for at in np.flatnonzero(checked.lost).tolist():
+        found.append((at, EVENTS["gap"], f"{checked.lost[at]} samples lost"))
+    for name, flag in (
+        ("illegal", counters.FLAG_ILLEGAL),
+        ("phase", counters.FLAG_PHASE),
+        ("both-moved", counters.FLAG_BOTH),
+        ("overrun", wire.OVERRUN),
+    ):
+        for first, length in _runs(checked.flags & flag > 0):
+            found.append((first, EVENTS[name], f"{length} samples"))
+    frames = 0
+    for connection in said:
+        noted = [(int(frame), "crc", "") for frame in connection.crc_frame]
+        noted += [(frame, "notice", text) for frame, text in connection.notices]
+        for frame, name, note in noted:
+            at = int(np.searchsorted(samples.frame, frames + frame))
+            found.append((min(at, len(samples) - 1), EVENTS[name], note))
+        frames += len(connection.n)
+    for stamp, text in markers:
+        at = int(np.searchsorted(samples.stamp_ns, stamp))
+        if stamp >= samples.stamp_ns[0] - 1e9 / rate_hz and at < len(samples):
+            found.append((at, EVENTS["marker"], text))
+    return sorted(found)
+
+
+def _runs(flagged: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first sample and the length of each run of flagged samples."""
+    edges = np.diff(np.concatenate(([0], flagged.view(np.int8), [0])))
+    firsts = np.flatnonzero(edges == 1)
+    return list(zip(firsts.tolist(), (np.flatnonzero(edges == -1) - firsts).tolist(), strict=True))

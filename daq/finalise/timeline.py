@@ -1,0 +1,249 @@
+"""From a journal to one row of samples: connections decoded, frames placed, parts set on one time axis.
+
+A part is what one start of the board gave: it ends where the port was lost or the board restarted, and the next one
+begins with its own sequence numbers and device time.  The device's clock is the time axis.  A later part is placed on
+it by the host's clock, with the least delay seen in the last seconds before and the first seconds after the gap.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq import protocols
+from daq.runfile import journal
+from daq.wire import counters, decode
+from daq.wire import frames as wire
+
+PLACE_S = 2.0  # seconds on either side of a gap in which the least delay is looked for
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples in order of time, n of them.
+
+    Attributes
+    ----------
+    time : (n,) float64
+        Seconds since the first one, increasing.
+    part : (n,) int64
+        Which part, from 0.
+    reopened : tuple of bool
+        Of each part: whether it follows a lost port (else a restart of the board).
+    index, ticks : (n,) int64
+        Sequence number and device time without roll-over, as in the board's words.
+    frame : (n,) int64
+        Which frame it came in, counted over all connections; frames that gave no sample are counted, too.
+    stamp_ns : (n,) int64
+        Host's monotonic clock when that frame had come in.
+    up, down, status, illegal, belt, edge
+        As sent (`daq.wire.decode.Stream`), the illegal count repeated over its frame.
+    repeated : int
+        Samples left out because their time did not advance: repeated, late, or stamped wrongly by the board.
+    """
+
+    time: NDArray[np.float64]
+    part: NDArray[np.int64]
+    reopened: tuple[bool, ...]
+    index: NDArray[np.int64]
+    ticks: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    stamp_ns: NDArray[np.int64]
+    up: NDArray[np.uint16] | NDArray[np.uint32]
+    down: NDArray[np.uint16] | NDArray[np.uint32]
+    status: NDArray[np.uint8]
+    illegal: NDArray[np.uint16]
+    belt: NDArray[np.uint16] | None
+    edge: NDArray[np.uint16] | None
+    repeated: int = 0
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def take(self, where: NDArray[np.bool_]) -> "Samples":
+        """Return the samples ``where`` holds."""
+        chosen: dict[str, Any] = {}
+        for field in fields(self):
+            column = getattr(self, field.name)
+            if isinstance(column, np.ndarray):
+                chosen[field.name] = column[where]
+        return replace(self, **chosen)
+
+
+@dataclass(frozen=True)
+class TruthRows:
+    """Rows of truth as sent, m of them: the part and sequence number they belong to, and time, x, v, F."""
+
+    part: NDArray[np.int64]
+    index: NDArray[np.int64]
+    rows: NDArray[np.float64]
+
+
+def connections(taken: journal.Journal) -> list[decode.Stream]:
+    """Return what each connection said: a new one begins where the port was reopened.
+
+    Raises
+    ------
+    InputError
+        The journal is in a protocol that this version does not know.
+    """
+    backend = protocols.load(taken.header["protocol"], str(taken.path))
+    reads: list[list[tuple[int, bytes]]] = [[]]
+    for record in taken.records:
+        if record.kind == journal.REOPENED:
+            reads.append([])
+        elif record.kind == journal.RECEIVED:
+            reads[-1].append((record.stamp_ns, record.data))
+    return [backend.decode(part, taken.header) for part in reads]
+
+
+def assemble(said: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[Samples, TruthRows]:
+    """Set the samples of all connections on one time axis."""
+    ticks_per_sample = 1e9 / (rate_hz * tick_ns)
+    flat: list[Samples] = []
+    truths: list[TruthRows] = []
+    parts = 0
+    frames = 0
+    reopened: list[bool] = []
+    late = 0
+    for connection in said:
+        order = counters.order_frames(
+            connection.seq, connection.ticks, connection.n, ticks_per_sample, connection.idents
+        )
+        part = parts + np.cumsum(order.restart)
+        if np.any(order.keep):
+            chosen = _samples(connection, order, part, frames)
+            flat.append(chosen)
+            truths.append(_truth(connection, order, part))
+            reopened += [True] + [False] * int(np.count_nonzero(order.restart))
+            parts = len(reopened)
+        late += int(connection.n[~order.keep].sum())
+        frames += len(connection.n)
+    samples = _joined(flat, tuple(reopened))
+    samples = replace(samples, time=_times(samples, rate_hz, tick_ns))
+    advances = np.ones(len(samples), dtype=np.bool_)
+    if len(samples):
+        advances[1:] = samples.time[1:] > np.maximum.accumulate(samples.time)[:-1]
+    late += int(np.count_nonzero(~advances))
+    return replace(samples.take(advances) if late else samples, repeated=late), _joined_truth(truths)
+
+
+def run_index(samples: Samples, rate_hz: float) -> NDArray[np.int64]:
+    """Return the place of each sample in the run's own count of periods, lost ones and gaps included."""
+    place = samples.index.copy()
+    for part, first in parts_of(samples):
+        if part > 0:
+            place[first] += round(float(samples.time[first.start]) * rate_hz)
+    return place
+
+
+def parts_of(samples: Samples) -> Iterator[tuple[int, slice]]:
+    """Yield each part's number and where its samples are."""
+    cuts = np.flatnonzero(np.diff(samples.part)) + 1
+    edges = [0, *cuts.tolist(), len(samples)]
+    for k, start in enumerate(edges[:-1]):
+        if edges[k + 1] > start:
+            yield int(samples.part[start]), slice(start, edges[k + 1])
+
+
+def _samples(said: decode.Stream, order: counters.Order, part: NDArray[np.int64], frames: int) -> Samples:
+    """Return the samples of the frames that are kept, their times still to be set."""
+    frame = np.repeat(np.arange(len(said.n)), said.n)
+    within = np.arange(len(frame)) - said.first[frame]
+    elapsed = np.cumsum(said.dt, dtype=np.int64)
+    made = Samples(
+        time=np.zeros(len(frame)),
+        part=part[frame],
+        reopened=(),
+        index=order.index[frame] + within,
+        ticks=order.ticks[frame] + elapsed - elapsed[said.first[frame]],
+        frame=frames + frame,
+        stamp_ns=said.stamp_ns[frame],
+        up=said.up,
+        down=said.down,
+        status=said.status,
+        illegal=said.illegal[frame].astype(np.uint16),
+        belt=said.belt,
+        edge=said.edge,
+    )
+    return made if np.all(order.keep) else made.take(order.keep[frame])
+
+
+def _joined(flat: list[Samples], reopened: tuple[bool, ...]) -> Samples:
+    """Return the samples of all connections in a row; an optional column stands only when all have it."""
+    columns: dict[str, Any] = {}
+    for field in fields(Samples):
+        pieces = [getattr(piece, field.name) for piece in flat]
+        if field.name in ("reopened", "repeated"):
+            continue
+        if pieces and all(isinstance(piece, np.ndarray) for piece in pieces):
+            columns[field.name] = np.concatenate(pieces)
+        elif field.name in ("belt", "edge"):
+            columns[field.name] = None
+        else:
+            columns[field.name] = np.empty(0, dtype=_TYPES[field.name])
+    return Samples(reopened=reopened, **columns)
+
+
+_TYPES = {
+    "time": "f8",
+    "part": "i8",
+    "index": "i8",
+    "ticks": "i8",
+    "frame": "i8",
+    "stamp_ns": "i8",
+    "up": "u2",
+    "down": "u2",
+    "status": "u1",
+    "illegal": "u2",
+}
+
+
+def _times(samples: Samples, rate_hz: float, tick_ns: int) -> NDArray[np.float64]:
+    """Return the time axis: device time in the first part, later parts placed after it by the host's clock."""
+    time = np.zeros(len(samples))
+    before: slice | None = None
+    for _, here in parts_of(samples):
+        device = (samples.ticks[here] - samples.ticks[here.start]) * tick_ns / 1e9
+        start = 0.0
+        if before is not None:
+            gone = _host_at(samples, before, time[before], last=True) - time[before.stop - 1]
+            back = _host_at(samples, here, device, last=False)
+            start = max(float(back - gone), float(time[before.stop - 1]) + 1 / rate_hz)
+        time[here] = start + device
+        before = here
+    return time
+
+
+def _host_at(samples: Samples, here: slice, device: NDArray[np.float64], last: bool) -> float:
+    """Return the host's clock (s) at a part's last or first sample, by the least delay of the seconds beside it."""
+    stamps = samples.stamp_ns[here] / 1e9
+    at = float(device[-1] if last else device[0])
+    near = np.abs(device - at) <= PLACE_S
+    # Only a frame's last sample was taken right before the frame came in; the least difference finds such a one.
+    return at + float(np.min(stamps[near] - device[near]))
+
+
+def _truth(said: decode.Stream, order: counters.Order, part: NDArray[np.int64]) -> TruthRows:
+    """Return the rows of truth, each placed by the sample frame it came after."""
+    beside = np.clip(said.truth_frame - 1, 0, None)
+    offset = (said.truth_seq - said.seq[beside] + 0x8000 & 0xFFFF) - 0x8000
+    placed = order.keep[beside]
+    return TruthRows(part[beside][placed], (order.index[beside] + offset)[placed], said.truth[placed])
+
+
+def _joined_truth(truths: list[TruthRows]) -> TruthRows:
+    if not truths:
+        return TruthRows(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 4)))
+    return TruthRows(
+        np.concatenate([t.part for t in truths]),
+        np.concatenate([t.index for t in truths]),
+        np.concatenate([t.rows for t in truths]),
+    )
+
+
+def first_ident(said: list[decode.Stream]) -> wire.Ident | None:
+    """Return the board's first identification."""
+    return next((connection.ident for connection in said if connection.ident is not None), None)

@@ -1,0 +1,1 @@
+"""Runs from elsewhere: tables of tracks, .mat files, logic captures, earlier runs."""

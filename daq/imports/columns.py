@@ -1,0 +1,129 @@
+"""Which column of a table is the time, which the position, and in what units: by flag, by name, by elimination."""
+
+import re
+
+from daq.console import units
+from daq.errors import InputError, nearest
+from daq.imports.table import Table
+
+TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
+FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "image", "bild")
+POSITION_NAMES = ("x", "position", "pos", "displacement", "distance", "weg", "ort", "auslenkung")
+# A unit after a name: "x (cm)", "x [cm]", "x/cm", "x, cm", "x in cm".
+_UNIT_AT_END = re.compile(r"^(.*?)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\]|(?:/|,|\bin\b)\s*(\S+))$")
+
+
+def find(cells: Table, time: str | None, position: str | None, rate_known: bool) -> tuple[int | None, int, bool]:
+    """Find the columns of times and positions.
+
+    Parameters
+    ----------
+    cells : Table
+        The table.
+    time, position : str or None
+        What the user called them: a name, or a number from 1.
+    rate_known : bool
+        Whether times can be made from a frame rate.
+
+    Returns
+    -------
+    tuple
+        Column of times or None, column of positions, and whether the times are frame numbers.
+
+    Raises
+    ------
+    InputError
+        When a column is missing or there is more than one choice, listing the columns.
+    """
+    t_column = None if time is None else _named(cells, time, "--time")
+    x_column = None if position is None else _named(cells, position, "--position")
+    free = [i for i in range(cells.width) if i not in (t_column, x_column)]
+    frames = False
+    if cells.names:
+        plain = [_bare(name) for name in cells.names]
+        if t_column is None:
+            t_column = next((i for i in free if plain[i] in TIME_NAMES), None)
+            if t_column is None:
+                t_column = next((i for i in free if plain[i] in FRAME_NAMES), None)
+        if x_column is None:
+            called = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
+            if len(called) > 1 and plain[called[0]] == plain[called[1]]:
+                both = " and ".join(f"{cells.names[i]!r} (column {i + 1})" for i in called[:2])
+                raise InputError(f"which column is the position: {both}?", str(cells.path), "give --position NUMBER")
+            x_column = called[0] if called else None
+        frames = t_column is not None and plain[t_column] in FRAME_NAMES
+    free = [i for i in free if i not in (t_column, x_column)]
+    listed = ", ".join(cells.names) or f"1 to {cells.width}"
+    if x_column is None and cells.width == 1:
+        x_column, t_column = 0, None
+    elif cells.width == 2 and t_column is None and x_column is None:
+        t_column, x_column = 0, 1
+    elif x_column is None and len(free) == 1:
+        x_column = free[0]
+    if x_column is None:
+        raise InputError(f"which column is the position? its columns are: {listed}", str(cells.path), "give --position")
+    if t_column is None and cells.width == 2 and not rate_known:
+        t_column = 1 - x_column
+    if t_column is None and cells.width > 2 and not rate_known:
+        raise InputError(f"which column is the time? its columns are: {listed}", str(cells.path), "give --time")
+    if t_column == x_column:
+        raise InputError("time and position are the same column", str(cells.path), f"its columns are: {listed}")
+    return t_column, x_column, frames
+
+
+def _named(cells: Table, name: str, flag: str) -> int:
+    wanted = name.strip()
+    for same in (str, str.lower, _bare):
+        for i, found in enumerate(cells.names):
+            if same(found) == same(wanted):
+                return i
+    if wanted.isdecimal() and 1 <= int(wanted) <= cells.width:
+        return int(wanted) - 1
+    known = f"its columns are numbered 1 to {cells.width}"
+    if cells.names:
+        near = nearest(wanted, cells.names)
+        known = (near + " " if near.startswith("did") else "") + f"its columns are: {', '.join(cells.names)}"
+    raise InputError(f"{flag}: there is no column {name!r}", str(cells.path), known)
+
+
+def _bare(name: str) -> str:
+    """Return a column's name without its unit, in lower case: ``x (cm)`` and ``x_cm`` are ``x``."""
+    found = _UNIT_AT_END.match(name)
+    base = found[1] if found and found[1] else name
+    head, _, tail = base.rpartition("_")
+    if head and any(units.known(tail, dimension) for dimension in ("time", "length")):
+        base = head
+    return base.strip().lower().rstrip("#").strip()
+
+
+def _stated_unit(name: str) -> str | None:
+    found = _UNIT_AT_END.match(name)
+    if found and found[1]:
+        return next(part for part in found.groups()[1:] if part is not None).strip()
+    head, _, tail = name.rpartition("_")
+    return tail if head and any(units.known(tail, d) for d in ("time", "length")) else None
+
+
+def unit(
+    cells: Table, column: int, flag_value: str | None, dimension: str, flag: str, warnings: list[str]
+) -> tuple[float, str]:
+    """Return the size of a column's unit in SI and its name: the flag's, else the header's, else SI.
+
+    Raises
+    ------
+    InputError
+        When the header's unit is unknown and the flag was not given.
+    """
+    stated = _stated_unit(cells.names[column]) if cells.names else None
+    if flag_value is not None:
+        size = units.unit_size(flag_value, dimension, flag)
+        if stated and units.known(stated, dimension) and units.unit_size(stated, dimension, flag) != size:
+            warnings.append(f"{cells.label(column)} is read in {flag_value}, as {flag} says, not in {stated}")
+        return size, flag_value
+    if stated is None:
+        return 1.0, units.si_unit(dimension)
+    if not units.known(stated, dimension):
+        example = f"{flag} '0.25 mm' for a pixel of that size" if dimension == "length" else f"{flag} ms"
+        what = f"{cells.label(column)} is in {stated!r}, which is no known unit of {dimension}"
+        raise InputError(what, str(cells.path), f"give {flag}, for example {example}")
+    return units.unit_size(stated, dimension, flag), stated

@@ -1,0 +1,283 @@
+"""A run file made again from what was recorded: a journal, a run file, or a logic analyser's capture.
+
+A journal goes through the recorder's own finaliser and stays where it is.  A run file is decoded anew from its raw
+counters, without the stages made from it; with another calibration its positions change, its raw data do not.  A
+capture becomes the run that a board sampling at ``rate_hz`` would have sent: 16-bit counters, levels, device time.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import InputError
+from daq.finalise import belt_counter
+from daq.imports import capture as decode
+from daq.imports import sigrok
+from daq.output import provenance
+from daq.runfile import store
+from daq.runfile.recording import EVENTS, Raw, RunData, positions
+from daq.runfile.rig import Rig
+from daq.wire import counters
+from daq.wire.quadrature import PHASE, Steps
+
+HOST_FLAGS = {
+    "illegal": counters.FLAG_ILLEGAL,
+    "phase": counters.FLAG_PHASE,
+    "both-moved": counters.FLAG_BOTH,
+}
+
+
+def kind_of(source: Path) -> str:
+    """Return "journal", "run" or "capture" by a file's first bytes.
+
+    Raises
+    ------
+    InputError
+        When it is none of them, or missing.
+    """
+    where = str(source)
+    if not source.exists():
+        raise InputError("no such file", where, "check the path")
+    if source.is_dir():
+        raise InputError("is a folder", where, "give a journal, a run file or a .sr capture")
+    with source.open("rb") as stream:
+        head = stream.read(32)
+    kinds = {b"stickslip journal": "journal", b"\x89HDF\r\n\x1a\n": "run", b"PK": "capture"}
+    for magic, kind in kinds.items():
+        if head.startswith(magic):
+            return kind
+    by_name = {".part": "journal", ".sr": "capture", ".h5": "run"}
+    if source.suffix in by_name:
+        return by_name[source.suffix]
+    raise InputError("is neither a journal, a run file nor a .sr capture", where, "a CSV is read by daq import")
+
+
+def from_run(source: Path) -> RunData:
+    """Decode a run file anew from its raw counters; an import, which has none, is taken as it stands."""
+    recording = store.load(source)
+    count = recording.count
+    if recording.raw is not None and count is not None:
+        count = _recount(recording.raw, recording.segment, recording.rig.counter_bits)
+    position = recording.position if count is None else positions(count, recording.rig)
+    run = RunData(
+        title=recording.title,
+        started=recording.started,
+        ended=recording.ended,
+        rate_hz=recording.rate_hz,
+        rig=recording.rig,
+        time=recording.time,
+        position=position,
+        count=count,
+        raw=recording.raw,
+        segment=recording.segment,
+        config_toml=recording.config_toml,
+        clock_sample=recording.clock_sample,
+        clock_offset=recording.clock_offset,
+        clock_ppm=recording.clock_ppm,
+        clock_ppm_error=recording.clock_ppm_error,
+        clock_offset_error=recording.clock_offset_error,
+        event_sample=recording.event_sample,
+        event_kind=np.array([EVENTS[kind] for kind in recording.event_kind], np.uint8),
+        event_note=recording.event_note if any(recording.event_note) else (),
+        belt_velocity=recording.belt_velocity,
+        truth=store.truth(source),
+        operator=recording.operator,
+        provenance={key: recording.provenance[key] for key in ("port", "firmware") if key in recording.provenance}
+        | provenance.here()
+        | {"replay_of": source.name, "replay_of_sha256": recording.digest},
+    )
+    return _belt_recounted(run)
+
+
+def recalibrated(run: RunData, rig: Rig) -> RunData:
+    """Return the run with another calibration; decoder and counter width stay those it was recorded with."""
+    rig = replace(rig, decoder=run.rig.decoder, counter_bits=run.rig.counter_bits)
+    position = run.position if run.count is None else positions(run.count, rig)
+    return _belt_recounted(replace(run, rig=rig, position=position, config_toml=rig.to_toml()))
+
+
+def _belt_recounted(run: RunData) -> RunData:
+    """Return the run with its belt decoded anew from the raw counter; a run that has none keeps what it has."""
+    if run.raw is None or run.raw.belt_count is None or run.segment is None:
+        return run
+    starts = np.flatnonzero(np.diff(run.segment.astype(np.int64), prepend=-1))
+    count, velocity = belt_counter.decoded(run.raw.belt_count, run.time, starts, run.rate_hz, run.rig)
+    return replace(run, belt_count=count, belt_velocity=velocity)
+
+
+def findings(run: RunData) -> dict[str, int]:
+    """Return ``lost, crc_errors, illegal, phase_errors`` as the raw samples and events of a run tell them."""
+    found = {"lost": 0, "illegal": 0, "phase_errors": 0}
+    if run.raw is not None and run.segment is not None:
+        within = np.diff(run.segment) == 0
+        steps = np.diff(run.raw.sample.astype(np.int64))[within] - 1
+        found["lost"] = int(steps.sum())
+        found["illegal"] = int(counters.increments(run.raw.illegal, 16)[within].sum())
+        found["phase_errors"] = int(np.count_nonzero(run.raw.flags & counters.FLAG_PHASE))
+    return found | {"crc_errors": int(np.count_nonzero(run.event_kind == EVENTS["crc"]))}
+
+
+def _recount(raw: Raw, segment: NDArray[np.uint16], bits: int) -> NDArray[np.int64]:
+    count = np.empty(segment.size, np.int64)
+    for one in np.unique(segment):
+        part = segment == one
+        count[part] = counters.net_count(raw.count_up[part], raw.count_down[part], bits)
+    return count
+
+
+@dataclass
+class _Sampler:
+    """The board that a capture is played to: its counters and levels at every ``stride``-th capture sample."""
+
+    stride: float
+    next_sample: int = 0
+
+    def take(self, levels: NDArray[np.uint8], steps: Steps, before: decode.Totals, offset: int) -> NDArray[np.int64]:
+        """Return rows of (capture index, up, down, illegal, levels) for the board samples that lie in this chunk."""
+        last = offset + levels.size
+        count = max(0, int(np.ceil(last / self.stride)) - self.next_sample)
+        index = np.floor((self.next_sample + np.arange(count + 1)) * self.stride).astype(np.int64)
+        index = index[index < last]
+        self.next_sample += index.size
+        at = index - offset
+        seen = np.searchsorted(steps.index, at, side="right")
+
+        def running(mask: NDArray[np.bool_]) -> NDArray[np.int64]:
+            total = np.zeros(mask.size + 1, np.int64)
+            np.cumsum(mask, out=total[1:])
+            return np.asarray(total[seen], np.int64)
+
+        rows = np.empty((index.size, 5), np.int64)
+        rows[:, 0] = index
+        rows[:, 1] = before.up + running(steps.step > 0)
+        rows[:, 2] = before.down + running(steps.step < 0)
+        rows[:, 3] = before.illegal + running(steps.illegal)
+        rows[:, 4] = levels[at]
+        return rows
+
+
+def from_capture(
+    capture: sigrok.Capture,
+    wired: decode.Wiring,
+    rate_hz: float,
+    rig: Rig,
+    tell: Callable[[float], None] = lambda done: None,
+) -> tuple[RunData, decode.Totals]:
+    """Sample a capture as a board would.
+
+    Parameters
+    ----------
+    capture, wired
+        The capture and its wiring.
+    rate_hz : float
+        Sample rate of the board, at most the capture's own.
+    rig : Rig
+        Calibration; without metres per count the run's positions are counts.
+    tell : callable
+        Hears how many capture samples are done.
+
+    Raises
+    ------
+    InputError
+        When the capture does not state its rate, or is slower than ``rate_hz``.
+    """
+    where = str(capture.path)
+    if capture.rate_hz is None:
+        raise InputError("does not state its sample rate", where, "give it by --capture-rate, for example '1 MHz'")
+    if not 0 < rate_hz <= capture.rate_hz:
+        what = f"--rate is {rate_hz:g} Hz, the capture was sampled at {capture.rate_hz:g} Hz"
+        raise InputError(what, where, f"give a rate up to {capture.rate_hz:g}")
+    sampler = _Sampler(capture.rate_hz / rate_hz)
+    before = decode.Totals(0, 0, 0, 0, 0)
+    offset = 0
+    rows = []
+    for levels, steps, after in decode.walk(capture, wired):
+        rows.append(sampler.take(levels, steps, before, offset))
+        before = after
+        offset += levels.size
+        tell(offset)
+    index, up, down, illegal, levels_at = np.concatenate(rows).T
+    # As the board does: an x4 counter starts at the phase of the levels, so that both can be compared ever after.
+    start = int(PHASE[levels_at[0]]) if wired.decoder == "x4" else 0
+    rig = replace(rig, decoder=wired.decoder, counter_bits=16)
+    return _captured(capture, wired, rate_hz, rig, index, up + start, down, illegal, levels_at), before
+
+
+def _captured(
+    capture: sigrok.Capture,
+    wired: decode.Wiring,
+    rate_hz: float,
+    rig: Rig,
+    index: NDArray[np.int64],
+    up: NDArray[np.int64],
+    down: NDArray[np.int64],
+    illegal: NDArray[np.int64],
+    levels: NDArray[np.int64],
+) -> RunData:
+    time = index / float(capture.rate_hz or rate_hz)
+    count = up - down
+    names = [capture.probes[bit] for bit in wired.bits]
+    flags = _flags(wired.decoder, up, down, illegal, levels)
+    raw = Raw(
+        sample=np.arange(index.size, dtype=np.uint32),
+        count_up=(up & 0xFFFF).astype(np.uint16),
+        count_down=(down & 0xFFFF).astype(np.uint16),
+        device_time=(np.round(time * 1e6).astype(np.int64) & 0xFFFFFFFF).astype(np.uint32),
+        levels=levels.astype(np.uint8),
+        flags=flags,
+        illegal=(illegal & 0xFFFF).astype(np.uint16),
+    )
+    event_sample, event_kind = _events(flags)
+    started = datetime(*capture.stamp, tzinfo=UTC)
+    roles = ("step", "direction") if wired.decoder == decode.TWO_COUNTER else ("a", "b")
+    settings = f'[replay]\nsource = "{capture.path.name}"\nrate_hz = {float(rate_hz)!r}\n'
+    settings += "".join(f'{role} = "{name}"\n' for role, name in zip(roles, names, strict=True))
+    return RunData(
+        title=f"{capture.path.name}, probes {names[0]} and {names[1]}",
+        started=started.isoformat(),
+        ended=(started + timedelta(seconds=float(time[-1]))).isoformat(),
+        rate_hz=float(rate_hz),
+        rig=rig,
+        time=time,
+        position=positions(count, rig),
+        count=count,
+        raw=raw,
+        segment=np.zeros(index.size, np.uint16),
+        config_toml=rig.to_toml() + settings,
+        event_sample=event_sample,
+        event_kind=event_kind,
+        provenance=provenance.here()
+        | {"replay_of": capture.path.name, "start_time_from": "the zip's stamp, whose zone is not known"},
+    )
+
+
+def _flags(
+    decoder: str,
+    up: NDArray[np.int64],
+    down: NDArray[np.int64],
+    illegal: NDArray[np.int64],
+    levels: NDArray[np.int64],
+) -> NDArray[np.uint16]:
+    flags = np.zeros(up.size, np.uint16)
+    flags[1:][np.diff(illegal) > 0] |= counters.FLAG_ILLEGAL
+    if decoder == "x4":
+        wrong = counters.check_phase(up.astype(np.uint16), down.astype(np.uint16), levels.astype(np.uint8))
+        flags[wrong] |= counters.FLAG_PHASE
+    if decoder in ("jk", "jk-latched"):
+        # Only behind a J-K box does it mean lost truth: the other decoders do it at every reversal.
+        flags[counters.check_both_moved(up.astype(np.uint16), down.astype(np.uint16))] |= counters.FLAG_BOTH
+    return flags
+
+
+def _events(flags: NDArray[np.uint16]) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
+    """Return one event where each check begins to fail."""
+    found = []
+    for kind, flag in HOST_FLAGS.items():
+        on = (flags & flag) != 0
+        found += [(int(i), EVENTS[kind]) for i in np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))]
+    found.sort()
+    return np.array([i for i, _ in found], np.uint32), np.array([kind for _, kind in found], np.uint8)

@@ -1,0 +1,209 @@
+"""A table of t, x (a CSV, a MATLAB file) made into a run file: columns, units and frame rate found or doubted.
+
+Times must increase; they need not be even.  Nothing is repaired: a bad line is refused by its number.
+"""
+
+import hashlib
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import InputError
+from daq.imports import table
+from daq.imports.columns import find, unit
+from daq.imports.frame_rate import check_half_period
+from daq.output import provenance
+from daq.runfile.recording import RunData
+from daq.runfile.rig import Measured, Rig
+
+FRAME_RATE_TOLERANCE = 1.01
+FARTHEST_M = 1e6  # no rig is larger: a position beyond is a slip of the pen or of the unit
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the user said about the table; None where nothing was said.
+
+    Attributes
+    ----------
+    time, position : str or None
+        Column by name, or by number from 1.
+    t_unit, x_unit : str or None
+        Units of these columns, or multiples of one: ``0.25 mm`` for a pixel.
+    frame_rate_hz : float or None
+        True rate of the camera.
+    mass, stiffness, belt_speed, datum : Measured or None
+        SI; datum is where the table's x = 0 lies, seen from the spring's rest.
+    started : str or None
+        Start of the run, ISO 8601.
+    title : str or None
+        Title of the run.
+    """
+
+    time: str | None = None
+    position: str | None = None
+    t_unit: str | None = None
+    x_unit: str | None = None
+    frame_rate_hz: float | None = None
+    mass: Measured | None = None
+    stiffness: Measured | None = None
+    belt_speed: Measured | None = None
+    datum: Measured | None = None
+    started: str | None = None
+    title: str | None = None
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A run made of a table, how its columns were read, and what looks wrong with it."""
+
+    run: RunData
+    columns: dict[str, str]
+    delimiter: str
+    decimal: str
+    even: bool
+    warnings: tuple[str, ...]
+
+
+def read(path: Path, wishes: Wishes) -> Imported:
+    """Read a table into a run.
+
+    Raises
+    ------
+    InputError
+        For an unreadable table, an unknown column or unit, a cell that is no number, or times that do not increase:
+        each naming the line and what to do.
+    """
+    cells = _cells(path)
+    warnings: list[str] = []
+    t_column, x_column, frames = find(cells, wishes.time, wishes.position, wishes.frame_rate_hz is not None)
+    x_size, x_unit = unit(cells, x_column, wishes.x_unit, "length", "--x-unit", warnings)
+    position = np.array(cells.numbers(x_column)) * x_size
+    _plausible(position, cells)
+    t_unit = "frames"
+    if t_column is None or frames:
+        if wishes.frame_rate_hz is None:
+            what = "has frame numbers but no times" if frames else "has no column of times"
+            raise InputError(what, str(path), "give --frame-rate, for example --frame-rate '400 fps'")
+        index = np.arange(position.size, dtype=np.float64)
+        if t_column is not None:
+            index = np.array(cells.numbers(t_column))
+        time = index / wishes.frame_rate_hz
+        _increasing(time, cells)
+    else:
+        t_size, t_unit = unit(cells, t_column, wishes.t_unit, "time", "--t-unit", warnings)
+        time = np.array(cells.numbers(t_column)) * t_size
+        _increasing(time, cells)
+        if wishes.frame_rate_hz is not None:
+            time = _retimed(time, wishes.frame_rate_hz, warnings)
+    if time.size < 2:
+        raise InputError("holds a single sample", str(path), "give a track of at least two")
+    time = time - time[0]
+    step = np.diff(time)
+    rate = _rate(time)
+    rig = Rig(mass=wishes.mass, stiffness=wishes.stiffness, belt_speed=wishes.belt_speed, datum=wishes.datum)
+    if wishes.datum is not None:
+        position = position + wishes.datum.value
+    if wishes.mass is not None and wishes.stiffness is not None:
+        warnings += check_half_period(time, position, wishes.mass.value, wishes.stiffness.value)
+    columns = {
+        "time": "frame rate" if t_column is None else f"{cells.label(t_column)} in {t_unit}",
+        "position": f"{cells.label(x_column)} in {x_unit}",
+    }
+    run = _run(path, wishes, RunData("", "", "", rate, rig, time, position), cells, columns)
+    even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
+    return Imported(run, columns, cells.delimiter_name, cells.decimal, even, tuple(warnings))
+
+
+def _cells(path: Path) -> table.Table:
+    if path.suffix.lower() != ".mat":
+        return table.read(path)
+    from daq.imports import matfile
+
+    return matfile.read(path)
+
+
+def _plausible(position: NDArray[np.float64], cells: table.Table) -> None:
+    wrong = np.flatnonzero(np.abs(position) > FARTHEST_M)
+    if wrong.size:
+        row = int(wrong[0])
+        raise InputError(
+            f"position is {position[row]:.9g} m",
+            f"{cells.path}, line {cells.lines[row]}",
+            "delete or mend that line; if the unit is wrong, give --x-unit",
+        )
+
+
+def _increasing(time: NDArray[np.float64], cells: table.Table) -> None:
+    wrong = np.flatnonzero(np.diff(time) <= 0)
+    if wrong.size:
+        row = int(wrong[0]) + 1
+        raise InputError(
+            f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
+            f"{cells.path}, line {cells.lines[row]}",
+            "delete or mend that line; if these are no times, choose the column by --time",
+        )
+
+
+def _rate(time: NDArray[np.float64]) -> float:
+    # The mean of the steps in which no frame was dropped: the median alone carries the rounding of printed times.
+    step = np.diff(time)
+    return float(1 / step[step < 1.5 * np.median(step)].mean())
+
+
+def _retimed(time: NDArray[np.float64], rate_hz: float, warnings: list[str]) -> NDArray[np.float64]:
+    # The flag is the camera's own rate, the column is what the tracking program believed it to be.
+    believed = _rate(time)
+    ratio = believed / rate_hz
+    if 1 / FRAME_RATE_TOLERANCE <= ratio <= FRAME_RATE_TOLERANCE:
+        return time
+    warnings.append(
+        f"the column of times says {believed:.4g} frames/s, --frame-rate {rate_hz:.4g}: "
+        f"times were multiplied by {ratio:.6g} to fit the flag"
+    )
+    return time * ratio
+
+
+def _run(path: Path, wishes: Wishes, run: RunData, cells: table.Table, columns: dict[str, str]) -> RunData:
+    data = path.read_bytes()
+    if wishes.started is None:
+        start = datetime.fromtimestamp(path.stat().st_mtime, UTC).replace(microsecond=0)
+    else:
+        start = _start(wishes.started)
+    settings = {
+        "source": path.name,
+        "source_sha256": hashlib.sha256(data).hexdigest(),
+        "delimiter": cells.delimiter_name,
+        "decimal": cells.decimal,
+        **columns,
+    }
+    lines = [f"{key} = {_toml(value)}" for key, value in settings.items()]
+    if wishes.frame_rate_hz is not None:
+        lines.append(f"frame_rate_hz = {wishes.frame_rate_hz!r}")
+    end = start + timedelta(seconds=float(run.time[-1]))
+    origin = "file's time of modification" if wishes.started is None else "--start"
+    return replace(
+        run,
+        title=wishes.title or f"{path.name}, imported",
+        started=start.isoformat(),
+        ended=end.isoformat(),
+        config_toml=run.rig.to_toml() + "[import]\n" + "\n".join(lines) + "\n",
+        provenance=provenance.here() | {"start_time_from": origin},
+    )
+
+
+def _start(text: str) -> datetime:
+    try:
+        start = datetime.fromisoformat(text)
+    except ValueError:
+        start = None
+    if start is None or start.tzinfo is None:
+        raise InputError(f"{text!r} is no time with zone", "--start", "write it like 2024-05-01T14:30:00+02:00")
+    return start
+
+
+def _toml(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t") + '"'

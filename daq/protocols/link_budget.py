@@ -1,0 +1,111 @@
+"""What a board and its line can carry, checked before a recording starts: refuse or warn, with the number.
+
+Line: 8N1, so 10 bits a byte.  A frame of n samples is 15 + 7 n bytes on the line, 2 n more for each optional column.
+"""
+
+from daq.errors import InputError
+from daq.protocols.session import Plan
+from daq.runfile.rig import Rig
+from daq.wire import frames
+from daq.wire.counters import longest_gap_s
+from daq.wire.quadrature import EDGES_PER_COUNT
+
+BITS_PER_BYTE = 10
+TIGHT = 0.95  # of the line or the decoder: beyond this it warns
+SLIP_OVER_BELT = 4.0  # a slipping mass is at its fastest at most so many belt speeds fast (3.6 on the thesis's rig)
+LONGEST_BLOCK_S = 0.05  # a frame is not held back for longer, so that a live view stays live
+
+
+def block_size(ident: frames.Ident, rate_hz: float) -> int:
+    """Return how many samples to put into a frame: blocks wherever they do not delay, single frames below 40 Hz."""
+    if frames.Capability.BLOCKS not in ident.capabilities:
+        return 1
+    return max(1, min(8, int(rate_hz * LONGEST_BLOCK_S)))
+
+
+def bytes_per_s(ident: frames.Ident, rate_hz: float, block: int) -> float:
+    """Return the load on the line, bytes/s."""
+    optional = (frames.Capability.BELT in ident.capabilities) + (frames.Capability.EDGE_TIME in ident.capabilities)
+    payload = frames.SAMPLES_HEADER + block * (7 + 2 * optional) + 2
+    return rate_hz / block * (payload + 1 + payload // 254 + 1)
+
+
+def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[str]:
+    """Check a recording against the board, its decoder and its line.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its rate, samples per frame and load on the line.
+    baud : int or None
+        Bits per second of the line; None where it has no such limit (USB, a socket, the simulated rig).
+
+    Returns
+    -------
+    list of str
+        Warnings.
+
+    Raises
+    ------
+    InputError
+        When it cannot work: names the number and what would.
+    """
+    rate_hz = plan.rate_hz
+    if rate_hz > ident.max_rate_hz:
+        what = f"{rate_hz:g} Hz is more than this board samples at, {ident.max_rate_hz} Hz"
+        raise InputError(what, "--rate", f"give --rate {ident.max_rate_hz} or less")
+    _check_roll_over(ident, rig, rate_hz)
+    warnings = _check_edges(ident, rig)
+    if baud is not None:
+        load = plan.bytes_per_s
+        room = baud / BITS_PER_BYTE
+        most = int(rate_hz * room / load)
+        said = f"{rate_hz:g} Hz in frames of {plan.block} is {load:.0f} bytes/s, and {baud} baud carries {room:.0f}"
+        if load > room and plan.comes_already:
+            return warnings  # more than a serial line carries: its baud rate is only a name, as with native USB
+        if load > room:
+            raise InputError(said, "--rate", f"give --rate {most} or less, or a faster line")
+        if load > TIGHT * room:
+            warnings.append(f"{said}: nothing may disturb it; {int(TIGHT * most)} Hz would leave room")
+    return warnings
+
+
+def belt_edge_rate_hz(rig: Rig) -> float:
+    """Return the edges per second at the belt's own speed, which the mass has in every stick; 0 when not known."""
+    if rig.belt_speed is None or rig.metres_per_count is None:
+        return 0.0
+    return abs(rig.belt_speed.value / rig.metres_per_count.value) * EDGES_PER_COUNT.get(rig.decoder, 1)
+
+
+def peak_edge_rate_hz(ident: frames.Ident | None, rig: Rig, seen_hz: float) -> float:
+    """Return a bound on the edge rate that a gap may have hidden: infinite when nothing bounds it.
+
+    Twice the fastest seen or `SLIP_OVER_BELT` belt speeds, whichever is more, and at most what the decoder follows.
+    """
+    declared = ident.max_edge_rate_hz if ident is not None and ident.max_edge_rate_hz else float("inf")
+    motion = max(2 * seen_hz, SLIP_OVER_BELT * belt_edge_rate_hz(rig))
+    return min(declared, motion) if motion > 0 else declared
+
+
+def _check_roll_over(ident: frames.Ident, rig: Rig, rate_hz: float) -> None:
+    belt = belt_edge_rate_hz(rig)
+    if belt == 0:
+        return
+    safe = longest_gap_s(peak_edge_rate_hz(ident, rig, 0.0), EDGES_PER_COUNT.get(rig.decoder, 1), ident.counter_bits)
+    if frames.Capability.BELT in ident.capabilities and rig.belt_speed and rig.belt_metres_per_count:
+        counts_per_s = abs(rig.belt_speed.value / rig.belt_metres_per_count.value)
+        safe = min(safe, longest_gap_s(2 * counts_per_s, 1, ident.counter_bits - 1))
+    if 1 / rate_hz >= safe:
+        what = f"{rate_hz:g} Hz is too slow: the {ident.counter_bits}-bit counters may roll over in {safe:.3g} s"
+        raise InputError(what, "--rate", f"give --rate {int(1 / safe) + 1} or more")
+
+
+def _check_edges(ident: frames.Ident, rig: Rig) -> list[str]:
+    """Warn when a slip would outrun the decoder; refuse nothing: only the run tells how fast it will be."""
+    peak = SLIP_OVER_BELT * belt_edge_rate_hz(rig)
+    if peak <= ident.max_edge_rate_hz or ident.max_edge_rate_hz == 0:
+        return []
+    return [
+        f"a slip may reach {peak:.0f} edges/s ({SLIP_OVER_BELT:g} belt speeds) and this board follows "
+        f"{ident.max_edge_rate_hz}: counts may be lost; see the illegal count, or take an encoder with fewer lines"
+    ]

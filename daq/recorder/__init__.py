@@ -1,0 +1,1 @@
+"""The recorder: port, reading thread, journal."""

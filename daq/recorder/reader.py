@@ -1,0 +1,174 @@
+"""The reading thread of a recording: it owns the port, and nothing it does waits for the disk.
+
+What it reads goes into a bounded queue; what does not fit is counted and said, never silently lost.  (A simulated
+rig that runs as fast as it is read has no clock to miss: for it, and only for it, the queue is waited for.)  A port
+that is lost, in either of pyserial's ways (SerialException, or plain OSError out of ``in_waiting``), or that falls
+silent, is opened again and the board started anew; so is a board that identifies itself in mid-stream, because it has
+reset.
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+
+from daq.errors import StickslipError
+from daq.protocols.session import Session
+from daq.recorder import ports
+from daq.runfile import journal
+
+QUEUE_READS = 20_000  # half a minute of a 5 kHz stream
+QUEUE_READS_WAITING = 8
+PAUSE_S = 0.02  # between reads: what came meanwhile is read at once, and each read costs as much as 100 samples
+SILENT_S = 5.0  # a board that streams and says nothing for so long is lost
+REOPEN_S = 30.0
+REOPEN_EVERY_S = 0.25
+
+Item = tuple[int, int, bytes]  # a journal record: kind, stamp in monotonic ns, bytes
+
+
+class Reader(threading.Thread):
+    """Start the board, read until enough samples came or `stop` is called, stop the board, read the rest.
+
+    Parameters
+    ----------
+    board : Session
+        Prepared, not started.
+    reopen : callable
+        Opens the port again and returns a prepared session; raises StickslipError or OSError while it cannot.
+    rate_hz, samples : float, int
+        Samples per second, and in all.
+    say : callable
+        Is told in a line when the port is lost and when it is back.
+
+    Attributes
+    ----------
+    items : Queue of Item or None
+        Journal records in order; None is the last.
+    tally : Tally
+        How far it has come.
+    failure : BaseException or None
+        Why the thread ended before its time.
+    ended : str
+        "complete", "stopped", "board stopped" (with a NOTICE), or "port lost".
+    """
+
+    def __init__(
+        self,
+        board: Session,
+        reopen: Callable[[], Session],
+        rate_hz: float,
+        samples: int,
+        say: Callable[[str], None],
+    ) -> None:
+        super().__init__(name="daq reader", daemon=True)
+        self.board = board
+        self.waits = ports.waits_for_reader(board.url)
+        self.items: queue.Queue[Item | None] = queue.Queue(QUEUE_READS_WAITING if self.waits else QUEUE_READS)
+        self.tally = board.tally()
+        self.failure: BaseException | None = None
+        self.ended = "stopped"
+        self._reopen = reopen
+        self._rate_hz, self._samples = rate_hz, samples
+        self._say = say
+        self._stopping = threading.Event()
+        self._dropped = 0
+
+    def stop(self) -> None:
+        """Ask the thread to end: it stops the board and reads what is still to come."""
+        self._stopping.set()
+
+    def run(self) -> None:
+        """Read; every way out ends the queue with None."""
+        try:
+            self._read_all()
+        except BaseException as error:  # handed to the thread that waits for us, which raises it
+            self.failure = error
+        finally:
+            self.board.close()
+            self._put(None)
+
+    def _read_all(self) -> None:
+        began = time.monotonic()
+        try:
+            self.board.start()
+        except OSError as error:
+            if not self._recover(began, str(error)):
+                return
+        heard = time.monotonic()
+        while not self._stopping.is_set():
+            resets = self.tally.resets
+            try:
+                data = self.board.read()
+                if data:
+                    heard = time.monotonic()
+                    self._keep(journal.RECEIVED, data)
+                    self.tally.feed(data)
+                    if not self.waits:
+                        time.sleep(PAUSE_S)
+                if self.tally.resets > resets:
+                    self._say("the board has restarted; its position starts anew")
+                    self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))
+                    self.board.restart()
+            except OSError as error:
+                if not self._recover(began, str(error)):
+                    return
+                heard = time.monotonic()
+            if time.monotonic() - heard > SILENT_S:
+                if not self._recover(began, f"nothing came for {SILENT_S:g} s"):
+                    return
+                heard = time.monotonic()
+            if self.tally.reached >= self._samples:
+                self.ended = "complete"
+                break
+            if self.tally.notice:
+                self._say(f"the board has stopped: {self.tally.notice}")
+                self.ended = "board stopped"
+                break
+        self._finish()
+
+    def _finish(self) -> None:
+        try:
+            self.board.stop()
+            rest = self.board.drain()
+        except OSError as error:
+            self._keep(journal.LOST, str(error).encode())
+            return
+        if rest:
+            self._keep(journal.RECEIVED, rest)
+
+    def _recover(self, began: float, why: str) -> bool:
+        """Try to get the port back; say so, and write it down."""
+        self._keep(journal.LOST, why.encode())
+        self._say(f"the port is lost ({why}); waiting for it to come back")
+        self.board.close()
+        until = time.monotonic() + REOPEN_S
+        while time.monotonic() < until and not self._stopping.wait(REOPEN_EVERY_S):
+            try:
+                self.board = self._reopen()
+                self._keep(journal.REOPENED, self.board.url.encode())
+                for stamp, data in self.board.received:
+                    self._put((journal.RECEIVED, stamp, data))
+                self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))
+                self.board.start()
+            except (OSError, StickslipError):
+                continue
+            self._say("the port is back: a new segment begins")
+            return True
+        self.ended = "port lost"
+        return False
+
+    def _keep(self, kind: int, data: bytes) -> None:
+        self._put((kind, time.monotonic_ns(), data))
+
+    def _put(self, item: Item | None) -> None:
+        if self.waits or item is None:
+            self.items.put(item)
+            return
+        try:
+            if self._dropped:
+                self.items.put_nowait((journal.DROPPED, item[1], self._dropped.to_bytes(8, "little")))
+                self._dropped = 0
+            self.items.put_nowait(item)
+        except queue.Full:
+            self._dropped += len(item[2])

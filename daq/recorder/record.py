@@ -1,0 +1,290 @@
+"""The recorder: a thread reads the port, the caller's thread writes the journal, the finaliser builds the file.
+
+The first interrupt (the caller sets ``stop``) ends the recording and keeps the data; a second one (KeyboardInterrupt)
+leaves the journal, which ``daq recover`` turns into the same file.
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq import protocols
+from daq.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from daq.output import disk, provenance
+from daq.protocols import link_budget
+from daq.protocols.session import Identity, Plan, Session, Wish
+from daq.recorder import ports
+from daq.recorder.reader import Reader
+from daq.runfile import journal
+from daq.runfile.rig import Rig
+from daq.wire import frames
+
+if TYPE_CHECKING:
+    from daq.finalise.quality import Summary
+
+MOST_SAMPLES = 2_000_000_000  # what the run file numbers its samples with holds twice as many
+WAKE_S = 0.1  # how often the writer looks at the clock while nothing comes
+LEAVE_S = 3.0  # how long a leaving recorder waits for its reader
+
+
+class RecordingInterruptedError(StickslipError):
+    """Interrupted a second time: the journal is left as it is."""
+
+    exit_code = EXIT_INTERRUPTED
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to record.
+
+    Attributes
+    ----------
+    port : str
+        A device or URL.
+    output : Path
+        The run file.
+    rate_hz : int or None
+        Samples per second; None for what the protocol gives by itself (1000 Hz in our own).
+    duration_s : float
+        How long.
+    force : bool
+        Replace an existing file.
+    baud : int or None
+        Bits per second of a serial line; None for the protocol's usual.
+    protocol, columns, decoder : str
+        One of `daq.protocols.PROTOCOLS`; the columns of text lines; the decoder that the board is to use.
+    calibration : str or None
+        TOML text of a ``rig.toml`` that replaces what the board says of its rig.
+    """
+
+    port: str
+    output: Path
+    rate_hz: int | None = 1000
+    duration_s: float = 20.0
+    force: bool = False
+    baud: int | None = None
+    protocol: str = "frames"
+    columns: str | None = None
+    decoder: str | None = None
+    calibration: str | None = None
+
+    @property
+    def wish(self) -> Wish:
+        """What the protocol is asked for."""
+        return Wish(self.rate_hz, self.decoder, self.columns)
+
+    @property
+    def part(self) -> Path:
+        """Where the journal is kept while the recording runs."""
+        return self.output.with_name(self.output.name + ".part")
+
+
+def check_request(request: Request) -> None:
+    """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
+    from daq.output.atomic import refuse_existing
+
+    if request.rate_hz is not None and request.rate_hz < 1:
+        raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")
+    _samples(request, request.rate_hz or 1000)
+    protocols.load(request.protocol).check(request.wish)
+    if request.calibration is not None:
+        Rig.from_toml(request.calibration, "--rig")
+    refuse_existing(request.output, request.force)
+    if request.part.exists():
+        raise InputError(
+            "an earlier recording was not finished: its journal is still here",
+            str(request.part),
+            f"run 'daq recover {request.part}' to get its data, or delete it, or give another -o",
+        )
+
+
+def _samples(request: Request, rate_hz: float) -> int:
+    """Return the samples wanted at a rate."""
+    if not 1 <= request.duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
+        what = f"the duration is {request.duration_s:g} s, {request.duration_s * rate_hz:g} samples"
+        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples")
+    return round(request.duration_s * rate_hz)
+
+
+def record(
+    request: Request,
+    *,
+    progress: Callable[[float], None] = lambda seconds: None,
+    say: Callable[[str], None] = lambda line: None,
+    stop: threading.Event | None = None,
+) -> "Summary":
+    """Record a run into ``request.output``.
+
+    Parameters
+    ----------
+    progress : callable
+        Is told the seconds recorded so far, many times a second.
+    say : callable
+        Is told in a line what a person should know at once: who answers, a lost port.
+    stop : Event
+        Ends the recording when it is set; what came so far becomes the file.
+
+    Raises
+    ------
+    InputError
+        The request is wrong, the file exists, or board and line cannot carry it; nothing has been touched.
+        The simulated rig's scene cannot be played; nothing is left behind.
+    DeviceError
+        The port cannot be opened or does not answer; or the disk refuses, and the journal stays.
+    DataError
+        Not one sample came.
+    RecordingInterruptedError
+        KeyboardInterrupt came, and the journal stays.
+    """
+    from daq.finalise.run import finalise
+
+    check_request(request)
+    board, identity, plan, warnings = _connect(request)
+    say(f"{identity.ident.name or 'a board'} on {request.port}, decoder {identity.ident.decoder}")
+    try:
+        samples = _samples(request, plan.rate_hz)
+        writer = journal.Writer(request.part, _header(request, board, identity, plan, samples, warnings))
+    except OSError as error:
+        board.close()
+        raise _disk(request, error) from error
+    except InputError:
+        board.close()
+        raise
+    reader = Reader(board, lambda: _connect(request)[0], plan.rate_hz, samples, say)
+    try:
+        if request.calibration is not None:
+            writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
+        _take(reader, writer, lambda reached: progress(min(reached, samples) / plan.rate_hz), stop or threading.Event())
+        if reader.failure is not None:
+            if reader.tally.reached == 0:
+                request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
+            raise reader.failure
+        return finalise(request.part, request.output, finished_by="daq record", force=request.force)
+    except KeyboardInterrupt as error:
+        do = f"get its data with 'daq recover {request.part}'"
+        raise RecordingInterruptedError("interrupted; the journal is kept", str(request.part), do) from error
+    except OSError as error:
+        raise _disk(request, error) from error
+    except disk.RefusedError as error:
+        do = f"mend that, then get the data with 'daq recover {request.part}'"
+        raise disk.RefusedError(f"{error.what}; the journal is kept", error.where, do) from error
+    except DataError as error:
+        request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
+        why = f": {reader.tally.notice}" if reader.tally.notice else ""
+        raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
+
+
+def _connect(request: Request) -> tuple[Session, Identity, Plan, list[str]]:
+    """Open the port, find out who is there, check that it can do what is asked, and set it up."""
+    backend = protocols.load(request.protocol)
+    port = ports.open_port(request.port, request.baud or backend.BAUD)
+    try:
+        board = backend.session(port, request.port, request.wish)
+        identity = board.identify()
+        plan = board.plan(identity)
+        baud = ports.line_baud(request.port, port)
+        warnings = [*plan.notes, *link_budget.check(identity.ident, _known(request, identity), plan, baud)]
+        identity = board.prepare(plan)
+    except OSError as error:
+        port.close()
+        raise DeviceError(f"the port was lost: {error}", request.port, "check the cable and try again") from error
+    except BaseException:
+        port.close()
+        raise
+    return board, identity, plan, warnings
+
+
+def _known(request: Request, identity: Identity) -> Rig:
+    try:
+        rig = Rig.from_toml(request.calibration or identity.config or "", "the board's CONFIG")
+    except InputError:
+        rig = Rig()  # the finaliser reads the same text, and its warning tells what is wrong with it
+    return replace(rig, decoder=identity.ident.decoder)
+
+
+def _header(
+    request: Request, board: Session, identity: Identity, plan: Plan, samples: int, warnings: list[str]
+) -> dict[str, Any]:
+    now = datetime.now().astimezone()
+    offset = now.utcoffset()
+    return {
+        "protocol": request.protocol,
+        "columns": request.columns,
+        "decoder": request.decoder,
+        "port": request.port,
+        "baud": ports.uart_baud(request.port, board.port),
+        "rate_hz": plan.rate_hz,
+        "samples": samples,
+        "title": f"{identity.ident.name or 'stick-slip'}, {plan.rate_hz:g} Hz",
+        "operator": "",
+        "wall_ns": time.time_ns(),
+        "monotonic_ns": time.monotonic_ns(),
+        "utc_offset_s": int(offset.total_seconds()) if offset else 0,
+        "warnings": warnings,
+        "provenance": provenance.here() | {"port": request.port, "firmware": _version(identity.ident)},
+    }
+
+
+def _version(ident: frames.Ident) -> str:
+    return ".".join(str(number) for number in ident.firmware)
+
+
+def _take(
+    reader: Reader,
+    writer: journal.Writer,
+    progress: Callable[[int], None],
+    stop: threading.Event,
+) -> None:
+    """Write what the reader brings until it ends; the journal is closed, and the reader gone, in every case."""
+    try:
+        for stamp, data in reader.board.received:
+            writer.append(journal.RECEIVED, stamp, data)
+        reader.start()
+        while True:
+            if stop.is_set():
+                reader.stop()
+            try:
+                item = reader.items.get(timeout=WAKE_S)
+            except queue.Empty:
+                writer.tick()
+                continue
+            if item is None:
+                break
+            writer.append(*item)
+            writer.tick()
+            progress(reader.tally.reached)
+        ended = f'{{"reason": "{reader.ended}"}}'
+        writer.append(journal.END, time.monotonic_ns(), ended.encode())
+        writer.close()
+    except BaseException:
+        reader.stop()
+        writer.abandon()
+        raise
+    finally:
+        _dismiss(reader)
+
+
+def _dismiss(reader: Reader) -> None:
+    """Let the reader end: empty its queue, so that it never waits for us, until it is gone."""
+    until = time.monotonic() + LEAVE_S
+    while reader.is_alive() and time.monotonic() < until:
+        try:
+            reader.items.get(timeout=WAKE_S)
+        except queue.Empty:
+            continue
+
+
+def _disk(request: Request, error: OSError) -> StickslipError:
+    """Return what a refusing disk means, and that the journal is kept."""
+    if request.part.exists():
+        do = f"mend that, then get the data with 'daq recover {request.part}'"
+    else:
+        do = "record into a folder you may write to, with -o"
+    refused = disk.refusal(request.part, error)
+    kept = "; the journal is kept as far as it got" if request.part.exists() else ""
+    return disk.RefusedError(refused.what + kept, refused.where, do)

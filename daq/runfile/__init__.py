@@ -1,0 +1,1 @@
+"""The run file and the journal: the contract on disk."""

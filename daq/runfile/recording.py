@@ -1,0 +1,196 @@
+"""What a run is: the samples as sent, the motion made of them, and everything known about both.
+
+`RunData` is what a recorder, an import or a replay hands to `daq.runfile.store.write`; `Recording` is what
+`daq.runfile.store.load` gives to processing and fitting.  The truth of a simulated rig is not part of a `Recording`,
+so that nobody reads it by accident.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.runfile.rig import Rig
+
+# What can happen to a run, with the code its event is stored under.
+EVENTS = {
+    "gap": 1,  # samples are missing before this one
+    "crc": 2,  # a frame arrived damaged
+    "illegal": 3,  # A and B changed together: the direction is unknown
+    "phase": 4,  # the count disagrees with the levels sent beside it
+    "overrun": 5,  # the board could not keep its own pace
+    "marker": 6,  # set by a person
+    "both-moved": 7,  # up and down both counted within one sample
+    "invalid": 8,  # a gap too long to unwrap the counters across
+    "reopened": 9,  # the port went away and came back: a new segment
+    "notice": 10,  # the board reported something in words
+}
+EVENT_NAMES = {code: name for name, code in EVENTS.items()}
+
+
+@dataclass(frozen=True)
+class Raw:
+    """The samples as the board sent them, each array of shape (n,).
+
+    Attributes
+    ----------
+    sample : u4
+        Sequence number, unwrapped; it skips over lost samples and restarts in each segment.
+    count_up, count_down : u2, or u4 of counters wider than 16 bits
+        The two counters, rolling over at their width.
+    device_time : u4
+        Device time in us, rolling over at 2^32.
+    levels : u1
+        Channel levels at the sample, A = 1, B = 2.
+    flags : u2
+        The status bits of the sample.
+    illegal : u2
+        Illegal transitions counted so far, rolling over.
+    belt_count, edge_time : u2 or None
+        The belt encoder's count, and us from the last edge to the sample, when the board sends them.
+    """
+
+    sample: NDArray[np.uint32]
+    count_up: NDArray[np.uint16] | NDArray[np.uint32]
+    count_down: NDArray[np.uint16] | NDArray[np.uint32]
+    device_time: NDArray[np.uint32]
+    levels: NDArray[np.uint8]
+    flags: NDArray[np.uint16]
+    illegal: NDArray[np.uint16]
+    belt_count: NDArray[np.uint16] | None = None
+    edge_time: NDArray[np.uint16] | None = None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The exact motion of a simulated rig: time (s), x (m), v (m/s), friction force F (N), each of shape (m,)."""
+
+    time: NDArray[np.float64]
+    x: NDArray[np.float64]
+    v: NDArray[np.float64]
+    F: NDArray[np.float64]
+    scene: str = ""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A run as read from its file.
+
+    Attributes
+    ----------
+    source : Path
+        The file.
+    title, started, ended : str
+        Title; first and last sample in ISO 8601 with zone.
+    time : (n,) f8
+        Seconds since the first sample by the device's clock, increasing.
+    position : (n,) f8
+        Metres from the spring's rest, positive towards +x; counts when `unit` is "count".
+    unit : str
+        "m", or "count" for a rig whose metres per count nobody measured.
+    count : (n,) i8 or None
+        Unwrapped count; None for an import.
+    segment : (n,) u2
+        A new one after every unplug.
+    rate_hz : float
+        Nominal sample rate.
+    rig : Rig
+        Calibration.
+    raw : Raw or None
+        The samples as sent; None for an import.
+    event_sample, event_kind, event_note
+        Index into the run (e,), name of the kind, and words where there are any.
+    belt_velocity : (n,) f8 or None
+        m/s, signed, only with a belt channel: differences of its counts (`daq.finalise.belt_counter`), not smoothed.
+    belt_count : (n,) i8 or None
+        Unwrapped count of the belt's encoder, only with a belt channel; metres of it are in `rig`.
+    default : str
+        Last stage: "data", "smooth" or "fit".
+    digest : str
+        sha256 of the raw data (of time and position for an import).
+    config_toml : str
+        The configuration the run was made with, verbatim.
+    clock_sample, clock_offset : (c,) u4, (c,) f8
+        Host clock minus device clock, s, at these indices.
+    clock_ppm : float or None
+        Drift of the device's clock, positive when fast; None where it could not be known.
+    clock_ppm_error, clock_offset_error : float or None, (c,) f8
+        How far off the drift (ppm) and each of the offsets (s) may be; None, or empty, where that is not known.
+    provenance : mapping
+        Software, versions, command line.
+    """
+
+    source: Path
+    title: str
+    started: str
+    ended: str
+    time: NDArray[np.float64]
+    position: NDArray[np.float64]
+    unit: str
+    count: NDArray[np.int64] | None
+    segment: NDArray[np.uint16]
+    rate_hz: float
+    rig: Rig
+    raw: Raw | None
+    event_sample: NDArray[np.uint32]
+    event_kind: tuple[str, ...]
+    event_note: tuple[str, ...]
+    belt_velocity: NDArray[np.float64] | None
+    default: str
+    digest: str
+    config_toml: str
+    clock_sample: NDArray[np.uint32]
+    clock_offset: NDArray[np.float64]
+    operator: str
+    provenance: Mapping[str, str | int]
+    clock_ppm: float | None = None
+    clock_ppm_error: float | None = None
+    clock_offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
+    belt_count: NDArray[np.int64] | None = None
+
+
+def _no_samples() -> NDArray[np.uint32]:
+    return np.empty(0, np.uint32)
+
+
+@dataclass(frozen=True)
+class RunData:
+    """A run on its way into a file; arrays as in `Recording`, events by their code in `EVENTS`."""
+
+    title: str
+    started: str
+    ended: str
+    rate_hz: float
+    rig: Rig
+    time: NDArray[np.float64]
+    position: NDArray[np.float64]
+    count: NDArray[np.int64] | None = None
+    raw: Raw | None = None
+    segment: NDArray[np.uint16] | None = None
+    config_toml: str = ""
+    clock_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
+    clock_offset: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
+    clock_ppm: float | None = None
+    clock_ppm_error: float | None = None
+    clock_offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
+    event_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
+    event_kind: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
+    event_note: tuple[str, ...] = ()
+    belt_velocity: NDArray[np.float64] | None = None
+    belt_count: NDArray[np.int64] | None = None
+    truth: Truth | None = None
+    operator: str = ""
+    provenance: Mapping[str, str | int] = field(default_factory=dict)
+
+
+def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:
+    """Return ``position = count * metres_per_count + datum``, m, or the bare count of an uncalibrated rig.
+
+    The product is exact to one rounding; counts below 2^53 are exact as f8.
+    """
+    if rig.metres_per_count is None:
+        return count.astype(np.float64)
+    datum = rig.datum.value if rig.datum is not None else 0.0
+    return np.asarray(count * rig.metres_per_count.value + datum, np.float64)

@@ -1,0 +1,206 @@
+"""The rig as its lab knows it: what was measured of encoder, mass, spring and belt, each with its error.
+
+The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.toml``::
+
+    [rig]
+    name = "thesis rig"
+    mass = 0.3               # kg
+    mass_sd = 0.0003
+    belt_speed = 0.22        # m/s, positive towards +x
+    [encoder]
+    decoder = "x4"
+    metres_per_count = 7.67e-6
+    datum = 0.0              # m: where count zero lies, seen from the spring's rest
+    belt_metres_per_count = 7.67e-6  # where the belt has an encoder of its own
+
+A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` is one standard deviation.
+"""
+
+import math
+import tomllib
+from dataclasses import dataclass
+from typing import Any
+
+from daq.errors import InputError, nearest
+
+DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")
+COUNTER_BITS = (8, 16, 24, 32)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measured quantity and its standard deviation (0 when it is exact or was not stated)."""
+
+    value: float
+    sd: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What is known of a rig beforehand.
+
+    Attributes
+    ----------
+    name : str
+        What the lab calls it.
+    decoder : str
+        One of `DECODERS`: how edges became counts.
+    metres_per_count : Measured or None
+        Metres of travel per count; negative when counting up means towards -x.
+    counts_per_revolution : int or None
+        Counts of one turn of the encoder.
+    counter_bits : int
+        Width of the board's counters.
+    mass, stiffness, damping, belt_speed : Measured or None
+        kg, N/m, N s/m, m/s (signed).
+    datum : Measured or None
+        Position of count zero relative to the spring's rest, m.
+    belt_metres_per_count : Measured or None
+        Metres of belt per count of the belt's own encoder; negative when counting up means towards -x.
+
+    Notes
+    -----
+    Not modelled: the correlation between these errors, and a cog whose pitch varies along the turn.
+    """
+
+    name: str = ""
+    decoder: str = "x4"
+    metres_per_count: Measured | None = None
+    counts_per_revolution: int | None = None
+    counter_bits: int = 16
+    mass: Measured | None = None
+    stiffness: Measured | None = None
+    datum: Measured | None = None
+    damping: Measured | None = None
+    belt_speed: Measured | None = None
+    belt_metres_per_count: Measured | None = None
+
+    @classmethod
+    def from_toml(cls, text: str, where: str) -> "Rig":
+        """Read a rig from TOML.
+
+        Parameters
+        ----------
+        text : str
+            The TOML text.
+        where : str
+            Its file or frame, for the messages.
+
+        Raises
+        ------
+        InputError
+            For broken TOML, an unknown section or key (naming its nearest neighbour), or an impossible value.
+        """
+        try:
+            document = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise InputError(f"broken TOML: {error}", where, "mend that line") from error
+        found: dict[str, Any] = {}
+        for section, content in document.items():
+            if section == "board":
+                continue  # how to reach the board: `daq.console.settings`
+            if section not in SECTIONS:
+                raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
+            if not isinstance(content, dict):
+                raise InputError(f"{section} is a value, not a section", where, f"write [{section}] above its keys")
+            found |= _section(section, content, where)
+        return cls(**found)
+
+    def to_toml(self) -> str:
+        """Write the rig as TOML; `from_toml` reads back an equal rig."""
+        lines: list[str] = []
+        for section, keys in SECTIONS.items():
+            lines.append(f"[{section}]")
+            for key in keys:
+                value = getattr(self, key)
+                if isinstance(value, Measured):
+                    lines.append(f"{key} = {float(value.value)!r}")
+                    if value.sd:
+                        lines.append(f"{key}_sd = {float(value.sd)!r}")
+                elif isinstance(value, str):
+                    lines.append(f"{key} = {quoted(value)}")
+                elif value is not None:
+                    lines.append(f"{key} = {value}")
+        return "\n".join(lines) + "\n"
+
+
+# The rule that each value must obey; None where every finite number will do.
+QUANTITIES: dict[str, str | None] = {
+    "mass": "positive",
+    "stiffness": "positive",
+    "damping": "not negative",
+    "belt_speed": None,
+    "metres_per_count": "not zero",
+    "datum": None,
+    "belt_metres_per_count": "not zero",
+}
+SECTIONS: dict[str, tuple[str, ...]] = {
+    "rig": ("name", "mass", "stiffness", "damping", "belt_speed"),
+    "encoder": (
+        "decoder",
+        "metres_per_count",
+        "counts_per_revolution",
+        "counter_bits",
+        "datum",
+        "belt_metres_per_count",
+    ),
+}
+_RULES = {"positive": lambda x: x > 0, "not negative": lambda x: x >= 0, "not zero": lambda x: x != 0}
+
+
+def _section(section: str, content: dict[str, Any], where: str) -> dict[str, Any]:
+    known = [*SECTIONS[section], *(f"{key}_sd" for key in SECTIONS[section] if key in QUANTITIES)]
+    for key in content:
+        if key not in known:
+            raise InputError(f"unknown key {section}.{key}", where, nearest(key, known))
+    found: dict[str, Any] = {}
+    for key in SECTIONS[section]:
+        if key in QUANTITIES:
+            if f"{key}_sd" in content and key not in content:
+                raise InputError(f"{section}.{key}_sd stands without {section}.{key}", where, f"add {key} or drop it")
+            if key in content:
+                found[key] = checked(
+                    key,
+                    _number(content[key], f"{section}.{key}", where),
+                    _number(content.get(f"{key}_sd", 0.0), f"{section}.{key}_sd", where),
+                    where,
+                )
+        elif key in content:
+            found[key] = _setting(key, content[key], section, where)
+    return found
+
+
+def checked(key: str, value: float, sd: float, where: str) -> Measured:
+    """Return the measured quantity ``key``, or raise InputError when its value or error is impossible."""
+    rule = QUANTITIES[key]
+    if not math.isfinite(value) or (rule is not None and not _RULES[rule](value)):
+        raise InputError(f"{key} is {value:g}", where, f"it must be {rule or 'a finite number'}")
+    if not (math.isfinite(sd) and sd >= 0):
+        raise InputError(f"{key}_sd is {sd:g}", where, "a standard deviation is a finite number, not negative")
+    return Measured(value, sd)
+
+
+def _number(value: Any, key: str, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{key} is {value!r}", where, "write a bare number in SI units")
+    return float(value)
+
+
+def _setting(key: str, value: Any, section: str, where: str) -> Any:
+    if key == "name":
+        if not isinstance(value, str):
+            raise InputError(f"{section}.{key} is {value!r}", where, "write text in quotes")
+    elif key == "decoder":
+        if value not in DECODERS:
+            raise InputError(f"{section}.{key} is {value!r}", where, nearest(str(value), DECODERS))
+    elif isinstance(value, bool) or not isinstance(value, int) or value <= 0:
+        raise InputError(f"{section}.{key} is {value!r}", where, "write a positive whole number")
+    elif key == "counter_bits" and value not in COUNTER_BITS:
+        raise InputError(f"{section}.{key} is {value}", where, f"known: {', '.join(map(str, COUNTER_BITS))}")
+    return value
+
+
+def quoted(text: str) -> str:
+    """Return a text as TOML's basic string: quotes, backslashes and control characters (DEL too) escaped."""
+    out = "".join(f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else f"\\{c}" if c in '"\\' else c for c in text)
+    return f'"{out}"'

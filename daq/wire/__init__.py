@@ -1,0 +1,1 @@
+"""Bytes to samples without any input or output: frames, counters, quadrature."""

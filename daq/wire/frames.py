@@ -1,0 +1,402 @@
+"""The wire: what a board and the recorder say to each other, byte for byte; frames <-> values, no I/O.
+
+Rule: a frame on the line is ``COBS(payload + CRC) + 0x00``.  The CRC is CRC-16/CCITT-FALSE over the payload, sent low
+byte first; every integer and float is little endian; the payload starts with a kind (one ASCII letter) and a format
+version.  The full description with worked example bytes is docs/wire.md.
+
+Not here: what the numbers mean over time (roll-over of the 16-bit counters, the 16-bit sequence number and the 32-bit
+device time: `daq.wire.counters`) and the vectorised decoding of whole journals (`daq.wire.decode`).
+
+Longer than 200 lines because the five frame kinds and their reader are one format, described and changed together.
+"""
+
+import struct
+from binascii import crc_hqx
+from dataclasses import dataclass
+from enum import IntFlag
+from functools import cache
+from typing import NamedTuple
+
+from cobs import cobs
+
+VERSION = 1
+DELIMITER = b"\x00"
+CRC_SEED = 0xFFFF
+LONGEST_LINE = 16_384  # bytes between two delimiters; a longer run cannot be a frame
+DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")  # index = code on the wire
+
+IDENT, SAMPLES, CONFIG, TRUTH, NOTICE = b"ISCTX"  # the kinds, as byte values
+
+# Status bits of one sample.
+A_HIGH, B_HIGH, OVERRUN = 1, 2, 4
+LEVELS = A_HIGH | B_HIGH
+NO_EDGE = 0xFFFF  # "edge" of a sample whose last edge is 65,535 ticks back or longer, or never came
+
+
+class Capability(IntFlag):
+    """What a board's frames carry; declared once in the identification frame."""
+
+    BLOCKS = 1  # more than one sample per frame
+    LEVELS = 2  # the status bits A and B are real
+    ILLEGAL = 4  # the illegal count is real
+    BELT = 8  # every sample carries a belt-encoder count
+    EDGE_TIME = 16  # every sample carries the ticks since the last edge
+    CONFIG = 32  # the board answers `I` with a CONFIG frame too
+    TRUTH = 64  # TRUTH frames may come (a simulated rig that was asked to tell)
+
+
+@dataclass(frozen=True, slots=True)
+class Ident:
+    """The board's identification: sent at power-up and in answer to ``I``.
+
+    Attributes
+    ----------
+    firmware : tuple of three int
+        Major, minor, patch.
+    decoder : str
+        One of `DECODERS`.
+    counter_bits : int
+        Width of the counters, the belt's too.
+    tick_ns : int
+        Unit of the device time, ns; at most 1000.
+    block_size : int
+        Samples per SAMPLES frame as now set.
+    max_rate_hz, max_edge_rate_hz : int
+        Fastest sampling, and fastest edges the decoder follows without error.
+    """
+
+    firmware: tuple[int, int, int]
+    decoder: str
+    capabilities: Capability
+    counter_bits: int
+    tick_ns: int
+    block_size: int
+    max_rate_hz: int
+    max_edge_rate_hz: int
+    name: str
+
+
+class SampleBlock(NamedTuple):
+    """One SAMPLES frame of n samples, n = 1 to 255; the sequences all have length n.
+
+    A tuple and no dataclass: a stream makes thousands a second, and a tuple is made in a quarter of the time.
+
+    Attributes
+    ----------
+    seq : int
+        Sequence number of the first sample, modulo 2^16; advances over samples that were lost, too.
+    time : int
+        Device time of the first sample, ticks modulo 2^32.
+    illegal : int
+        Illegal double transitions the decoder has counted up to the last sample, modulo 2^16.
+    dt : sequence of int
+        Ticks since the previous sample of this frame; 0 for the first.
+    up, down : sequence of int
+        The two counters, modulo 2^16.
+    status : sequence of int
+        `A_HIGH` | `B_HIGH` | `OVERRUN`.
+    belt, edge : sequence of int, or None
+        Belt-encoder count modulo its width; ticks from the last edge to the sample (`NO_EDGE`: none).  None when the
+        board does not send them.
+    """
+
+    seq: int
+    time: int
+    illegal: int
+    dt: tuple[int, ...] | list[int]
+    up: tuple[int, ...] | list[int]
+    down: tuple[int, ...] | list[int]
+    status: tuple[int, ...] | list[int]
+    belt: tuple[int, ...] | list[int] | None = None
+    edge: tuple[int, ...] | list[int] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """What a careful lab has measured of this rig, as the TOML text of `daq.runfile.rig`."""
+
+    toml: str
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Exact motion at sample times; only a simulated rig sends it, and only when its scene says so.
+
+    ``rows`` holds (time s, x m, v m/s, F N) of the samples seq, seq + 1, ...: F is the friction force on the mass.
+    """
+
+    seq: int
+    rows: tuple[tuple[float, float, float, float], ...] | list[tuple[float, float, float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """An error the board reports, such as a command it cannot carry out."""
+
+    text: str
+
+
+Frame = Ident | SampleBlock | Config | Truth | Notice
+
+_IDENT = struct.Struct("<BB3BBHBHBII")
+_SAMPLES = struct.Struct("<BBBHIH")
+_TRUTH = struct.Struct("<BBBH")
+SAMPLES_HEADER = _SAMPLES.size  # 11 bytes: kind, version, n, seq, time, illegal
+TRUTH_HEADER = _TRUTH.size  # 5 bytes: kind, version, n, seq
+
+
+def sample_format(belt: bool, edge: bool) -> str:
+    """Return the struct format of one sample: dt, up, down, status[, belt][, edge]."""
+    return "HHHB" + "H" * (belt + edge)
+
+
+def enframe(payload: bytes) -> bytes:
+    """Return the bytes on the line for a payload: CRC appended, COBS, delimiter."""
+    line: bytes = cobs.encode(payload + crc_hqx(payload, CRC_SEED).to_bytes(2, "little"))
+    return line + DELIMITER
+
+
+def deframe(line: bytes) -> bytes | None:
+    """Return the payload of the bytes between two delimiters, or None when COBS or the CRC does not hold."""
+    try:
+        body: bytes = cobs.decode(line)
+    except cobs.DecodeError:
+        return None
+    if len(body) < 4 or crc_hqx(body[:-2], CRC_SEED) != body[-2] | body[-1] << 8:
+        return None
+    return body[:-2]
+
+
+def encode_ident(ident: Ident) -> bytes:
+    """Return an identification frame; ValueError for a number that its field cannot hold."""
+    try:
+        head = _IDENT.pack(
+            IDENT,
+            VERSION,
+            *ident.firmware,
+            DECODERS.index(ident.decoder),
+            ident.capabilities,
+            ident.counter_bits,
+            ident.tick_ns,
+            ident.block_size,
+            ident.max_rate_hz,
+            ident.max_edge_rate_hz,
+        )
+    except struct.error as error:
+        raise ValueError(f"identification {ident} does not fit its frame: {error}") from error
+    return enframe(head + ident.name.encode())
+
+
+def encode_samples(block: SampleBlock) -> bytes:
+    """Return a SAMPLES frame; ValueError for an empty or uneven block or a number that its field cannot hold."""
+    columns = [block.dt, block.up, block.down, block.status]
+    columns += [column for column in (block.belt, block.edge) if column is not None]
+    n = len(block.dt)
+    row = sample_format(block.belt is not None, block.edge is not None)
+    try:
+        flat = [value for sample in zip(*columns, strict=True) for value in sample]
+        head = _SAMPLES.pack(SAMPLES, VERSION, n, block.seq, block.time, block.illegal)
+        body = struct.pack("<" + row * n, *flat)
+    except struct.error as error:
+        raise ValueError(f"sample block at seq {block.seq} does not fit its frame: {error}") from error
+    if n == 0:
+        raise ValueError("a sample block of 0 samples is no frame; give 1 to 255")
+    return enframe(head + body)
+
+
+def encode_config(toml: str) -> bytes:
+    """Return a CONFIG frame."""
+    return _encode_text(CONFIG, toml)
+
+
+def encode_notice(text: str) -> bytes:
+    """Return a NOTICE frame."""
+    return _encode_text(NOTICE, text)
+
+
+def _encode_text(kind: int, text: str) -> bytes:
+    line = enframe(bytes((kind, VERSION)) + text.encode())
+    if len(line) > LONGEST_LINE:
+        raise ValueError(f"text of {len(text)} characters is too long for a frame of {LONGEST_LINE} bytes")
+    return line
+
+
+def encode_truth(truth: Truth) -> bytes:
+    """Return a TRUTH frame; ValueError for no or more than 255 rows."""
+    n = len(truth.rows)
+    if not 1 <= n <= 255:
+        raise ValueError(f"a truth frame of {n} rows; give 1 to 255")
+    flat = [value for row in truth.rows for value in row]
+    return enframe(_TRUTH.pack(TRUTH, VERSION, n, truth.seq) + struct.pack(f"<{4 * n}d", *flat))
+
+
+def decode_payload(payload: bytes, belt: bool, edge: bool) -> Frame | None:
+    """Return the frame of a checked payload, or None when its kind, version or length is not ours.
+
+    ``belt`` and ``edge`` say what the last identification declared each sample to carry.
+    """
+    kind, version = payload[0], payload[1]
+    if version != VERSION:
+        return None
+    if kind == SAMPLES:
+        return _decode_samples(payload, belt, edge)
+    if kind == TRUTH:
+        return _decode_truth(payload)
+    try:
+        if kind == CONFIG:
+            return Config(payload[2:].decode())
+        if kind == NOTICE:
+            return Notice(payload[2:].decode())
+        if kind == IDENT:
+            return _decode_ident(payload)
+    except UnicodeDecodeError:
+        return None
+    return None
+
+
+def _decode_ident(payload: bytes) -> Ident | None:
+    if len(payload) < _IDENT.size:
+        return None
+    _, _, major, minor, patch, decoder, capabilities, bits, tick, block, rate, edges = _IDENT.unpack_from(payload)
+    if decoder >= len(DECODERS):
+        return None
+    return Ident(
+        firmware=(major, minor, patch),
+        decoder=DECODERS[decoder],
+        capabilities=Capability(capabilities),
+        counter_bits=bits,
+        tick_ns=tick,
+        block_size=block,
+        max_rate_hz=rate,
+        max_edge_rate_hz=edges,
+        name=payload[_IDENT.size :].decode(),
+    )
+
+
+def _decode_samples(payload: bytes, belt: bool, edge: bool) -> SampleBlock | None:
+    if len(payload) < SAMPLES_HEADER or payload[2] == 0:
+        return None
+    layout, size = _layout(belt, edge, payload[2])
+    if len(payload) != layout.size:
+        return None
+    flat = layout.unpack(payload)
+    if size == 4:
+        return SampleBlock(flat[3], flat[4], flat[5], flat[6::4], flat[7::4], flat[8::4], flat[9::4])
+    seq, time, illegal = flat[3:6]
+    dt, up, down, status, *optional = (flat[field::size] for field in range(6, 6 + size))
+    belts = optional[0] if belt else None
+    return SampleBlock(seq, time, illegal, dt, up, down, status, belts, optional[-1] if edge else None)
+
+
+@cache
+def _layout(belt: bool, edge: bool, n: int) -> tuple[struct.Struct, int]:
+    """Return the struct of a whole SAMPLES payload, and how many numbers a sample is."""
+    row = sample_format(belt, edge)
+    return struct.Struct(_SAMPLES.format + row * n), len(row)
+
+
+def _decode_truth(payload: bytes) -> Truth | None:
+    if len(payload) < TRUTH_HEADER:
+        return None
+    _, _, n, seq = _TRUTH.unpack_from(payload)
+    if n == 0 or len(payload) != TRUTH_HEADER + 32 * n:
+        return None
+    return Truth(seq, tuple(struct.iter_unpack("<4d", payload[TRUTH_HEADER:])))
+
+
+class FrameReader:
+    """Cut a byte stream into frames; never raises on garbage, back in step at the next 0x00.
+
+    Attributes
+    ----------
+    crc_errors : int
+        Lines that did not hold: COBS or CRC broken.  A broken first line is not counted: listening may start
+        anywhere inside a frame.
+    unknown : int
+        Frames whose CRC holds but whose kind, version or length is not ours (a newer board, another layout).
+    discarded_bytes : int
+        Bytes of all of these (of an unknown frame: its payload), delimiters not included.
+    """
+
+    def __init__(self) -> None:
+        self.crc_errors = 0
+        self.unknown = 0
+        self.discarded_bytes = 0
+        self._belt = False
+        self._edge = False
+        self._tail = b""
+        self._skipping = False  # inside a run longer than any frame, until its delimiter
+        self._first = True
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take bytes as they came and return the frames they complete, in order."""
+        frames: list[Frame] = []
+        belt, edge = self._belt, self._edge
+        for payload in self.payloads(data):
+            if payload[0] == SAMPLES and payload[1] == VERSION:
+                frame: Frame | None = _decode_samples(payload, belt, edge)
+            else:
+                frame = decode_payload(payload, belt, edge)
+            if frame is None:
+                self.unknown += 1
+                self.discarded_bytes += len(payload)
+                continue
+            if type(frame) is Ident:
+                belt = self._belt = Capability.BELT in frame.capabilities
+                edge = self._edge = Capability.EDGE_TIME in frame.capabilities
+            frames.append(frame)
+        return frames
+
+    def payloads(self, data: bytes) -> list[bytes]:
+        """Take bytes as they came and return the payloads they complete whose CRC holds, in order."""
+        *lines, self._tail = (self._tail + data).split(DELIMITER)
+        found: list[bytes] = []
+        for line in lines:
+            if self._skipping:
+                self.discarded_bytes += len(line)
+                self._skipping = False
+            elif line:
+                payload = deframe(line)
+                if payload is None:
+                    self._refuse(len(line))
+                else:
+                    found.append(payload)
+                self._first = False
+        if len(self._tail) > LONGEST_LINE and not self._skipping:
+            self._refuse(0)
+            self._first = False
+            self._skipping = True
+        if self._skipping:
+            self.discarded_bytes += len(self._tail)
+            self._tail = b""
+        return found
+
+    def sample_run(self, data: bytes) -> tuple[bytes, int] | None:
+        """Look ahead: return the last payload that ``data`` completes, and how many, when all look like one kind.
+
+        That is: all lines that it completes have the length of the first and begin as SAMPLES frames of as many
+        samples, and the last one holds.  Nothing is taken; None when it is not so.
+        """
+        if self._first or self._skipping:
+            return None
+        line = self._tail + data
+        size = line.find(DELIMITER) + 1
+        if size <= SAMPLES_HEADER:
+            return None
+        count = line.count(DELIMITER)
+        end = size * count
+        # Every size-th byte, and none else, is a delimiter; then kind, version and number of samples of each.
+        if end > len(line) or line[size - 1 : end : size].count(DELIMITER) != count:
+            return None
+        if any(line[at:end:size].count(line[at]) != count for at in (1, 2, 3)):
+            return None
+        payload = deframe(line[end - size : end - 1])
+        return None if payload is None or payload[:2] != bytes((SAMPLES, VERSION)) else (payload, count)
+
+    def skip(self, data: bytes) -> None:
+        """Take bytes without reading the frames they complete; one must be completed, by `sample_run`'s account."""
+        self._tail = (self._tail + data)[(self._tail + data).rfind(DELIMITER) + 1 :]
+
+    def _refuse(self, length: int) -> None:
+        self.crc_errors += not self._first
+        self.discarded_bytes += length
