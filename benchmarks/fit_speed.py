@@ -36,7 +36,7 @@ from fitting import motion as frame
 from fitting import prediction, schur, windows
 from fitting.setting import Run, Setting
 from fitting.unknowns import DAMPING, DATUM, LEVEL, LOG_F, SHAPE, V_DR, V_SLIP, X_SLIP, K
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 
 RESULTS = Path(__file__).resolve().parent / "results"
 SCENE = ("scatter.Fs=0.05", "jitter.rms=50e-6", "damper.c=0.01")

@@ -31,10 +31,15 @@ from daq.compute.compile import compiled
 from daq.runfile import store
 from daq.runfile.recording import RunData
 from daq.runfile.rig import Measured, Rig
-from processing import chunked, faults, jerk_filter, methods, rts, savgol, series, stage
-from processing import window as windows
-from processing.gram import coefficients
-from processing.methods import Setting
+from processing import chunked, stage
+from processing.defects import lost_counts
+from processing.kalman import jerk_kernel, white_jerk
+from processing.methods import registry
+from processing.methods import window_choice as windows
+from processing.methods.registry import Setting
+from processing.polynomial import savgol
+from processing.polynomial.gram import coefficients
+from processing.record import series
 from rig_sim.motion import Motion
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -119,7 +124,7 @@ def ours(bench: Bench) -> dict[str, tuple[float, float, float]]:
     asked += [(name, "recorded", Setting()) for name in ("rts", "segment", "auto")] + [("auto", "nominal", Setting())]
     for method, times, setting in asked:
         data = bench.series(times)
-        cpu, motion = timed(lambda m=method, d=data, s=setting: methods.estimate(m, d, s))
+        cpu, motion = timed(lambda m=method, d=data, s=setting: registry.estimate(m, d, s))
         window = f" {setting.window},{setting.order}" if setting.window else " auto" if method == "sg" else ""
         found[f"{method}{window}, {times}"] = (1e3 * cpu, *bench.errors(motion.velocity))
     return found
@@ -185,7 +190,7 @@ def peers(bench: Bench) -> tuple[dict[str, tuple[float, float, float]], list[str
 
 def claims(bench: Bench) -> dict[str, float]:
     """Return what is claimed of auto beside its error: coverage, corners, sticks."""
-    motion = methods.estimate("auto", bench.series(), Setting())
+    motion = registry.estimate("auto", bench.series(), Setting())
     inside = np.abs(motion.velocity - bench.v) <= 2 * motion.velocity_errors
     error = 1e3 * (motion.velocity - bench.v)
     return {
@@ -222,8 +227,8 @@ def scenes(seed: int) -> dict[str, tuple[str, float, float]]:
 
 
 def _against_rts(bench: Bench, data: series.Series) -> tuple[str, float, float]:
-    motion = methods.estimate("auto", data, Setting())
-    rms = bench.errors(methods.estimate("rts", data, Setting()).velocity)[0]
+    motion = registry.estimate("auto", data, Setting())
+    rms = bench.errors(registry.estimate("rts", data, Setting()).velocity)[0]
     return motion.method, rms, bench.errors(motion.velocity)[0] / rms
 
 
@@ -257,22 +262,22 @@ def speed(bench: Bench) -> dict[str, float]:
         found[f"sg {window},4"] = even.time.size / cpu / 1e6
         found[f"sg {window},4 over scipy"] = peer / cpu
     data = bench.series()
-    noise = rts.fit(data)
+    noise = white_jerk.fit(data)
     motion = np.empty((6, data.time.size))
-    kernel = compiled(jerk_filter.smooth, rts.KERNELS)
+    kernel = compiled(jerk_kernel.smooth, white_jerk.KERNELS)
     asked = (
         data.time,
         data.position,
         noise.jerk,
         noise.reading,
-        rts.BLOCK,
-        rts.reach(noise.rho(data.interval)),
+        white_jerk.BLOCK,
+        white_jerk.reach(noise.rho(data.interval)),
         motion,
     )
     found["rts, noise known"] = data.time.size / timed(lambda: kernel(*asked), 20)[0] / 1e6
-    found["rts, ms in all"] = 1e3 * timed(lambda: methods.estimate("rts", data, Setting()), 10)[0]
-    found["segment, ms in all"] = 1e3 * timed(lambda: methods.estimate("segment", data, Setting()), 10)[0]
-    found["auto, ms in all"] = 1e3 * timed(lambda: methods.estimate("auto", data, Setting()), 10)[0]
+    found["rts, ms in all"] = 1e3 * timed(lambda: registry.estimate("rts", data, Setting()), 10)[0]
+    found["segment, ms in all"] = 1e3 * timed(lambda: registry.estimate("segment", data, Setting()), 10)[0]
+    found["auto, ms in all"] = 1e3 * timed(lambda: registry.estimate("auto", data, Setting()), 10)[0]
     return found
 
 
@@ -317,11 +322,11 @@ def losses(seed: int) -> dict[str, float]:
         at = np.sort(rng.choice(clear, 40, replace=False))
         lost = sum(size * np.clip((np.arange(60_000) - k + 1) / width, 0, 1) for k in at)
         count = np.floor(bench.x / bench.pitch + lost).astype(np.int64)
-        seen = faults.losses(bench.series(count=count))
+        seen = lost_counts.losses(bench.series(count=count))
         right = [k for k in at if any(abs(loss.first - k) <= 5 and abs(loss.counts - size) <= 1 for loss in seen)]
         found[f"{size} counts over {width}"] = len(right) / at.size
     found["false in 5 clean minutes"] = sum(
-        len(faults.losses(Bench(seed + k, 7.67e-6, 30e-6).series())) for k in range(5)
+        len(lost_counts.losses(Bench(seed + k, 7.67e-6, 30e-6).series())) for k in range(5)
     )
     return found
 
@@ -372,13 +377,13 @@ def picture(bench: Bench, table: dict[str, tuple[float, float, float]], target: 
         ("sg", Setting(41, 4), {"color": "C1"}),
         ("auto", Setting(), {"color": "C0", "lw": 2}),
     ):
-        motion = methods.estimate(method, data, setting)
+        motion = registry.estimate(method, data, setting)
         left.plot(at, 1e3 * motion.velocity[own], label=method, **style)
     left.plot(at, 1e3 * bench.v[own], "k:", lw=1, label="truth")
     left.set(xlabel="time from the re-stick, ms", ylabel="velocity, mm/s", ylim=(120, 240), title="a re-stick")
     left.legend()
     for k, (name, (cpu, rms, _)) in enumerate(sorted(table.items(), key=lambda item: -item[1][1])):
-        mine = name.split()[0].rstrip(",") in methods.METHODS
+        mine = name.split()[0].rstrip(",") in registry.METHODS
         right.loglog(cpu, rms, "osD^v<>pP*Xhd8H"[k % 15], color=f"C{k % 10}", ms=9 if mine else 5, label=name)
     figure.legend(*right.get_legend_handles_labels(), loc="outside right center", fontsize=7)
     right.set(

@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 from velocity import CASES, Bench, chosen_windows, scenes
 
-from processing import faults, kicks, methods, phases
-from processing.methods import Setting
+from processing.defects import lost_counts, velocity_steps
+from processing.methods import registry
+from processing.methods.registry import Setting
+from processing.segmentation import plateaus
 
 RESULTS = Path(__file__).resolve().parent / "results"
 RMS = {"7.67 um, no jitter": 0.07, "7.67 um + 30 us": 0.07, "50 um + 30 us": 0.22}
@@ -36,7 +38,7 @@ def errors(seed: int) -> tuple[Row, Limits]:
                 continue
             name = case if times == "recorded" else f"{case}, nominal"
             data = bench.series(times)
-            motion = methods.estimate("auto", data, Setting())
+            motion = registry.estimate("auto", data, Setting())
             row[f"{name}: rms"], row[f"{name}: largest"] = bench.errors(motion.velocity)
             limits[f"{name}: rms"] = (0.0, RMS[case] if times == "recorded" else 0.30)
             limits[f"{name}: largest"] = (0.0, LARGEST[case] if times == "recorded" else 3.2)
@@ -56,7 +58,7 @@ def errors(seed: int) -> tuple[Row, Limits]:
             limits[f"{name}: rms in sticks"] = (0.0, 0.02)
             own = row[f"{name}: rms"]
             for method, setting, factor in (("fd", Setting(), 45.0), ("sg", Setting(41, 4), 7.0)):
-                rough = methods.estimate(method, data, setting)
+                rough = registry.estimate(method, data, setting)
                 row[f"{name}: {method} over auto"] = bench.errors(rough.velocity)[0] / own
                 limits[f"{name}: {method} over auto"] = (factor, np.inf)
             landings = [corner for corner in motion.corners if corner.what == "land"]
@@ -81,8 +83,8 @@ def _sticks(bench: Bench) -> int:
 
 def _found(bench: Bench, times: str = "recorded", method: str = "auto") -> int:
     data = bench.series(times)
-    motion = methods.estimate(method, data, Setting())
-    return sum(phase.kind == "stick" and phase.duration > 0.03 for phase in phases.find(data, motion).phases)
+    motion = registry.estimate(method, data, Setting())
+    return sum(phase.kind == "stick" and phase.duration > 0.03 for phase in plateaus.find(data, motion).phases)
 
 
 def sticks(seed: int) -> tuple[Row, Limits]:
@@ -117,7 +119,7 @@ def losses(seed: int) -> tuple[Row, Limits]:
         at = np.linspace(150, 59_400, 150).astype(int) + rng.integers(0, 300, 150)
         lost = sum(size * np.clip((np.arange(60_000) - k + 1) / width, 0, 1) for k in at)
         count = np.floor(bench.x / bench.pitch + lost).astype(np.int64)
-        seen = faults.losses(bench.series(count=count))
+        seen = lost_counts.losses(bench.series(count=count))
         found = [min(seen, key=lambda loss, k=k: abs(loss.first - k), default=None) for k in at]
         hit = np.array([own is not None and abs(own.first - k) <= 6 for own, k in zip(found, at, strict=True)])
         clear = np.array([np.abs(bench.landings - bench.time[k]).min() > 0.03 for k in at])
@@ -128,7 +130,7 @@ def losses(seed: int) -> tuple[Row, Limits]:
         limits[f"{name}: size right"] = (0.95, 1.0)
         row[f"{name}: false"], limits[f"{name}: false"] = float(len(seen) - hit.sum()), (0.0, 0.0)
     clean = [Bench(100 * seed + k, pitch, 30e-6) for k in range(5) for pitch in (7.67e-6, 50e-6)]
-    row["false in 10 clean minutes"] = float(sum(len(faults.losses(own.series())) for own in clean))
+    row["false in 10 clean minutes"] = float(sum(len(lost_counts.losses(own.series())) for own in clean))
     limits["false in 10 clean minutes"] = (0.0, 0.0)
     return row, limits
 
@@ -140,12 +142,12 @@ def kicked(seed: int) -> tuple[Row, Limits]:
     for kick in KICKS:
         bench = Bench(seed, 7.67e-6, 30e-6, 60.0, **{"joint.kick": kick})
         data = bench.series()
-        seen = np.array([bench.time[own.sample] for own in kicks.kicks(data)])
+        seen = np.array([bench.time[own.sample] for own in velocity_steps.kicks(data)])
         hit = [bool(seen.size) and np.abs(seen - at).min() < 4e-3 for at in bench.kicks]
         true = [np.abs(bench.kicks - at).min() < 4e-3 for at in seen] if bench.kicks.size else []
         row[f"{1e3 * kick:g} mm/s: recall"] = float(np.mean(hit))
         row[f"{1e3 * kick:g} mm/s: false"] = float(len(true) - np.sum(true))
-        auto, rts = (methods.estimate(name, data, Setting()) for name in ("auto", "rts"))
+        auto, rts = (registry.estimate(name, data, Setting()) for name in ("auto", "rts"))
         row[f"{1e3 * kick:g} mm/s: auto over rts"] = bench.errors(auto.velocity)[0] / bench.errors(rts.velocity)[0]
         limits[f"{1e3 * kick:g} mm/s: auto over rts"] = (0.0, 1.03)
     return row, limits

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.runfile.rig import Measured
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from daq.errors import DataError, InputError
 from daq.runfile.rig import Measured, Rig
 from fitting import belt
 from fitting.belt import BeltLine
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 

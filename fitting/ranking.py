@@ -22,7 +22,7 @@ from fitting.result import LawResult
 from fitting.result import Ranking as Ranking
 from fitting.setting import Run
 from fitting.trajectory import Fit
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 ALL_LAWS = (1, 2, 3, 4, 5, 6)

@@ -13,7 +13,7 @@ from daq.version import VERSION
 from fitting import plot
 from fitting.result import Parameter, Ranking
 from fitting.verdict import length
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 
 TEMPLATES = Path(__file__).with_name("templates")
 MARK = '<meta name="generator" content="stickslip fit-friction'

@@ -13,7 +13,7 @@ from fitting import report, store
 from fitting.ranking import ALL_LAWS, rank
 from fitting.result import Ranking
 from processing import stage
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth
 
 

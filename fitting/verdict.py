@@ -8,7 +8,7 @@ from fitting.result import LawResult
 from fitting.setting import NO_RAMP
 from fitting.unknowns import DATUM, GIVE, D
 from fitting.windows import Cut
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 OTHER_SPEEDS = ", or runs at other belt speeds"

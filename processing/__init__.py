@@ -3,12 +3,12 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from processing.kinematics import Kinematics as Kinematics
+    from processing.record.kinematics import Kinematics as Kinematics
     from processing.smoothing import smooth as smooth
 
 __all__ = ["Kinematics", "smooth"]
 
-_HOME = {"Kinematics": "processing.kinematics", "smooth": "processing.smoothing"}
+_HOME = {"Kinematics": "processing.record.kinematics", "smooth": "processing.smoothing"}
 
 
 def __getattr__(name: str) -> Any:

@@ -19,15 +19,21 @@ from numpy.typing import NDArray
 from daq.errors import InputError, nearest
 from daq.runfile import store
 from daq.runfile.recording import Recording
-from processing import belt as belts
-from processing import faults, import_grid, kicks, methods, phases, savgol, series, stage
-from processing import window as windows
-from processing.faults import Loss
-from processing.import_grid import ImportGrid
-from processing.kicks import Kick
-from processing.kinematics import Phase
-from processing.methods import Setting
-from processing.series import Series
+from processing import belt_motion as belts
+from processing import stage
+from processing.defects import lost_counts
+from processing.defects import velocity_steps as kicks
+from processing.defects.lost_counts import Loss
+from processing.defects.velocity_steps import Kick
+from processing.methods import registry
+from processing.methods import window_choice as windows
+from processing.methods.registry import Setting
+from processing.polynomial import savgol
+from processing.record import import_grid, series
+from processing.record.import_grid import ImportGrid
+from processing.record.kinematics import Phase
+from processing.record.series import Series
+from processing.segmentation import plateaus as phases
 from processing.smoothing import REPAIRS
 
 Array = NDArray[np.float64]
@@ -40,7 +46,7 @@ LOOKED_AT = 2**14  # samples of each of eight stretches that a window is chosen 
 
 @dataclass(frozen=True)
 class Told:
-    """What is said of a record that was smoothed in chunks; names as in `processing.kinematics.Kinematics`."""
+    """What is said of a record that was smoothed in chunks; names as in `processing.record.kinematics.Kinematics`."""
 
     method: str
     window: int
@@ -93,7 +99,7 @@ def smooth(
         As `processing.smooth`.
     """
     begun = clock.process_time()
-    methods.check(method)
+    registry.check(method)
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
     n = store.samples(path)
@@ -183,10 +189,10 @@ class _Worker:
         recording = store.load(self.path, slice(low, high))
         grid = None if self.grid is None else self.grid.times(low, recording.time)
         data = series.of(recording, self.times, self._anchored(recording), grid)
-        found = faults.losses(data) if self.repair != "off" else ()
-        behind = faults.missing(recording.segment, found)
-        data = faults.without(data, behind)
-        motion = methods.estimate(self.method, data, self.setting)
+        found = lost_counts.losses(data) if self.repair != "off" else ()
+        behind = lost_counts.missing(recording.segment, found)
+        data = lost_counts.without(data, behind)
+        motion = registry.estimate(self.method, data, self.setting)
         belt = belts.beside(recording, data, motion)
         seen = phases.find(data, motion, recording.rig.belt_speed, self.belt_speed, belt)
         own = slice(begin - low, end - low)

@@ -13,7 +13,7 @@ from daq.errors import InputError
 if TYPE_CHECKING:
     from processing.chunked import Told
     from processing.compare import Row
-    from processing.kinematics import Kinematics
+    from processing.record.kinematics import Kinematics
 
 Run = Annotated[Path, Parameter(help="Run file, as daq record, import or replay made it.")]
 Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.runfile.recording import Recording, Truth
-from processing import methods, series
-from processing import window as windows
-from processing.methods import Motion, Setting
-from processing.series import Series
+from processing.methods import registry
+from processing.methods import window_choice as windows
+from processing.methods.registry import Motion, Setting
+from processing.record import series
+from processing.record.series import Series
 
 Array = NDArray[np.float64]
 
@@ -62,10 +63,10 @@ def rows(recording: Recording, truth: Truth | None) -> list[Row]:
     list of Row
         Finite differences, Savitzky-Golay and both smoothers, on nominal and on recorded times.
     """
-    from processing import whitejerk  # noqa: F401  (loads scipy now, not while the clock runs)
+    from processing.polynomial import white_jerk_bands  # noqa: F401  (loads scipy now, not while the clock runs)
 
     for method in ("sg", "segment"):  # compiles what it needs now
-        methods.estimate(method, series.of(recording), Setting())
+        registry.estimate(method, series.of(recording), Setting())
     true = velocity_at(recording, truth) if truth is not None else None
     found = []
     for times in reversed(series.TIMES):
@@ -81,7 +82,7 @@ def rows(recording: Recording, truth: Truth | None) -> list[Row]:
 
 def _row(method: str, setting: str, data: Series, asked: Setting, true: Array | None) -> Row:
     begun = clock.process_time()
-    motion = methods.estimate(method, data, asked)
+    motion = registry.estimate(method, data, asked)
     cpu = clock.process_time() - begun
     if setting.startswith("auto"):
         setting = f"auto = {motion.window},{motion.order}{setting[4:]}"

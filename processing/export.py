@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from daq.output import atomic
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 
 DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
 

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 
 from daq.errors import InputError
 from daq.output import atomic
-from processing import portrait, series
-from processing.kinematics import Kinematics
+from processing import portrait
+from processing.record import series
+from processing.record.kinematics import Kinematics
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.kinematics import Kinematics
+from processing.record.kinematics import Kinematics
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from daq.errors import InputError, nearest
-from processing import belt as belts
-from processing import faults, kicks, methods, phases, series
-from processing import window as windows
-from processing.kinematics import Kinematics
+from processing import belt_motion as belts
+from processing.defects import lost_counts, velocity_steps
+from processing.methods import registry
+from processing.methods import window_choice as windows
+from processing.record import series
+from processing.record.kinematics import Kinematics
+from processing.segmentation import plateaus
 
 REPAIRS = ("off", "flag", "fix")
 
@@ -48,7 +51,7 @@ def smooth(
         m/s, signed; "auto" takes it from the belt's own counts where there are any, else finds it in the plateaus of
         the velocity.
     repair_counts : {"off", "flag", "fix"}
-        What to do about lost counts (`processing.faults`): not to look for them; to mark them, and leave the position
+        What to do about lost counts (`processing.defects.lost_counts`): not to look for them; to mark them, and leave the position
         as it was counted; or to mark them and put them back.  Where they are looked for, velocity and acceleration
         are those of the motion on either side, without the jump of the count.
 
@@ -67,19 +70,19 @@ def smooth(
     Gaps and segments are never smoothed across: each piece ends in one-sided fits, with their larger errors.
     """
     begun = clock.process_time()
-    methods.check(method)
+    registry.check(method)
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
     data = series.of(recording, times)
-    losses = faults.losses(data) if repair_counts != "off" else ()
-    behind = faults.missing(recording.segment, losses)
-    data = faults.without(data, behind)
+    losses = lost_counts.losses(data) if repair_counts != "off" else ()
+    behind = lost_counts.missing(recording.segment, losses)
+    data = lost_counts.without(data, behind)
     setting = windows.setting(window, order, data)
-    setting = replace(setting, belt_speed=phases.given(belt_speed))
-    motion = methods.estimate(method, data, setting)
+    setting = replace(setting, belt_speed=plateaus.given(belt_speed))
+    motion = registry.estimate(method, data, setting)
     belt = belts.beside(recording, data, motion)
-    kicked = kicks.kicks(data)
-    found = phases.find(data, motion, recording.rig.belt_speed, belt_speed, belt)
+    kicked = velocity_steps.kicks(data)
+    found = plateaus.find(data, motion, recording.rig.belt_speed, belt_speed, belt)
     return Kinematics(
         recording=recording,
         time=data.time,

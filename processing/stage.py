@@ -22,9 +22,9 @@ import numpy as np
 from daq.errors import InputError
 from daq.runfile import nexus, nexus_read, store
 from daq.version import VERSION
-from processing.faults import Loss
-from processing.kicks import Kick
-from processing.kinematics import Kinematics, Phase
+from processing.defects.lost_counts import Loss
+from processing.defects.velocity_steps import Kick
+from processing.record.kinematics import Kinematics, Phase
 
 if TYPE_CHECKING:
     from processing.chunked import Told

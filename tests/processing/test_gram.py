@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from processing.gram import coefficients
+from processing.polynomial.gram import coefficients
 
 
 def reference(window, order, at):

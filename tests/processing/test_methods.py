@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
-from processing import methods, series
-from processing.methods import METHODS, Motion, Setting
+from processing.methods import registry
+from processing.methods.registry import METHODS, Motion, Setting
+from processing.record import series
 
 FIELDS = [name for name in Motion.__dataclass_fields__ if name not in ("window", "order", "method", "corners")]
 
@@ -24,7 +25,7 @@ def time(request):
 
 
 def run(method, recording, setting=None):
-    return methods.estimate(method, series.of(recording), setting or Setting())
+    return registry.estimate(method, series.of(recording), setting or Setting())
 
 
 def test_shapes_are_kept_and_errors_are_positive(method, time, imported):
@@ -145,7 +146,7 @@ def test_an_offset_of_2_to_the_60_counts_changes_nothing(method, motion, recorde
 
 def test_an_unknown_method_names_the_known_ones():
     with pytest.raises(InputError, match="method is 'spline'; known: auto, segment, rts, sg, fd"):
-        methods.check("spline")
+        registry.check("spline")
 
 
 def test_finite_differences_have_no_window(imported):

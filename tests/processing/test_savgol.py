@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from processing import localfit, methods, savgol, series
-from processing.methods import Setting
+from processing.methods import registry
+from processing.methods.registry import Setting
+from processing.polynomial import savgol, uneven
+from processing.record import series
 
 
 def velocity_error(found, true):
@@ -35,7 +37,7 @@ def test_velocity_errors_are_the_published_ones_or_smaller(
     motion, recorded, pitch, jitter, times, method, setting, rms, largest
 ):
     true = motion(5, 60.0, jitter)
-    found = methods.estimate(method, series.of(recorded(true, pitch), times), setting)
+    found = registry.estimate(method, series.of(recorded(true, pitch), times), setting)
     error = velocity_error(found, true)
     assert error[0] < rms
     assert error[1] < largest
@@ -44,14 +46,14 @@ def test_velocity_errors_are_the_published_ones_or_smaller(
 def test_smoothing_is_ten_times_better_than_differences_on_the_same_times(motion, recorded):
     true = motion(5, 60.0)
     data = series.of(recorded(true))
-    rough, smooth = (velocity_error(methods.estimate(name, data, Setting()), true)[0] for name in ("fd", "sg"))
+    rough, smooth = (velocity_error(registry.estimate(name, data, Setting()), true)[0] for name in ("fd", "sg"))
     assert rough > 10 * smooth
 
 
 @pytest.mark.parametrize(("pitch", "setting"), [(7.67e-6, Setting()), (7.67e-6, Setting(41, 4)), (50e-6, Setting())])
 def test_two_standard_errors_cover_the_truth(motion, recorded, pitch, setting):
     true = motion(5, 60.0)
-    found = methods.estimate("sg", series.of(recorded(true, pitch)), setting)
+    found = registry.estimate("sg", series.of(recorded(true, pitch)), setting)
     landings = np.searchsorted(true.time, [start for start, _ in true.sticks[1:]])
     near = np.zeros(true.time.size, bool)
     for at in landings:
@@ -69,7 +71,7 @@ def test_an_even_grid_and_explicit_times_give_the_same_fit():
     rng = np.random.default_rng(3)
     time, position = np.arange(500) * 1e-3, rng.standard_normal(500)
     by_convolution = savgol.fit(time, position, 41, 4)
-    by_times = localfit.fit(time, position, 41, 4)
+    by_times = uneven.fit(time, position, 41, 4)
     for one, two in zip(by_convolution, by_times, strict=True):
         assert np.abs(one - two).max(axis=1) == pytest.approx([0, 0, 0], abs=1e-9 * np.abs(two).max())
 
@@ -78,7 +80,7 @@ def test_uneven_times_agree_with_a_polynomial_fitted_to_each_window():
     rng = np.random.default_rng(4)
     time = np.cumsum(rng.uniform(0.5, 1.5, 120)) * 1e-3
     position = rng.standard_normal(120)
-    values, norms = localfit.fit(time, position, 15, 3)
+    values, norms = uneven.fit(time, position, 15, 3)
     for i in (0, 3, 60, 119):
         first = min(max(i - 7, 0), 105)
         own = slice(first, first + 15)
@@ -92,7 +94,7 @@ def test_uneven_times_agree_with_a_polynomial_fitted_to_each_window():
 def test_errors_grow_towards_the_ends(imported):
     time = np.arange(400) * 1e-3
     noise = 1e-5 * np.random.default_rng(6).standard_normal(400)
-    found = methods.estimate("sg", series.of(imported(time, np.sin(time) + noise)), Setting(41, 4))
+    found = registry.estimate("sg", series.of(imported(time, np.sin(time) + noise)), Setting(41, 4))
     assert found.velocity_errors[0] > 5 * found.velocity_errors[200]
     assert found.velocity_errors[-1] > 5 * found.velocity_errors[200]
 
@@ -104,5 +106,5 @@ def test_a_lost_sample_is_bridged_at_the_recorded_times(motion, recorded):
     run = recorded(type(true)(true.time[kept], true.x[kept], true.v[kept], true.sticks))
     data = series.of(run)
     assert len(data.pieces) == 1
-    found = methods.estimate("sg", data, Setting(31, 4))
+    found = registry.estimate("sg", data, Setting(31, 4))
     assert float(np.sqrt(np.mean((found.velocity - true.v[kept]) ** 2))) < 0.45e-3

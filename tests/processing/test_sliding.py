@@ -8,9 +8,9 @@ import pytest
 
 from daq.compute.compile import compiled
 from daq.errors import InputError
-from processing import savgol, sliding
-from processing.gram import coefficients
-from processing.stream import SavgolStream
+from processing.polynomial import moments, savgol
+from processing.polynomial.gram import coefficients
+from processing.polynomial.stream import SavgolStream
 
 
 def counts(motion, pitch=7.67e-6, duration=5.0):
@@ -19,8 +19,8 @@ def counts(motion, pitch=7.67e-6, duration=5.0):
 
 def slid(count, window, order):
     values = np.empty((3, count.size))
-    run = compiled(sliding.slide_wide if sliding.wide(window) else sliding.slide, savgol.KERNELS)
-    run(count, window // 2, sliding.power_weights(window, order), sliding.sums(window), values)
+    run = compiled(moments.slide_wide if moments.wide(window) else moments.slide, savgol.KERNELS)
+    run(count, window // 2, moments.power_weights(window, order), moments.sums(window), values)
     return values[:, window // 2 : -(window // 2)]
 
 
@@ -28,7 +28,7 @@ def slid(count, window, order):
 @pytest.mark.parametrize("window", [5, 7, 21, 41, 301, 1001, 3001])
 def test_moments_carry_the_gram_weights(window, order):
     j = np.arange(-(window // 2), window // 2 + 1.0)
-    found = sliding.power_weights(window, order) @ np.array([j**p for p in range(5)])
+    found = moments.power_weights(window, order) @ np.array([j**p for p in range(5)])
     true = coefficients(window, order)
     for d in range(3):
         assert np.abs(found[d] - true[d]).max() <= 4e-15 * max(np.abs(true[d]).max(), 1e-30)
@@ -39,7 +39,7 @@ def test_sliding_moments_give_the_exact_fit(motion, window, order):
     count = counts(motion)
     found = slid(count, window, order)
     half = window // 2
-    weights = sliding.power_weights(window, order)
+    weights = moments.power_weights(window, order)
     for i in (half, count.size // 2, count.size - half - 1):
         own = [int(c) - int(count[i]) for c in count[i - half : i + half + 1]]
         for d in range(3):

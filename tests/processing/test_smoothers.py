@@ -8,10 +8,13 @@ import pytest
 import processing
 from daq.compute.compile import compiled
 from daq.errors import InputError
-from processing import jerk_filter, landing_snap, methods, rts, series, snap_corners, snap_filter, snap_mean
-from processing.corners import Layout
-from processing.levels import Levels
-from processing.methods import Setting
+from processing.kalman import corner_kernel, jerk_kernel, mean_snap_kernel, snap_kernel, white_jerk
+from processing.methods import registry
+from processing.methods.registry import Setting
+from processing.record import series
+from processing.segmentation import landing_snap
+from processing.segmentation.noise_levels import Levels
+from processing.segmentation.switching_times import Layout
 
 
 def velocity_error(found, v):
@@ -38,7 +41,7 @@ CLAIMED = [
 @pytest.mark.parametrize(("pitch", "jitter", "times", "rms", "largest"), CLAIMED)
 def test_sticks_and_slips_smoothed_apart_keep_the_flat_top(motion, recorded, seed, pitch, jitter, times, rms, largest):
     true = motion(5, 60.0, jitter, seed=seed)
-    found = methods.estimate("auto", series.of(recorded(true, pitch), times), Setting())
+    found = registry.estimate("auto", series.of(recorded(true, pitch), times), Setting())
     error = velocity_error(found, true.v)
     assert found.method == "segment"
     assert error[0] < rms
@@ -50,7 +53,7 @@ def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
     for seed in (1, 2, 5):
         true = motion(5, 60.0, seed=seed)
         data = series.of(recorded(true))
-        found = methods.estimate("auto", data, Setting())
+        found = registry.estimate("auto", data, Setting())
         error = found.velocity - true.v
         near = near_landings(true)
         assert 1e3 * np.sqrt(np.mean(error[near] ** 2)) < 0.4
@@ -61,7 +64,7 @@ def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
         inside = np.abs(error) <= 2 * found.velocity_errors
         covered.append(inside.mean())
         covered_near.append(inside[near].mean())
-        rough, sg = (methods.estimate(name, data, own) for name, own in (("fd", Setting()), ("sg", Setting(41, 4))))
+        rough, sg = (registry.estimate(name, data, own) for name, own in (("fd", Setting()), ("sg", Setting(41, 4))))
         assert velocity_error(rough, true.v)[0] > 45 * velocity_error(found, true.v)[0]
         assert velocity_error(sg, true.v)[0] > 7 * velocity_error(found, true.v)[0]
     assert 0.93 <= np.mean(covered) <= 0.97
@@ -124,7 +127,7 @@ def test_the_default_is_never_worse_than_the_smoother_without_corners(motion, re
         kept[at : at + make["gap"]] = False
     true = type(true)(true.time[kept], true.x[kept], true.v[kept], true.sticks)
     data = series.of(recorded(true))
-    plain, default = (methods.estimate(name, data, Setting()) for name in ("rts", "auto"))
+    plain, default = (registry.estimate(name, data, Setting()) for name in ("rts", "auto"))
     assert velocity_error(default, true.v)[0] <= 1.03 * velocity_error(plain, true.v)[0]
 
 
@@ -141,7 +144,7 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
     def approach(t):
         """Return x at times before a landing at 0, with 0.22 m/s and 9.5 m/s^2 there, and on the belt behind it."""
         x, v, a, j, begun, found = 0.0, 0.22, 9.5, 400.0, 0.0, 0.22 * t
-        for edge, u in zip((*snap_filter.NEAR_LANDING, 1.0), (*means, 0.0), strict=True):
+        for edge, u in zip((*snap_kernel.NEAR_LANDING, 1.0), (*means, 0.0), strict=True):
             h = t - begun
             found = np.where(h < 0, x + h * (v + h / 2 * (a + h / 3 * (j + h / 4 * u))), found)
             h = -unit * edge - begun
@@ -159,12 +162,12 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
     each = [(own, approach(own - landing)) for own, landing in zip(grid, at, strict=True)]
     time, position = (np.concatenate([own[i] for own in each]) for i in (0, 1))
     data = series.of(imported(time, position + 1e-7 * rng.standard_normal(time.size)))
-    kind = np.full(40, snap_filter.LAND, np.uint8)
-    layout = Layout(at, np.full(40, 5e-5), kind, (snap_filter.SLIP,) * 40, unit)
-    q = np.full(snap_filter.LABELS, 1e-3)
-    q[snap_filter.LANDING : snap_filter.LANDING + 4] = (1e6, 1e5, 1e4, 1e3)
-    levels = Levels(q, np.zeros_like(q), np.full(q.size, 1e-14), np.zeros(snap_filter.JUMPS), 9.5)
-    found = landing_snap.with_means(data, layout, levels).u[snap_filter.LANDING : snap_filter.LANDING + 4]
+    kind = np.full(40, snap_kernel.LAND, np.uint8)
+    layout = Layout(at, np.full(40, 5e-5), kind, (snap_kernel.SLIP,) * 40, unit)
+    q = np.full(snap_kernel.LABELS, 1e-3)
+    q[snap_kernel.LANDING : snap_kernel.LANDING + 4] = (1e6, 1e5, 1e4, 1e3)
+    levels = Levels(q, np.zeros_like(q), np.full(q.size, 1e-14), np.zeros(snap_kernel.JUMPS), 9.5)
+    found = landing_snap.with_means(data, layout, levels).u[snap_kernel.LANDING : snap_kernel.LANDING + 4]
     assert found == pytest.approx(means, rel=0.1)
     alone = replace(layout, at=layout.at[:1], sd=layout.sd[:1], kind=kind[:1])
     assert landing_snap.with_means(data, alone, levels) is levels
@@ -177,22 +180,25 @@ def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
     if kernel == "jerk":
         one, two = np.empty((6, time.size)), np.empty((6, time.size))
         asked = (time, position, 100.0, 5e-12, 64, 40)
-        jerk_filter.smooth(*asked, one)
-        compiled(jerk_filter.smooth, rts.KERNELS)(*asked, two)
+        jerk_kernel.smooth(*asked, one)
+        compiled(jerk_kernel.smooth, white_jerk.KERNELS)(*asked, two)
     else:
-        at, kind = np.array([0.1, 0.2023]), np.array([snap_filter.START, snap_filter.LAND], np.uint8)
+        at, kind = np.array([0.1, 0.2023]), np.array([snap_kernel.START, snap_kernel.LAND], np.uint8)
         label = np.empty(time.size, np.uint8)
-        snap_corners.label_samples(time, at, kind, snap_filter.REST, 0.1, label)
-        q, u, r = (np.full(snap_filter.LABELS, value) for value in (1e5, 1e3, 5e-12))
-        jump = np.ones(snap_filter.JUMPS)
+        corner_kernel.label_samples(time, at, kind, snap_kernel.REST, 0.1, label)
+        q, u, r = (np.full(snap_kernel.LABELS, value) for value in (1e5, 1e3, 5e-12))
+        jump = np.ones(snap_kernel.JUMPS)
         outcomes = []
-        for make in (lambda function: function, lambda function: compiled(function, ("processing.snap_filter",))):
-            state, stored = np.empty(snap_filter.STATE), np.empty((time.size, snap_filter.STORED))
-            make(snap_filter.start)(time, position, 5e-12, True, state)
-            make(snap_filter.forward)(time, position, label, at, kind, q, u, r, jump, state, stored)
+        for make in (
+            lambda function: function,
+            lambda function: compiled(function, ("processing.kalman.snap_kernel",)),
+        ):
+            state, stored = np.empty(snap_kernel.STATE), np.empty((time.size, snap_kernel.STORED))
+            make(snap_kernel.start)(time, position, 5e-12, True, state)
+            make(snap_kernel.forward)(time, position, label, at, kind, q, u, r, jump, state, stored)
             motion_ = np.empty((6, time.size))
-            sums = np.zeros((snap_filter.LABELS, 4)), np.zeros((snap_filter.JUMPS, 2))
-            make(snap_filter.backward)(time, label, at, kind, stored, True, motion_, *sums)
+            sums = np.zeros((snap_kernel.LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
+            make(snap_kernel.backward)(time, label, at, kind, stored, True, motion_, *sums)
             outcomes.append(motion_)
         one, two = outcomes
     scale = np.abs(one).max(axis=1, keepdims=True)
@@ -203,10 +209,10 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
     data = series.of(recorded(motion(5, 2.0)))
     landing = next(start for start, _ in motion(5, 2.0).sticks[1:]) - motion(5, 2.0).time[0]
     i, j = np.searchsorted(data.time, (landing - 0.2, landing + 0.05))
-    edges, parts = np.array([-0.02, -0.005, 0.0]), np.array([snap_filter.SLIP, 2, 1, snap_filter.STICK], np.uint8)
-    q, r = np.full(snap_filter.LABELS, 1e5), np.full(snap_filter.LABELS, 5e-12)
+    edges, parts = np.array([-0.02, -0.005, 0.0]), np.array([snap_kernel.SLIP, 2, 1, snap_kernel.STICK], np.uint8)
+    q, r = np.full(snap_kernel.LABELS, 1e5), np.full(snap_kernel.LABELS, 5e-12)
     outcomes = []
-    for run in (snap_mean.answer, compiled(snap_mean.answer, landing_snap.KERNELS)):
+    for run in (mean_snap_kernel.answer, compiled(mean_snap_kernel.answer, landing_snap.KERNELS)):
         square, product = np.zeros((2, 2)), np.zeros(2)
         run(data.time[i:j], data.position[i:j], landing, edges, parts, q, r, 1e-6, square, product)
         outcomes.append(np.concatenate((square.ravel(), product)))
@@ -216,7 +222,7 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
 
 def test_the_smoother_does_not_depend_on_its_blocks(motion, recorded):
     data = series.of(recorded(motion(5, 6.0)))
-    run = compiled(jerk_filter.smooth, rts.KERNELS)
+    run = compiled(jerk_kernel.smooth, white_jerk.KERNELS)
     found = []
     for block in (512, 100_000):
         out = np.empty((6, data.time.size))
@@ -233,7 +239,7 @@ def test_noise_levels_are_those_that_were_put_in(imported):
     a -= np.linspace(0, a[-1], n)
     v = np.cumsum(a) * h
     x = np.cumsum(v) * h
-    noise = rts.fit(series.of(imported(np.arange(n) * h, x + np.sqrt(r) * rng.standard_normal(n))))
+    noise = white_jerk.fit(series.of(imported(np.arange(n) * h, x + np.sqrt(r) * rng.standard_normal(n))))
     assert noise.reading == pytest.approx(r, rel=0.05)
     assert noise.jerk == pytest.approx(q, rel=0.5)
 
@@ -243,9 +249,9 @@ def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihoo
     # A track without a pitch, 0.3 m/s at 50 um and 1 kHz: in sticks third differences are nothing but rounding.
     true = motion(5, 12.0, jitter=0.0, belt=0.3)
     data = series.of(imported(true.time, np.floor(true.x / 50e-6) * 50e-6))
-    noise = rts.fit(data)
+    noise = white_jerk.fit(data)
     assert noise.reading == pytest.approx((50e-6) ** 2 / 12, rel=0.5)
-    found = methods.estimate(method, data, Setting())
+    found = registry.estimate(method, data, Setting())
     assert velocity_error(found, true.v)[0] < 1.0
 
 
@@ -253,7 +259,7 @@ def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihoo
 @pytest.mark.parametrize("setting", [Setting(41, 4), Setting(None, 4)])
 def test_a_smoother_has_no_window(motion, recorded, method, setting):
     with pytest.raises(InputError, match=f"{method} has no window"):
-        methods.estimate(method, series.of(recorded(motion(5, 3.0))), setting)
+        registry.estimate(method, series.of(recorded(motion(5, 3.0))), setting)
 
 
 def test_a_window_that_is_asked_for_means_savitzky_golay(motion, recorded):

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
-from processing import methods, series
-from processing import window as windows
-from processing.methods import Setting
+from processing.methods import registry
+from processing.methods import window_choice as windows
+from processing.methods.registry import Setting
+from processing.record import series
 
 
 def rms(data, true, setting):
-    found = methods.estimate("sg", data, setting)
+    found = registry.estimate("sg", data, setting)
     return float(np.sqrt(np.mean((found.velocity - true.v)[400:-400] ** 2)))
 
 

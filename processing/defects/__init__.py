@@ -1,0 +1,1 @@
+"""What is wrong in a record: lost counts, velocity steps."""

@@ -1,0 +1,1 @@
+"""Filters and smoothers of integrated Wiener processes."""

@@ -1,0 +1,229 @@
+"""Fixed-interval smoothing of a motion of white jerk, on the recorded times, its noise levels by likelihood.
+
+The jerk is taken for white noise of one density q over the whole record and the readings for independent, of one
+variance r; both are those under which the record is most likely.  Every sample then is told from all others, with
+standard errors that are larger at the ends.  Equivalent to the quintic smoothing spline, and to a Savitzky-Golay
+window of `Motion.window` samples where times are even.
+
+Not modelled: corners of the velocity (they raise q for the whole record: `processing.segmentation.smoother` knows them), and counts
+that hardly change (the readings then err together).  Near a corner the readings surprise the filter; the standard
+errors there are scaled up by how much.
+
+Source: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965) 1445.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.compile import compiled
+from daq.errors import InputError
+from processing.kalman import jerk_kernel
+from processing.methods import window_choice as windows
+from processing.methods.registry import Motion, Setting
+from processing.polynomial import uneven
+from processing.record.series import Series
+
+Array = NDArray[np.float64]
+
+KERNELS = ("processing.kalman.jerk_kernel",)
+SHORT = 8  # samples: pieces below are one parabola
+BLOCK = 4096  # samples smoothed at a time
+LOOKED_AT = 12_288  # samples the noise levels are fitted to
+STRETCH = 2**8  # samples of one stretch of them, at first
+LOG_RHO = (-48.0, 12.0)  # of q interval^5/r: from what hardly bends to interpolation
+ORDER = 5  # of the spline
+EQUIVALENT = 9.0  # window times rho**(1/6) of the Savitzky-Golay filter of order 4 that resembles the smoother
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Density of the white jerk, m^2/s^5, and variance of a reading, m^2."""
+
+    jerk: float
+    reading: float
+
+    def rho(self, interval: float) -> float:
+        """Return what decides how much is smoothed: q interval^5/r."""
+        return self.jerk * interval**5 / self.reading
+
+
+def estimate(series: Series, setting: Setting) -> Motion:
+    """Smooth the record.
+
+    Parameters
+    ----------
+    series : Series
+        The record.
+    setting : Setting
+        Must name no window and no order: the record decides.
+
+    Returns
+    -------
+    Motion
+        ``window`` is that of the Savitzky-Golay filter of order 4 that resembles the smoother, ``order`` the spline's.
+
+    Raises
+    ------
+    InputError
+        When a window or an order was asked for.
+    """
+    refuse_window(setting, "rts")
+    noise = fit(series)
+    return smooth(series, noise)
+
+
+def refuse_window(setting: Setting, method: str) -> None:
+    """Raise InputError when a window or an order was asked for."""
+    if setting.window is not None or setting.order is not None:
+        raise InputError(
+            f"{method} has no window: the record decides how much is smoothed",
+            f"--method {method}",
+            "leave out --window and --order, or take --method sg",
+        )
+
+
+def fit(series: Series) -> Noise:
+    """Find the noise levels of greatest likelihood.
+
+    Of a long record, stretches spread over it are looked at.  A record at rest has no jerk and errs by a count.
+    """
+    floor = least_variance(series)
+    length = STRETCH
+    while True:
+        stretches = _stretches(series, length)
+        if not stretches:
+            return Noise(math.exp(LOG_RHO[0]) * floor / series.interval**5, floor)
+        # not the median: where the belt moves whole counts a sample, most third differences are nothing but rounding
+        third = np.percentile(np.abs(np.concatenate([np.diff(position, 3) for _, position in stretches])), 90)
+        scale = max(float(third) ** 2 / 20, floor)  # near the variance of a reading, so that numbers stay near 1
+        log_rho, reading = _likeliest([(time, position / math.sqrt(scale)) for time, position in stretches])
+        whole = len(stretches) * length < LOOKED_AT or length >= LOOKED_AT
+        if whole or equivalent_window(math.exp(log_rho), 8 * length) < length / 4:
+            break
+        length *= 8
+    reading *= scale
+    reading = max(reading, 0.25 * floor if series.pitch else floor)
+    return Noise(math.exp(log_rho) * reading / series.interval**5, reading)
+
+
+def _stretches(series: Series, length: int) -> list[tuple[Array, Array]]:
+    """Return times, in sample intervals, and positions of stretches spread evenly over the record.
+
+    Many short ones, so that a motion that mostly rests is seen at work too.
+    """
+    most = max(LOOKED_AT, 8 * length)
+    found = [own for own in windows.looked_at(series, most, most // length) if own.stop - own.start >= 2 * SHORT]
+    every = [(series.time[own] / series.interval, series.position[own] - series.position[own.start]) for own in found]
+    return [(time, position) for time, position in every if np.any(np.diff(position, 3))]
+
+
+def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
+    """Return log rho of the greatest likelihood and the variance of a reading there."""
+    surprise = compiled(jerk_kernel.surprise, KERNELS)
+    edges = np.cumsum([0, *(time.size for time, _ in stretches)])
+    time, position = (np.concatenate([stretch[k] for stretch in stretches]) for k in (0, 1))
+
+    def cost(log_rho: float, some: int) -> tuple[float, float]:
+        sums = np.zeros(3)
+        surprise(time, position, edges, some, math.exp(log_rho), sums)
+        variance = max(sums[1] / sums[2], 1e-30)
+        return 0.5 * (sums[0] + sums[2] * math.log(variance)), variance
+
+    few = max(len(stretches) // 16, 1)
+    middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 6.0, 1.5)
+    log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
+    return log_rho, cost(log_rho, 1)[1]
+
+
+def least_variance(series: Series) -> float:
+    """Return the least variance of a reading, m^2: that of a count, or the rounding of the numbers."""
+    rounding = 1e-15 * max(float(np.abs(series.position).max()), abs(series.origin))
+    return max(series.pitch**2 / 12, rounding**2, 1e-60)
+
+
+def lowest(function: Callable[[float], float], bounds: tuple[float, float], step: float, width: float) -> float:
+    """Return where a function of one number is least: on a grid of ``step``, then by golden section to ``width``."""
+    grid = np.arange(bounds[0], bounds[1] + step / 2, step)
+    at = int(np.argmin([function(float(value)) for value in grid]))
+    low, high = float(grid[max(at - 1, 0)]), float(grid[min(at + 1, grid.size - 1)])
+    golden = (math.sqrt(5) - 1) / 2
+    one, two = high - golden * (high - low), low + golden * (high - low)
+    f_one, f_two = function(one), function(two)
+    while high - low > width:
+        if f_one < f_two:
+            high, two, f_two = two, one, f_one
+            one = high - golden * (high - low)
+            f_one = function(one)
+        else:
+            low, one, f_one = one, two, f_two
+            two = low + golden * (high - low)
+            f_two = function(two)
+    return 0.5 * (low + high)
+
+
+def vertex(function: Callable[[float], float], middle: float, step: float) -> float:
+    """Return where a smooth function of one number is least: the vertex of a parabola through three places.
+
+    The places are ``step`` apart, and are moved until the middle one is the lowest (or twelve steps away).
+    """
+    at, (low, here, high) = middle, (function(middle + k * step) for k in (-1, 0, 1))
+    for _ in range(12):
+        if low < here:
+            at, low, here, high = at - step, function(at - 2 * step), low, here
+        elif high < here:
+            at, low, here, high = at + step, here, high, function(at + 2 * step)
+        else:
+            break
+    bend = low - 2 * here + high
+    return at + 0.5 * step * (low - high) / bend if bend > 0 else at
+
+
+def smooth(series: Series, noise: Noise) -> Motion:
+    """Smooth the record with given noise levels."""
+    n = series.time.size
+    motion = np.empty((6, n))
+    run = compiled(jerk_kernel.smooth, KERNELS)
+    rho = noise.rho(series.interval)
+    behind = reach(rho)
+    block = max(BLOCK, 4 * behind)
+    for piece in series.pieces:
+        if piece.stop - piece.start < SHORT:
+            motion[:, piece] = parabola(series.time[piece], series.position[piece], noise.reading)
+        else:
+            run(series.time[piece], series.position[piece], noise.jerk, noise.reading, block, behind, motion[:, piece])
+    errors = np.sqrt(np.maximum(motion[3:], 0.0))
+    return Motion(
+        position=series.origin + motion[0],
+        velocity=motion[1],
+        acceleration=motion[2],
+        position_errors=errors[0],
+        velocity_errors=errors[1],
+        acceleration_errors=errors[2],
+        window=equivalent_window(rho, n),
+        order=ORDER,
+        method="rts",
+    )
+
+
+def reach(rho: float) -> int:
+    """Return after how many samples what a smoother starts from has faded."""
+    return math.ceil(2 * jerk_kernel.SETTLED / float(rho ** (1 / 6))) + 8
+
+
+def equivalent_window(rho: float, n: int) -> int:
+    """Return the odd window of the Savitzky-Golay filter that smooths as much, at most ``n``."""
+    window = min(EQUIVALENT / rho ** (1 / 6), float(n))
+    return max(2 * (int(window) // 2) + 1 if window < n else n - 1 + n % 2, ORDER)
+
+
+def parabola(time: Array, position: Array, variance: float) -> Array:
+    """Return motion and variances, (6, n), of a piece too short to filter: one polynomial, of degree 2 at most."""
+    n = time.size
+    degree = min(2, n - 1)
+    values, norms = uneven.fit(time, position, n, degree)
+    norms[degree + 1 :] = np.inf
+    return np.concatenate((values, variance * norms**2))

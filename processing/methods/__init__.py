@@ -1,0 +1,1 @@
+"""The velocity methods behind one signature, and the choice of their window."""

@@ -1,0 +1,90 @@
+"""Finite differences: the thesis's first method, kept as the baseline that shows why one smooths.
+
+The velocity is the gradient between a sample and the next, v_i = (x_{i+1} - x_i)/(t_{i+1} - t_i); the last sample of
+a piece repeats the one before it.  One count over one interval is already pitch/interval: 7.7 mm/s at 1 kHz.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import InputError
+from processing.methods.registry import Motion, Setting
+from processing.polynomial.even_grid import even_grid
+from processing.record.series import Series
+
+Array = NDArray[np.float64]
+
+WINDOW = 2  # samples
+
+
+def estimate(series: Series, setting: Setting) -> Motion:
+    """Differentiate by differences of neighbouring samples.
+
+    Parameters
+    ----------
+    series : Series
+        The record.
+    setting : Setting
+        Must be empty: two points and a straight line are the method.
+
+    Returns
+    -------
+    Motion
+        Position as recorded, velocity by the forward difference, acceleration by the second difference on the three
+        samples around.  Errors are those of independent reading errors; they do not cover the truncation error
+        a dt/2 of a one-sided difference.
+
+    Raises
+    ------
+    InputError
+        When a window or an order was asked for.
+    """
+    if setting.window is not None or setting.order is not None:
+        raise InputError("finite differences have no window", "--method fd", "leave out --window and --order")
+    n = series.time.size
+    velocity, acceleration = np.zeros(n), np.zeros(n)
+    velocity_errors, acceleration_errors = np.full(n, np.inf), np.full(n, np.inf)
+    sigma = reading_error(series)
+    for piece in series.pieces:
+        t, x = series.time[piece], series.position[piece]
+        if t.size < 2:
+            continue
+        step = np.diff(t)
+        v = np.diff(x) / step
+        velocity[piece] = np.append(v, v[-1])
+        velocity_errors[piece] = np.sqrt(2.0) * sigma / np.append(step, step[-1])
+        if t.size < 3:
+            continue
+        h, k = step[:-1], step[1:]
+        a = 2 * np.diff(v) / (h + k)
+        acceleration[piece] = np.concatenate((a[:1], a, a[-1:]))
+        weight = 2 / (h + k) * np.sqrt(1 / h**2 + (1 / h + 1 / k) ** 2 + 1 / k**2)
+        acceleration_errors[piece] = sigma * np.concatenate((weight[:1], weight, weight[-1:]))
+    return Motion(
+        position=series.origin + series.position,
+        velocity=velocity,
+        acceleration=acceleration,
+        position_errors=np.full(n, sigma),
+        velocity_errors=velocity_errors,
+        acceleration_errors=acceleration_errors,
+        window=WINDOW,
+        order=1,
+        method="fd",
+    )
+
+
+def reading_error(series: Series) -> float:
+    """Return the standard error of one reading, m.
+
+    Read off the third differences, in which motion has all but cancelled and reading errors stand out 20-fold in
+    variance (off their median, so that corners do not count); at least pitch/sqrt(12) of an encoder.
+    """
+    third = [
+        np.diff(even_grid(series.time[piece], series.position[piece]), 3)
+        for piece in series.pieces
+        if piece.stop - piece.start > 3
+    ]
+    median = float(np.median(np.abs(np.concatenate(third)))) if third else 0.0
+    return max(series.pitch / math.sqrt(12), median / 0.6745 / math.sqrt(20))

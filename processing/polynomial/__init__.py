@@ -1,0 +1,1 @@
+"""Least-squares polynomials on arrays alone."""

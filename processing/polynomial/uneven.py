@@ -1,0 +1,60 @@
+"""Least-squares polynomials on each window's own sample times: Savitzky-Golay without an even grid.
+
+For every sample the window's own orthogonal polynomials are built by Forsythe's three-term recurrence on its
+abscissae u = (t_j - t_i)/(half window) (`processing.polynomial.local_kernel`):
+
+    p_{k+1}(u) = (u - a_k) p_k(u) - b_k p_{k-1}(u),
+    a_k = <u p_k, p_k>/<p_k, p_k>,   b_k = <p_k, p_k>/<p_{k-1}, p_{k-1}>
+
+so no normal equations are formed and any spacing is welcome.  The fit is evaluated at u = 0, the sample itself.
+Near the ends of a piece the window stops at the end and the fit becomes one-sided: nothing special is done for it.
+
+Source: G. E. Forsythe, J. SIAM 5 (1957) 74.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.compile import compiled
+from processing.polynomial import local_kernel
+
+Array = NDArray[np.float64]
+
+KERNELS = ("processing.polynomial.local_kernel",)
+
+
+def starts(n: int, window: int) -> NDArray[np.int64]:
+    """Return the first sample of every sample's window: centred, or up against the end of the piece."""
+    return np.clip(np.arange(n) - window // 2, 0, n - window)
+
+
+def fit(time: Array, position: Array, window: int, order: int) -> tuple[Array, Array]:
+    """Fit a polynomial around every sample of one piece.
+
+    Parameters
+    ----------
+    time, position : array of shape (n,)
+        s, increasing, and m.
+    window : int
+        Samples per fit, at most n; even is allowed here, since the abscissae are explicit.
+    order : int
+        Degree, below the window.
+
+    Returns
+    -------
+    values : array of shape (3, n)
+        Position, velocity, acceleration at the samples; a derivative above the order is zero.
+    norms : array of shape (3, n)
+        Root sum of squares of the weights: times the reading error it is the standard error.
+    """
+    n = time.size
+    first = starts(n, window)
+    span = (time[-1] - time[0]) / (n - 1) * max(window // 2, 1) if n > 1 else 1.0
+    span = 2.0 ** round(np.log2(span))  # a power of two: the same for a part of the record as for the whole
+    values, norms = np.empty((3, n)), np.empty((3, n))
+    compiled(local_kernel.fit, KERNELS)(time, position, first, window, order, span, values, norms)
+    # The position at the centre was taken off: a local fit should not carry the whole travel's digits.
+    scale = np.array([1.0, 1.0 / span, 1.0 / span**2])[:, None]
+    values *= scale
+    values[0] += position
+    return values, norms * scale

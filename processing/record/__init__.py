@@ -1,0 +1,1 @@
+"""What is smoothed and what comes out."""

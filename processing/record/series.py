@@ -1,0 +1,192 @@
+"""A record made ready for smoothing: positions from the first sample on, the time axis asked for, cut at its gaps.
+
+Rules: counts are subtracted as whole numbers before they become metres, so an offset of 2^60 costs no digit; a hole
+of more than `HOLE` sample intervals ends a piece, and so does a new segment; nothing is ever smoothed across a cut.
+A shorter hole (a lost sample or two) stays inside its piece: the recorded times say where the neighbours lie.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import InputError
+from processing.polynomial.even_grid import even_grid
+
+if TYPE_CHECKING:
+    from daq.runfile.recording import Recording
+
+Array = NDArray[np.float64]
+
+HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or two, shorter than a lost frame of eight
+LEAST = 5  # samples: a local parabola and its error need as many
+TIMES = ("recorded", "nominal")
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Positions against time, every array of shape (n,).
+
+    Attributes
+    ----------
+    time : array
+        s, increasing.
+    position : array
+        m, seen from `origin`, so that the first is 0.
+    origin : float
+        m; add it to get the recording's positions.
+    pitch : float
+        Metres per count (positive); 0 for a record without counts.
+    interval : float
+        Median sample interval, s.
+    pieces : tuple of slice
+        Stretches without a gap, in order; together they are the record.
+    source : str
+        The file, for messages.
+    count : array of int64 or None
+        The position in counts, seen from the first; None for a record without, or one that was mended.
+    """
+
+    time: Array
+    position: Array
+    origin: float
+    pitch: float
+    interval: float
+    pieces: tuple[slice, ...]
+    source: str = ""
+    count: NDArray[np.int64] | None = None
+
+    @cached_property
+    def even_counts(self) -> tuple[Array, ...]:
+        """Positions of each piece on its even grid, in counts; empty for a lone sample.  Needs a pitch."""
+        own = [(self.time[piece], self.position[piece] / self.pitch) for piece in self.pieces]
+        return tuple(even_grid(time, count) if time.size > 1 else np.empty(0) for time, count in own)
+
+
+def of(
+    recording: "Recording",
+    times: str = "recorded",
+    anchor: "tuple[float, int] | None" = None,
+    grid: Array | None = None,
+) -> Series:
+    """Return the series of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        The run.
+    times : {"recorded", "nominal"}
+        The board's sample times, or an even grid at the nominal rate that starts with each segment.
+    anchor : (float, int), optional
+        Time and number of the sample at which the first segment's even grid starts; by default the first.
+    grid : array of shape (n,), optional
+        The even grid itself, where more than this recording tells it.
+
+    Raises
+    ------
+    InputError
+        For an unknown time axis, fewer than 5 samples, a position or time that is not finite, or times that are
+        repeated or decrease; the message names the sample.
+    """
+    where = str(recording.source)
+    if times not in TIMES:
+        raise InputError(f"times is {times!r}", "--times", f"known: {', '.join(TIMES)}")
+    recorded, positions = recording.time, recording.position
+    if recorded.size < LEAST:
+        raise InputError(f"holds {recorded.size} samples; smoothing needs {LEAST}", where, "record for longer")
+    segment = recording.segment
+    time = recorded if times == "recorded" else nominal(recording, anchor) if grid is None else grid
+    check(time, positions, where)
+    pitch, count = 0.0, None
+    if recording.count is not None:
+        metres = recording.rig.metres_per_count
+        scale = metres.value if metres is not None else 1.0
+        pitch = abs(scale)
+        count = recording.count - recording.count[0]
+        position = count * scale
+        count = count if scale > 0 else -count
+    else:
+        position = positions - positions[0]
+    interval = float(np.median(np.diff(time)))
+    return Series(
+        time=time,
+        position=position,
+        origin=float(positions[0]),
+        pitch=pitch,
+        interval=interval,
+        pieces=pieces(time, segment, interval),
+        source=where,
+        count=count,
+    )
+
+
+def check(time: Array, position: Array, where: str) -> None:
+    """Raise InputError, naming the sample, unless times increase and every number is finite."""
+    for name, values in (("time", time), ("position", position)):
+        finite = np.isfinite(values)
+        if not finite.all():
+            index = int(np.argmin(finite))
+            raise InputError(f"{name} is {values[index]} at sample {index}", where, "remove or mend that sample")
+    steps = np.diff(time)
+    if not (steps > 0).all():
+        index = int(np.argmin(steps > 0)) + 1
+        word = "repeats" if steps[index - 1] == 0 else "decreases"
+        raise InputError(
+            f"time {word} at sample {index} ({time[index - 1]:.6f} s, then {time[index]:.6f} s)",
+            where,
+            "times must increase: remove that sample, or use --times nominal when only the clock is bad",
+        )
+
+
+def pieces(time: Array, segment: NDArray[np.integer], interval: float) -> tuple[slice, ...]:
+    """Return the stretches between segment changes and holes longer than `HOLE` intervals."""
+    steps = np.diff(time)
+    # Nine in ten intervals are no longer than this: the nominal one, or its like where samples come at random.
+    usual = max(interval, float(np.percentile(steps, 90)))
+    cut = (np.diff(segment.astype(np.int64)) != 0) | (steps > HOLE * usual)
+    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), time.size]
+    return tuple(slice(first, last) for first, last in pairwise(edges))
+
+
+def nominal(recording: "Recording", anchor: "tuple[float, int] | None" = None) -> Array:
+    """Return an even grid, s: the first recorded time of each segment plus sample number over rate.
+
+    Lost samples keep their place, by the sequence number where there is one, else by the length of the hole.
+    """
+    recorded = recording.time
+    time = np.empty_like(recorded)
+    edges = [0, *(np.flatnonzero(np.diff(recording.segment.astype(np.int64)) != 0) + 1).tolist(), recorded.size]
+    for first, last in pairwise(edges):
+        own = slice(first, last)
+        if recording.raw is not None:
+            step = 1.0 / recording.rate_hz
+            number = recording.raw.sample[own].astype(np.int64)
+            start, zero = (recorded[first], number[0]) if anchor is None or first else anchor
+            time[own] = start + (number - zero) * step
+            continue
+        else:
+            gaps = np.diff(recorded[own])
+            step = float(np.median(gaps)) if gaps.size else 1.0 / recording.rate_hz
+            # Interval by interval: over a long record a small error of the step would add up to samples.
+            number = np.concatenate(([0], np.cumsum(interval_numbers(gaps, step))))
+            if gaps.size:
+                step = float(recorded[last - 1] - recorded[first]) / float(number[-1])
+        time[own] = recorded[first] + number * step
+    return time
+
+
+def interval_numbers(gaps: Array, step: float) -> NDArray[np.int64]:
+    """Return how many steps each interval takes, at least one."""
+    return np.asarray(np.maximum(np.rint(gaps / step), 1).astype(np.int64))
+
+
+def evenly(time: Array) -> bool:
+    """Tell whether the samples lie on an even grid, to a millionth of an interval."""
+    n = time.size
+    if n < 3:
+        return True
+    step = (time[-1] - time[0]) / (n - 1)
+    return bool(np.abs(time - (time[0] + step * np.arange(n))).max() <= 1e-6 * step)

@@ -1,0 +1,68 @@
+"""The mean snap of a slip near its landing, learned from all landings together.
+
+Friction rises ever faster as the mass comes up to the belt's speed, and does so at every landing alike.  A snap whose
+mean is taken for 0 there makes every landing seem late: by a tenth of a millisecond on the bench, and the velocity
+before it wrong by 1 mm/s.  One landing cannot tell its own time from its own snap; many can tell the snap they share.
+
+What is expected of a sample moves in proportion to the means, so those of greatest likelihood solve normal equations.
+The time of each landing is left open by what it is uncertain by: it shifts the velocity behind it.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.compile import compiled
+from processing.kalman import mean_snap_kernel
+from processing.kalman.snap_kernel import LAND, LANDING, NEAR_LANDING, SLIP, STICK
+from processing.record.series import Series
+from processing.segmentation.noise_levels import Levels
+from processing.segmentation.switching_times import Layout
+
+Array = NDArray[np.float64]
+
+KERNELS = ("processing.kalman.snap_kernel", "processing.kalman.mean_snap_kernel")
+
+PARTS = len(NEAR_LANDING)
+BEFORE, BEHIND = 1 / 3, 1 / 12  # of a slip: what is looked at around a landing
+OPEN = 1.5  # standard deviations of its time that a landing is left open for
+MOST = 64  # landings looked at
+
+
+def with_means(series: Series, layout: Layout, levels: Levels) -> Levels:
+    """Return the levels with the mean snap of a slip's parts near its landing on an even belt.
+
+    With n landings the means are (n - 1)/n of those of greatest likelihood: one alone tells nothing.
+    """
+    unit = layout.unit
+    landings = np.flatnonzero(layout.kind == LAND)
+    if landings.size < 2:
+        return levels
+    loose = (OPEN * levels.peak * float(np.median(layout.sd[landings]))) ** 2
+    edges = np.concatenate((-unit * np.array(NEAR_LANDING)[::-1], [0.0]))
+    parts = np.array([SLIP, *range(LANDING + PARTS - 1, LANDING - 1, -1), STICK], np.uint8)
+    square, product = np.zeros((PARTS, PARTS)), np.zeros(PARTS)
+    run = compiled(mean_snap_kernel.answer, KERNELS)
+    starts = np.array([piece.start for piece in series.pieces])
+    seen = 0
+    for k in landings[np.unique(np.linspace(0, landings.size - 1, MOST).astype(int))].tolist():
+        at = float(layout.at[k])
+        piece = series.pieces[int(np.searchsorted(series.time[starts], at, side="right")) - 1]
+        begin, end = at - BEFORE * unit, at + BEHIND * unit
+        if k:
+            begin = max(begin, float(layout.at[k - 1]))
+        if k + 1 < layout.at.size:
+            end = min(end, float(layout.at[k + 1]))
+        i, j = piece.start + np.searchsorted(series.time[piece], (begin, end))
+        if j - i < 16 or at - begin < unit * NEAR_LANDING[-1]:
+            continue
+        run(*(series.time[i:j], series.position[i:j], at), *(edges, parts, levels.q, levels.r, loose, square, product))
+        seen += 1
+    if seen < 2:
+        return levels
+    full = square + np.tril(square, -1).T
+    means = np.linalg.solve(full + np.diag(np.diag(full) / (seen - 1) + 1e-300), product)
+    u = levels.u.copy()
+    u[LANDING : LANDING + PARTS] = means[::-1]
+    return replace(levels, u=u)

@@ -1,0 +1,173 @@
+"""Corners of a motion that sticks and slips, in order of time, and how they part a record.
+
+Kinds of corners and labels of the parts between them are those of `processing.kalman.snap_kernel`.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.compile import compiled
+from processing.kalman import corner_kernel, white_jerk
+from processing.kalman.snap_kernel import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
+from processing.record.series import Series
+from processing.segmentation.plateaus import Found
+
+Array = NDArray[np.float64]
+Labels = NDArray[np.uint8]
+
+KERNELS = ("processing.kalman.snap_kernel", "processing.kalman.corner_kernel")
+FITTED = 9_000  # samples the noise levels are fitted to
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Corners in order of time: when (s), how uncertain (s), what (of `processing.kalman.snap_kernel`), (c,) each.
+
+    ``first`` is the label that every piece begins with, ``unit`` the usual length of a slip, s.
+    """
+
+    at: Array
+    sd: Array
+    kind: Labels
+    first: tuple[int, ...]
+    unit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Samples filtered in one go, the label they begin with, and the corners among them."""
+
+    own: slice
+    first: int
+    corners: slice
+
+
+def laid_out(series: Series, found: Found) -> Layout:
+    """Return the corners of the phases found: those that begin and end within a piece."""
+    at: list[float] = []
+    kind: list[int] = []
+    first = []
+    lengths, rides = [], []
+    time = series.time
+    for piece in series.pieces:
+        begin, end = time[piece.start], time[piece.stop - 1]
+        inside = [phase for phase in found.phases if begin <= phase.start and phase.end <= end]
+        begins = SLIP
+        if inside and inside[0].kind == "stick" and inside[0].start <= begin:
+            begins = STICK
+        if inside and inside[0].start > begin + 4 * series.interval:
+            begins = REST
+            at.append(inside[0].start)
+            kind.append(START)
+            if inside[0].kind == "stick":
+                at.append(inside[0].start + 2 * series.interval)
+                kind.append(LAND)
+        for phase in inside:
+            if phase.kind == "slip":
+                if phase is not inside[-1] and (phase is not inside[0] or begins == REST):
+                    lengths.append(phase.duration)  # whole: no slip that the record cuts off
+                continue
+            rides.append(phase.duration)
+            if phase.start > begin and phase is not inside[0]:
+                at.append(phase.start)
+                kind.append(LAND)
+            if phase.end < end:
+                at.append(phase.end)
+                kind.append(LEAVE)
+        if inside and inside[-1].end < end - 4 * series.interval and inside[-1].kind == "slip":
+            at.append(inside[-1].end)
+            kind.append(STOP)
+        first.append(begins)
+    unit = float(np.median(lengths or rides or [(time[-1] - time[0]) / 4]))
+    order = np.argsort(at, kind="stable")
+    times = np.array(at, float)[order]
+    return Layout(times, np.full(times.size, series.interval), np.array(kind, np.uint8)[order], tuple(first), unit)
+
+
+def stretches(series: Series, layout: Layout) -> list[Stretch]:
+    """Return the pieces, with their corners."""
+    made = []
+    for piece, first in zip(series.pieces, layout.first, strict=True):
+        ends = np.searchsorted(layout.at, (series.time[piece.start], series.time[piece.stop - 1]), side="right")
+        made.append(Stretch(piece, first, slice(int(ends[0]), int(ends[1]))))
+    return [own for own in made if own.own.stop - own.own.start >= white_jerk.SHORT]
+
+
+def state_after(kind: int) -> int:
+    """Return the label of the part behind a corner."""
+    return {LAND: STICK, MEET: RIDE, STOP: REST}.get(kind, SLIP)
+
+
+def looked_at(series: Series, layout: Layout) -> list[Stretch]:
+    """Return the stretches that noise is learned from: of a long record a dozen slips and their surroundings."""
+    whole = stretches(series, layout)
+    if sum(own.own.stop - own.own.start for own in whole) <= FITTED:
+        return whole
+    around = []
+    for stretch in whole:
+        times, kinds = layout.at[stretch.corners], layout.kind[stretch.corners]
+        for k, kind in enumerate(kinds.tolist()):
+            if kind in (LAND, MEET, STOP):
+                begun = times[k - 1] if k else series.time[stretch.own.start]
+                around.append(
+                    (stretch, max(begun, times[k] - 3 * layout.unit) - layout.unit / 4, times[k] + layout.unit / 4)
+                )
+    if not around:
+        return whole
+    most = max(int(FITTED * series.interval / (1.5 * layout.unit)), 3)
+    picked = [around[i] for i in np.unique(np.linspace(0, len(around) - 1, most).astype(int))]
+    made = []
+    for stretch, begin, end in picked:
+        own = series.time[stretch.own]
+        i, j = stretch.own.start + np.searchsorted(own, (begin, end))
+        if j - i < 2 * white_jerk.SHORT:
+            continue
+        c, d = np.searchsorted(layout.at, (series.time[i], series.time[j - 1]), side="right")
+        first = state_after(int(layout.kind[c - 1])) if c > stretch.corners.start else stretch.first
+        made.append(Stretch(slice(int(i), int(j)), first, slice(int(c), int(d))))
+    return made
+
+
+def labels(series: Series, layout: Layout, stretch: Stretch) -> Labels:
+    """Return the label of every sample of a stretch."""
+    time = series.time[stretch.own]
+    label = np.empty(time.size, np.uint8)
+    compiled(corner_kernel.label_samples, KERNELS)(
+        time, layout.at[stretch.corners], layout.kind[stretch.corners], stretch.first, layout.unit, label
+    )
+    return label
+
+
+def without(layout: Layout, gone: NDArray[np.bool_]) -> Layout:
+    """Return the layout without some corners; what they parted is slip."""
+    return replace(
+        layout,
+        at=layout.at[~gone],
+        sd=layout.sd[~gone],
+        kind=layout.kind[~gone],
+        first=tuple(SLIP for _ in layout.first) if gone.all() else layout.first,
+    )
+
+
+def sticks_of(layout: Layout) -> list[list[int]]:
+    """Return the corners of every stick and ride: the one it begins with and the one it ends with, where it has any."""
+    found: list[list[int]] = []
+    for k, kind in enumerate(layout.kind.tolist()):
+        if kind in (LAND, MEET):
+            ends = k + 1 < layout.kind.size and layout.kind[k + 1] == LEAVE
+            found.append([k, k + 1] if ends else [k])
+        elif kind == LEAVE and (k == 0 or layout.kind[k - 1] not in (LAND, MEET)):
+            found.append([k])
+    return found
+
+
+def spans_of(series: Series, layout: Layout, sticks: list[list[int]]) -> NDArray[np.int64]:
+    """Return the samples by which each stick is judged, its own and some to either side; and last, all: (s + 1, 2)."""
+    spans = []
+    for stick in sticks:
+        begin = layout.at[stick[0]] if layout.kind[stick[0]] != LEAVE else layout.at[stick[0]] - layout.unit
+        end = layout.at[stick[-1]] if layout.kind[stick[-1]] == LEAVE else layout.at[stick[-1]] + layout.unit
+        spans.append(np.searchsorted(series.time, (begin - layout.unit / 16, end + layout.unit / 8)))
+    return np.array([*spans, (0, series.time.size)], np.int64)
