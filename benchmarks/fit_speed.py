@@ -32,10 +32,11 @@ import processing
 from daq.recorder import ports
 from daq.recorder.record import Request, record
 from daq.runfile import store
-from fitting import motion as frame
-from fitting import prediction, schur, windows
-from fitting.setting import Run, Setting
-from fitting.unknowns import DAMPING, DATUM, LEVEL, LOG_F, SHAPE, V_DR, V_SLIP, X_SLIP, K
+from fitting.data import cycles, frame
+from fitting.estimation import levenberg_marquardt
+from fitting.model import shooting
+from fitting.model.parameters import DAMPING, DATUM, LEVEL, LOG_F, SHAPE, V_DR, V_SLIP, X_SLIP, K
+from fitting.model.problem import Run, Setting
 from processing.record.kinematics import Kinematics
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -99,11 +100,11 @@ class OneWindow:
     def __init__(self, kinematics: Kinematics) -> None:
         self.solver = SOLVERS[0]
         motion = frame.of(kinematics, kinematics.recording.rig, None)
-        cut = windows.cut(motion)
+        cut = cycles.cut(motion)
         cycle = next(cycle for cycle in cut.used[2:] if not cycle.overtakes)
         cycle = replace(cycle, stick=(cycle.slip[0], cycle.slip[0]))
         setting = Setting.of(5, [Run(motion, replace(cut, cycles=cut.used))])
-        self.windows = prediction.Windows.of(motion, (cycle,))
+        self.windows = shooting.Windows.of(motion, (cycle,))
         self.setting, self.index = setting, [K, LOG_F, V_DR, SHAPE, DATUM, DAMPING]
         self.own = [X_SLIP, V_SLIP, LEVEL]
         self.local = self.windows.first_locals([motion])
@@ -116,14 +117,14 @@ class OneWindow:
         """Return unknowns, cost and CPU seconds of our minimiser."""
         s = self.setting
         begun = clock.process_time()
-        problem = schur.Problem(
-            evaluate=prediction.evaluator(s.curve, s.ramp, self.windows, s.start, self.index, s.scale, s.local_scale),
+        problem = levenberg_marquardt.Problem(
+            evaluate=shooting.evaluator(s.curve, s.ramp, self.windows, s.start, self.index, s.scale, s.local_scale),
             rows=self.windows.rows, weights=np.array([self.weight]),
             lower=s.lower[self.index], upper=s.upper[self.index],
             prior=s.prior[self.index], precision=s.precision[self.index],
             local_prior=self.local, local_precision=self.local_precision,
         )  # fmt: skip
-        found = schur.minimise(problem, s.start[self.index], self.local, max_steps=200, tolerance=1e-9)
+        found = levenberg_marquardt.minimise(problem, s.start[self.index], self.local, max_steps=200, tolerance=1e-9)
         spent = clock.process_time() - begun
         if found is None:
             raise SystemExit("the flow cannot be followed from the start")

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fitting.ranking import Ranking as Ranking
-    from fitting.ranking import rank as rank
+    from fitting.selection.ranking import Ranking as Ranking
+    from fitting.selection.ranking import rank as rank
 
 __all__ = ["Ranking", "rank"]
 
@@ -12,7 +12,7 @@ __all__ = ["Ranking", "rank"]
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is first asked for: ``import fitting`` alone loads nothing."""
     if name in __all__:
-        from fitting import ranking
+        from fitting.selection import ranking
 
         return getattr(ranking, name)
     raise AttributeError(f"module 'fitting' has no attribute {name!r}")

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from daq.compute.workers import workers
 from daq.errors import (
     EXIT_BUG,
     EXIT_DATA,
@@ -18,9 +19,9 @@ from daq.errors import (
     InputError,
     StickslipError,
 )
-from fitting import report, task
-from fitting.task import Done, Prepared, Wishes
-from fitting.workers import workers
+from fitting import job
+from fitting.job import Done, Prepared, Wishes
+from fitting.report import page
 
 WORST_FIRST = (EXIT_BUG, EXIT_DEVICE, EXIT_INPUT, EXIT_DATA)
 
@@ -109,8 +110,8 @@ def exit_code(rows: Sequence[Row]) -> int:
 def _read(files: Sequence[Path], places: Sequence[Path], wishes: Wishes) -> Iterator[Prepared | Failure]:
     for file, place in zip(files, places, strict=True):
         try:
-            report.refuse_stranger(place)
-            yield task.prepare(file, wishes)
+            page.refuse_stranger(place)
+            yield job.prepare(file, wishes)
         except Exception as error:
             yield _failure(error, file)
 
@@ -120,7 +121,7 @@ def _fitted(run: Prepared | Failure, wishes: Wishes) -> Done | Failure:
     if isinstance(run, Failure):
         return run
     try:
-        return task.fit([run], wishes)
+        return job.fit([run], wishes)
     except Exception as error:
         return _failure(error, run.recording.source)
 

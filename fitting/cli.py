@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from fitting.batch import Row
-    from fitting.result import Ranking
+    from fitting.estimation.result import Ranking
 
 app = application.application(
     "fit-friction", "Fit six friction laws to a recorded run and rank them.", "fit-friction run.h5 --report run.html"
@@ -72,8 +72,9 @@ def fit(
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
     from daq.console.units import measured, quantity
-    from fitting import batch, table, task
-    from fitting import report as pages
+    from fitting import batch, job
+    from fitting.report import page as pages
+    from fitting.report import table
 
     files = [file, *more]
     if len({path.resolve() for path in files}) < len(files):
@@ -85,7 +86,7 @@ def fit(
             raise InputError("is the report's name too", str(csv), "give another name with --csv or --report")
     if mass is not None and stiffness is not None:
         raise InputError("--mass and --stiffness together", "command line", "give one: the fit finds the other")
-    wishes = task.Wishes(
+    wishes = job.Wishes(
         laws=tuple(numbers(laws, "--laws")),
         mass=None if mass is None else measured(mass, "mass", "--mass"),
         stiffness=None if stiffness is None else measured(stiffness, "stiffness", "--stiffness"),
@@ -106,9 +107,9 @@ def fit(
         return Answer(told, _batch(rows), batch.exit_code(rows))
     for place in places:
         pages.refuse_stranger(place)
-    runs = [task.prepare(path, wishes) for path in files]
+    runs = [job.prepare(path, wishes) for path in files]
     with application.progress("fitting", float(len(wishes.laws)), "laws") as tell:
-        done = task.fit(runs, wishes, jobs, scheduler, tell)
+        done = job.fit(runs, wishes, jobs, scheduler, tell)
     done.keep(files, places)
     if csv is not None:
         sides = done.ranking.runs or (done.ranking,)
@@ -177,7 +178,7 @@ def _text(ranking: "Ranking", places: list[Path], alpha: float) -> list[Any]:
 
 def _laws(ranking: "Ranking") -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
-    from fitting.verdict import length
+    from fitting.selection.verdict import length
 
     table = application.table("friction laws, best first", ("law", "error", "behind", "weight", "in set"))
     for row in ranking.rows:
@@ -191,7 +192,7 @@ def _laws(ranking: "Ranking") -> "Table":
 
 def _parameters(ranking: "Ranking", alpha: float) -> "Table":
     """Return the best law's parameters."""
-    from fitting import report
+    from fitting.report import page as report
 
     sure = f"{100 * (1 - alpha):g} % interval"
     table = application.table(f"law {ranking.best.law}", ("parameter", "value", "std. error", sure, "unit"))

@@ -10,7 +10,7 @@ import pytest
 from daq.recorder import ports
 from daq.recorder.record import Request, record
 from daq.runfile import store
-from fitting.ranking import rank
+from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 
@@ -53,12 +53,12 @@ def ranked():
 @pytest.fixture(scope="session")
 def motion_of(synthetic):
     """Give a function that smooths a synthetic run and brings it into the fit's frame."""
-    from fitting import motion
+    from fitting.data import frame
 
     @cache
     def of(**changes):
         recording = synthetic.recording(**changes)
-        return motion.of(smooth(recording), recording.rig, None)
+        return frame.of(smooth(recording), recording.rig, None)
 
     return of
 

@@ -12,7 +12,7 @@ from daq.console import application
 from daq.errors import DataError
 from daq.runfile.rig import Measured, Rig
 from fitting import cli
-from fitting.ranking import rank
+from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 NAMES = (

@@ -9,7 +9,7 @@ from daq.cli import app as daq_cli
 from daq.console import application
 from daq.runfile import store
 from fitting import cli
-from fitting.ranking import rank
+from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 DATUM_SD = 5e-4  # m, of the simulated board

@@ -14,9 +14,10 @@ from pathlib import Path
 import h5py
 import pytest
 
+from daq.compute import workers
 from daq.console import application
 from daq.errors import DeviceError, InputError
-from fitting import batch, cli, workers
+from fitting import batch, cli
 from fitting.batch import Failure, Row
 from processing.smoothing import smooth
 
@@ -113,15 +114,15 @@ def test_a_foreign_report_is_that_runs_own_error(folder, capsys):
 
 
 def test_a_bug_in_one_run_is_told_as_one_and_stops_no_other(folder, capsys, monkeypatch):
-    from fitting import task
+    from fitting import job
 
     def broken(runs, wishes):
         if "five" in str(runs[0].recording.source):
             raise ZeroDivisionError("by nothing")
         return done(runs, wishes)
 
-    done = task.fit
-    monkeypatch.setattr(task, "fit", broken)
+    done = job.fit
+    monkeypatch.setattr(job, "fit", broken)
     code, document = documents(capsys, "--each", folder / "five.h5", folder / "three.h5", "--laws", "3")
     assert "ZeroDivisionError" in document["runs"][0]["error"]["what"]
     assert document["runs"][1]["set"] == [3]
@@ -227,7 +228,7 @@ def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
 
 @needs_dask
 def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
-    from fitting.ranking import rank
+    from fitting.selection.ranking import rank
 
     runs = [smooth(synthetic.recording(law=5, duration=10.0, belt=speed)) for speed in (0.15, 0.25)]
     here, there = rank(runs, laws=(3, 5)), rank(runs, laws=(3, 5), scheduler=cluster)

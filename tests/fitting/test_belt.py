@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
-from fitting import belt
-from fitting.curves import points
-from fitting.ranking import rank
+from fitting.data import belt_line
+from fitting.report.curves import points
+from fitting.selection.ranking import rank
 
 FS_OVER_K = 1.379353536 / 10.5552
 
@@ -19,7 +19,7 @@ def test_the_give_is_read_off_the_sticks_whatever_the_law(simulated, law, sign):
     motion = simulated(
         "belt.channel=true", "droop.fraction=0.02", f"friction.law={law}", f"belt.speed={0.22 * sign}", "scatter.Fs=0"
     )
-    line = belt.line(motion)
+    line = belt_line.line(motion)
     assert line.gives
     assert not line.swings
     assert -line.slope.value == pytest.approx(0.02 * 0.22 / FS_OVER_K, abs=3 * line.slope.sd)
@@ -29,13 +29,13 @@ def test_the_give_is_read_off_the_sticks_whatever_the_law(simulated, law, sign):
 
 
 def test_a_stiff_belt_is_not_said_to_give(simulated):
-    line = belt.line(simulated("belt.channel=true"))
+    line = belt_line.line(simulated("belt.channel=true"))
     assert not line.gives
     assert abs(line.slope.value) < 0.05 * 0.0022 / FS_OVER_K
 
 
 def test_without_a_channel_there_is_no_line(simulated):
-    assert belt.line(simulated("droop.fraction=0.01")) is None
+    assert belt_line.line(simulated("droop.fraction=0.01")) is None
 
 
 @pytest.mark.parametrize("law", [1, 3, 5])

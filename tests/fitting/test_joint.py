@@ -9,9 +9,10 @@ import pytest
 
 from daq.errors import DataError, InputError
 from daq.runfile import store
-from fitting import cli, unknowns
-from fitting.ranking import rank
-from fitting.unknowns import DATUM, FADE, GIVE, UNKNOWNS, V_DR, D, K
+from fitting import cli
+from fitting.model import parameters
+from fitting.model.parameters import DATUM, FADE, GIVE, UNKNOWNS, V_DR, D, K
+from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 SPEEDS = (0.1, 0.2, 0.3)
@@ -37,14 +38,14 @@ def runs_of(synthetic):
 
 
 def test_what_runs_share_stands_once_and_the_rest_is_their_own():
-    places = unknowns.active(6, [False, True], [False, False])
-    table = unknowns.columns(places, 2)
+    places = parameters.active(6, [False, True], [False, False])
+    table = parameters.columns(places, 2)
     own = [UNKNOWNS + slot for slot in (V_DR, DATUM, FADE, GIVE)]
     assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
     assert (table[:, places.index(K)] == K).all()
     assert table[:, places.index(V_DR)].tolist() == [V_DR, -1]
     assert table[:, places.index(UNKNOWNS + GIVE)].tolist() == [-1, GIVE]
-    spread = unknowns.spread(np.arange(2.0 * UNKNOWNS)).reshape(2, UNKNOWNS)
+    spread = parameters.spread(np.arange(2.0 * UNKNOWNS)).reshape(2, UNKNOWNS)
     assert spread[1, [K, D]].tolist() == [K, D]
     assert spread[1, V_DR] == UNKNOWNS + V_DR
 
@@ -136,9 +137,9 @@ def test_the_command_fits_its_files_together_and_writes_to_each(files):
 
 
 def test_reports_of_several_runs_are_numbered(files, tmp_path):
-    from fitting import report
+    from fitting.report import page
 
-    assert [place.name for place in report.places(files, tmp_path / "all.html")] == [
+    assert [place.name for place in page.places(files, tmp_path / "all.html")] == [
         "all.html",
         "all-2.html",
         "all-3.html",

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.prediction import Windows, evaluator
-from fitting.unknowns import LOCALS, UNKNOWNS
+from fitting.model.parameters import LOCALS, UNKNOWNS
+from fitting.model.shooting import Windows, evaluator
 
 K, F, V = 35.184, 4.598, 0.22
 OMEGA = K**0.5

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from daq.errors import DataError, InputError
-from fitting.evidence import Evidence, choose
-from fitting.ranking import rank
+from fitting.selection.evidence import Evidence, choose
+from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from daq.errors import InputError
-from fitting import report
+from fitting.report import page as report
 from processing.smoothing import smooth
 
 

@@ -5,16 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from fitting import motion as frame
-from fitting import ripple, windows
-from fitting.ranking import rank
+from fitting.data import cycles, frame, ripple
+from fitting.selection.ranking import rank
 
 HERTZ, AMPLITUDE = 2.3, 0.0044
 
 
 def found_in(kinematics):
     motion = frame.of(kinematics, kinematics.recording.rig, None)
-    return ripple.find(motion, windows.cut(motion))
+    return ripple.find(motion, cycles.cut(motion))
 
 
 @pytest.fixture(scope="module")

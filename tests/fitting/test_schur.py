@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from fitting import schur
+from fitting.estimation import levenberg_marquardt
 
 CYCLES, SAMPLES, SHARED, LOCAL = 7, 11, 3, 2
 
@@ -45,12 +45,14 @@ def problem(evaluate, rows, **changes):
         "local_prior": np.zeros((CYCLES, LOCAL)),
         "local_precision": np.full((CYCLES, LOCAL), 1e-12),
     }
-    return schur.Problem(**(values | changes))
+    return levenberg_marquardt.Problem(**(values | changes))
 
 
 def test_a_linear_problem_is_solved_as_by_the_full_matrix(linear):
     evaluate, rows, full, data = linear
-    found = schur.minimise(problem(evaluate, rows), np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), tolerance=1e-14)
+    found = levenberg_marquardt.minimise(
+        problem(evaluate, rows), np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), tolerance=1e-14
+    )
     expected = np.linalg.lstsq(full, data, rcond=None)[0]
     assert found.outcome == "converged"
     assert found.u == pytest.approx(expected[:SHARED], abs=1e-7)
@@ -61,8 +63,8 @@ def test_the_reduced_hessian_is_the_inverse_of_the_marginal_covariance(linear):
     evaluate, rows, full, _ = linear
     u, local = np.zeros(SHARED), np.zeros((CYCLES, LOCAL))
     task = problem(evaluate, rows)
-    blocks = schur.normal_equations(task, u, local, *evaluate(u, local, True))
-    H = schur.Reduced(blocks).H
+    blocks = levenberg_marquardt.normal_equations(task, u, local, *evaluate(u, local, True))
+    H = levenberg_marquardt.Reduced(blocks).H
     covariance = np.linalg.inv(full.T @ full + 1e-12 * np.eye(full.shape[1]))[:SHARED, :SHARED]
     assert np.linalg.inv(H) == pytest.approx(covariance, rel=1e-6)
 
@@ -73,7 +75,7 @@ def test_a_bound_holds_and_the_others_settle_given_it(linear):
     lower = np.full(SHARED, -np.inf)
     lower[1] = free[1] + 0.5
     task = problem(evaluate, rows, lower=lower)
-    found = schur.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), tolerance=1e-14)
+    found = levenberg_marquardt.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), tolerance=1e-14)
     kept = np.delete(np.arange(full.shape[1]), 1)
     rest = np.linalg.lstsq(full[:, kept], data - full[:, 1] * lower[1], rcond=None)[0]
     assert found.u[1] == lower[1]
@@ -84,7 +86,7 @@ def test_a_prior_pulls_with_its_precision():
     def evaluate(u, local, derivatives):
         return np.array([u[0] - 1.0 + local[0, 0]]), np.array([[1.0, 1.0]])
 
-    task = schur.Problem(
+    task = levenberg_marquardt.Problem(
         evaluate,
         (slice(0, 1),),
         np.array([4.0]),
@@ -95,13 +97,13 @@ def test_a_prior_pulls_with_its_precision():
         np.zeros((1, 1)),
         np.array([[1e12]]),
     )
-    found = schur.minimise(task, np.array([10.0]), np.zeros((1, 1)), tolerance=1e-14)
+    found = levenberg_marquardt.minimise(task, np.array([10.0]), np.zeros((1, 1)), tolerance=1e-14)
     assert found.u[0] == pytest.approx(2.0, abs=1e-6)
 
 
 def test_a_start_that_cannot_be_followed_gives_none():
     task = problem(lambda *_: None, (slice(0, 1),) * CYCLES)
-    assert schur.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL))) is None
+    assert levenberg_marquardt.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL))) is None
 
 
 def test_steps_into_what_cannot_be_followed_are_refused():
@@ -110,7 +112,7 @@ def test_steps_into_what_cannot_be_followed_are_refused():
             return None
         return np.array([u[0]]), np.array([[1.0, 0.0]])
 
-    task = schur.Problem(
+    task = levenberg_marquardt.Problem(
         evaluate,
         (slice(0, 1),),
         np.ones(1),
@@ -121,7 +123,7 @@ def test_steps_into_what_cannot_be_followed_are_refused():
         np.zeros((1, 1)),
         np.ones((1, 1)),
     )
-    found = schur.minimise(task, np.array([2.0]), np.zeros((1, 1)))
+    found = levenberg_marquardt.minimise(task, np.array([2.0]), np.zeros((1, 1)))
     assert 0.5 <= found.u[0] < 0.7
     assert math.isfinite(found.cost)
 
@@ -134,7 +136,7 @@ def test_a_bent_valley_is_followed_in_few_steps():
         slope = np.array([[-2e2 * math.exp(2 * u[0]), 1e2, 0.0], [1.0, 0.0, 0.0]])
         return residual, slope
 
-    task = schur.Problem(
+    task = levenberg_marquardt.Problem(
         evaluate,
         (slice(0, 2),),
         np.ones(1),
@@ -145,7 +147,7 @@ def test_a_bent_valley_is_followed_in_few_steps():
         np.zeros((1, 1)),
         np.ones((1, 1)),
     )
-    found = schur.minimise(task, np.array([0.0, 1.0]), np.zeros((1, 1)), max_steps=70, tolerance=1e-12)
+    found = levenberg_marquardt.minimise(task, np.array([0.0, 1.0]), np.zeros((1, 1)), max_steps=70, tolerance=1e-12)
     assert found.u == pytest.approx([2.0, math.exp(4.0)], rel=1e-6)
 
 
@@ -159,7 +161,7 @@ def test_one_cycle_gone_astray_does_not_hold_up_the_others():
         slope = np.c_[np.arange(1.0, CYCLES + 1), np.ones(CYCLES)]
         return residual, slope
 
-    task = schur.Problem(
+    task = levenberg_marquardt.Problem(
         evaluate,
         rows,
         np.ones(CYCLES),
@@ -170,5 +172,5 @@ def test_one_cycle_gone_astray_does_not_hold_up_the_others():
         np.zeros((CYCLES, 1)),
         np.ones((CYCLES, 1)),
     )
-    found = schur.minimise(task, np.zeros(1), np.zeros((CYCLES, 1)), max_steps=20, tolerance=1e-10)
+    found = levenberg_marquardt.minimise(task, np.zeros(1), np.zeros((CYCLES, 1)), max_steps=20, tolerance=1e-10)
     assert found.u[0] == pytest.approx(3.0, abs=1e-3)

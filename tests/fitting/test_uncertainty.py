@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fitting.schur import Blocks
-from fitting.uncertainty import covariance
+from fitting.estimation.covariance import covariance
+from fitting.estimation.levenberg_marquardt import Blocks
 
 
 def fit_with(slopes, guess):

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting import wear
-from fitting.ranking import rank
+from fitting.estimation import wear
+from fitting.selection.ranking import rank
 
 
 def test_the_line_through_the_levels():

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.motion import Array, Motion
-from fitting.setting import Run
-from fitting.trajectory import Fit
+from fitting.data.frame import Array, Motion
+from fitting.estimation.trajectory import Fit
+from fitting.model.problem import Run
 
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 FEWEST_CYCLES = 4

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.motion import REST_FRACTION, Array, Motion
+from fitting.data.frame import REST_FRACTION, Array, Motion
 
 BEFORE_ONSET_S = 0.05
 SHORTEST_S = 0.03

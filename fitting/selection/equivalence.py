@@ -14,11 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from daq.runfile.rig import Measured
-from fitting import trajectory
-from fitting.motion import Array
-from fitting.setting import Run
-from fitting.trajectory import Fit
-from fitting.unknowns import GIVE, LOG_F, UNKNOWNS, D, K
+from fitting.data.frame import Array
+from fitting.estimation import trajectory
+from fitting.estimation.trajectory import Fit
+from fitting.model.parameters import GIVE, LOG_F, UNKNOWNS, D, K
+from fitting.model.problem import Run
 from rig_sim.friction.law import LAWS
 
 WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from fitting.motion import Array, Motion
-from fitting.trajectory import Fit
+from fitting.data.frame import Array, Motion
+from fitting.estimation.trajectory import Fit
 
 MOST_POINTS = 4000
 

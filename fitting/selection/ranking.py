@@ -1,6 +1,6 @@
 """`rank`: fits the laws to a smoothed record and says which it was, or which it cannot tell apart.
 
-What is evidence and who is in the set: `fitting.evidence`.
+What is evidence and who is in the set: `fitting.selection.evidence`.
 """
 
 import math
@@ -13,15 +13,15 @@ import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Rig
-from fitting import absence, evidence, orbit, ripple, search, twin, uncertainty, verdict, windows
-from fitting import cycles as break_aways
-from fitting import motion as frame
-from fitting.evidence import FEWEST_CYCLES, Choice, Evidence
-from fitting.motion import Array, Motion
-from fitting.result import LawResult
-from fitting.result import Ranking as Ranking
-from fitting.setting import Run
-from fitting.trajectory import Fit
+from fitting.data import cycles, frame, ripple
+from fitting.data.frame import Array, Motion
+from fitting.estimation import break_aways, covariance, search
+from fitting.estimation.result import LawResult
+from fitting.estimation.result import Ranking as Ranking
+from fitting.estimation.trajectory import Fit
+from fitting.model.problem import Run
+from fitting.selection import equivalence, evidence, phase_distance, screening, verdict
+from fitting.selection.evidence import FEWEST_CYCLES, Choice, Evidence
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
@@ -85,9 +85,9 @@ def rank(
     Notes
     -----
     A belt that slows under load looks like a ramp.  With the belt's own counts its give is measured and part of the
-    flow; without, a ramp narrow enough to be such a belt brings its jump law into the set (`fitting.twin`).
+    flow; without, a ramp narrow enough to be such a belt brings its jump law into the set (`fitting.selection.equivalence`).
 
-    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is fitted along (`fitting.ripple`).
+    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is fitted along (`fitting.data.ripple`).
 
     Not modelled: a swing of several frequencies, friction that remembers, a mass or spring that changes between runs.
     """
@@ -120,12 +120,12 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
-    if what := absence.of_fits(fits, runs, sustained=seen):
+    if what := screening.of_fits(fits, runs, sustained=seen):
         do = "check the calibration and the belt speed, or look at it with 'process inspect'"
         raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
     if not sustained and not any(run.cut.starts_at_rest for run in runs):
         raise DataError(
-            f"no belt stick-slip in this record: {absence.SINE_ALONE}",
+            f"no belt stick-slip in this record: {screening.SINE_ALONE}",
             ", ".join(sources),
             "record again from before the belt starts: the first drag tells law 1 from law 2",
         )
@@ -167,12 +167,12 @@ def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: boo
     place = {fit.law: i for i, fit in enumerate(fits)}
     penalised = np.array([evidence.penalised(fit, errors(fit)) for fit in fits])
     chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
-    double = twin.of(fits, chosen.members, runs)
+    double = equivalence.of(fits, chosen.members, runs)
     if double is not None:
         jump, ramp = place[double.law], place[double.law + 1]
-        lag = twin.lag(errors(double), errors(fits[ramp]))
-        if lag < twin.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
-            apart = len(runs) > 1 and lag < -twin.SAME
+        lag = equivalence.lag(errors(double), errors(fits[ramp]))
+        if lag < equivalence.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
+            apart = len(runs) > 1 and lag < -equivalence.SAME
             fits = [*fits[:jump], double, *fits[jump + 1 :]]
             penalised[jump] = evidence.penalised(double, errors(double)) if apart else penalised[ramp]
             chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
@@ -180,7 +180,7 @@ def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: boo
         not sustained
         and chosen.members == (2,)
         and 1 in place
-        and twin.by_swing(fits[place[2]], errors(fits[place[2]]), runs)
+        and equivalence.by_swing(fits[place[2]], errors(fits[place[2]]), runs)
     ):
         penalised[place[1]] = penalised[place[2]]
         chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
@@ -189,14 +189,14 @@ def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: boo
 
 def _run(motion: Motion, excluded: frozenset[int]) -> Run:
     """Cut a record into cycles; where the belt's speed swings, as it would move on a steady belt."""
-    cut = windows.cut(motion, excluded)
+    cut = cycles.cut(motion, excluded)
     beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
     if beyond and cut.cycles:
         what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
         raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
     swing = ripple.find(motion, cut)
     if swing is not None:
-        cut = windows.cut(swing.removed(motion), excluded)
+        cut = cycles.cut(swing.removed(motion), excluded)
     return Run(motion, cut, swing)
 
 
@@ -228,8 +228,8 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
     kinds = [run.cut.plateau_fraction >= SUSTAINED for run in runs]
     sustained = all(kinds)
     for run, kind, source in zip(runs, kinds, sources, strict=True):
-        if what := absence.of_cycles(run.motion, run.cut, sustained=kind):
-            raise DataError(f"no belt stick-slip in this record: {what}", source, absence.AGAIN)
+        if what := screening.of_cycles(run.motion, run.cut, sustained=kind):
+            raise DataError(f"no belt stick-slip in this record: {what}", source, screening.AGAIN)
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
         raise DataError(
@@ -248,15 +248,15 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
 
 
 def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:
-    parameters = uncertainty.parameters(fit, runs[0].motion, alpha, sustained=sustained)
+    parameters = covariance.parameters(fit, runs[0].motion, alpha, sustained=sustained)
     if len(runs) > 1:
         every = [
-            uncertainty.parameters(fit, run.motion, alpha, number, sustained=sustained)
+            covariance.parameters(fit, run.motion, alpha, number, sustained=sustained)
             for number, run in enumerate(runs)
         ]
-        parameters = {name: item for name, item in parameters.items() if name not in uncertainty.OWN}
+        parameters = {name: item for name, item in parameters.items() if name not in covariance.OWN}
         for number, own in enumerate(every, start=1):
-            parameters |= {f"{name} ({number})": own[name] for name in uncertainty.OWN if name in own}
+            parameters |= {f"{name} ({number})": own[name] for name in covariance.OWN if name in own}
     return LawResult(
         law=fit.law,
         name=LAWS[fit.law].name,
@@ -268,7 +268,9 @@ def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustain
         parameters=parameters,
         cpu_s=fit.cpu_s,
         behind=chosen.behind[fit.law],
-        orbit=math.sqrt(float(np.mean([orbit.distance(fit.part(n), run.motion) ** 2 for n, run in enumerate(runs)]))),
+        orbit=math.sqrt(
+            float(np.mean([phase_distance.distance(fit.part(n), run.motion) ** 2 for n, run in enumerate(runs)]))
+        ),
         fit=fit,
     )
 
@@ -280,9 +282,9 @@ def _side(row: LawResult, motion: Motion, alpha: float, run: int, *, sustained: 
     part = row.fit.part(run)
     return replace(
         row,
-        orbit=orbit.distance(part, motion),
+        orbit=phase_distance.distance(part, motion),
         rms_m=part.rms,
         cycles=len(part.rows),
-        parameters=uncertainty.parameters(row.fit, motion, alpha, run, sustained=sustained),
+        parameters=covariance.parameters(row.fit, motion, alpha, run, sustained=sustained),
         fit=part,
     )

@@ -3,11 +3,11 @@
 import math
 from collections.abc import Sequence
 
-from fitting.motion import Motion
-from fitting.result import LawResult
-from fitting.setting import NO_RAMP
-from fitting.unknowns import DATUM, GIVE, D
-from fitting.windows import Cut
+from fitting.data.cycles import Cut
+from fitting.data.frame import Motion
+from fitting.estimation.result import LawResult
+from fitting.model.parameters import DATUM, GIVE, D
+from fitting.model.problem import NO_RAMP
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.runfile.rig import Measured
-from fitting import regression, unknowns
-from fitting.motion import Array, Motion
-from fitting.ripple import Ripple
-from fitting.unknowns import COSINE, DAMPING, DATUM, GIVE, SHAPE, UNKNOWNS, V_DR
-from fitting.windows import Cut
+from fitting.data.cycles import Cut
+from fitting.data.frame import Array, Motion
+from fitting.data.ripple import Ripple
+from fitting.model import parameters, starts
+from fitting.model.parameters import COSINE, DAMPING, DATUM, GIVE, SHAPE, UNKNOWNS, V_DR
 from rig_sim.friction.law import LAWS
 
 UNKNOWN_DAMPING = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
@@ -56,8 +56,7 @@ class Setting:
         kind = LAWS[law]
         motions = tuple(run.motion for run in runs)
         first = [
-            regression.start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_guess(run.motion))
-            for run in runs
+            starts.start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_guess(run.motion)) for run in runs
         ]
         K0, F, shape0, d = (
             float(np.median([getattr(one, name) for one in first])) for name in ("K", "F", "shape", "d")
@@ -120,7 +119,7 @@ class Setting:
             motions=motions,
             curve=kind.curve_code,
             ramp=bool(kind.ramp),
-            active=unknowns.active(
+            active=parameters.active(
                 law, [motion.give is not None for motion in motions], [run.ripple is not None for run in runs]
             ),
             start=start.ravel(),

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fitting.motion import REST_FRACTION, Array, Motion
-from fitting.setting import Run
-from fitting.trajectory import Fit
-from fitting.unknowns import LOG_F, V_DR, D, K
-from fitting.windows import SLIPPING, Cut
+from fitting.data.cycles import SLIPPING, Cut
+from fitting.data.frame import REST_FRACTION, Array, Motion
+from fitting.estimation.trajectory import Fit
+from fitting.model.parameters import LOG_F, V_DR, D, K
+from fitting.model.problem import Run
 from rig_sim.friction.law import LAWS
 
 COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more

@@ -10,10 +10,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.motion import Array, Motion
-from fitting.result import LawResult, Ranking
-from fitting.trajectory import Fit
-from fitting.unknowns import DAMPING, DATUM, GIVE, LEVEL, LOG_F, SHAPE, V_DR, D, K
+from fitting.data.frame import Array, Motion
+from fitting.estimation.result import LawResult, Ranking
+from fitting.estimation.trajectory import Fit
+from fitting.model.parameters import DAMPING, DATUM, GIVE, LEVEL, LOG_F, SHAPE, V_DR, D, K
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 

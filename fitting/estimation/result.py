@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fitting.motion import Motion
-    from fitting.trajectory import Fit
-    from fitting.windows import Cut
+    from fitting.data.cycles import Cut
+    from fitting.data.frame import Motion
+    from fitting.estimation.trajectory import Fit
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class LawResult:
     behind : (float, float)
         Mean paired difference of log error to the best law, penalty included, and half its t-interval.
     orbit : float
-        Distance of the law's orbit to the measured one, of the orbit's size (`fitting.orbit`).
+        Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
     fit : Fit
         The fit itself, for pictures.
     """

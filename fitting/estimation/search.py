@@ -7,11 +7,11 @@ curves know nothing of each other and may be fitted side by side.
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from fitting import trajectory
-from fitting.setting import Run
-from fitting.trajectory import Fit
-from fitting.unknowns import D
-from fitting.workers import workers
+from daq.compute.workers import workers
+from fitting.estimation import trajectory
+from fitting.estimation.trajectory import Fit
+from fitting.model.parameters import D
+from fitting.model.problem import Run
 from rig_sim.friction.law import LAWS
 
 STUCK = 0.98  # of a law's error: where its jump or ramp law errs less than that, it found a better place

@@ -10,9 +10,9 @@ from typing import Any
 from daq.errors import InputError
 from daq.output import atomic
 from daq.version import VERSION
-from fitting import plot
-from fitting.result import Parameter, Ranking
-from fitting.verdict import length
+from fitting.estimation.result import Parameter, Ranking
+from fitting.report import plot
+from fitting.selection.verdict import length
 from processing.record.kinematics import Kinematics
 
 TEMPLATES = Path(__file__).with_name("templates")

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting import unknowns
-from fitting.motion import Array, Motion
-from fitting.unknowns import LOCALS, UNKNOWNS
-from fitting.windows import Cycle
+from fitting.data.cycles import Cycle
+from fitting.data.frame import Array, Motion
+from fitting.model import parameters
+from fitting.model.parameters import LOCALS, UNKNOWNS
 from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry
 from rig_sim.integrate.hybrid import sample_phase
 from rig_sim.integrate.modes import (
@@ -138,10 +138,10 @@ def evaluator(
 ) -> Callable[[Array, Array, bool], tuple[Array, Array] | None]:
     """Return ``evaluate(u, local, derivatives)`` for one law; u holds the active unknowns only.
 
-    ``full`` and ``scale`` hold the unknowns of all runs end to end (`fitting.unknowns`), ``active`` their places.
+    ``full`` and ``scale`` hold the unknowns of all runs end to end (`fitting.model.parameters`), ``active`` their places.
     """
     runs = full.size // UNKNOWNS
-    columns = unknowns.columns(active, runs)
+    columns = parameters.columns(active, runs)
     steps, local_steps = STEP * scale[active], STEP * local_scale
     n = windows.time.size
     whole = full.reshape(runs, UNKNOWNS).copy()

@@ -12,10 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from fitting import curves
-from fitting.motion import Array
-from fitting.result import Ranking
-from fitting.windows import Cycle
+from fitting.data.cycles import Cycle
+from fitting.data.frame import Array
+from fitting.estimation.result import Ranking
+from fitting.report import curves
 from processing.plot import STYLE
 
 COLOURS = {1: "#56B4E9", 2: "#0072B2", 3: "#E69F00", 4: "#D55E00", 5: "#009E73", 6: "#CC79A7"}

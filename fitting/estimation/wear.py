@@ -1,7 +1,7 @@
 """Wear: how fast the friction level falls from cycle to cycle, by a straight line through the cycles' own levels.
 
 A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  What a level
-does within one cycle is another matter: the fit leaves it free (`fitting.unknowns`, fade) and says nothing of wear by
+does within one cycle is another matter: the fit leaves it free (`fitting.model.parameters`, fade) and says nothing of wear by
 it, since a contact may well lose its strength only where it is made anew.
 """
 
@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.runfile.rig import Measured
-from fitting.unknowns import LEVEL
+from fitting.model.parameters import LEVEL
 
 if TYPE_CHECKING:
-    from fitting.trajectory import Fit
+    from fitting.estimation.trajectory import Fit
 
 FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.runfile.rig import Measured
-from fitting.motion import Array, Motion
-from fitting.windows import Cut
+from fitting.data.cycles import Cut
+from fitting.data.frame import Array, Motion
 
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2
 LOOSE = 0.05  # of the travel: a rest position known no better is fitted along

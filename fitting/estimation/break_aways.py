@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 
-from fitting.motion import Array, Motion
-from fitting.prediction import Windows, evaluator
-from fitting.result import Event
-from fitting.ripple import Ripple
-from fitting.trajectory import Fit
-from fitting.unknowns import (
+from fitting.data.cycles import BEFORE_ONSET_S, Cut
+from fitting.data.frame import Array, Motion
+from fitting.data.ripple import Ripple
+from fitting.estimation.result import Event
+from fitting.estimation.trajectory import Fit
+from fitting.model.parameters import (
     COSINE,
     DAMPING,
     DATUM,
@@ -31,7 +31,7 @@ from fitting.unknowns import (
     D,
     K,
 )
-from fitting.windows import BEFORE_ONSET_S, Cut
+from fitting.model.shooting import Windows, evaluator
 from rig_sim.friction.law import LAWS
 
 LONGEST_DOUBT_S = 0.15  # about the smoothed onset

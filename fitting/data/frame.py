@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Measured, Rig
-from fitting import belt
-from fitting.belt import BeltLine
+from fitting.data import belt_line
+from fitting.data.belt_line import BeltLine
 from processing.record.kinematics import Kinematics
 
 Array = NDArray[np.float64]
@@ -175,7 +175,7 @@ def _channel(kinematics: Kinematics, belt_speed: float | str | None) -> BeltLine
         )
     if belt_speed is not None and belt_speed != "channel":
         return None
-    return belt.line(kinematics)
+    return belt_line.line(kinematics)
 
 
 def _length_error(rig: Rig) -> float:

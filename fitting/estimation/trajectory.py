@@ -19,12 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting import schur, unknowns, wear
-from fitting.motion import Array, Motion
-from fitting.prediction import Windows, evaluator
-from fitting.setting import Run, Setting
-from fitting.unknowns import CALIBRATED, DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, RIPPLE, UNKNOWNS, D, K
-from fitting.windows import Cycle
+from fitting.data.cycles import Cycle
+from fitting.data.frame import Array, Motion
+from fitting.estimation import levenberg_marquardt, wear
+from fitting.model import parameters
+from fitting.model.parameters import CALIBRATED, DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, RIPPLE, UNKNOWNS, D, K
+from fitting.model.problem import Run, Setting
+from fitting.model.shooting import Windows, evaluator
 
 FIRST_SCATTER = 0.1  # standard deviation of the levels before the fit has seen them
 OVERTAKING_LEVEL = 0.9  # of the load at landing: the first guess of the level where the mass overtakes the belt
@@ -55,7 +56,7 @@ class Fit:
         Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
         datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), give (belt speed lost per metre of
         spring stretch, 1/s), and the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s); see
-        `fitting.unknowns`.
+        `fitting.model.parameters`.
     active : tuple of int
         Which of them this law has and the fit moves.
     local : (cycles, 6) f8
@@ -95,7 +96,7 @@ class Fit:
     trusted: NDArray[np.bool_]
     sigma: Array
     deviations: Array
-    solution: schur.Solution
+    solution: levenberg_marquardt.Solution
     precision: Array
     windows: Windows
     cycles: tuple[Cycle, ...]
@@ -130,7 +131,7 @@ class Fit:
             return self
         own = np.flatnonzero(self.windows.run == run)
         windows = self.windows.parts[run]
-        slots = unknowns.columns(self.active, self.runs)[run]
+        slots = parameters.columns(self.active, self.runs)[run]
         return replace(
             self,
             u=self.u[UNKNOWNS * run : UNKNOWNS * (run + 1)],
@@ -271,7 +272,7 @@ class State:
     scatter: float
     weights: Array
     cycle_rms: Array
-    solution: schur.Solution | None
+    solution: levenberg_marquardt.Solution | None
     fading: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None before the last passes
     prior: Array | None = None
     precision: Array | None = None
@@ -320,7 +321,7 @@ def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tole
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in setting.motions]
     local_sd = np.array([[x, v, state.scatter, state.scatter, x, CALM * v] for x, v in wide])[windows.run]
     local_sd[state.weights <= TRUSTED, LEVEL : NEXT_LEVEL + 1] = NO_LEVEL
-    problem = schur.Problem(
+    problem = levenberg_marquardt.Problem(
         evaluate=evaluator(setting.curve, setting.ramp, windows, state.u, index, setting.scale, setting.local_scale),
         rows=windows.rows,
         weights=state.weights / state.sigma[windows.run] ** 2,
@@ -331,12 +332,14 @@ def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tole
         local_prior=windows.first_locals(setting.motions),
         local_precision=1 / local_sd**2,
     )
-    solution = schur.minimise(problem, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance)
+    solution = levenberg_marquardt.minimise(
+        problem, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance
+    )
     if solution is None:
         return None
     u = state.u.copy()
     u[index] = solution.u
-    u = unknowns.spread(u)
+    u = parameters.spread(u)
     rms = np.array([math.sqrt(float(np.mean(solution.residual[rows] ** 2))) for rows in windows.rows])
     return replace(state, u=u, local=solution.local, cycle_rms=rms, solution=solution, prior=prior, precision=precision)
 

@@ -11,13 +11,12 @@ from collections.abc import Callable
 import numpy as np
 
 from daq.runfile.rig import Measured
-from fitting import wear
-from fitting.motion import Array, Motion
-from fitting.result import Parameter
-from fitting.schur import Reduced
-from fitting.setting import datum_guess
-from fitting.trajectory import Fit
-from fitting.unknowns import (
+from fitting.data.frame import Array, Motion
+from fitting.estimation import wear
+from fitting.estimation.levenberg_marquardt import Reduced
+from fitting.estimation.result import Parameter
+from fitting.estimation.trajectory import Fit
+from fitting.model.parameters import (
     COSINE,
     DAMPING,
     DATUM,
@@ -32,6 +31,7 @@ from fitting.unknowns import (
     K,
     columns,
 )
+from fitting.model.problem import datum_guess
 from rig_sim.friction.law import LAWS
 
 LITTLE = 0.01  # of a guess's variance: where more is left of it after the fit, the guess still says how much
@@ -78,7 +78,7 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
 
     ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
     sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
-    second, both by the line through the cycles' levels (`fitting.wear`).
+    second, both by the line through the cycles' levels (`fitting.estimation.wear`).
     ``ripple`` and ``ripple_hz`` are amplitude and frequency of its swing where the sticks show one.
     ``droop`` is how much slower the belt runs under the load Fs.
 

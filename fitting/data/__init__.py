@@ -1,0 +1,1 @@
+"""A run as the fit sees it: frame, belt, cycles, ripple."""

@@ -1,0 +1,1 @@
+"""Estimating a law's parameters from a run, with their covariance."""

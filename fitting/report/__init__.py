@@ -1,0 +1,1 @@
+"""What is written: page, pictures, tables, the stage in the run file."""

@@ -1,0 +1,1 @@
+"""Which law: screening, evidence, equivalence, ranking, verdict."""
