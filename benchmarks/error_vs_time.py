@@ -17,9 +17,9 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-from rig_sim.compare import Comparison, Row, compare, difference
-from rig_sim.integrate import reference
-from rig_sim.scenes import Scene, scene
+from rig_sim.comparison import reference
+from rig_sim.comparison.error_vs_time import Comparison, Row, compare, difference
+from rig_sim.scenes.scene import Scene, scene
 
 try:
     from oracles.heyoka_events import TOLERANCE, Rig

@@ -38,7 +38,7 @@ from daq.errors import DataError
 from daq.recorder import ports
 from daq.recorder.record import Request, record
 from daq.runfile import store
-from rig_sim.motion import Motion
+from rig_sim.motion.play import Motion
 
 RESULTS = Path(__file__).resolve().parent / "results"
 K, FS, GAMMA, G_SLIP, D, MASS = 35.184, 0.13068, 9.618, 0.6, 0.03, 0.3

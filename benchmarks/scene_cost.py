@@ -3,7 +3,7 @@
 ``python benchmarks/scene_cost.py [REPEATS]`` (default 25): CPU time of both over the same stretch, every cycle stepped,
 interleaved, the least of the repeats; the events are checked to be the same.  The kernels are those of
 `benchmarks/hand/kernels.py`.  Where a scene changes its friction or kicks the mass between events, the engine is called
-one phase at a time by a compiled loop that does what `rig_sim.motion.Motion` does.  Then a file of each scene is
+one phase at a time by a compiled loop that does what `rig_sim.motion.play.Motion` does.  Then a file of each scene is
 written in a fresh process, and modules and stored channels of terms that the scene does not have are looked for.
 """
 
@@ -39,7 +39,7 @@ from rig_sim.integrate.modes import (
     initial_mode,
     new_work,
 )
-from rig_sim.scenes import Scene, scene
+from rig_sim.scenes.scene import Scene, scene
 
 RESULTS = Path(__file__).resolve().parent / "results"
 ROOM = 4096
@@ -78,11 +78,11 @@ MODULES = {
     "rig_sim.effects.wear": "wear",
     "rig_sim.effects.joint": "joint",
     "rig_sim.effects.ripple": "ripple",
-    "rig_sim.effects.slip_loss": "slip_loss",
-    "rig_sim.effects.gaps": "gaps",
-    "rig_sim.effects.jitter": "jitter",
-    "rig_sim.board": "board",
-    "rig_sim.integrate.stepwise": "another method",
+    "rig_sim.board.slip_loss": "slip_loss",
+    "rig_sim.board.gaps": "gaps",
+    "rig_sim.board.jitter": "jitter",
+    "rig_sim.board.board": "board",
+    "rig_sim.comparison.stepping": "another method",
     "numba": "compiling",
     "scipy": "another method",
     "matplotlib": "pictures",
@@ -114,7 +114,7 @@ def terms(found: Scene) -> Terms:
 
 
 def phase_by_phase(flow, mode, x, w, t_max, factors, wear, kick, turn, levels, out_t, out_x, out_kind, work):
-    """List events as `rig_sim.motion.Motion` does, with the engine's kernel; return their number."""
+    """List events as `rig_sim.motion.play.Motion` does, with the engine's kernel; return their number."""
     t = 0.0
     count = drawn = kicks = 0
     while True:
@@ -238,8 +238,8 @@ class Race:
 def left_out(name: str, folder: str) -> dict[str, list[str]]:
     """Write the scene's motion to a file in a fresh process; return modules and channels that it does not need."""
     code = (
-        "import sys, json; from pathlib import Path; from rig_sim.scenes import scene;"
-        "from rig_sim.motion_file import write;"
+        "import sys, json; from pathlib import Path; from rig_sim.scenes.scene import scene;"
+        "from rig_sim.motion.file import write;"
         f"write(scene('base', **{SCENES[name]!r}), Path('motion.h5'), until=20.0, rate=10.0);"
         "print(json.dumps(sorted(sys.modules)))"
     )

@@ -15,10 +15,10 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-from rig_sim.integrate import reference
+from rig_sim.comparison import reference
+from rig_sim.comparison.solve_ivp import list_events as peer
 from rig_sim.integrate.events import EventList, list_events
-from rig_sim.integrate.peers import list_events as peer
-from rig_sim.scenes import scene
+from rig_sim.scenes.scene import scene
 
 RESULTS = Path(__file__).resolve().parent / "results"
 SLOPES = (-5.0, -5e2, -5e4, -5e6, -5e8)

@@ -40,7 +40,7 @@ from processing.methods.registry import Setting
 from processing.polynomial import savgol
 from processing.polynomial.gram import coefficients
 from processing.record import series
-from rig_sim.motion import Motion
+from rig_sim.motion.play import Motion
 
 RESULTS = Path(__file__).resolve().parent / "results"
 CASES = {"7.67 um, no jitter": (7.67e-6, 0.0), "7.67 um + 30 us": (7.67e-6, 30e-6), "50 um + 30 us": (50e-6, 30e-6)}

@@ -53,9 +53,9 @@ def counted(recording: "Recording") -> bool:
 def beside(recording: "Recording", series: Series, motion: Motion) -> Belt | None:
     """Return the belt of a recording; None without a channel or a common unit.
 
-    Savitzky-Golay and differences take the belt as they took the mass; for the others it is `processing.kalman.white_jerk` with the
-    mass's own jerk, as a belt knows no corners, or softer ones.  The mass seen from the belt goes through a
-    Savitzky-Golay filter as wide: sharper at the landings, which are looked for there.
+    Savitzky-Golay and differences take the belt as they took the mass; for the others it is
+    `processing.kalman.white_jerk` with the mass's own jerk, as a belt knows no corners, or softer ones.  The mass seen
+    from the belt goes through a Savitzky-Golay filter as wide: sharper at the landings, which are looked for there.
 
     Parameters
     ----------

@@ -51,9 +51,9 @@ def smooth(
         m/s, signed; "auto" takes it from the belt's own counts where there are any, else finds it in the plateaus of
         the velocity.
     repair_counts : {"off", "flag", "fix"}
-        What to do about lost counts (`processing.defects.lost_counts`): not to look for them; to mark them, and leave the position
-        as it was counted; or to mark them and put them back.  Where they are looked for, velocity and acceleration
-        are those of the motion on either side, without the jump of the count.
+        What to do about lost counts (`processing.defects.lost_counts`): not to look for them; to mark them, and leave
+        the position as it was counted; or to mark them and put them back.  Where they are looked for, velocity and
+        acceleration are those of the motion on either side, without the jump of the count.
 
     Returns
     -------

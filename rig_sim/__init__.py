@@ -3,13 +3,13 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rig_sim.motion import events as events
-    from rig_sim.orbit import cycle as cycle
-    from rig_sim.scenes import scene as scene
+    from rig_sim.dynamics.limit_cycle import cycle as cycle
+    from rig_sim.motion.play import events as events
+    from rig_sim.scenes.scene import scene as scene
 
 __all__ = ["cycle", "events", "scene"]
 
-_HOME = {"scene": "rig_sim.scenes", "events": "rig_sim.motion", "cycle": "rig_sim.orbit"}
+_HOME = {"scene": "rig_sim.scenes.scene", "events": "rig_sim.motion.play", "cycle": "rig_sim.dynamics.limit_cycle"}
 
 
 def __getattr__(name: str) -> Any:

@@ -11,7 +11,7 @@ from daq.console.application import Answer, Json, SetChanges
 from daq.errors import InputError
 
 if TYPE_CHECKING:
-    from rig_sim.scenes import Scene
+    from rig_sim.scenes.scene import Scene
 
 Until = Annotated[float, Parameter(help="Time to end at, in the scene's unit (s for SI scenes).")]
 MaxSteps = Annotated[
@@ -31,7 +31,7 @@ def scenes(*, json: Json = False) -> Answer:
 
     Example: rig-sim scenes
     """
-    from rig_sim.scenes import builtin_names, scene
+    from rig_sim.scenes.scene import builtin_names, scene
 
     rows = [{"name": name, "title": (built := scene(name)).title, "terms": built.terms()} for name in builtin_names()]
     text = "\n".join(f"{row['name']:8} {row['title']}\n         {', '.join(row['terms'])}" for row in rows)
@@ -49,7 +49,7 @@ def cycle(scene: str, /, *, set_: SetChanges = None, json: Json = False) -> Answ
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.orbit import cycle as find
+    from rig_sim.dynamics.limit_cycle import cycle as find
 
     data = asdict(find(_scene(scene, set_)))
     lines = [f"{key:9} {_shown(value)}" for key, value in data.items() if value not in (None, "")]
@@ -78,7 +78,7 @@ def events(
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.motion import events as play
+    from rig_sim.motion.play import events as play
 
     found = play(_scene(scene, set_), until, since=since, max_steps=max_steps)
     rows = [{"t": event.t, "x": event.x, "kind": event.kind} for event in found.events]
@@ -119,7 +119,7 @@ def run(
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.motion_file import write
+    from rig_sim.motion.file import write
 
     if output.exists() and not force:
         raise InputError("exists", str(output), "give another -o, or --force to replace it")
@@ -150,7 +150,7 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.compare import compare as measure
+    from rig_sim.comparison.error_vs_time import compare as measure
 
     with application.progress("measuring", 100, "%") as show:
         found = measure(_scene(scene, set_), until, progress=show)
@@ -167,8 +167,8 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
 
 
 def _scene(name: str, changes: list[str] | None) -> "Scene":
-    from rig_sim.scenes import parse_changes
-    from rig_sim.scenes import scene as read
+    from rig_sim.scenes.scene import parse_changes
+    from rig_sim.scenes.scene import scene as read
 
     return read(name, **parse_changes(changes))
 

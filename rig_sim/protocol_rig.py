@@ -16,8 +16,8 @@ from urllib.parse import unquote
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
 from daq.errors import InputError
-from rig_sim.board import Board
-from rig_sim.scenes import parse_changes, scene
+from rig_sim.board.board import Board
+from rig_sim.scenes.scene import parse_changes, scene
 
 _SCHEME = "rig://"
 _SAMPLES_AT_ONCE = 1000  # or a quarter of a second, if that is less

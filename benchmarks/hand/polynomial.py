@@ -5,7 +5,7 @@ The algorithm is the engine's (`rig_sim.integrate.taylor`), which explains it; t
 
 import math
 
-from rig_sim.integrate.bracket import EPS, newton_step
+from rig_sim.integrate.newton import EPS, newton_step
 
 ORDER = 28
 SIZE = ORDER + 2

@@ -138,7 +138,8 @@ def evaluator(
 ) -> Callable[[Array, Array, bool], tuple[Array, Array] | None]:
     """Return ``evaluate(u, local, derivatives)`` for one law; u holds the active unknowns only.
 
-    ``full`` and ``scale`` hold the unknowns of all runs end to end (`fitting.model.parameters`), ``active`` their places.
+    ``full`` and ``scale`` hold the unknowns of all runs end to end (`fitting.model.parameters`), ``active`` their
+    places.
     """
     runs = full.size // UNKNOWNS
     columns = parameters.columns(active, runs)

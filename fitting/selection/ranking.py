@@ -85,9 +85,11 @@ def rank(
     Notes
     -----
     A belt that slows under load looks like a ramp.  With the belt's own counts its give is measured and part of the
-    flow; without, a ramp narrow enough to be such a belt brings its jump law into the set (`fitting.selection.equivalence`).
+    flow; without, a ramp narrow enough to be such a belt brings its jump law into the set
+    (`fitting.selection.equivalence`).
 
-    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is fitted along (`fitting.data.ripple`).
+    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is fitted along
+    (`fitting.data.ripple`).
 
     Not modelled: a swing of several frequencies, friction that remembers, a mass or spring that changes between runs.
     """

@@ -217,8 +217,8 @@ def average(motion: Array, behind: Array, sure: NDArray[np.bool_]) -> None:
 def gains(stored: Array, surprise: int, spans: NDArray[np.int64], gain: Array) -> None:
     """Sum the log likelihoods of the samples in each span, up to a constant, into ``gain``.
 
-    ``stored`` is what a filter wrote down, here or in `processing.kalman.jerk_kernel`; its column ``surprise`` holds 1/s, the
-    next one e/s.
+    ``stored`` is what a filter wrote down, here or in `processing.kalman.jerk_kernel`; its column ``surprise`` holds
+    1/s, the next one e/s.
     """
     for k in range(spans.shape[0]):
         total, product = 0.0, 1.0

@@ -12,9 +12,9 @@ lie corners:
     STOP    to rest: as LAND
 
 The covariance p is kept as its ten numbers p00 p01 p02 p03 p11 p12 p13 p22 p23 p33; the smoother is the one of
-`processing.kalman.jerk_kernel`.  On its way back it sums what says how well each noise level was chosen: with l the adjoint
-state and m its information, sum(l3^2)/sum(m33) is 1 at the level of greatest likelihood, and the level times that
-ratio comes closer to it.
+`processing.kalman.jerk_kernel`.  On its way back it sums what says how well each noise level was chosen: with l the
+adjoint state and m its information, sum(l3^2)/sum(m33) is 1 at the level of greatest likelihood, and the level times
+that ratio comes closer to it.
 
 Every function runs as written or compiled (`daq.compute.compile`).
 Source: as for `processing.kalman.jerk_kernel`; the fixed point: J. Burridge, Commun. Stat. 16 (1987); D. MacKay, Neural

@@ -5,9 +5,9 @@ variance r; both are those under which the record is most likely.  Every sample 
 standard errors that are larger at the ends.  Equivalent to the quintic smoothing spline, and to a Savitzky-Golay
 window of `Motion.window` samples where times are even.
 
-Not modelled: corners of the velocity (they raise q for the whole record: `processing.segmentation.smoother` knows them), and counts
-that hardly change (the readings then err together).  Near a corner the readings surprise the filter; the standard
-errors there are scaled up by how much.
+Not modelled: corners of the velocity (they raise q for the whole record: `processing.segmentation.smoother` knows
+them), and counts that hardly change (the readings then err together).  Near a corner the readings surprise the filter;
+the standard errors there are scaled up by how much.
 
 Source: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965) 1445.
 """

@@ -1,6 +1,7 @@
 """The default: by segments where the record shows sticks beyond doubt, else the smoother that knows no corners.
 
-A stick is beyond doubt when it makes the record more likely by 1.5 ln n for each of its corners (`processing.segmentation.smoother`).
+A stick is beyond doubt when it makes the record more likely by 1.5 ln n for each of its corners
+(`processing.segmentation.smoother`).
 """
 
 from processing.kalman import white_jerk

@@ -1,7 +1,7 @@
 """Kernel: least-squares polynomials on each window's own sample times, `LANES` windows side by side.
 
-The recurrence is the one of `processing.polynomial.uneven`; windows lie in the fast index of every array, so that a processor
-takes several at once and no sum depends on how many.
+The recurrence is the one of `processing.polynomial.uneven`; windows lie in the fast index of every array, so that a
+processor takes several at once and no sum depends on how many.
 
 Runs as written or compiled (`daq.compute.compile`).
 """

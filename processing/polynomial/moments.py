@@ -49,7 +49,7 @@ def fits(count: Counts, window: int, order: int) -> bool:
 
 
 def power_weights(window: int, order: int) -> Array:
-    """Return the weights of the moments in x, dx/dj and d2x/dj2, (3, 5); see `processing.polynomial.gram.coefficients`."""
+    """Return the weights of the moments in x, dx/dj and d2x/dj2, (3, 5) (`gram.coefficients`)."""
     half = window // 2
     weights = coefficients(window, order)
     if half < 2:  # too few samples for five powers; none above the window's own is asked for

@@ -1,10 +1,10 @@
 """Savitzky-Golay: position, velocity and acceleration as one local polynomial at every sample.
 
-On an even grid the fit is a convolution with the weights of `processing.polynomial.gram`, of counts one in whole numbers
-(`processing.polynomial.moments`); where recorded times are uneven it is
-made on those times by `processing.polynomial.uneven`.  Sample times matter more than encoder pitch: at 0.8 m/s, 30 us of
-jitter taken for an even grid is 24 um.  Ends of a piece are one-sided fits with their larger errors; a piece shorter
-than the window is one polynomial over all of it.
+On an even grid the fit is a convolution with the weights of `processing.polynomial.gram`, of counts one in whole
+numbers (`processing.polynomial.moments`); where recorded times are uneven it is made on those times by
+`processing.polynomial.uneven`.  Sample times matter more than encoder pitch: at 0.8 m/s, 30 us of jitter taken for an
+even grid is 24 um.  Ends of a piece are one-sided fits with their larger errors; a piece shorter than the window is one
+polynomial over all of it.
 
 Standard errors have two parts.  The reading error around each sample (from the residuals, at least pitch/sqrt(12))
 goes through the norm of the weights.  At corners, where a polynomial of that length cannot follow, the fit is set
@@ -100,7 +100,8 @@ def fit(time: Array, position: Array, window: int, order: int, counted: Counted 
     """Fit one piece; values and norms as in `processing.polynomial.uneven.fit`, a shorter piece as one polynomial.
 
     A derivative that the samples cannot give has an infinite norm.  ``counted`` says the positions again as counts:
-    then even times take `processing.polynomial.moments`, whose cost does not depend on the window, wherever it is exact.
+    then even times take `processing.polynomial.moments`, whose cost does not depend on the window, wherever it is
+    exact.
     """
     n = time.size
     if n >= window and evenly(time):

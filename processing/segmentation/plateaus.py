@@ -16,8 +16,8 @@ of their relative velocity at zero, however the belt swings or slows, and its sp
 
 Corners: a landing is sharp, and lies where the acceleration has fallen to half of the slip's last peak; an onset is
 soft (only the jerk jumps), and is found by carrying the acceleration's rise back to zero.  A method that fits corners
-itself (`processing.segmentation.smoother`) is taken at its word, uncertainties included.  Not modelled here: ripple of a
-belt that is not counted, and kicks of a belt joint, which split a stick in two when they exceed the tolerance.
+itself (`processing.segmentation.smoother`) is taken at its word, uncertainties included.  Not modelled here: ripple of
+a belt that is not counted, and kicks of a belt joint, which split a stick in two when they exceed the tolerance.
 """
 
 import math

@@ -1,14 +1,15 @@
 """Smoothing that knows sticks from slips: corners fitted to the record, the roughness of each part by likelihood.
 
-A stick on an even belt is a straight line; a slip is a motion of white snap (`processing.kalman.snap_kernel`), rougher near
-its ends, where friction changes fast, than in its middle.  The parts meet in corners: at a landing x and v go on and
-the acceleration drops to 0, at an onset the jerk jumps (the acceleration too, where the break-away level differs).
+A stick on an even belt is a straight line; a slip is a motion of white snap (`processing.kalman.snap_kernel`), rougher
+near its ends, where friction changes fast, than in its middle.  The parts meet in corners: at a landing x and v go on
+and the acceleration drops to 0, at an onset the jerk jumps (the acceleration too, where the break-away level differs).
 A belt that does not run evenly is ridden, smoothly, instead of stuck to.
 
-1. A first motion (`processing.kalman.white_jerk`) shows sticks (`processing.segmentation.plateaus`), and rest before the belt starts.
-2. Noise levels (`processing.segmentation.noise_levels`) and corners (`processing.segmentation.switching_estimate`) are made more likely in turns.
-3. A gate keeps the sticks that the record speaks for (`processing.segmentation.model_selection`).
-4. The motion is averaged over what the record leaves open of the corners' times (two nodes of Gauss and Hermite), and
+1. A first motion (`processing.kalman.white_jerk`) shows sticks (`processing.segmentation.plateaus`), and rest before
+the belt starts. 2. Noise levels (`processing.segmentation.noise_levels`) and corners
+(`processing.segmentation.switching_estimate`) are made more likely in turns. 3. A gate keeps the sticks that the record
+speaks for (`processing.segmentation.model_selection`). 4. The motion is averaged over what the record leaves open of
+the corners' times (two nodes of Gauss and Hermite), and
    so are its errors.
 5. In a stick on an even belt velocity and error are those of a straight line through at most a third of a slip's
    length: a belt is not trusted to keep its speed for longer.

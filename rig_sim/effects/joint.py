@@ -2,7 +2,7 @@
 
 import math
 
-from rig_sim.sections import Belt
+from rig_sim.scenes.sections import Belt
 
 
 def passing(belt: Belt, turn: int) -> float:

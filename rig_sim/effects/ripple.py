@@ -16,7 +16,7 @@ import cmath
 import math
 
 from rig_sim.integrate.modes import Flow
-from rig_sim.sections import Belt
+from rig_sim.scenes.sections import Belt
 
 
 class SwingingBelt:

@@ -2,7 +2,7 @@
 
 import random
 
-from rig_sim.sections import Scatter
+from rig_sim.scenes.sections import Scatter
 
 
 class ScatteredLevel:

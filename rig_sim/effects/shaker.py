@@ -38,7 +38,7 @@ import math
 
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR, magnitude
 from rig_sim.integrate.modes import Flow, frame, slip_speed
-from rig_sim.sections import Shaker
+from rig_sim.scenes.sections import Shaker
 
 CREEP = 0.1  # of abs(delta): a slower oscillation is over, or grown e^63-fold, within one period
 NO_SHIFT = 1e-5  # rad

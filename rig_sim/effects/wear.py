@@ -1,6 +1,6 @@
 """Wear: friction that fades, or runs in, steadily over the run."""
 
-from rig_sim.sections import Wear
+from rig_sim.scenes.sections import Wear
 
 
 def level_left(section: Wear, t: float) -> float:

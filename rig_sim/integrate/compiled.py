@@ -13,7 +13,7 @@ from daq.compute.compile import build, cache_folder, register
 
 KERNEL_MODULES = (
     "rig_sim.friction.curve",
-    "rig_sim.integrate.bracket",
+    "rig_sim.integrate.newton",
     "rig_sim.integrate.modes",
     "rig_sim.integrate.linear",
     "rig_sim.integrate.taylor",

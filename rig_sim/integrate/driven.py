@@ -8,9 +8,9 @@ that falls as the fast root dies.
 
 import math
 
-from rig_sim.integrate.bracket import EPS, newton_step
 from rig_sim.integrate.linear import LARGEST_EXPONENT, fundamental, roots
 from rig_sim.integrate.modes import RAMP, Frame, acceleration, line
+from rig_sim.integrate.newton import EPS, newton_step
 
 PIECES = 500  # searched in one step of a driven ramp; the caller goes on from there
 STEEP = 4.0  # the ramp's fast root against the other rates: from here on the closed form is the cheaper one

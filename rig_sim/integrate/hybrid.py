@@ -21,7 +21,6 @@ A driver that changes the Flow between events (belt start, wear, scatter, kicks)
 import math
 
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate.bracket import EPS
 from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ramp_state
 from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_exit, stick_lateness
 from rig_sim.integrate.modes import (
@@ -61,6 +60,7 @@ from rig_sim.integrate.modes import (
     mirrored,
     position,
 )
+from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.taylor import changes, series_exit
 
 RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit

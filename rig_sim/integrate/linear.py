@@ -13,8 +13,8 @@ taken to the right extreme by a logarithm: no loop depends on how long the phase
 
 import math
 
-from rig_sim.integrate.bracket import EPS, newton_step
 from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S, LATE, Buffer, Frame
+from rig_sim.integrate.newton import EPS, newton_step
 
 LARGEST_EXPONENT = 700.0  # exp stays finite; growth that far is beyond every edge
 INVERSE = (0.0, *(1.0 / j for j in range(1, 16)))

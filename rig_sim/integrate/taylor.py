@@ -17,7 +17,6 @@ one of the two holds.
 import math
 
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate.bracket import EPS, newton_step
 from rig_sim.integrate.modes import (
     NEGATIVE,
     ORDER,
@@ -36,6 +35,7 @@ from rig_sim.integrate.modes import (
     line,
     slip_speed,
 )
+from rig_sim.integrate.newton import EPS, newton_step
 
 INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))
 SETTLED = 64.0 * EPS  # speed and force, relative, at which a stable fixed point counts as reached

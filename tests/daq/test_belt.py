@@ -168,7 +168,7 @@ def test_without_a_channel_the_file_holds_nothing_of_it(tmp_path: Path) -> None:
 def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rig_sim import board
+    from rig_sim.board import board
 
     known = board.calibration
 

@@ -15,7 +15,7 @@ from daq.cli.app import app
 from daq.console import application as terminal
 from daq.output import atomic, disk
 from daq.runfile import store
-from rig_sim import motion_file
+from rig_sim.motion import file as motion_file
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits of file size are POSIX")
 

@@ -17,8 +17,8 @@ import serial
 from daq.wire.decode import Stream, decode
 from daq.wire.frames import FrameReader
 from daq.wire.quadrature import levels_of
-from rig_sim.encoder import QuadratureEncoder
-from rig_sim.motion import Motion
+from rig_sim.board.encoder import QuadratureEncoder
+from rig_sim.motion.play import Motion
 
 HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parents[1] / "firmware"

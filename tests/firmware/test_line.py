@@ -13,7 +13,7 @@ from daq.recorder.record import Request, record
 from daq.runfile.store import load
 from daq.wire import frames as wire
 from daq.wire.frames import Ident, Notice, SampleBlock
-from rig_sim.scenes import scene
+from rig_sim.scenes.scene import scene
 
 BAUDS = (115_200, 250_000, 500_000, 1_000_000)
 

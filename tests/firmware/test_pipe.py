@@ -9,9 +9,9 @@ import pytest
 
 from daq.runfile.store import load
 from daq.wire.counters import FLAG_BOTH
-from rig_sim.board import calibration
-from rig_sim.encoder import QuadratureEncoder
-from rig_sim.scenes import scene
+from rig_sim.board.board import calibration
+from rig_sim.board.encoder import QuadratureEncoder
+from rig_sim.scenes.scene import scene
 
 SECONDS = 30
 SEED = 5

@@ -7,7 +7,7 @@ from daq.recorder.record import Request, record
 from daq.runfile.store import load
 from daq.wire.frames import LEVELS, OVERRUN
 from daq.wire.quadrature import PHASE
-from rig_sim.scenes import scene
+from rig_sim.scenes.scene import scene
 
 CYCLES_PER_US = 16
 LONGEST_INTERRUPT = {"uno": 50, "mega": 52}  # cycles with interrupts off, entry included: the latch

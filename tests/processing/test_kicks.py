@@ -9,7 +9,7 @@ import rig_sim
 from processing import stage
 from processing.defects import velocity_steps
 from processing.record import series
-from rig_sim.motion import Motion
+from rig_sim.motion.play import Motion
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ from scipy.integrate import cumulative_simpson
 from daq.errors import InputError
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, SampleBlock
-from rig_sim.board import Board
-from rig_sim.effects.belt_channel import BeltEncoder
-from rig_sim.motion import Motion
-from rig_sim.scenes import Scene, scene
+from rig_sim.board.belt_encoder import BeltEncoder
+from rig_sim.board.board import Board
+from rig_sim.motion.play import Motion
+from rig_sim.scenes.scene import Scene, scene
 
 DELTA = 0.12566 / 4096 / 4
 CHANNEL: dict[str, object] = {"belt.channel": True}

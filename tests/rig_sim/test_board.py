@@ -15,10 +15,10 @@ from daq.errors import InputError
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
 from daq.wire.quadrature import PHASE
-from rig_sim.board import Board
-from rig_sim.motion import Motion
+from rig_sim.board.board import Board
+from rig_sim.motion.play import Motion
 from rig_sim.protocol_rig import Serial, parse_url
-from rig_sim.scenes import scene
+from rig_sim.scenes.scene import scene
 
 DELTA = 0.12566 / 4096 / 4
 PARKED: dict[str, object] = {

@@ -15,9 +15,9 @@ import pytest
 
 import rig_sim
 from daq.console import application
-from rig_sim import motion as motion_module
 from rig_sim.cli import app
-from rig_sim.motion import Motion
+from rig_sim.motion import play as motion_module
+from rig_sim.motion.play import Motion
 
 SHARED = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).parents[3] / "shared"))
 REFERENCE = [

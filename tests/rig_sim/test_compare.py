@@ -10,14 +10,14 @@ import pytest
 from daq.console import application
 from daq.errors import InputError
 from rig_sim.cli import app
-from rig_sim.compare import compare, difference
+from rig_sim.comparison.error_vs_time import compare, difference
+from rig_sim.comparison.reference import Uncovered, events
+from rig_sim.comparison.solve_ivp import SOLVERS
+from rig_sim.comparison.solve_ivp import list_events as peer_events
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.modes import Flow
-from rig_sim.integrate.peers import SOLVERS
-from rig_sim.integrate.peers import list_events as peer_events
-from rig_sim.integrate.reference import Uncovered, events
-from rig_sim.scenes import scene
+from rig_sim.scenes.scene import scene
 
 SCENES = [
     *({"law": law} for law in LAWS),
@@ -109,7 +109,7 @@ def test_compare_prints_a_table_of_80_columns(capsys, monkeypatch):
 
 
 def test_without_mpmath_it_measures_against_the_tightest_other_method(monkeypatch):
-    monkeypatch.setitem(sys.modules, "rig_sim.integrate.reference", None)
+    monkeypatch.setitem(sys.modules, "rig_sim.comparison.reference", None)
     found = compare(scene("base"), 10.0, methods=("exact", "dop853"))
     assert "mpmath is not installed" in found.reference
     assert all(row.error is not None and row.error < 1e-2 for row in found.rows)

@@ -9,14 +9,14 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from daq.errors import InputError
+from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.friction import contact
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.hybrid import next_event, sample
 from rig_sim.integrate.modes import COMPLETED, NEGATIVE, POSITIVE, RAMP, Flow, force, initial_mode, new_work, validate
-from rig_sim.motion import Motion, events
-from rig_sim.orbit import cycle
-from rig_sim.scenes import scene
+from rig_sim.motion.play import Motion, events
+from rig_sim.scenes.scene import scene
 
 
 def flow_of(law: int, **changes: float) -> Flow:

@@ -12,12 +12,12 @@ import pytest
 
 from daq.wire.frames import FrameReader, SampleBlock, Truth
 from daq.wire.quadrature import PHASE
-from rig_sim.board import Board
-from rig_sim.effects.gaps import SilentStretches
-from rig_sim.encoder import Nodes
-from rig_sim.motion_file import write
-from rig_sim.scenes import scene
-from rig_sim.sections import Gaps, SlipLoss
+from rig_sim.board.board import Board
+from rig_sim.board.encoder import Nodes
+from rig_sim.board.gaps import SilentStretches
+from rig_sim.motion.file import write
+from rig_sim.scenes.scene import scene
+from rig_sim.scenes.sections import Gaps, SlipLoss
 
 DELTA = 0.12566 / 4096 / 4
 LOSSES: dict[str, object] = {"slip_loss.rate": 0.8, "slip_loss.counts": 60, "slip_loss.samples": 4}
@@ -77,7 +77,7 @@ def test_lost_counts_are_missing_for_good_and_against_the_motion() -> None:
 
 
 def test_a_loss_follows_the_cubic_over_its_samples() -> None:
-    from rig_sim.effects.slip_loss import LosingCog
+    from rig_sim.board.slip_loss import LosingCog
 
     cog = LosingCog(SlipLoss(rate=1000.0, counts=100, samples=10), 0, DELTA)
     t = np.arange(41) / 1000
@@ -191,7 +191,7 @@ def test_only_the_effects_a_scene_names_are_imported(
         )
     )
     code = (
-        "import sys; from rig_sim.board import Board; from rig_sim.scenes import scene;"
+        "import sys; from rig_sim.board.board import Board; from rig_sim.scenes.scene import scene;"
         f"board = Board(scene({str(path)!r}, **{changes!r})); board.write(b'S\\n'); board.samples(3000);"
         "print(*sorted(name for name in sys.modules if name.startswith('rig_sim.effects.')))"
     )

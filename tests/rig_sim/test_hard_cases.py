@@ -10,14 +10,14 @@ import mpmath
 import pytest
 
 from daq.console import application
-from rig_sim.compare import difference
+from rig_sim.comparison import reference
+from rig_sim.comparison.error_vs_time import difference
+from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate import reference
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.hybrid import next_event, sample
 from rig_sim.integrate.modes import COMPLETED, OUTCOMES, Flow, initial_mode, new_work
-from rig_sim.orbit import cycle
-from rig_sim.scenes import scene
+from rig_sim.scenes.scene import scene
 
 
 def flow_of(law, **changes):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
@@ -20,7 +21,6 @@ from rig_sim.integrate.modes import (
     initial_mode,
     new_work,
 )
-from rig_sim.orbit import cycle
 
 
 def flow_of(law, **changes):

@@ -12,9 +12,9 @@ import pytest
 from daq.console import application
 from daq.errors import InputError
 from rig_sim.cli import app
-from rig_sim.methods import METHODS, phases_by
-from rig_sim.motion import Motion
-from rig_sim.scenes import scene
+from rig_sim.comparison.methods import METHODS, phases_by
+from rig_sim.motion.play import Motion
+from rig_sim.scenes.scene import scene
 
 EFFECTS: dict[str, dict[str, object]] = {
     "scatter": {"scatter.Fs": 0.05, "seed": 3},

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
-from rig_sim.motion import LEAST_FACTOR, Event, Motion, events
-from rig_sim.scenes import parse_changes, scene
+from rig_sim.motion.play import LEAST_FACTOR, Event, Motion, events
+from rig_sim.scenes.scene import parse_changes, scene
 
 SHARED = FilePath(os.environ.get("STICKSLIP_SHARED", FilePath(__file__).parents[3] / "shared"))
 REFERENCE = [

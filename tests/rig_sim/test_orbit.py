@@ -7,9 +7,9 @@ from dataclasses import astuple
 
 import pytest
 
+from rig_sim.dynamics.limit_cycle import creeps, cycle
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.modes import Flow, frame
-from rig_sim.orbit import creeps, cycle
 
 
 def flow_of(law, **changes):
@@ -153,7 +153,8 @@ def test_unphysical_flow_is_refused():
 
 def test_an_orbit_costs_no_heavy_imports():
     code = (
-        "import sys; from rig_sim.orbit import cycle; from rig_sim.integrate.modes import Flow; cycle(Flow());"
+        "import sys; from rig_sim.dynamics.limit_cycle import cycle;"
+        "from rig_sim.integrate.modes import Flow; cycle(Flow());"
         "print(*sorted({'numpy', 'scipy', 'numba', 'matplotlib'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

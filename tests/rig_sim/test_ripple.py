@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from daq.errors import InputError
-from rig_sim.motion import Motion, events
-from rig_sim.orbit import cycle
-from rig_sim.scenes import scene
+from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.motion.play import Motion, events
+from rig_sim.scenes.scene import scene
 
 HZ = 0.31
 OMEGA = 2 * math.pi * HZ

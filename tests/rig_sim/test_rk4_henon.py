@@ -4,10 +4,10 @@ import math
 
 import pytest
 
+from rig_sim.comparison.rk4_henon import list_events as rk4_events
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.modes import Flow
-from rig_sim.integrate.rk4_henon import list_events as rk4_events
 
 
 def flow_of(law, **changes):

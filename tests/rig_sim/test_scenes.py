@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from daq.errors import InputError
-from rig_sim.scenes import SECTIONS, Scene, builtin_names, parse_changes, scene
+from rig_sim.scenes.scene import SECTIONS, Scene, builtin_names, parse_changes, scene
 
 
 def changed(*settings: str, base: str = "base") -> Scene:

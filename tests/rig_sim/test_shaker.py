@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
+from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.effects.shaker import controlled, fixed_point_friction, phasor
 from rig_sim.integrate.modes import Flow
-from rig_sim.motion import Motion, events
-from rig_sim.orbit import cycle
-from rig_sim.scenes import Scene, scene
-from rig_sim.sections import Start
+from rig_sim.motion.play import Motion, events
+from rig_sim.scenes.scene import Scene, scene
+from rig_sim.scenes.sections import Start
 
 V, GAMMA = 0.5, 3.0
 REST = 1 / (1 + GAMMA * V)

@@ -10,7 +10,7 @@ Not modelled: samples that the line damages (a CRC error), a board that starts a
 import random
 from collections.abc import Iterable
 
-from rig_sim.sections import Gaps
+from rig_sim.scenes.sections import Gaps
 
 
 class SilentStretches:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError
 from daq.wire.quadrature import Decoder, levels_of
-from rig_sim.sections import Encoder
+from rig_sim.scenes.sections import Encoder
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

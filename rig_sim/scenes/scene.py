@@ -41,7 +41,7 @@ from pydantic import Field, ValidationError
 from daq.errors import InputError, nearest
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.modes import LARGEST, SMALLEST, Flow, steepest_fall, validate
-from rig_sim.sections import (
+from rig_sim.scenes.sections import (
     Belt,
     Damper,
     Drive,

@@ -13,8 +13,8 @@ import random
 import numpy as np
 from numpy.typing import NDArray
 
-from rig_sim.encoder import Nodes
-from rig_sim.sections import SlipLoss
+from rig_sim.board.encoder import Nodes
+from rig_sim.scenes.sections import SlipLoss
 
 Floats = NDArray[np.float64]
 

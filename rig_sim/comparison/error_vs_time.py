@@ -15,8 +15,8 @@ from typing import Any
 from daq.errors import InputError
 from rig_sim.integrate.events import EventList, list_events
 from rig_sim.integrate.hybrid import sample_phase
-from rig_sim.motion import Motion, flow_never_changes
-from rig_sim.scenes import Scene
+from rig_sim.motion.play import Motion, flow_never_changes
+from rig_sim.scenes.scene import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853", "radau", "lsoda")
 RK4_STEPS = (0.1, 0.03, 0.01, 0.003)  # of sqrt(m/k)
@@ -118,14 +118,14 @@ def _runs(scene: Scene, until: float, methods: Sequence[str]) -> tuple[list[tupl
         compile_s = time.process_time() - begun
         runs += [("exact", "interpreted", exact), ("exact", "compiled", partial(exact, compiled=True))]
     if "rk4-henon" in methods:
-        from rig_sim.integrate.rk4_henon import list_events as rk4
+        from rig_sim.comparison.rk4_henon import list_events as rk4
 
         unit = math.sqrt(flow.m / flow.k)
         runs += [("rk4-henon", f"h {h:g}", partial(rk4, flow, x, v, until, step=h * unit)) for h in RK4_STEPS]
     for method in methods:
         if method in ("exact", "rk4-henon"):
             continue
-        from rig_sim.integrate.peers import list_events as peer
+        from rig_sim.comparison.solve_ivp import list_events as peer
 
         for rtol in DOP853_RTOL if method == "dop853" else STIFF_RTOL:
             runs.append((method, f"rtol {rtol:g}", partial(peer, flow, x, v, until, method=method, rtol=rtol)))
@@ -134,9 +134,9 @@ def _runs(scene: Scene, until: float, methods: Sequence[str]) -> tuple[list[tupl
 
 def _played(scene: Scene, until: float, methods: Sequence[str]) -> list[tuple[str, str, Run]]:
     """Return the runs of a scene whose flow changes between events: one driver plays it by every method."""
-    from rig_sim.integrate.peers import by_solver
-    from rig_sim.integrate.rk4_henon import by_steps
-    from rig_sim.integrate.stepwise import sample_phase as sample_by
+    from rig_sim.comparison.rk4_henon import by_steps
+    from rig_sim.comparison.solve_ivp import by_solver
+    from rig_sim.comparison.stepping import sample_phase as sample_by
 
     unit = math.sqrt(scene.mass.m / scene.spring.k)
     runs: list[tuple[str, str, Run]] = []
@@ -184,7 +184,7 @@ def _timed(run: Run) -> tuple[EventList, float]:
 def _reference(scene: Scene, until: float) -> tuple[list[tuple[Any, str]], str]:
     """Return the reference's events, and what it is; no events where there is none for this scene."""
     try:
-        reference = import_module("rig_sim.integrate.reference")
+        reference = import_module("rig_sim.comparison.reference")
     except ModuleNotFoundError:
         return [], "the tightest other method, as mpmath is not installed"
     try:

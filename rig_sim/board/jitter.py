@@ -5,7 +5,7 @@ import random
 import numpy as np
 from numpy.typing import NDArray
 
-from rig_sim.sections import Jitter
+from rig_sim.scenes.sections import Jitter
 
 LARGEST = 0.45  # of a period, either way: samples stay in order
 SELDOM = 3  # standard deviations: what is cut off beyond is 0.3 % of the draws

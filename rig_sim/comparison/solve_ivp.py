@@ -11,10 +11,10 @@ from typing import Any
 
 from scipy.integrate import solve_ivp
 
+from rig_sim.comparison.stepping import Leg, Way, right_hand_side
+from rig_sim.comparison.stepping import list_events as events_by
 from rig_sim.integrate.events import EventList
 from rig_sim.integrate.modes import COMPLETED, STEP_LIMIT, STEPS, STEPS_ALLOWED, Buffer, Flow, Frame, edges
-from rig_sim.integrate.stepwise import Leg, Way, right_hand_side
-from rig_sim.integrate.stepwise import list_events as events_by
 
 SOLVERS = {"dop853": "DOP853", "radau": "Radau", "lsoda": "LSODA"}
 

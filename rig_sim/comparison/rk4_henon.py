@@ -17,10 +17,10 @@ import math
 from bisect import bisect_right
 from functools import partial
 
+from rig_sim.comparison.stepping import Leg, Slopes, Way, right_hand_side
+from rig_sim.comparison.stepping import list_events as events_by
 from rig_sim.integrate.events import EventList
 from rig_sim.integrate.modes import COMPLETED, STEP_LIMIT, STEPS, STEPS_ALLOWED, Buffer, Flow, Frame, edges
-from rig_sim.integrate.stepwise import Leg, Slopes, Way, right_hand_side
-from rig_sim.integrate.stepwise import list_events as events_by
 
 HALVINGS = 60  # of a step whose end is outside while w' at its start points inwards
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from daq.errors import InputError
 from rig_sim.integrate.hybrid import sample_phase
-from rig_sim.scenes import Scene
+from rig_sim.scenes.scene import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853")
 RK4_STEP = 0.01  # of sqrt(m/k)
@@ -46,10 +46,10 @@ def phases_by(
         raise InputError(f"{method} has no tolerance", "--rtol", "drop it, or take --method dop853")
     if method == "exact":
         return sample_phase, ""
-    from rig_sim.integrate.stepwise import sample_phase as sample_by
+    from rig_sim.comparison.stepping import sample_phase as sample_by
 
     if method == "rk4-henon":
-        from rig_sim.integrate.rk4_henon import by_steps
+        from rig_sim.comparison.rk4_henon import by_steps
 
         h = RK4_STEP * math.sqrt(scene.mass.m / scene.spring.k) if step is None else step
         if not (math.isfinite(h) and h > 0.0):
@@ -60,7 +60,7 @@ def phases_by(
             do = f"give {RK4_LONGEST * unit:.4g} (a sixth of it) or less; the default is {RK4_STEP * unit:.4g}"
             raise InputError(what, "--step", do)
         return partial(sample_by, by_steps(h)), f"h {h:g}"
-    from rig_sim.integrate.peers import by_solver
+    from rig_sim.comparison.solve_ivp import by_solver
 
     tolerance = DOP853_RTOL if rtol is None else rtol
     if not DOP853_RTOL <= tolerance < 1.0:

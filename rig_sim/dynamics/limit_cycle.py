@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate.bracket import EPS
 from rig_sim.integrate.hybrid import is_series, leave, moved
 from rig_sim.integrate.linear import first_extreme
 from rig_sim.integrate.modes import (
@@ -44,6 +43,7 @@ from rig_sim.integrate.modes import (
     slip_speed,
     validate,
 )
+from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.taylor import first_root, value
 
 STEPS_ALLOWED_HERE = 20_000  # in the whole search: some thousand turns without an event

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig_sim.integrate.modes import Flow
-from rig_sim.motion import Path
-from rig_sim.scenes import Scene
-from rig_sim.sections import Belt, Drive
+from rig_sim.motion.play import Path
+from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.sections import Belt, Drive
 
 Floats = NDArray[np.float64]
 

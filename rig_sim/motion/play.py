@@ -41,14 +41,14 @@ from rig_sim.integrate.modes import (
     initial_mode,
     new_work,
 )
-from rig_sim.scenes import Scene
+from rig_sim.scenes.scene import Scene
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from rig_sim.board.encoder import Nodes
     from rig_sim.effects.ripple import SwingingBelt
-    from rig_sim.encoder import Nodes
 
 DEFAULT_MAX_STEPS = 1_000_000
 INTERPRETED_STEPS = 50_000  # a second or two; a motion that needs more is played by compiled code, from its start
@@ -116,7 +116,7 @@ class Motion:
     max_steps : float
         Integrator steps after which the motion ends with the outcome 'step limit'; infinite for a board.
     phases : callable, optional
-        What plays one phase; another than the exact method's comes from `rig_sim.methods.phases_by`.
+        What plays one phase; another than the exact method's comes from `rig_sim.comparison.methods.phases_by`.
 
     Attributes
     ----------
@@ -195,7 +195,7 @@ class Motion:
         """
         import numpy as np
 
-        from rig_sim.encoder import Nodes
+        from rig_sim.board.encoder import Nodes
 
         times, asked = _refined(np.concatenate(([self.t], instants)), self._spacing())
         wanted: list[float] = times.tolist()

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from daq.errors import InputError
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
-from rig_sim.encoder import QuadratureEncoder
-from rig_sim.motion import Motion, Path
-from rig_sim.scenes import Scene
-from rig_sim.sections import Encoder
+from rig_sim.board.encoder import QuadratureEncoder
+from rig_sim.motion.play import Motion, Path
+from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.sections import Encoder
 
 FIRMWARE = (0, 1, 0)
 COUNTER_BITS = 16
@@ -73,21 +73,21 @@ class Board:
         self._encoder = QuadratureEncoder(scene.encoder, scene.start.x)
         self._cog = self._silence = None
         if scene.slip_loss is not None:
-            from rig_sim.effects.slip_loss import LosingCog
+            from rig_sim.board.slip_loss import LosingCog
 
             self._cog = LosingCog(scene.slip_loss, scene.seed, scene.encoder.metres_per_count)
         if scene.gaps is not None:
-            from rig_sim.effects.gaps import SilentStretches
+            from rig_sim.board.gaps import SilentStretches
 
             self._silence = SilentStretches(scene.gaps, scene.seed)
         self._belt = None
         if scene.belt is not None and scene.belt.channel:
-            from rig_sim.effects.belt_channel import BeltEncoder
+            from rig_sim.board.belt_encoder import BeltEncoder
 
             self._belt = BeltEncoder(scene)
         self._jitter = None
         if scene.jitter is not None:
-            from rig_sim.effects.jitter import JitteringClock
+            from rig_sim.board.jitter import JitteringClock
 
             self._jitter = JitteringClock(scene.jitter, scene.seed)
         self._sample = 0  # samples since S

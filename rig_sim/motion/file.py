@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError
 from daq.output import disk
-from rig_sim.methods import phases_by
-from rig_sim.motion import DEFAULT_MAX_STEPS, Motion
-from rig_sim.scenes import Scene
+from rig_sim.comparison.methods import phases_by
+from rig_sim.motion.play import DEFAULT_MAX_STEPS, Motion
+from rig_sim.scenes.scene import Scene
 
 SAMPLES_AT_ONCE = 65_536
 MOST_SAMPLES = 100_000_000  # 3.2 GB of HDF5
@@ -65,7 +65,7 @@ def write(
     until, rate : float
         End of the run, and samples per unit of time.
     method, step, rtol
-        As for `rig_sim.methods.phases_by`; every section of a scene plays with every method.
+        As for `rig_sim.comparison.methods.phases_by`; every section of a scene plays with every method.
     max_steps : int
         Of the integrator (of dop853: evaluations of the right-hand side); a run that needs more ends early, and its
         outcome says so.

@@ -1,0 +1,1 @@
+"""Other integrators, and error against run time."""

@@ -1,0 +1,1 @@
+"""Questions about a system's dynamics, one a file."""

@@ -1,0 +1,1 @@
+"""The motion of a scene, played and written to a file."""

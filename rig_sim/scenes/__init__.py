@@ -1,0 +1,1 @@
+"""Scenes: TOML files that name which terms exist."""
