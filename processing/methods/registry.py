@@ -1,8 +1,9 @@
 """The methods that make velocity from position, behind one signature; a method's module is imported when it is used.
 
-A method is a module with ``estimate(series, setting) -> Motion``.  To admit a new one, add its line to `METHODS`;
-the contract every method is held to (tests/processing/test_methods.py): shapes kept, zero gives zero, a straight
-line comes back exactly, nothing crosses a gap, errors are positive, and bad samples were refused before it by index.
+A method is a module with ``estimate(series, setting) -> Motion``.  To admit a new one, add its line to `METHODS`.
+Every method is held to one contract (tests/processing/methods/test_methods.py): shapes kept, zero gives zero, a
+straight line comes back exactly, nothing crosses a gap, errors are positive, and bad samples were refused before it
+by index.
 """
 
 from dataclasses import dataclass

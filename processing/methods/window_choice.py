@@ -5,7 +5,7 @@ A motion of white jerk does not: its smoother is fitted to the record by likelih
 (`processing.polynomial.white_jerk_bands`), and of the Savitzky-Golay filters (window, order) that one is taken whose
 velocity comes closest to the smoother's; where the record shows sticks beyond doubt, to that of
 `processing.segmentation.smoother`.  It lies within a few per cent of the best window known with truth, from 1 to 200 um
-a count, with and without jitter (tests/processing/test_window.py).
+a count, with and without jitter (tests/processing/methods/test_window_choice.py).
 
 Uneven times are brought to the even grid for this choice alone (`processing.polynomial.even_grid`); the smoothing
 itself uses the times as recorded.

@@ -1,4 +1,4 @@
-"""The sections of a scene: one frozen model each, with its keys, units and ranges (checked by `rig_sim.scenes.scene`)."""
+"""The sections of a scene: one frozen model each, with the keys, units and ranges that `scene` checks."""
 
 from typing import Annotated, Literal
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from daq.wire import frames as wire
 from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "wire.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "wire.md"
 
 u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
 text = st.text(st.characters(codec="utf-8"), max_size=40)

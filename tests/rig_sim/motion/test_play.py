@@ -13,9 +13,9 @@ from daq.errors import InputError
 from rig_sim.motion.play import LEAST_FACTOR, Event, Motion, events
 from rig_sim.scenes.scene import parse_changes, scene
 
-SHARED = FilePath(os.environ.get("STICKSLIP_SHARED", FilePath(__file__).parents[3] / "shared"))
+SHARED = FilePath(os.environ.get("STICKSLIP_SHARED", FilePath(__file__).parents[4] / "shared"))
 REFERENCE = [
-    FilePath(__file__).parents[1] / "reference" / "limit_cycles.json",
+    FilePath(__file__).parents[2] / "reference" / "limit_cycles.json",
     SHARED / "reference" / "limit_cycles.json",
 ]
 
