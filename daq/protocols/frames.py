@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 from daq.errors import DeviceError, InputError, nearest
 from daq.protocols import link_budget
 from daq.protocols import session as sessions
-from daq.protocols.session import Identity, Line, Plan, Wish
+from daq.protocols.session import Identity, Line, Plan, Port, Wish
 from daq.wire import frames
 
 if TYPE_CHECKING:
-    from daq.recorder.ports import Port
     from daq.wire.decode import Stream
 
 BAUD = 115_200
@@ -26,7 +25,7 @@ def check(wish: Wish) -> None:
         raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, frames.DECODERS))
 
 
-def session(port: "Port", url: str, wish: Wish) -> "Frames":
+def session(port: Port, url: str, wish: Wish) -> "Frames":
     """Return a session on an open port."""
     return Frames(port, url, wish)
 
@@ -41,7 +40,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
 class Frames(Line):
     """A session in our own protocol."""
 
-    def __init__(self, port: "Port", url: str, wish: Wish) -> None:
+    def __init__(self, port: Port, url: str, wish: Wish) -> None:
         super().__init__(port, url, wish)
         self._settings: tuple[str, ...] = ()
 

@@ -25,11 +25,10 @@ import numpy as np
 from daq.errors import DeviceError, InputError
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineTally, Rows, to_stream
-from daq.protocols.session import Identity, Line, Plan, Wish
+from daq.protocols.session import Identity, Line, Plan, Port, Wish
 from daq.wire import cut, frames
 
 if TYPE_CHECKING:
-    from daq.recorder.ports import Port
     from daq.wire.decode import Stream
 
 BAUD = 230_400
@@ -61,7 +60,7 @@ def check(wish: Wish) -> None:
         raise InputError("a QSB's records have no columns to declare", "--columns", "leave it out: it is for text")
 
 
-def session(port: "Port", url: str, wish: Wish) -> "Qsb":
+def session(port: Port, url: str, wish: Wish) -> "Qsb":
     """Return a session on an open port."""
     return Qsb(port, url, wish)
 
@@ -182,7 +181,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
 class Qsb(Line):
     """A session with a QSB."""
 
-    def __init__(self, port: "Port", url: str, wish: Wish) -> None:
+    def __init__(self, port: Port, url: str, wish: Wish) -> None:
         super().__init__(port, url, wish)
         self._interval = 1
         self._settings: tuple[str, ...] = ()

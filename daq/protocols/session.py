@@ -17,12 +17,12 @@ States of a session, and what moves it on::
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from daq.wire import frames
 
 if TYPE_CHECKING:
-    from daq.recorder.ports import Port
     from daq.wire.decode import Stream
 
 ANSWER_S = 5.0  # an Arduino resets when its port is opened and boots for up to 2 s
@@ -30,6 +30,29 @@ ASK_AGAIN_S = 0.5
 QUIET_S = 0.05  # a line this long without a byte has run dry
 DRAIN_S = 2.0
 MOST_AT_ONCE = 4096  # bytes of a read from a port that does not say how many wait
+
+
+class Port(Protocol):
+    """What a session needs of an open port: the part of pyserial that every one of its handlers has."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that a read would return at once."""
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Return up to ``size`` bytes, as many as come before the time-out."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send."""
+
+    def close(self) -> None:
+        """Let go of the port."""
+
+    def __enter__(self) -> "Port": ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -112,7 +135,7 @@ class Session(Protocol):
     The port may raise SerialException or OSError at any time: the session's owner handles both.
     """
 
-    port: "Port"
+    port: Port
     url: str
     received: list[tuple[int, bytes]]
 
@@ -155,7 +178,7 @@ class Backend(Protocol):
     def check(self, wish: Wish) -> None:
         """Raise InputError for a wish that this protocol can never fulfil; nothing has been touched then."""
 
-    def session(self, port: "Port", url: str, wish: Wish) -> Session:
+    def session(self, port: Port, url: str, wish: Wish) -> Session:
         """Return a session on an open port."""
 
     def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
@@ -165,7 +188,7 @@ class Backend(Protocol):
 class Line:
     """Reading and writing that every session shares."""
 
-    def __init__(self, port: "Port", url: str, wish: Wish) -> None:
+    def __init__(self, port: Port, url: str, wish: Wish) -> None:
         self.port = port
         self.url = url
         self.wish = wish

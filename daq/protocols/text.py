@@ -30,12 +30,11 @@ import numpy as np
 from daq.errors import DeviceError, InputError, nearest
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineTally, Rows, to_stream
-from daq.protocols.session import Identity, Line, Plan, Wish
+from daq.protocols.session import Identity, Line, Plan, Port, Wish
 from daq.protocols.text_columns import KINDS, Columns, columns
 from daq.wire import cut, frames
 
 if TYPE_CHECKING:
-    from daq.recorder.ports import Port
     from daq.wire.decode import Stream
 
 BAUD = 115_200
@@ -53,7 +52,7 @@ def check(wish: Wish) -> None:
         raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, frames.DECODERS))
 
 
-def session(port: "Port", url: str, wish: Wish) -> "Text":
+def session(port: Port, url: str, wish: Wish) -> "Text":
     """Return a session on an open port."""
     return Text(port, url, wish)
 
@@ -180,7 +179,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
 class Text(Line):
     """A session with a sketch that prints lines; it is listened to, and nothing is said to it."""
 
-    def __init__(self, port: "Port", url: str, wish: Wish) -> None:
+    def __init__(self, port: Port, url: str, wish: Wish) -> None:
         super().__init__(port, url, wish)
         self._form = columns(wish.columns)
         self._rate_hz = 0.0

@@ -9,39 +9,16 @@ import errno
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, cast
+from typing import cast
 from urllib.parse import quote
 
 from daq.errors import DeviceError, InputError
+from daq.protocols.session import Port
 
 SIMULATED_RIG = "rig://rig"
 BAUD = 115_200
 READ_TIMEOUT_S = 0.1
 WRITE_TIMEOUT_S = 5.0
-
-
-class Port(Protocol):
-    """What the recorder needs of an open port: the part of pyserial that every one of its handlers has."""
-
-    @property
-    def in_waiting(self) -> int:
-        """Bytes that a read would return at once."""
-
-    def read(self, size: int = 1, /) -> bytes:
-        """Return up to ``size`` bytes, as many as come before the time-out."""
-
-    def write(self, data: bytes, /) -> int | None:
-        """Send."""
-
-    def close(self) -> None:
-        """Let go of the port."""
-
-    def __enter__(self) -> "Port": ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
-    ) -> None: ...
 
 
 @dataclass(frozen=True)
