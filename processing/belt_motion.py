@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.methods.registry import Motion, Setting
@@ -18,8 +19,6 @@ from processing.record.series import Series
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

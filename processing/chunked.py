@@ -14,8 +14,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.errors import InputError, nearest
 from daq.runfile import store
 from daq.runfile.recording import Recording
@@ -35,8 +35,6 @@ from processing.record.kinematics import Phase
 from processing.record.series import Series
 from processing.segmentation import plateaus as phases
 from processing.smoothing import REPAIRS
-
-Array = NDArray[np.float64]
 
 CHUNK = 2**16  # samples kept at a time
 MARGIN = 2**12  # samples to either side that are smoothed too

@@ -9,16 +9,14 @@ import time as clock
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.runfile.recording import Recording, Truth
 from processing.methods import registry
 from processing.methods import window_choice as windows
 from processing.methods.registry import Motion, Setting
 from processing.record import series
 from processing.record.series import Series
-
-Array = NDArray[np.float64]
 
 WINDOWS = (11, 21, 41, 81, 161)
 ORDER = 4

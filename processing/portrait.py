@@ -9,9 +9,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from processing.record.kinematics import Kinematics
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

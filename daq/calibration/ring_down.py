@@ -24,6 +24,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import autocorrelation_time
 from daq.errors import DataError
 from daq.runfile.rig import Measured
 
@@ -281,23 +282,9 @@ def _solve(
     theta = np.concatenate((best.x * scale[:free], np.zeros(7 - free)))
     theta[[0, 1, 2, 6]] = np.abs(theta[[0, 1, 2, 6]])
     rest_of = best.fun
-    hangs = _hang_together(rest_of)
+    hangs = autocorrelation_time([rest_of - rest_of.mean()])
     variance = float(rest_of @ rest_of) / max(1, n - free) * hangs
     jacobian = np.asarray(best.jac, dtype=np.float64)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance
     sd = np.concatenate((np.sqrt(np.diag(covariance)) * scale[:free], np.zeros(7 - free)))
     return _Solved(theta, sd, math.sqrt(float(rest_of @ rest_of) / n), hangs)
-
-
-def _hang_together(rest: NDArray[np.float64]) -> float:
-    """Return over how many samples the residuals hang together: 1 + 2 sum of their autocorrelation while positive."""
-    n = len(rest)
-    centred = rest - rest.mean()
-    power = np.abs(np.fft.rfft(centred, 2 * n)) ** 2
-    correlation = np.fft.irfft(power)[: n // 2]
-    if correlation[0] <= 0:
-        return 1.0
-    correlation = correlation / correlation[0]
-    negative = np.flatnonzero(correlation < 0)
-    upto = int(negative[0]) if len(negative) else len(correlation)
-    return float(max(1.0, 1 + 2 * correlation[1:upto].sum()))

@@ -7,8 +7,8 @@ samples mark each one.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import runs
 from daq.finalise.integrity import Checked
 from daq.finalise.timeline import Samples
 from daq.runfile.recording import EVENTS
@@ -54,8 +54,8 @@ def events_of(
         ("both-moved", counters.FLAG_BOTH),
         ("overrun", wire.OVERRUN),
     ):
-        for first, length in _runs(checked.flags & flag > 0):
-            found.append((first, EVENTS[name], f"{length} samples"))
+        for first, end in runs(checked.flags & flag > 0):
+            found.append((first, EVENTS[name], f"{end - first} samples"))
     frames = 0
     for connection in said:
         noted = [(int(frame), "crc", "") for frame in connection.crc_frame]
@@ -69,10 +69,3 @@ def events_of(
         if stamp >= samples.stamp_ns[0] - 1e9 / rate_hz and at < len(samples):
             found.append((at, EVENTS["marker"], text))
     return sorted(found)
-
-
-def _runs(flagged: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first sample and the length of each run of flagged samples."""
-    edges = np.diff(np.concatenate(([0], flagged.view(np.int8), [0])))
-    firsts = np.flatnonzero(edges == 1)
-    return list(zip(firsts.tolist(), (np.flatnonzero(edges == -1) - firsts).tolist(), strict=True))

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from processing.record.kinematics import Kinematics
-
-Array = NDArray[np.float64]
 
 SURE = 3.0  # standard errors: a belt that gives by less is taken as stiff
 SWING = 2e-3  # of the belt's speed: residual swing worth a word

@@ -16,9 +16,9 @@ share one kinetic level, because the level is drawn anew at each landing.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fitting.data.frame import REST_FRACTION, Array, Motion
+from daq.compute.arrays import Array, runs
+from fitting.data.frame import REST_FRACTION, Motion
 
 BEFORE_ONSET_S = 0.05
 SHORTEST_S = 0.03
@@ -82,12 +82,6 @@ class Cut:
     def used(self) -> tuple[Cycle, ...]:
         """The cycles without a flag."""
         return tuple(cycle for cycle in self.cycles if not cycle.flag)
-
-
-def runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the half-open index ranges over which ``mask`` is true."""
-    edges = np.diff(np.r_[0, mask.astype(np.int8), 0])
-    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
 
 
 def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:

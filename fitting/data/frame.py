@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Measured, Rig
 from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
 from processing.record.kinematics import Kinematics
-
-Array = NDArray[np.float64]
 
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
 FASTER_GAP = 3.0  # sample intervals: a longer one is a gap

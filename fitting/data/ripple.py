@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from fitting.data.cycles import BEFORE_ONSET_S, Cut
-from fitting.data.frame import Array, Motion
+from fitting.data.frame import Motion
 
 LEFT = 0.45  # of the velocity's variance in stick: a ripple worth the name leaves no more than this
 SMALLEST = 2e-3  # of the belt's speed

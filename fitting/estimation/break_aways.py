@@ -8,8 +8,9 @@ import math
 
 import numpy as np
 
+from daq.compute.arrays import Array
 from fitting.data.cycles import BEFORE_ONSET_S, Cut
-from fitting.data.frame import Array, Motion
+from fitting.data.frame import Motion
 from fitting.data.ripple import Ripple
 from fitting.estimation.result import Event
 from fitting.estimation.trajectory import Fit

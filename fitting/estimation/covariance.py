@@ -10,8 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
-from fitting.data.frame import Array, Motion
+from fitting.data.frame import Motion
 from fitting.estimation import wear
 from fitting.estimation.levenberg_marquardt import Reduced
 from fitting.estimation.result import Parameter

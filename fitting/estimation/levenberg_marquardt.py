@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.data.frame import Array
+from daq.compute.arrays import Array
 
 START_DAMPING, EASE, WARY, TIGHTEN = 1e-4, 30.0, 3.0, 10.0  # WARY: how far a step is eased that was first refused
 REACH = 0.1  # of the step: where the second derivative along it is measured

@@ -19,8 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array, autocorrelation_time
 from fitting.data.cycles import Cycle
-from fitting.data.frame import Array, Motion
+from fitting.data.frame import Motion
 from fitting.estimation import levenberg_marquardt, wear
 from fitting.model import parameters
 from fitting.model.parameters import CALIBRATED, DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, RIPPLE, UNKNOWNS, D, K
@@ -381,23 +382,7 @@ def _fading(fit: Fit) -> tuple[float, ...]:
 
 
 def effective_sigma(residual: Array, rows: list[slice]) -> float:
-    """Return rms x sqrt(tau), tau the integrated correlation time of the residuals in samples (at least 1).
-
-    The autocorrelation is summed up to its first zero, pooled over the cycles.
-    """
-    square, count = 0.0, 0
-    longest = max((rows_.stop - rows_.start for rows_ in rows), default=0)
-    lags = np.zeros(longest)
-    for part in rows:
-        r = residual[part]
-        size = 1 << (2 * r.size - 1).bit_length()
-        spectrum = np.fft.rfft(r, size)
-        lags[: r.size] += np.fft.irfft(spectrum * np.conj(spectrum), size)[: r.size]
-        square += float(r @ r)
-        count += r.size
-    if square <= 0 or count == 0:
-        return 0.0
-    rho = lags / lags[0]
-    end = int(np.argmax(rho < 0)) if np.any(rho < 0) else longest
-    tau = 1 + 2 * float(np.sum(rho[1:end]))
-    return math.sqrt(square / count * max(tau, 1.0))
+    """Return rms x sqrt(tau), tau their integrated autocorrelation time in samples, pooled over the cycles."""
+    parts = [residual[own] for own in rows]
+    square, count = sum(float(r @ r) for r in parts), sum(r.size for r in parts)
+    return math.sqrt(square / count * autocorrelation_time(parts)) if square > 0 else 0.0

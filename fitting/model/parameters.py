@@ -9,9 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from rig_sim.friction.law import LAWS
-
-Array = NDArray[np.float64]
 
 K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, FADE, GIVE, COSINE, SINE, OMEGA = range(12)
 UNKNOWNS = 12

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.data.cycles import Cut
-from fitting.data.frame import Array, Motion
+from fitting.data.frame import Motion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters, starts
 from fitting.model.parameters import COSINE, DAMPING, DATUM, GIVE, SHAPE, UNKNOWNS, V_DR

@@ -8,8 +8,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from fitting.data.cycles import Cycle
-from fitting.data.frame import Array, Motion
+from fitting.data.frame import Motion
 from fitting.model import parameters
 from fitting.model.parameters import LOCALS, UNKNOWNS
 from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry

@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.data.cycles import Cut
-from fitting.data.frame import Array, Motion
+from fitting.data.frame import Motion
 
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2
 LOOSE = 0.05  # of the travel: a rest position known no better is fitted along

@@ -10,7 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.data.frame import Array, Motion
+from daq.compute.arrays import Array
+from fitting.data.frame import Motion
 from fitting.estimation.result import LawResult, Ranking
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import DAMPING, DATUM, GIVE, LEVEL, LOG_F, SHAPE, V_DR, D, K

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
+from daq.compute.arrays import Array
 from fitting.data.cycles import Cycle
-from fitting.data.frame import Array
 from fitting.estimation.result import Ranking
 from fitting.report import curves
 from processing.plot import STYLE

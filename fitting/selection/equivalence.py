@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
-from fitting.data.frame import Array
 from fitting.estimation import trajectory
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import GIVE, LOG_F, UNKNOWNS, D, K

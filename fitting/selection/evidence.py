@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.data.frame import Array, Motion
+from daq.compute.arrays import Array
+from fitting.data.frame import Motion
 from fitting.estimation.trajectory import Fit
 from fitting.model.problem import Run
 

@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from fitting.data.frame import Array, Motion
+from daq.compute.arrays import Array
+from fitting.data.frame import Motion
 from fitting.estimation.trajectory import Fit
 
 MOST_POINTS = 4000

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.compute.arrays import Array
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Rig
 from fitting.data import cycles, frame, ripple
-from fitting.data.frame import Array, Motion
+from fitting.data.frame import Motion
 from fitting.estimation import break_aways, covariance, search
 from fitting.estimation.result import LawResult
 from fitting.estimation.result import Ranking as Ranking

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from daq.compute.arrays import Array
 from fitting.data.cycles import SLIPPING, Cut
-from fitting.data.frame import REST_FRACTION, Array, Motion
+from fitting.data.frame import REST_FRACTION, Motion
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import LOG_F, V_DR, D, K
 from fitting.model.problem import Run

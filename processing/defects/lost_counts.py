@@ -17,9 +17,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from processing.record.series import Series
-
-Array = NDArray[np.float64]
 
 LEAST = 10.0  # counts
 SUSPECT = 4.5  # counts: what the polynomials must miss each other by to be looked at closely

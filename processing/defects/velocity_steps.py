@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from processing.record.series import Series
-
-Array = NDArray[np.float64]
 
 SIDE = 10  # samples of a parabola to either side
 AROUND = 16  # samples to either side that the models are fitted to

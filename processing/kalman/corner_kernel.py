@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from processing.kalman.snap_kernel import (
     CUT,
     LAND,
@@ -31,7 +32,6 @@ from processing.kalman.snap_kernel import (
     update,
 )
 
-Array = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 

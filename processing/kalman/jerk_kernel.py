@@ -22,7 +22,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from daq.compute.arrays import Array
+
 State = tuple[float, ...]  # x v a, and the six of p
 
 STATE = 10  # numbers in a filter's state: x v a, the six of p, and the time they hold for

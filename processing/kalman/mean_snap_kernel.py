@@ -6,9 +6,9 @@ Runs as written or compiled (`daq.compute.compile`).
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from processing.kalman.snap_kernel import LAND, STATE, line_predict, line_update, predict, start, turn, unpacked, update
 
-Array = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 

@@ -26,7 +26,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from daq.compute.arrays import Array
+
 State = tuple[float, ...]  # x v a j, and the ten of p
 Labels = NDArray[np.uint8]
 

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from daq.errors import InputError
 from processing.kalman import jerk_kernel
@@ -26,8 +26,6 @@ from processing.methods import window_choice as windows
 from processing.methods.registry import Motion, Setting
 from processing.polynomial import uneven
 from processing.record.series import Series
-
-Array = NDArray[np.float64]
 
 KERNELS = ("processing.kalman.jerk_kernel",)
 SHORT = 8  # samples: pieces below are one parabola

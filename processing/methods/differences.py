@@ -7,14 +7,11 @@ a piece repeats the one before it.  One count over one interval is already pitch
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.errors import InputError
 from processing.methods.registry import Motion, Setting
 from processing.polynomial.even_grid import even_grid
 from processing.record.series import Series
-
-Array = NDArray[np.float64]
 
 WINDOW = 2  # samples
 

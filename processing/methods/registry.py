@@ -10,13 +10,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
+from daq.compute.arrays import Array
 from daq.errors import InputError, nearest
 from processing.record.series import Series
-
-Array = NDArray[np.float64]
 
 METHODS = {
     "auto": "processing.methods.auto",

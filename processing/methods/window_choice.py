@@ -17,15 +17,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.errors import InputError
 from processing.methods.registry import Setting
 from processing.polynomial.even_grid import even_grid
 from processing.polynomial.gram import coefficients
 from processing.record.series import Series
-
-Array = NDArray[np.float64]
 
 ORDERS = (2, 4, 6)  # an odd order has the velocity of the even one above it
 EQUIVALENT = {2: 5.0, 4: 9.0, 6: 13.5}  # window times rho**(1/6) of the filter that resembles the smoother

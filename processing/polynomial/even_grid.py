@@ -5,11 +5,9 @@ Where times scatter about the grid by less than half an interval, a reading move
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from processing.polynomial.gram import coefficients
-
-Array = NDArray[np.float64]
 
 ROUGH = 31, 4  # window and order of the rough velocity
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from daq.compute.arrays import Array
 
 
 def coefficients(window: int, order: int, at: float = 0.0) -> Array:

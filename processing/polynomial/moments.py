@@ -15,12 +15,9 @@ used.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array, Integers
 from processing.polynomial.gram import coefficients
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
 
 HIGHEST = 4  # order
 LARGEST = 2.0**62  # of a moment
@@ -43,7 +40,7 @@ def fastest(window: int, order: int) -> float:
     return most if order <= HIGHEST and most >= ENOUGH else 0.0
 
 
-def fits(count: Counts, window: int, order: int) -> bool:
+def fits(count: Integers, window: int, order: int) -> bool:
     """Tell whether the record can be filtered in whole numbers."""
     return count.size >= window and float(np.abs(np.diff(count)).max(initial=0)) <= fastest(window, order)
 
@@ -74,13 +71,13 @@ def power_weights(window: int, order: int) -> Array:
     return rows
 
 
-def sums(window: int) -> Counts:
+def sums(window: int) -> Integers:
     """Return the sums of j^2 and j^4 over the window."""
     squares = [j * j for j in range(-(window // 2), window // 2 + 1)]
     return np.array([sum(squares), sum(square * square for square in squares)], np.int64)
 
 
-def slide(count: Counts, half: int, weights: Array, even: Counts, values: Array) -> None:
+def slide(count: Integers, half: int, weights: Array, even: Integers, values: Array) -> None:
     """Fit around every sample that has ``half`` to either side; ``values`` (3, n) gets x (from c_i on), dx/dj, d2x/dj2.
 
     ``weights`` is `power_weights`, ``even`` `sums`.
@@ -117,7 +114,7 @@ def slide(count: Counts, half: int, weights: Array, even: Counts, values: Array)
             m0 += new - old
 
 
-def slide_wide(count: Counts, half: int, weights: Array, even: Counts, values: Array) -> None:
+def slide_wide(count: Integers, half: int, weights: Array, even: Integers, values: Array) -> None:
     """As `slide`, for windows whose fourth moment needs more than 64 bits."""
     n = count.size
     window = np.int64(2 * half + 1)

@@ -20,6 +20,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from processing.methods import window_choice as windows
 from processing.methods.differences import reading_error
@@ -27,8 +28,6 @@ from processing.methods.registry import Motion, Setting
 from processing.polynomial import moments, uneven
 from processing.polynomial.gram import coefficients
 from processing.record.series import Series, evenly
-
-Array = NDArray[np.float64]
 
 KERNELS = ("processing.polynomial.moments",)
 ORDER = 4  # beside a window that was given: as in the thesis's own filter class, it keeps the curvature of v

@@ -5,14 +5,11 @@ even: a stream cannot know the rest of an uneven clock.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array, Integers
 from daq.errors import InputError
 from processing.methods import window_choice as windows
 from processing.polynomial import moments, savgol
-
-Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
 
 
 class SavgolStream:
@@ -39,11 +36,11 @@ class SavgolStream:
             raise InputError(f"interval is {interval:g} s", "stream", "give a positive number of seconds")
         self.window, self.order, self.pitch = window, order, pitch
         self._scale = np.array([1.0, 1.0 / interval, 1.0 / interval**2])[:, None]
-        self._held: Counts = np.empty(0, np.int64)
+        self._held: Integers = np.empty(0, np.int64)
         self._origin = 0
         self._begun: bool | None = None
 
-    def push(self, count: Counts) -> Array:
+    def push(self, count: Integers) -> Array:
         """Take the next counts; return x, v, a (m from the first count, m/s, m/s^2) of those told now, (3, k).
 
         Raises

@@ -15,10 +15,9 @@ Source: G. E. Forsythe, J. SIAM 5 (1957) 74.
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from processing.polynomial import local_kernel
-
-Array = NDArray[np.float64]
 
 KERNELS = ("processing.polynomial.local_kernel",)
 

@@ -18,12 +18,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import minimize_scalar
 
-Array = NDArray[np.float64]
+from daq.compute.arrays import Array
 
 READING = np.array([-1.0, 6.0, -15.0, 20.0])  # upper bands of B, farthest first
 JERK = np.array([0.0, 1.0, 26.0, 66.0]) / 120

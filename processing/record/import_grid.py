@@ -10,12 +10,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.runfile import store
 from processing.record.series import interval_numbers
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

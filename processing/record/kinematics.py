@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from processing.defects import lost_counts
 from processing.defects.lost_counts import Loss
 from processing.defects.velocity_steps import Kick
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.errors import InputError
 from processing.polynomial.even_grid import even_grid
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
-Array = NDArray[np.float64]
 
 HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or two, shorter than a lost frame of eight
 LEAST = 5  # samples: a local parabola and its error need as many

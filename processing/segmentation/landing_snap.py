@@ -11,7 +11,6 @@ The time of each landing is left open by what it is uncertain by: it shifts the 
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.compute.compile import compiled
 from processing.kalman import mean_snap_kernel
@@ -19,8 +18,6 @@ from processing.kalman.snap_kernel import LAND, LANDING, NEAR_LANDING, SLIP, STI
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Levels
 from processing.segmentation.switching_times import Layout
-
-Array = NDArray[np.float64]
 
 KERNELS = ("processing.kalman.snap_kernel", "processing.kalman.mean_snap_kernel")
 

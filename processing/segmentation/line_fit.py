@@ -3,10 +3,7 @@
 Runs as written or compiled (`daq.compute.compile`).
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from daq.compute.arrays import Array
 
 
 def lines(time: Array, position: Array, first: int, last: int, window: int, variance: float, motion: Array) -> float:

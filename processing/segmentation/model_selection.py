@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from processing.kalman import corner_kernel, jerk_kernel, white_jerk
 from processing.kalman.snap_kernel import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK
@@ -17,8 +18,6 @@ from processing.record.series import Series
 from processing.segmentation.noise_levels import Levels, Room, filtered, learned, merged, without_corners
 from processing.segmentation.switching_estimate import placed
 from processing.segmentation.switching_times import KERNELS, Layout, Stretch, spans_of, sticks_of, stretches, without
-
-Array = NDArray[np.float64]
 
 GATE = 1.5  # times ln n: what a corner has to gain in log likelihood
 

@@ -27,6 +27,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array, runs
 from daq.errors import InputError
 from daq.runfile.rig import Measured
 from processing.belt_motion import Belt
@@ -36,7 +37,6 @@ from processing.methods.registry import Corner, Motion
 from processing.record.kinematics import Phase
 from processing.record.series import Series
 
-Array = NDArray[np.float64]
 Runs = list[tuple[int, int]]  # first and last sample, both included
 Stick = tuple[float, float, float, float]  # start, end, and their standard deviations, s
 
@@ -245,12 +245,7 @@ def _centred(motion: Motion, pieces: tuple[slice, ...]) -> Array:
 
 
 def _runs(mask: NDArray[np.bool_], pieces: tuple[slice, ...]) -> Runs:
-    found: Runs = []
-    for piece in pieces:
-        edges = np.diff(np.concatenate(([0], mask[piece].astype(np.int8), [0])))
-        first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-        found += [(piece.start + int(i), piece.start + int(j)) for i, j in zip(first, last, strict=True)]
-    return found
+    return [(p.start + first, p.start + end - 1) for p in pieces for first, end in runs(mask[p])]
 
 
 def _joined(flat: Runs, wide: Runs) -> list[tuple[tuple[int, int], tuple[int, int]]]:

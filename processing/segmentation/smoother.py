@@ -23,6 +23,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array, runs
 from daq.compute.compile import compiled
 from processing.kalman import corner_kernel, snap_kernel, white_jerk
 from processing.kalman.snap_kernel import KICK, LABELS, LAND, LEAVE, MEET, SLIP, START, STICK, STOP
@@ -33,8 +34,6 @@ from processing.segmentation.landing_snap import with_means
 from processing.segmentation.noise_levels import Levels, Room, filtered, first_levels, learned
 from processing.segmentation.switching_estimate import placed
 from processing.segmentation.switching_times import KERNELS, Labels, Layout, Stretch, laid_out, stretches
-
-Array = NDArray[np.float64]
 
 WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop"}
 LINES = ("processing.segmentation.line_fit",)
@@ -144,12 +143,10 @@ def _run(
 def _straighten(series: Series, stretch: Stretch, label: Labels, layout: Layout, levels: Levels, motion: Array) -> None:
     """Replace what lies in sticks by straight lines; their errors are scaled to what neighbouring lines differ by."""
     run = compiled(line_fit.lines, LINES)
-    still = np.diff(np.concatenate(([0], (label == STICK).astype(np.int8), [0])))
-    begins, ends = np.flatnonzero(still == 1), np.flatnonzero(still == -1)
     window = max(int(LINE * layout.unit / series.interval), 16)
     own, variance = motion[:, stretch.own], float(levels.r[STICK])
     time, position = series.time[stretch.own], series.position[stretch.own]
-    fitted = [(i, j) for i, j in zip(begins.tolist(), ends.tolist(), strict=True) if j - i >= 8]
+    fitted = [(i, j) for i, j in runs(label == STICK) if j - i >= 8]
     differing = np.array([run(time, position, i, j, window, variance, own) for i, j in fitted])
     known = differing > 0
     factor = (differing[known].sum() + 4.0) / (known.sum() + 4.0)

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.compute.compile import compiled
 from processing.kalman import corner_kernel
@@ -25,8 +24,6 @@ from processing.kalman.snap_kernel import (
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Levels, Room, filtered
 from processing.segmentation.switching_times import KERNELS, Layout, state_after, stretches
-
-Array = NDArray[np.float64]
 
 SHARP = 1.7  # times the spread of a landing's likelihood: the levels it is taken at were learned with it
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from processing.kalman import corner_kernel, white_jerk
 from processing.kalman.snap_kernel import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
 from processing.record.series import Series
 from processing.segmentation.plateaus import Found
 
-Array = NDArray[np.float64]
 Labels = NDArray[np.uint8]
 
 KERNELS = ("processing.kalman.snap_kernel", "processing.kalman.corner_kernel")

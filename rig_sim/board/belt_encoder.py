@@ -20,12 +20,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from rig_sim.integrate.modes import Flow
 from rig_sim.motion.play import Path
 from rig_sim.scenes.scene import Scene
 from rig_sim.scenes.sections import Belt, Drive
-
-Floats = NDArray[np.float64]
 
 
 class BeltEncoder:
@@ -70,10 +69,10 @@ class BeltEncoder:
         counts: NDArray[np.int64] = np.floor(travel[path.samples] / self.delta).astype(np.int64) - self._origin
         return counts
 
-    def _steps(self, flow: Flow, t: Floats, x: Floats, v: Floats) -> Floats:
+    def _steps(self, flow: Flow, t: Array, x: Array, v: Array) -> Array:
         """Return how far the belt runs from node to node (m) while one flow holds."""
         h = np.diff(t)
-        steps: Floats = flow.v_belt * h
+        steps: Array = flow.v_belt * h
         if flow.v_belt != 0.0 and self._belt.ripple and self._belt.ripple_hz:
             omega = 2.0 * math.pi * self._belt.ripple_hz
             steps = steps - self._belt.ripple / omega * np.diff(np.cos(omega * (t - self._belt.start)))
@@ -87,11 +86,11 @@ class BeltEncoder:
         return steps
 
 
-def _drive_impulse(drive: Drive, t: Floats) -> Floats:
+def _drive_impulse(drive: Drive, t: Array) -> Array:
     """Return the integral of u0 cos(omega t) from node to node, N s."""
     if drive.omega == 0.0:
         return drive.u0 * np.diff(t)
     half = drive.omega * np.diff(t) / 2.0
     middle = drive.omega * (t[1:] + t[:-1]) / 2.0
-    impulse: Floats = 2.0 * drive.u0 / drive.omega * np.cos(middle) * np.sin(half)
+    impulse: Array = 2.0 * drive.u0 / drive.omega * np.cos(middle) * np.sin(half)
     return impulse

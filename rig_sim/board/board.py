@@ -213,9 +213,9 @@ class Board:
         first = 0
         sequence = self._sample - len(rows)
         silence = self._silence
-        runs = [(True, len(rows))] if silence is None else _runs(silence.sent(instants))
-        for sent, length in runs:
-            last = first + length
+        answered = [True] * len(rows) if silence is None else silence.sent(instants)
+        for sent, same in groupby(answered):
+            last = first + len(list(same))
             if sent:
                 self._pending += rows[first:last]
                 self._told += told[first:last]
@@ -310,11 +310,6 @@ def calibration(scene: Scene, encoder: QuadratureEncoder) -> str:
 
 def _measured(key: str, value: float, sd: float) -> list[str]:
     return [f"{key} = {float(value)!r}", f"{key}_sd = {float(sd)!r}"]
-
-
-def _runs(sent: list[bool]) -> list[tuple[bool, int]]:
-    """Return stretches of samples that are sent, and that are not, with their lengths."""
-    return [(value, len(list(same))) for value, same in groupby(sent)]
 
 
 def _truth_rows(path: Path) -> list[tuple[float, float, float, float]]:

@@ -16,12 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import Array, Integers
 from daq.errors import InputError
 from daq.wire.quadrature import Decoder, levels_of
 from rig_sim.scenes.sections import Encoder
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 LARGEST_COUNT = 2**62
 MOST_EDGES = 50_000_000  # in one call, for decoders that need them one by one
@@ -36,9 +34,9 @@ class Nodes:
     Where v jumps (a kick) the time stands twice, with the velocity before and after.
     """
 
-    t: Floats
-    x: Floats
-    v: Floats
+    t: Array
+    x: Array
+    v: Array
 
 
 @dataclass(frozen=True)
@@ -142,7 +140,7 @@ class QuadratureEncoder:
         down = before[1] + np.concatenate(([0], np.cumsum(steps.step < 0)))
         return up, down
 
-    def _monotone(self, nodes: Nodes) -> tuple[Floats, Floats]:
+    def _monotone(self, nodes: Nodes) -> tuple[Array, Array]:
         """Return encoder positions with the turning points between the nodes put in.
 
         The second array numbers the points: node i has the number i, a point between i and i + 1 one in between.
@@ -160,7 +158,7 @@ class QuadratureEncoder:
             origin = np.insert(origin, turns + 1, (origin[turns] + origin[turns + 1]) / 2)
         return y, origin
 
-    def _refine(self, nodes: Nodes, origin: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    def _refine(self, nodes: Nodes, origin: Array) -> tuple[Array, Array, Array, Array]:
         """Cut the pieces at every sixteenth of a vibration period, so that each holds at most one turning point."""
         step = 2 * math.pi / self._omega / _PIECES_PER_VIBRATION
         first, last = math.floor(nodes.t[0] / step) + 1, math.ceil(nodes.t[-1] / step)
@@ -178,7 +176,7 @@ class QuadratureEncoder:
             np.insert(origin, piece + 1, where),
         )
 
-    def _turning_points(self, t: Floats, x: Floats, v: Floats, pieces: Integers) -> Floats:
+    def _turning_points(self, t: Array, x: Array, v: Array, pieces: Integers) -> Array:
         """Return the encoder position at the turning point of each of these pieces, by bisection."""
         cubic = _cubic(t, x, v, pieces)
         start = t[pieces]
@@ -193,7 +191,7 @@ class QuadratureEncoder:
         return _position(cubic, low) + self._amplitude * np.sin(self._omega * (start + low))
 
 
-def _cubic(t: Floats, x: Floats, v: Floats, piece: Integers) -> Floats:
+def _cubic(t: Array, x: Array, v: Array, piece: Integers) -> Array:
     """Return the coefficients (4, p) in the time since each piece's start, from x and v at both ends (Hermite)."""
     h = t[piece + 1] - t[piece]
     slope = (x[piece + 1] - x[piece]) / h
@@ -202,13 +200,13 @@ def _cubic(t: Floats, x: Floats, v: Floats, piece: Integers) -> Floats:
     return np.stack((x[piece], v[piece], c2, c3))
 
 
-def _position(cubic: Floats, s: Floats) -> Floats:
+def _position(cubic: Array, s: Array) -> Array:
     x, v, c2, c3 = cubic
-    position: Floats = x + s * (v + s * (c2 + s * c3))
+    position: Array = x + s * (v + s * (c2 + s * c3))
     return position
 
 
-def _speed(cubic: Floats, s: Floats) -> Floats:
+def _speed(cubic: Array, s: Array) -> Array:
     _, v, c2, c3 = cubic
-    speed: Floats = v + s * (2 * c2 + 3 * s * c3)
+    speed: Array = v + s * (2 * c2 + 3 * s * c3)
     return speed

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from rig_sim.board.encoder import Nodes
 from rig_sim.scenes.sections import SlipLoss
 
-Floats = NDArray[np.float64]
-
 
 class LosingCog:
     """The cog at work: what it has lost so far and is losing now.

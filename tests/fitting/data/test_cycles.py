@@ -15,11 +15,6 @@ def law5(motion_of):
     return motion, cycles.cut(motion)
 
 
-def test_runs_are_half_open_ranges():
-    assert cycles.runs(np.array([True, True, False, True, False])) == [(0, 2), (3, 4)]
-    assert cycles.runs(np.zeros(7, bool)) == []
-
-
 def test_every_complete_cycle_is_found(law5, synthetic):
     _, cut = law5
     _, events = synthetic.motion(synthetic.Scene(law=5))

@@ -1,0 +1,41 @@
+"""Array types by their element, runs of a mask, and the integrated autocorrelation time.
+
+Source of the autocorrelation time: A. Sokal, Monte Carlo Methods in Statistical Mechanics (1997), section 3; the sum is
+cut at the first negative estimate.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+def runs(mask: Mask) -> list[tuple[int, int]]:
+    """Return the half-open index ranges over which ``mask``, shape (n,), is true, in order."""
+    edges = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
+
+
+def autocorrelation_time(pieces: Iterable[Array]) -> float:
+    """Return the integrated autocorrelation time in samples, at least 1: 1 + 2 sum rho(lag), up to the first rho < 0.
+
+    Parameters
+    ----------
+    pieces : iterable of ndarray, shape (n_i,)
+        Residuals of zero mean, evenly sampled; the autocorrelation is pooled over the pieces.  Nothing but zeros: 1.
+    """
+    kept = list(pieces)
+    lags = np.zeros(max((r.size for r in kept), default=1))
+    for r in kept:
+        size = 1 << (2 * r.size - 1).bit_length()
+        spectrum = np.fft.rfft(r, size)
+        lags[: r.size] += np.fft.irfft(spectrum * np.conj(spectrum), size)[: r.size]
+    if lags[0] <= 0:
+        return 1.0
+    rho = lags / lags[0]
+    end = int(np.argmax(rho < 0)) if np.any(rho < 0) else rho.size
+    return max(1.0, 1 + 2 * float(np.sum(rho[1:end])))
