@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from fitting.batch import Row
-    from fitting.estimation.result import Ranking
+    from fitting.selection.result import Ranking
 
 app = application.application(
     "fit-friction", "Fit six friction laws to a recorded run and rank them.", "fit-friction run.h5 --report run.html"

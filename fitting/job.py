@@ -9,10 +9,10 @@ from daq.errors import InputError
 from daq.runfile import store as runfile
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
-from fitting.estimation.result import Ranking
 from fitting.report import page as report
 from fitting.report import stage as store
 from fitting.selection.ranking import ALL_LAWS, rank
+from fitting.selection.result import Ranking
 from processing import stage
 from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth

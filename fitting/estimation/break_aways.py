@@ -12,7 +12,7 @@ from daq.compute.arrays import Array
 from fitting.data.cycles import BEFORE_ONSET_S, Cut
 from fitting.data.frame import Motion
 from fitting.data.ripple import Ripple
-from fitting.estimation.result import Event
+from fitting.estimation.result import BreakAway
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import (
     COSINE,
@@ -41,7 +41,7 @@ ROUNDS, TRIALS = 3, 21  # of the search: each round looks closer, about the best
 ROUGH = 3.0  # times the usual error of a cycle: so much says that something else happened in it
 
 
-def events(fit: Fit, motion: Motion, cut: Cut) -> tuple[Event, ...]:
+def events(fit: Fit, motion: Motion, cut: Cut) -> tuple[BreakAway, ...]:
     """Return every break-away of the record, fitted or not.
 
     Parameters
@@ -58,11 +58,11 @@ def events(fit: Fit, motion: Motion, cut: Cut) -> tuple[Event, ...]:
     for cycle in cut.cycles:
         k = place.get(cycle.number)
         if k is None:
-            rows.append(Event(cycle.number, cycle.onset, math.nan, math.nan, cycle.flag))
+            rows.append(BreakAway(cycle.number, cycle.onset, math.nan, math.nan, cycle.flag))
             continue
         rough = fit.cycle_rms[k] > ROUGH * max(usual, motion.resolution)
         scale = math.exp(float(fit.local[k, LEVEL]))
-        rows.append(Event(cycle.number, float(times[k]), float(loads[k]), scale, "rough" if rough else ""))
+        rows.append(BreakAway(cycle.number, float(times[k]), float(loads[k]), scale, "rough" if rough else ""))
     return tuple(rows)
 
 

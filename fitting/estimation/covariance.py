@@ -13,7 +13,6 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.data.frame import Motion
-from fitting.estimation import wear
 from fitting.estimation.levenberg_marquardt import Reduced
 from fitting.estimation.result import Parameter
 from fitting.estimation.trajectory import Fit
@@ -154,9 +153,9 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
         add("d", "m/s", lambda u: float(u[D]), lengths=1)
     add("x0", "m", lambda u: motion.sign * float(u[DATUM]), lengths=1)
     add("c/m", "s^-1", lambda u: float(u[DAMPING]))
-    trend = wear.of(fit, run) if sustained else None
+    trend = fit.level_trend(run) if sustained else None
     if trend is not None:
-        first, reach = trend.first, float(student.ppf(1 - alpha / 2, trend.freedom))
+        first, reach = trend.first, float(student.ppf(1 - alpha / 2, trend.degrees_of_freedom))
         level, rate = found["Fs/m"], trend.rate
         value, error = level.value * first.value, math.hypot(level.stderr * first.value, level.value * first.sd)
         found["Fs0/m"] = Parameter(value, error, max(value - reach * error, 0.0), value + reach * error, level.unit)

@@ -126,6 +126,12 @@ class Fit:
         """How many runs were fitted together."""
         return self.u.size // UNKNOWNS
 
+    def level_trend(self, run: int = 0) -> "wear.Wear | None":
+        """Return the line through the friction levels of one run's inlier cycles (`fitting.estimation.wear`)."""
+        table = self.windows.table
+        own = (table[:, 1] == 0) & (table[:, 5] == run) & self.trusted[table[:, 0]]
+        return wear.level_trend(self.windows.epoch[own], np.exp(self.local[table[own, 0], LEVEL]))
+
     def part(self, run: int) -> "Fit":
         """Return what the fit says of one run: its unknowns, cycles and residuals; the solution stays that of all."""
         if self.runs == 1:
@@ -376,7 +382,7 @@ def _fading(fit: Fit) -> tuple[float, ...]:
     """Return how much the levels of each run may fade within a cycle, 1/s: about what they lose from cycle to cycle."""
     found = []
     for run in range(fit.runs):
-        trend = wear.of(fit, run)
+        trend = fit.level_trend(run)
         found.append(NO_TREND if trend is None else max(math.hypot(trend.rate.value, trend.rate.sd), LEAST_FADING))
     return tuple(found)
 

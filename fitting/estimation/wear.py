@@ -6,16 +6,11 @@ wear by it, since a contact may well lose its strength only where it is made ane
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
-from fitting.model.parameters import LEVEL
-
-if TYPE_CHECKING:
-    from fitting.estimation.trajectory import Fit
 
 FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
 
@@ -26,51 +21,45 @@ class Wear:
 
     Attributes
     ----------
-    loss : Measured
+    relative_rate : Measured
         Fraction of the mean level lost per second, 1/s; negative where the contact runs in.
     middle : float
         s, the mean time of the levels: there the line passes through their mean.
-    freedom : int
-        Degrees of freedom of the loss's error.
+    degrees_of_freedom : int
+        Of the standard error of ``relative_rate``.
     """
 
-    loss: Measured
+    relative_rate: Measured
     middle: float
-    freedom: int
+    degrees_of_freedom: int
 
     @property
     def first(self) -> Measured:
         """Level when the recording begins, over the mean level; the error is the line's, not the mean's."""
-        return Measured(1 + self.loss.value * self.middle, self.loss.sd * self.middle)
+        return Measured(1 + self.relative_rate.value * self.middle, self.relative_rate.sd * self.middle)
 
     @property
     def rate(self) -> Measured:
         """Fraction of the first level lost per second, 1/s."""
         first = self.first.value
-        return Measured(self.loss.value / first, self.loss.sd / first**2)
+        return Measured(self.relative_rate.value / first, self.relative_rate.sd / first**2)
 
 
-def of(fit: "Fit", run: int = 0) -> Wear | None:
-    """Fit the line of one run.
+def level_trend(time: Array, level: Array) -> Wear | None:
+    """Fit the least-squares line of friction levels over time.
 
     Parameters
     ----------
-    fit : Fit
-        Of all runs together.
-    run : int
+    time : (n,) f8
+        s, each level's cycle.
+    level : (n,) f8
+        Friction level of each cycle, in any unit.
 
     Returns
     -------
     Wear or None
-        None with fewer than four cycles to trust, or where the line says that there was nothing left to lose.
+        None for fewer than four levels, or where the line falls below zero before the recording begins.
     """
-    own = (fit.windows.table[:, 1] == 0) & (fit.windows.table[:, 5] == run)
-    own &= fit.trusted[fit.windows.table[:, 0]]
-    return line(fit.windows.epoch[own], np.exp(fit.local[fit.windows.table[own, 0], LEVEL]))
-
-
-def line(time: NDArray[np.float64], level: NDArray[np.float64]) -> Wear | None:
-    """Return the least-squares line of levels (n,) over time (n,), s; None as `of` says."""
     if level.size < FEWEST_LEVELS:
         return None
     level = level / level.mean()

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from fitting.data.frame import Motion
-from fitting.estimation.result import LawResult, Ranking
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import DAMPING, DATUM, GIVE, LEVEL, LOG_F, SHAPE, V_DR, D, K
+from fitting.selection.result import LawResult, Ranking
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 

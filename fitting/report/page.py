@@ -10,8 +10,9 @@ from typing import Any
 from daq.errors import InputError
 from daq.output import atomic
 from daq.version import VERSION
-from fitting.estimation.result import Parameter, Ranking
+from fitting.estimation.result import Parameter
 from fitting.report import plot
+from fitting.selection.result import Ranking
 from fitting.selection.verdict import length
 from processing.record.kinematics import Kinematics
 

@@ -14,8 +14,8 @@ from matplotlib.ticker import NullFormatter
 
 from daq.compute.arrays import Array
 from fitting.data.cycles import Cycle
-from fitting.estimation.result import Ranking
 from fitting.report import curves
+from fitting.selection.result import Ranking
 from processing.plot import STYLE
 
 COLOURS = {1: "#56B4E9", 2: "#0072B2", 3: "#E69F00", 4: "#D55E00", 5: "#009E73", 6: "#CC79A7"}

@@ -19,8 +19,8 @@ import numpy as np
 
 from daq.runfile import nexus, store
 from daq.version import VERSION
-from fitting.estimation.result import LawResult, Ranking
 from fitting.report.curves import curve, speeds, unit
+from fitting.selection.result import LawResult, Ranking
 
 FORMULAS = {
     "constant": "Fs",

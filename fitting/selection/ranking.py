@@ -17,12 +17,12 @@ from daq.runfile.rig import Rig
 from fitting.data import cycles, frame, ripple
 from fitting.data.frame import Motion
 from fitting.estimation import break_aways, covariance, search
-from fitting.estimation.result import LawResult
-from fitting.estimation.result import Ranking as Ranking
 from fitting.estimation.trajectory import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence, phase_distance, screening, verdict
 from fitting.selection.evidence import FEWEST_CYCLES, Choice, Evidence
+from fitting.selection.result import LawResult
+from fitting.selection.result import Ranking as Ranking
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 from fitting.data.cycles import Cut
 from fitting.data.frame import Motion
-from fitting.estimation.result import LawResult
 from fitting.model.parameters import DATUM, GIVE, D
 from fitting.model.problem import NO_RAMP
+from fitting.selection.result import LawResult
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
