@@ -145,7 +145,7 @@ def test_a_killed_process_is_one_clear_error():
 
 def test_an_interrupt_ends_the_processes(folder):
     script = (
-        "import sys\nfrom fitting import workers, cli\nfrom time import sleep\n"
+        "import sys\nfrom daq.compute import workers\nfrom time import sleep\n"
         "from multiprocessing import active_children\n"
         "if __name__ == '__main__':\n"
         "    try:\n"

@@ -116,8 +116,8 @@ def test_a_foreign_report_is_refused_before_anything_is_fitted(run):
 
 def test_help_loads_nothing_numerical():
     source = (
-        "import sys\nfrom daq import terminal\nfrom fitting.cli import app\n"
-        "code = terminal.run(app, ['--help'])\n"
+        "import sys\nfrom daq.console import application\nfrom fitting.cli import app\n"
+        "code = application.run(app, ['--help'])\n"
         "heavy = {'numpy', 'h5py', 'scipy', 'numba', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
         "sys.exit(code or (1 if heavy else 0))\n"
     )
