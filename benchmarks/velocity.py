@@ -36,10 +36,10 @@ from processing.defects import lost_counts
 from processing.kalman import jerk_kernel, white_jerk
 from processing.methods import registry
 from processing.methods import window_choice as windows
-from processing.methods.registry import Setting
 from processing.polynomial import savgol
 from processing.polynomial.gram import coefficients
 from processing.record import series
+from processing.record.setting import Setting
 from rig_sim.motion.play import Motion
 
 RESULTS = Path(__file__).resolve().parent / "results"

@@ -15,7 +15,7 @@ from velocity import CASES, Bench, chosen_windows, scenes
 
 from processing.defects import lost_counts, velocity_steps
 from processing.methods import registry
-from processing.methods.registry import Setting
+from processing.record.setting import Setting
 from processing.segmentation import plateaus
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -84,7 +84,7 @@ def _sticks(bench: Bench) -> int:
 def _found(bench: Bench, times: str = "recorded", method: str = "auto") -> int:
     data = bench.series(times)
     motion = registry.estimate(method, data, Setting())
-    return sum(phase.kind == "stick" and phase.duration > 0.03 for phase in plateaus.find(data, motion).phases)
+    return sum(phase.kind == "stick" and phase.duration > 0.03 for phase in plateaus.segment(data, motion).phases)
 
 
 def sticks(seed: int) -> tuple[Row, Limits]:

@@ -4,52 +4,28 @@ The mass seen from the belt is smoothed as one record, their difference: in stic
 what a filter blurs at a corner it blurs in both alike.
 """
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
 from processing.kalman import white_jerk
 from processing.methods import registry
-from processing.methods.registry import Motion, Setting
+from processing.record.motion import BeltMotion, Motion
 from processing.record.series import Series
+from processing.record.setting import Setting
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
 
-@dataclass(frozen=True, eq=False)
-class Belt:
-    """The belt beside the mass, arrays of shape (n,).
-
-    Attributes
-    ----------
-    velocity, velocity_errors : array
-        Of the belt, m/s, signed, and one standard error.
-    series, motion : Series, Motion
-        The mass seen from the belt: x less the belt's travel, and what the method makes of it.
-    """
-
-    velocity: Array
-    velocity_errors: Array
-    series: Series
-    motion: Motion
-
-    def speed(self, moving: NDArray[np.bool_]) -> float:
-        """Return the belt's median speed while the mass is in motion, m/s, signed; NaN when it never is."""
-        return float(np.median(self.velocity[moving])) if moving.any() else math.nan
-
-
-def counted(recording: "Recording") -> bool:
-    """Tell whether the recording has a belt's counts that `beside` can use."""
+def has_belt_encoder(recording: "Recording") -> bool:
+    """Tell whether the recording has a belt's counts that `smooth_belt` can use."""
     rig = recording.rig
     return recording.belt_count is not None and rig.belt_metres_per_count is not None and recording.unit == "m"
 
 
-def beside(recording: "Recording", series: Series, motion: Motion) -> Belt | None:
+def smooth_belt(recording: "Recording", series: Series, motion: Motion) -> BeltMotion | None:
     """Return the belt of a recording; None without a channel or a common unit.
 
     Savitzky-Golay and differences take the belt as they took the mass; for the others it is
@@ -66,7 +42,7 @@ def beside(recording: "Recording", series: Series, motion: Motion) -> Belt | Non
         What a method made of the positions.
     """
     pitch = recording.rig.belt_metres_per_count
-    if not counted(recording) or recording.belt_count is None or pitch is None:
+    if not has_belt_encoder(recording) or recording.belt_count is None or pitch is None:
         return None
     travel = (recording.belt_count - recording.belt_count[0]) * pitch.value
     own = replace(series, position=travel, origin=0.0, pitch=abs(pitch.value))
@@ -75,7 +51,7 @@ def beside(recording: "Recording", series: Series, motion: Motion) -> Belt | Non
     )
     if motion.method == "fd":
         belt, relative = (registry.estimate("fd", other, Setting()) for other in (own, seen))
-        return Belt(belt.velocity, belt.velocity_errors, seen, relative)
+        return BeltMotion(belt.velocity, belt.velocity_errors, seen, relative)
     setting = Setting(motion.window, motion.order if motion.method == "sg" else 4)
     relative = registry.estimate("sg", seen, setting)
     if motion.method == "sg":
@@ -84,4 +60,4 @@ def beside(recording: "Recording", series: Series, motion: Motion) -> Belt | Non
         noise = white_jerk.fit(series)
         finer = (own.pitch / series.pitch) ** 2 if series.pitch else 1.0
         belt = white_jerk.smooth(own, white_jerk.Noise(noise.jerk, noise.reading * finer))
-    return Belt(belt.velocity, belt.velocity_errors, seen, relative)
+    return BeltMotion(belt.velocity, belt.velocity_errors, seen, relative)

@@ -9,7 +9,7 @@ and slip.  The even grid of an import, which only the whole record tells, takes 
 import math
 import time as clock
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -21,62 +21,22 @@ from daq.runfile import store
 from daq.runfile.recording import Recording
 from processing import belt_motion as belts
 from processing import stage
-from processing.defects import lost_counts
-from processing.defects import velocity_steps as kicks
-from processing.defects.lost_counts import Loss
-from processing.defects.velocity_steps import Kick
-from processing.methods import registry
-from processing.methods import window_choice as windows
-from processing.methods.registry import Setting
-from processing.polynomial import savgol
+from processing.defects import lost_counts, velocity_steps
+from processing.methods import registry, window_choice
 from processing.record import import_grid, series
 from processing.record.import_grid import ImportGrid
-from processing.record.kinematics import Phase
+from processing.record.kinematics import SmoothingSummary
+from processing.record.lost_counts import LostCounts, counts_missing, restore_counts
+from processing.record.motion import Phase, VelocityStep
 from processing.record.series import Series
-from processing.segmentation import plateaus as phases
+from processing.record.setting import DEFAULT_ORDER, Setting, parse_belt_speed, parse_window
+from processing.segmentation import plateaus
 from processing.smoothing import REPAIRS
 
 CHUNK = 2**16  # samples kept at a time
 MARGIN = 2**12  # samples to either side that are smoothed too
 LARGE = 2**20  # samples: longer records are smoothed here
 LOOKED_AT = 2**14  # samples of each of eight stretches that a window is chosen from
-
-
-@dataclass(frozen=True)
-class Told:
-    """What is said of a record that was smoothed in chunks; names as in `processing.record.kinematics.Kinematics`."""
-
-    method: str
-    window: int
-    order: int
-    times: str
-    belt_speed: float
-    phases: tuple[Phase, ...]
-    losses: tuple[Loss, ...]
-    repaired: bool
-    cpu_s: float
-    samples: int
-    span: float
-    unit: str
-    plateau_fraction: float
-    kicks: tuple[Kick, ...]
-    plateau_speed: float = math.nan
-    belt_counted: bool = False
-
-    @property
-    def lost_counts(self) -> int:
-        """How many times counts went missing."""
-        return len(self.losses)
-
-    @property
-    def sticks(self) -> tuple[Phase, ...]:
-        """The sticks, in order of time."""
-        return tuple(phase for phase in self.phases if phase.kind == "stick")
-
-    @property
-    def slips(self) -> tuple[Phase, ...]:
-        """The slips, in order of time."""
-        return tuple(phase for phase in self.phases if phase.kind == "slip")
 
 
 def smooth(
@@ -88,7 +48,7 @@ def smooth(
     belt_speed: float | str = "auto",
     repair_counts: str = "flag",
     progress: Callable[[float], None] = lambda done: None,
-) -> Told:
+) -> SmoothingSummary:
     """Smooth a run and write the stage into its file; arguments as for `processing.smooth`.
 
     Raises
@@ -101,19 +61,19 @@ def smooth(
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
     n = store.samples(path)
-    first = store.load(path, slice(0, min(n, 2 * windows.LONGEST)))
-    setting = windows.setting(window, order, _spread(path, n, times))
-    setting = replace(setting, belt_speed=phases.given(belt_speed))
+    first = store.load(path, slice(0, min(n, 2 * window_choice.LONGEST)))
+    setting = parse_window(window, order, _spread(path, n, times))
+    setting = replace(setting, belt_speed=parse_belt_speed(belt_speed))
     if method == "sg" and setting.window is None:
-        chosen = windows.choose(_spread(path, n, times), setting.order)
+        chosen = window_choice.choose(_spread(path, n, times), setting.order)
         setting = replace(setting, window=chosen.window, order=chosen.order)
     elif method == "sg" and setting.order is None:
-        setting = replace(setting, order=savgol.ORDER)
+        setting = replace(setting, order=DEFAULT_ORDER)
     worker = _Worker(path, n, method, setting, times, belt_speed, repair_counts)
-    belt = belts.counted(first)
+    belt = belts.has_belt_encoder(first)
     if times == "nominal" and first.raw is None:
         worker.grid = import_grid.learn(path, n, [worker.low(begin) for begin in range(0, n, CHUNK)])
-    told: list[Told] = []
+    told: list[SmoothingSummary] = []
 
     def write(entry: h5py.Group) -> None:
         smoothed = stage.begin(entry)
@@ -132,7 +92,7 @@ def _spread(path: Path, n: int, times: str) -> Series:
     """Return eight stretches spread over the record, as one series of as many pieces."""
     size = min(LOOKED_AT, n)
     starts = np.unique(np.linspace(0, n - size, 8).astype(int)).tolist()
-    parts = [series.of(store.load(path, slice(at, at + size)), times) for at in starts]
+    parts = [series.from_recording(store.load(path, slice(at, at + size)), times) for at in starts]
     pieces, at, end = [], 0, 0.0
     time, position = [], []
     for part in parts:
@@ -161,8 +121,8 @@ class _Worker:
         self.path, self.n, self.method, self.setting = path, n, method, setting
         self.times, self.belt_speed, self.repair = times, belt_speed, repair
         self.phases: list[Phase] = []
-        self.losses: list[Loss] = []
-        self.kicks: list[Kick] = []
+        self.losses: list[LostCounts] = []
+        self.kicks: list[VelocityStep] = []
         self.used: dict[str, int] = {}
         self.windows: list[tuple[int, int]] = []
         self.speeds: list[float] = []
@@ -186,13 +146,13 @@ class _Worker:
         low, high = self.low(begin), min(end + self._margin, self.n)
         recording = store.load(self.path, slice(low, high))
         grid = None if self.grid is None else self.grid.times(low, recording.time)
-        data = series.of(recording, self.times, self._anchored(recording), grid)
+        data = series.from_recording(recording, self.times, self._anchored(recording), grid)
         found = lost_counts.losses(data) if self.repair != "off" else ()
-        behind = lost_counts.missing(recording.segment, found)
-        data = lost_counts.without(data, behind)
+        behind = counts_missing(recording.segment, found)
+        data = restore_counts(data, behind)
         motion = registry.estimate(self.method, data, self.setting)
-        belt = belts.beside(recording, data, motion)
-        seen = phases.find(data, motion, recording.rig.belt_speed, self.belt_speed, belt)
+        belt = belts.smooth_belt(recording, data, motion)
+        seen = plateaus.segment(data, motion, recording.rig.belt_speed, self.belt_speed, belt)
         own = slice(begin - low, end - low)
         position = motion.position[own]
         mine = [loss for loss in found if own.start <= loss.first < own.stop]
@@ -214,10 +174,9 @@ class _Worker:
             self.belt_counted = True
             table["belt_velocity"][begin:end] = belt.velocity[own]
             table["belt_velocity_errors"][begin:end] = belt.velocity_errors[own]
-        self.losses += [Loss(loss.first + low, loss.last + low, loss.counts) for loss in mine]
-        self.kicks += [
-            Kick(kick.sample + low, kick.step) for kick in kicks.kicks(data) if own.start <= kick.sample < own.stop
-        ]
+        self.losses += [LostCounts(loss.first + low, loss.last + low, loss.counts) for loss in mine]
+        steps = [step for step in velocity_steps.kicks(data) if own.start <= step.sample < own.stop]
+        self.kicks += [VelocityStep(step.sample + low, step.step) for step in steps]
         self._join(seen.phases, data, low, begin, end)
         self.used[motion.method] = self.used.get(motion.method, 0) + end - begin
         self.windows.append((motion.window, motion.order))
@@ -235,7 +194,7 @@ class _Worker:
             self._anchors.setdefault(segment, (float(recording.time[first]), int(recording.raw.sample[first])))
         return self._anchors[int(recording.segment[0])]
 
-    def _lost_before(self, recording: Recording, own: slice, found: tuple[Loss, ...]) -> Array:
+    def _lost_before(self, recording: Recording, own: slice, found: tuple[LostCounts, ...]) -> Array:
         """Return the counts that were lost before what was read now, for every sample of the chunk."""
         segment = recording.segment[own]
         earlier = sum(loss.counts for loss in found if loss.first < own.start)
@@ -273,10 +232,10 @@ class _Worker:
             else:
                 self.phases.append(own)
 
-    def told(self, cpu_s: float, unit: str) -> Told:
+    def told(self, cpu_s: float, unit: str) -> SmoothingSummary:
         """Return what is said of it all: the method and window of most samples, the middle belt speed."""
         window, order = max(set(self.windows), key=self.windows.count)
-        return Told(
+        return SmoothingSummary(
             method=max(self.used, key=lambda name: self.used[name]),
             window=window,
             order=order,

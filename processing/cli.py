@@ -11,9 +11,8 @@ from daq.console.application import Answer, Json
 from daq.errors import InputError
 
 if TYPE_CHECKING:
-    from processing.chunked import Told
     from processing.compare import Row
-    from processing.record.kinematics import Kinematics
+    from processing.record.kinematics import Kinematics, SmoothingSummary
 
 Run = Annotated[Path, Parameter(help="Run file, as daq record, import or replay made it.")]
 Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]
@@ -62,7 +61,7 @@ def smooth(
     from processing.smoothing import smooth as rebuild
 
     asked = (method, window, order, times, belt_speed, repair_counts)
-    motion: Kinematics | Told
+    motion: Kinematics | SmoothingSummary
     n = store.samples(file)
     if n > chunked.LARGE:
         with application.progress("smoothing", n, "samples") as tell:
@@ -176,7 +175,7 @@ def _motion(file: Path) -> "tuple[Kinematics, bool]":
     return rebuild(store.load(file)), True
 
 
-def _summary(motion: "Kinematics | Told") -> dict[str, Any]:
+def _summary(motion: "Kinematics | SmoothingSummary") -> dict[str, Any]:
     return {
         "method": motion.method,
         "window": motion.window,
@@ -201,7 +200,7 @@ def _summary(motion: "Kinematics | Told") -> dict[str, Any]:
     }
 
 
-def _warnings(motion: "Kinematics | Told") -> list[str]:
+def _warnings(motion: "Kinematics | SmoothingSummary") -> list[str]:
     found = []
     if motion.lost_counts:
         found.append(
@@ -224,7 +223,7 @@ def _warnings(motion: "Kinematics | Told") -> list[str]:
     return found
 
 
-def _sentences(motion: "Kinematics | Told", data: dict[str, Any], chosen: bool) -> list[str]:
+def _sentences(motion: "Kinematics | SmoothingSummary", data: dict[str, Any], chosen: bool) -> list[str]:
     unit = motion.unit
     how = NAMES[motion.method]
     if motion.method == "sg":

@@ -13,10 +13,10 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.runfile.recording import Recording, Truth
 from processing.methods import registry
-from processing.methods import window_choice as windows
-from processing.methods.registry import Motion, Setting
 from processing.record import series
+from processing.record.motion import Motion
 from processing.record.series import Series
+from processing.record.setting import Setting, parse_window
 
 WINDOWS = (11, 21, 41, 81, 161)
 ORDER = 4
@@ -64,16 +64,16 @@ def rows(recording: Recording, truth: Truth | None) -> list[Row]:
     from processing.polynomial import white_jerk_bands  # noqa: F401  (loads scipy now, not while the clock runs)
 
     for method in ("sg", "segment"):  # compiles what it needs now
-        registry.estimate(method, series.of(recording), Setting())
+        registry.estimate(method, series.from_recording(recording), Setting())
     true = velocity_at(recording, truth) if truth is not None else None
     found = []
     for times in reversed(series.TIMES):
-        data = series.of(recording, times)
+        data = series.from_recording(recording, times)
         found.append(_row("fd", times, data, Setting(), true))
         longest = max(piece.stop - piece.start for piece in data.pieces)
         for window in (length for length in WINDOWS if length <= longest):
             found.append(_row("sg", f"{window},{ORDER} {times}", data, Setting(window, ORDER), true))
-        found.append(_row("sg", f"auto {times}", data, windows.setting("auto", None, data), true))
+        found.append(_row("sg", f"auto {times}", data, parse_window("auto", None, data), true))
         found += [_row(method, times, data, Setting(), true) for method in ("rts", "segment")]
     return found
 

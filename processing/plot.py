@@ -112,7 +112,7 @@ def _against_time(above: "Axes", below: "Axes", kinematics: Kinematics, factor: 
 
 
 def _portrait(axes: "Axes", kinematics: Kinematics, factor: float, unit: str) -> None:
-    drawn = portrait.of(kinematics)
+    drawn = portrait.from_kinematics(kinematics)
     x, v = factor * drawn.position, factor * drawn.velocity
     for piece in _pieces(kinematics, slice(0, x.size)):
         axes.plot(x[piece], v[piece], color=MOTION, lw=0.7, alpha=0.75)

@@ -6,10 +6,7 @@ A cycle runs from one onset of slip to the next.  Over a stick the portrait is t
 from dataclasses import dataclass
 from itertools import pairwise
 
-import numpy as np
-from numpy.typing import NDArray
-
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Mask
 from processing.record.kinematics import Kinematics
 
 
@@ -29,11 +26,11 @@ class Portrait:
 
     position: Array
     velocity: Array
-    stick: NDArray[np.bool_]
+    stick: Mask
     cycles: tuple[slice, ...]
 
 
-def of(kinematics: Kinematics) -> Portrait:
+def from_kinematics(kinematics: Kinematics) -> Portrait:
     """Return the portrait; a record with fewer than two slips after a stick holds no complete cycle."""
     phases = kinematics.phases
     onsets = [

@@ -11,9 +11,10 @@ from daq.errors import InputError, nearest
 from processing import belt_motion as belts
 from processing.defects import lost_counts, velocity_steps
 from processing.methods import registry
-from processing.methods import window_choice as windows
 from processing.record import series
 from processing.record.kinematics import Kinematics
+from processing.record.lost_counts import counts_missing, restore_counts
+from processing.record.setting import parse_belt_speed, parse_window
 from processing.segmentation import plateaus
 
 REPAIRS = ("off", "flag", "fix")
@@ -73,16 +74,16 @@ def smooth(
     registry.check(method)
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
-    data = series.of(recording, times)
+    data = series.from_recording(recording, times)
     losses = lost_counts.losses(data) if repair_counts != "off" else ()
-    behind = lost_counts.missing(recording.segment, losses)
-    data = lost_counts.without(data, behind)
-    setting = windows.setting(window, order, data)
-    setting = replace(setting, belt_speed=plateaus.given(belt_speed))
+    behind = counts_missing(recording.segment, losses)
+    data = restore_counts(data, behind)
+    setting = parse_window(window, order, data)
+    setting = replace(setting, belt_speed=parse_belt_speed(belt_speed))
     motion = registry.estimate(method, data, setting)
-    belt = belts.beside(recording, data, motion)
+    belt = belts.smooth_belt(recording, data, motion)
     kicked = velocity_steps.kicks(data)
-    found = plateaus.find(data, motion, recording.rig.belt_speed, belt_speed, belt)
+    found = plateaus.segment(data, motion, recording.rig.belt_speed, belt_speed, belt)
     return Kinematics(
         recording=recording,
         time=data.time,

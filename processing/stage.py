@@ -14,7 +14,7 @@
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import h5py
 import numpy as np
@@ -22,12 +22,9 @@ import numpy as np
 from daq.errors import InputError
 from daq.runfile import nexus, nexus_read, store
 from daq.version import VERSION
-from processing.defects.lost_counts import Loss
-from processing.defects.velocity_steps import Kick
-from processing.record.kinematics import Kinematics, Phase
-
-if TYPE_CHECKING:
-    from processing.chunked import Told
+from processing.record.kinematics import Kinematics, SmoothingHeader
+from processing.record.lost_counts import LostCounts
+from processing.record.motion import Phase, VelocityStep
 
 KINEMATICS: dict[str, Any] = {"auxiliary": ("position", "acceleration"), "title": "kinematics"}
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
@@ -78,7 +75,7 @@ def empty(smooth: h5py.Group, n: int, unit: str, *, belt: bool = False) -> h5py.
     return made
 
 
-def finish(smooth: h5py.Group, motion: "Kinematics | Told", unit: str, digest: str) -> None:
+def finish(smooth: h5py.Group, motion: SmoothingHeader, unit: str, digest: str) -> None:
     """Write how the motion was made, its portrait, and its phases, beside the kinematics."""
     parameters = nexus.group(smooth, "parameters", "NXparameters")
     nexus.field(parameters, "method", motion.method)
@@ -205,16 +202,16 @@ def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:
     )
 
 
-def _losses(entry: h5py.Group, path: Path) -> tuple[Loss, ...]:
+def _losses(entry: h5py.Group, path: Path) -> tuple[LostCounts, ...]:
     if "smooth/losses" not in entry:
         return ()
     columns = [nexus_read.array(entry, f"smooth/losses/{name}", np.int64, path) for name in ("first", "last", "counts")]
-    return tuple(Loss(*map(int, row)) for row in zip(*columns, strict=True))
+    return tuple(LostCounts(*map(int, row)) for row in zip(*columns, strict=True))
 
 
-def _kicks(entry: h5py.Group, path: Path) -> tuple[Kick, ...]:
+def _kicks(entry: h5py.Group, path: Path) -> tuple[VelocityStep, ...]:
     if "smooth/kicks" not in entry:
         return ()
     sample = nexus_read.array(entry, "smooth/kicks/sample", np.int64, path)
     step = nexus_read.array(entry, "smooth/kicks/step", np.float64, path)
-    return tuple(Kick(int(at), float(size)) for at, size in zip(sample, step, strict=True))
+    return tuple(VelocityStep(int(at), float(size)) for at, size in zip(sample, step, strict=True))

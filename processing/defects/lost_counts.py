@@ -5,19 +5,19 @@ are set, one on the samples before and one on those behind; where they miss each
 held against models of what may have happened there: a step of the count, spread over one to five samples, or a corner
 or a kick of the motion and no step.  It is a loss where only a step explains the record.
 
-Losses are marked and counted.  Motion is made from the record `without` them, and its position falls behind again
-with the count unless repair was asked for.  Not seen: smaller losses, and slower ones.
+Losses are marked and counted.  Motion is made from the record with them restored (`processing.record.lost_counts`), and
+its position falls behind again with the count unless repair was asked for.  Not seen: smaller losses, and slower ones.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
+from processing.record.lost_counts import LostCounts, loss_profile
 from processing.record.series import Series
 
 LEAST = 10.0  # counts
@@ -32,16 +32,7 @@ CLEAR = 1.3 / 12  # counts^2: mean square of what a model leaves that explains a
 CORNERS = np.arange(-12, 13, 2)  # samples from the suspect: where a corner or a kick may explain it
 
 
-@dataclass(frozen=True)
-class Loss:
-    """Counts that went missing: from sample first to last the reading fell behind, by ``counts`` towards +x."""
-
-    first: int
-    last: int
-    counts: int
-
-
-def losses(series: Series) -> tuple[Loss, ...]:
+def losses(series: Series) -> tuple[LostCounts, ...]:
     """Find where ten or more counts were lost.
 
     Parameters
@@ -51,40 +42,18 @@ def losses(series: Series) -> tuple[Loss, ...]:
 
     Returns
     -------
-    tuple of Loss
+    tuple of LostCounts
         In order of time.  A loss adds ``counts`` to all readings from ``last`` on.
     """
     if not series.pitch:
         return ()
-    found: list[Loss] = []
+    found: list[LostCounts] = []
     for piece, count in zip(series.pieces, series.even_counts, strict=True):
         if count.size > 2 * AROUND + SPREAD:
-            found += [Loss(piece.start + loss.first, piece.start + loss.last, loss.counts) for loss in _in_piece(count)]
+            found += [
+                LostCounts(piece.start + loss.first, piece.start + loss.last, loss.counts) for loss in _in_piece(count)
+            ]
     return tuple(found)
-
-
-def missing(segment: NDArray[np.integer], found: tuple[Loss, ...]) -> Array:
-    """Return by how many counts every sample is behind, (n,): each loss from where it happened to its segment's end."""
-    behind = np.zeros(segment.size)
-    edges = np.append(np.flatnonzero(np.diff(segment.astype(np.int64)) != 0) + 1, segment.size)
-    for loss in found:
-        end = int(edges[np.searchsorted(edges, loss.first, side="right")])
-        since = np.arange(end - loss.first) + 1.0
-        behind[loss.first : end] += loss.counts * _ramp(since, loss.last - loss.first + 1.0)
-    return behind
-
-
-def without(series: Series, behind: Array) -> Series:
-    """Return the record with the counts that were lost put back: ``behind`` is that of `missing`."""
-    if not behind.any():
-        return series
-    return replace(series, position=series.position - series.pitch * behind, count=None)
-
-
-def _ramp(since: NDArray[np.floating], width: Array | float) -> Array:
-    """Return what share of a loss has happened ``since`` samples behind the last one before it: a cubic."""
-    s = np.clip(since / width, 0.0, 1.0)
-    return np.asarray(s * s * (3 - 2 * s))
 
 
 @lru_cache(maxsize=8)
@@ -98,7 +67,7 @@ def _miss(width: int) -> Array:
     return weights
 
 
-def _in_piece(count: Array) -> list[Loss]:
+def _in_piece(count: Array) -> list[LostCounts]:
     suspects = []
     for width in range(1, SPREAD + 1):
         miss = np.abs(np.correlate(count, _miss(width), "valid"))
@@ -106,7 +75,7 @@ def _in_piece(count: Array) -> list[Loss]:
         if loud.size:
             usual = np.median(sliding_window_view(np.pad(miss, AROUND, mode="reflect"), 2 * AROUND + 1)[loud], axis=1)
             suspects += (loud[miss[loud] >= SCATTER * usual] + SIDE).tolist()
-    found: list[Loss] = []
+    found: list[LostCounts] = []
     first = 0
     places = sorted(set(suspects))
     for k, place in enumerate(places):
@@ -145,7 +114,7 @@ def _models(low: int, high: int, samples: int) -> Models:
     return Models(smooth, bent, _beside(smooth, _ramps(j, first, width)), first, width)
 
 
-def _judged(count: Array, low: int, high: int) -> Loss | None:
+def _judged(count: Array, low: int, high: int) -> LostCounts | None:
     """Hold the record around the samples low..high against the models; None unless a step alone explains it."""
     begin, end = max(low - AROUND, 0), min(high + AROUND + SPREAD, count.size)
     models = _models(low - begin, high - begin, end - begin)
@@ -177,11 +146,11 @@ def _judged(count: Array, low: int, high: int) -> Loss | None:
     if abs(size) < LEAST - ROUNDING:
         return None
     start = begin + first[at]
-    return Loss(math.ceil(start), max(math.ceil(start + width[at] - 1), math.ceil(start)), round(size))
+    return LostCounts(math.ceil(start), max(math.ceil(start + width[at] - 1), math.ceil(start)), round(size))
 
 
 def _ramps(j: Array, first: Array, width: Array) -> Array:
-    return _ramp(j - first[:, None] + 1, width[:, None])
+    return loss_profile(j - first[:, None] + 1, width[:, None])
 
 
 def _beside(smooth: Array, columns: Array) -> Array:

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from daq.compute.arrays import Array
+from processing.record.motion import VelocityStep
 from processing.record.series import Series
 
 SIDE = 10  # samples of a parabola to either side
@@ -27,24 +28,16 @@ SHARPEST = 2.0  # times the largest rough acceleration: what it may jump by at a
 PLACES = np.arange(-6.0, 6.1, 0.25)  # samples from the suspect: where the kink or the corner may be
 
 
-@dataclass(frozen=True)
-class Kick:
-    """The velocity stepped by ``step`` (m/s) just before sample ``sample``."""
-
-    sample: int
-    step: float
-
-
-def kicks(series: Series) -> tuple[Kick, ...]:
+def kicks(series: Series) -> tuple[VelocityStep, ...]:
     """Find where the velocity steps; a record without counts shows none."""
     if not series.pitch:
         return ()
-    found: list[Kick] = []
+    found: list[VelocityStep] = []
     for piece, count in zip(series.pieces, series.even_counts, strict=True):
         if count.size <= 2 * AROUND + 2:
             continue
         for sample, step in _in_piece(count):
-            found.append(Kick(piece.start + sample, step * series.pitch / series.interval))
+            found.append(VelocityStep(piece.start + sample, step * series.pitch / series.interval))
     return tuple(found)
 
 

@@ -20,17 +20,16 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.compute.compile import compiled
-from daq.errors import InputError
 from processing.kalman import jerk_kernel
-from processing.methods import window_choice as windows
-from processing.methods.registry import Motion, Setting
 from processing.polynomial import uneven
+from processing.record.motion import Motion
 from processing.record.series import Series
+from processing.record.stretches import representative_stretches
 
 KERNELS = ("processing.kalman.jerk_kernel",)
 SHORT = 8  # samples: pieces below are one parabola
 BLOCK = 4096  # samples smoothed at a time
-LOOKED_AT = 12_288  # samples the noise levels are fitted to
+FIT_SAMPLES = 12_288  # samples the noise levels are fitted to
 STRETCH = 2**8  # samples of one stretch of them, at first
 LOG_RHO = (-48.0, 12.0)  # of q interval^5/r: from what hardly bends to interpolation
 ORDER = 5  # of the spline
@@ -49,41 +48,6 @@ class Noise:
         return self.jerk * interval**5 / self.reading
 
 
-def estimate(series: Series, setting: Setting) -> Motion:
-    """Smooth the record.
-
-    Parameters
-    ----------
-    series : Series
-        The record.
-    setting : Setting
-        Must name no window and no order: the record decides.
-
-    Returns
-    -------
-    Motion
-        ``window`` is that of the Savitzky-Golay filter of order 4 that resembles the smoother, ``order`` the spline's.
-
-    Raises
-    ------
-    InputError
-        When a window or an order was asked for.
-    """
-    refuse_window(setting, "rts")
-    noise = fit(series)
-    return smooth(series, noise)
-
-
-def refuse_window(setting: Setting, method: str) -> None:
-    """Raise InputError when a window or an order was asked for."""
-    if setting.window is not None or setting.order is not None:
-        raise InputError(
-            f"{method} has no window: the record decides how much is smoothed",
-            f"--method {method}",
-            "leave out --window and --order, or take --method sg",
-        )
-
-
 def fit(series: Series) -> Noise:
     """Find the noise levels of greatest likelihood.
 
@@ -99,7 +63,7 @@ def fit(series: Series) -> Noise:
         third = np.percentile(np.abs(np.concatenate([np.diff(position, 3) for _, position in stretches])), 90)
         scale = max(float(third) ** 2 / 20, floor)  # near the variance of a reading, so that numbers stay near 1
         log_rho, reading = _likeliest([(time, position / math.sqrt(scale)) for time, position in stretches])
-        whole = len(stretches) * length < LOOKED_AT or length >= LOOKED_AT
+        whole = len(stretches) * length < FIT_SAMPLES or length >= FIT_SAMPLES
         if whole or equivalent_window(math.exp(log_rho), 8 * length) < length / 4:
             break
         length *= 8
@@ -113,8 +77,8 @@ def _stretches(series: Series, length: int) -> list[tuple[Array, Array]]:
 
     Many short ones, so that a motion that mostly rests is seen at work too.
     """
-    most = max(LOOKED_AT, 8 * length)
-    found = [own for own in windows.looked_at(series, most, most // length) if own.stop - own.start >= 2 * SHORT]
+    most = max(FIT_SAMPLES, 8 * length)
+    found = [own for own in representative_stretches(series, most, most // length) if own.stop - own.start >= 2 * SHORT]
     every = [(series.time[own] / series.interval, series.position[own] - series.position[own.start]) for own in found]
     return [(time, position) for time, position in every if np.any(np.diff(position, 3))]
 

@@ -4,14 +4,12 @@ The velocity is the gradient between a sample and the next, v_i = (x_{i+1} - x_i
 a piece repeats the one before it.  One count over one interval is already pitch/interval: 7.7 mm/s at 1 kHz.
 """
 
-import math
-
 import numpy as np
 
-from daq.errors import InputError
-from processing.methods.registry import Motion, Setting
-from processing.polynomial.even_grid import even_grid
+from processing.record.motion import Motion
+from processing.record.reading_error import reading_error
 from processing.record.series import Series
+from processing.record.setting import Setting, refuse_window
 
 WINDOW = 2  # samples
 
@@ -38,8 +36,7 @@ def estimate(series: Series, setting: Setting) -> Motion:
     InputError
         When a window or an order was asked for.
     """
-    if setting.window is not None or setting.order is not None:
-        raise InputError("finite differences have no window", "--method fd", "leave out --window and --order")
+    refuse_window(setting, "fd", "finite differences have no window")
     n = series.time.size
     velocity, acceleration = np.zeros(n), np.zeros(n)
     velocity_errors, acceleration_errors = np.full(n, np.inf), np.full(n, np.inf)
@@ -70,18 +67,3 @@ def estimate(series: Series, setting: Setting) -> Motion:
         order=1,
         method="fd",
     )
-
-
-def reading_error(series: Series) -> float:
-    """Return the standard error of one reading, m.
-
-    Read off the third differences, in which motion has all but cancelled and reading errors stand out 20-fold in
-    variance (off their median, so that corners do not count); at least pitch/sqrt(12) of an encoder.
-    """
-    third = [
-        np.diff(even_grid(series.time[piece], series.position[piece]), 3)
-        for piece in series.pieces
-        if piece.stop - piece.start > 3
-    ]
-    median = float(np.median(np.abs(np.concatenate(third)))) if third else 0.0
-    return max(series.pitch / math.sqrt(12), median / 0.6745 / math.sqrt(20))

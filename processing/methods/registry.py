@@ -6,64 +6,21 @@ straight line comes back exactly, nothing crosses a gap, errors are positive, an
 by index.
 """
 
-from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol, cast
 
-from daq.compute.arrays import Array
 from daq.errors import InputError, nearest
+from processing.record.motion import Motion
 from processing.record.series import Series
+from processing.record.setting import Setting
 
 METHODS = {
     "auto": "processing.methods.auto",
-    "segment": "processing.segmentation.smoother",
-    "rts": "processing.kalman.white_jerk",
-    "sg": "processing.polynomial.savgol",
+    "segment": "processing.methods.segment",
+    "rts": "processing.methods.rts",
+    "sg": "processing.methods.savgol",
     "fd": "processing.methods.differences",
 }
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What was asked of a method: samples in the window, degree of the polynomial, belt speed (m/s, signed).
-
-    None lets the method choose.
-    """
-
-    window: int | None = None
-    order: int | None = None
-    belt_speed: float | None = None
-
-
-@dataclass(frozen=True)
-class Corner:
-    """Where stick and slip meet: time and its standard deviation, s, and what happens there.
-
-    ``what`` is "land" (on the belt), "leave" (it), "start" (from rest), "stop" or "kick".
-    """
-
-    time: float
-    sd: float
-    what: str
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What a method gives: x, v, a (m, m/s, m/s^2) with one standard error each, all of shape (n,).
-
-    ``corners`` are those the method has fitted; None or none when it knows nothing of corners.
-    """
-
-    position: Array
-    velocity: Array
-    acceleration: Array
-    position_errors: Array
-    velocity_errors: Array
-    acceleration_errors: Array
-    window: int
-    order: int
-    method: str
-    corners: tuple[Corner, ...] = ()
 
 
 class Method(Protocol):
@@ -80,7 +37,12 @@ def check(name: str) -> None:
 
 
 def estimate(name: str, series: Series, setting: Setting) -> Motion:
-    """Run the method ``name``; which one that was in the end is in the result's ``method``."""
+    """Run the method ``name`` on the record; the result's ``method`` is the one that was chosen by "auto".
+
+    A window or an order applies to Savitzky-Golay alone, so "auto" with one of them is "sg".
+    """
     check(name)
+    if name == "auto" and (setting.window is not None or setting.order is not None):
+        name = "sg"
     module = cast(Method, import_module(METHODS[name]))
     return module.estimate(series, setting)

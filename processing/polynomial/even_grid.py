@@ -36,3 +36,12 @@ def even_grid(time: Array, position: Array) -> Array:
     half = ROUGH[0] // 2
     inner = np.correlate(position, coefficients(*ROUGH)[1], "valid")
     return np.asarray(position - off / step * np.pad(inner, half, mode="edge"))
+
+
+def is_even(time: Array) -> bool:
+    """Tell whether the times, (n,), lie on an even grid, to a millionth of an interval."""
+    n = time.size
+    if n < 3:
+        return True
+    step = (time[-1] - time[0]) / (n - 1)
+    return bool(np.abs(time - (time[0] + step * np.arange(n))).max() <= 1e-6 * step)

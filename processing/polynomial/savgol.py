@@ -18,80 +18,21 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 from daq.compute.compile import compiled
-from processing.methods import window_choice as windows
-from processing.methods.differences import reading_error
-from processing.methods.registry import Motion, Setting
 from processing.polynomial import moments, uneven
+from processing.polynomial.even_grid import is_even
 from processing.polynomial.gram import coefficients
-from processing.record.series import Series, evenly
 
 KERNELS = ("processing.polynomial.moments",)
-ORDER = 4  # beside a window that was given: as in the thesis's own filter class, it keeps the curvature of v
-
-
-def estimate(series: Series, setting: Setting) -> Motion:
-    """Fit local polynomials.
-
-    Parameters
-    ----------
-    series : Series
-        The record.
-    setting : Setting
-        Window and order; what is None is chosen from the record (`processing.methods.window_choice.choose`).
-
-    Returns
-    -------
-    Motion
-
-    Raises
-    ------
-    InputError
-        For an even window, or one that does not exceed the order.
-    """
-    if setting.window is None:
-        chosen = windows.choose(series, setting.order)
-        length, order = chosen.window, chosen.order
-    else:
-        length, order = setting.window, ORDER if setting.order is None else setting.order
-    windows.check(length, order)
-    values, norms, probe, probe_norms = (np.empty((3, series.time.size)) for _ in range(4))
-    for piece in series.pieces:
-        own = series.time[piece], series.position[piece]
-        counted = None if series.count is None else Counted(series.count[piece], series.pitch)
-        values[:, piece], norms[:, piece] = fit(*own, length, order, counted)
-        probe[:, piece], probe_norms[:, piece] = fit(*own, half(length, order), order, counted)
-    errors = np.empty_like(values)
-    floor = series.pitch / np.sqrt(12) if length > order + 3 else reading_error(series)
-    for piece in series.pieces:
-        errors[:, piece] = standard_errors(
-            series.position[piece],
-            (values[:, piece], norms[:, piece]),
-            (probe[:, piece], probe_norms[:, piece]),
-            length,
-            floor,
-        )
-    return Motion(
-        position=series.origin + values[0],
-        velocity=values[1],
-        acceleration=values[2],
-        position_errors=errors[0],
-        velocity_errors=errors[1],
-        acceleration_errors=errors[2],
-        window=length,
-        order=order,
-        method="sg",
-    )
 
 
 @dataclass(frozen=True, eq=False)
 class Counted:
     """Positions as counts (n,) of ``pitch`` metres each."""
 
-    count: NDArray[np.int64]
+    count: Integers
     pitch: float
 
 
@@ -103,7 +44,7 @@ def fit(time: Array, position: Array, window: int, order: int, counted: Counted 
     exact.
     """
     n = time.size
-    if n >= window and evenly(time):
+    if n >= window and is_even(time):
         return _convolve(position, window, order, (time[-1] - time[0]) / max(n - 1, 1), counted)
     degree = min(order, n - 1)
     values, norms = uneven.fit(time, position, min(window, n), degree)
@@ -166,7 +107,7 @@ def ends(first: Array, last: Array, order: int) -> tuple[Array, Array]:
 
 
 @lru_cache(maxsize=64)
-def _power_weights(window: int, order: int) -> tuple[Array, NDArray[np.int64]]:
+def _power_weights(window: int, order: int) -> tuple[Array, Integers]:
     return moments.power_weights(window, order), moments.sums(window)
 
 

@@ -13,16 +13,15 @@ Source: G. E. Forsythe, J. SIAM 5 (1957) 74.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 from daq.compute.compile import compiled
 from processing.polynomial import local_kernel
 
 KERNELS = ("processing.polynomial.local_kernel",)
 
 
-def starts(n: int, window: int) -> NDArray[np.int64]:
+def starts(n: int, window: int) -> Integers:
     """Return the first sample of every sample's window: centred, or up against the end of the piece."""
     return np.clip(np.arange(n) - window // 2, 0, n - window)
 

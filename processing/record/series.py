@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 from daq.errors import InputError
 from processing.polynomial.even_grid import even_grid
 
@@ -57,7 +57,7 @@ class Series:
     interval: float
     pieces: tuple[slice, ...]
     source: str = ""
-    count: NDArray[np.int64] | None = None
+    count: Integers | None = None
 
     @cached_property
     def even_counts(self) -> tuple[Array, ...]:
@@ -66,7 +66,7 @@ class Series:
         return tuple(even_grid(time, count) if time.size > 1 else np.empty(0) for time, count in own)
 
 
-def of(
+def from_recording(
     recording: "Recording",
     times: str = "recorded",
     anchor: "tuple[float, int] | None" = None,
@@ -178,15 +178,6 @@ def nominal(recording: "Recording", anchor: "tuple[float, int] | None" = None) -
     return time
 
 
-def interval_numbers(gaps: Array, step: float) -> NDArray[np.int64]:
+def interval_numbers(gaps: Array, step: float) -> Integers:
     """Return how many steps each interval takes, at least one."""
     return np.asarray(np.maximum(np.rint(gaps / step), 1).astype(np.int64))
-
-
-def evenly(time: Array) -> bool:
-    """Tell whether the samples lie on an even grid, to a millionth of an interval."""
-    n = time.size
-    if n < 3:
-        return True
-    step = (time[-1] - time[0]) / (n - 1)
-    return bool(np.abs(time - (time[0] + step * np.arange(n))).max() <= 1e-6 * step)

@@ -8,9 +8,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers, Mask
 from daq.compute.compile import compiled
 from processing.kalman import corner_kernel, jerk_kernel, white_jerk
 from processing.kalman.snap_kernel import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK
@@ -81,7 +80,7 @@ def passed(
     return (layout, levels) if even[-1] - max(plain[-1], smooth[-1]) > needed * layout.at.size else None
 
 
-def _gains(series: Series, layout: Layout, levels: Levels, room: Room, spans: NDArray[np.int64]) -> Array:
+def _gains(series: Series, layout: Layout, levels: Levels, room: Room, spans: Integers) -> Array:
     """Return the log likelihood of the samples of every span given those before, up to a constant."""
     total = np.zeros(len(spans))
     for stretch in stretches(series, layout):
@@ -90,9 +89,7 @@ def _gains(series: Series, layout: Layout, levels: Levels, room: Room, spans: ND
     return total
 
 
-def _better_rounded(
-    series: Series, layout: Layout, levels: Levels, room: Room, spans: NDArray[np.int64], even: Array
-) -> Array:
+def _better_rounded(series: Series, layout: Layout, levels: Levels, room: Room, spans: Integers, even: Array) -> Array:
     """Return the likelihoods of even sticks, each with the reading variance of all sticks or of the slips.
 
     A belt that moves a round number of counts in a sample is rounded alike throughout a stick: by nothing in most, by
@@ -105,7 +102,7 @@ def _better_rounded(
     return even + more
 
 
-def _jerk_gains(series: Series, noise: white_jerk.Noise, room: Room, spans: NDArray[np.int64]) -> Array:
+def _jerk_gains(series: Series, noise: white_jerk.Noise, room: Room, spans: Integers) -> Array:
     """As `_gains`, for the motion of white jerk."""
     total = np.zeros(len(spans))
     for piece in series.pieces:
@@ -119,7 +116,7 @@ def _jerk_gains(series: Series, noise: white_jerk.Noise, room: Room, spans: NDAr
     return total
 
 
-def _summed(stored: Array, surprise: int, stretch: Stretch, spans: NDArray[np.int64]) -> Array:
+def _summed(stored: Array, surprise: int, stretch: Stretch, spans: Integers) -> Array:
     inside = np.clip(spans - stretch.own.start, 0, stretch.own.stop - stretch.own.start)
     gain = np.zeros(len(spans))
     compiled(corner_kernel.gains, KERNELS)(stored, surprise, inside, gain)
@@ -132,8 +129,8 @@ def _rebuilt(
     layout: Layout,
     levels: Levels,
     sticks: list[list[int]],
-    dropped: NDArray[np.bool_],
-    ridden: NDArray[np.bool_],
+    dropped: Mask,
+    ridden: Mask,
 ) -> tuple[Layout, Levels]:
     """Return the layout after the gate's verdict, its corners placed and its levels learned again."""
     kind = layout.kind.copy()

@@ -12,7 +12,7 @@ from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from processing.kalman import snap_kernel, white_jerk
 from processing.kalman.snap_kernel import CUT, LABELS, LANDING, LEAVING, MET, ONSET, REST, RIDE, SLIP, STICK
-from processing.methods.registry import Motion
+from processing.record.motion import Motion
 from processing.record.series import Series
 from processing.segmentation.switching_times import KERNELS, Labels, Layout, Stretch, labels, looked_at, without
 

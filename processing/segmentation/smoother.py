@@ -21,14 +21,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, runs
+from daq.compute.arrays import Array, Mask, runs
 from daq.compute.compile import compiled
 from processing.kalman import corner_kernel, snap_kernel, white_jerk
 from processing.kalman.snap_kernel import KICK, LABELS, LAND, LEAVE, MEET, SLIP, START, STICK, STOP
-from processing.methods.registry import Corner, Motion, Setting
+from processing.record.motion import Corner, Motion
 from processing.record.series import Series
+from processing.record.setting import Setting
 from processing.segmentation import line_fit, model_selection, plateaus
 from processing.segmentation.landing_snap import with_means
 from processing.segmentation.noise_levels import Levels, Room, filtered, first_levels, learned
@@ -42,38 +42,11 @@ WIDTHS = (0.25,)
 LINE = 1 / 3  # of a slip: the longest straight line through a stick
 
 
-def estimate(series: Series, setting: Setting) -> Motion:
-    """Smooth the record, taking every stick that shows for one.
-
-    Parameters
-    ----------
-    series : Series
-        The record.
-    setting : Setting
-        Must name no window and no order; its belt speed, if any, is the one that sticks have.
-
-    Returns
-    -------
-    Motion
-        With its corners.  Without a stick it is the motion of `processing.kalman.white_jerk`.
-
-    Raises
-    ------
-    InputError
-        When a window or an order was asked for.
-    """
-    white_jerk.refuse_window(setting, "segment")
-    noise = white_jerk.fit(series)
-    smooth = white_jerk.smooth(series, noise)
-    found = segmented(series, noise, smooth, setting, gated=False)
-    return replace(smooth, method="segment", corners=()) if found is None else found
-
-
 def segmented(
     series: Series, noise: white_jerk.Noise, pilot: Motion, setting: Setting, *, gated: bool
 ) -> Motion | None:
     """Return the motion by segments, or None when there is no stick (or none that passes the gate)."""
-    found = plateaus.find(series, pilot, None, "auto" if setting.belt_speed is None else setting.belt_speed)
+    found = plateaus.segment(series, pilot, None, "auto" if setting.belt_speed is None else setting.belt_speed)
     layout = laid_out(series, found)
     if not layout.at.size:
         return None
@@ -123,7 +96,7 @@ def _moved(layout: Layout, shift: float) -> Array:
 
 def _run(
     series: Series, room: Room, layout: Layout, levels: Levels, back: Callable[..., None], *, lines: bool
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Mask]:
     """Smooth with the corners where they are; return the motion and its variances (6, n), and what lies in sticks."""
     motion, still = np.empty((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:

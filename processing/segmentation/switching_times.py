@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers, Mask
 from daq.compute.compile import compiled
 from processing.kalman import corner_kernel, white_jerk
 from processing.kalman.snap_kernel import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
+from processing.record.motion import PhaseSegmentation
 from processing.record.series import Series
-from processing.segmentation.plateaus import Found
 
 Labels = NDArray[np.uint8]
 
@@ -44,7 +44,7 @@ class Stretch:
     corners: slice
 
 
-def laid_out(series: Series, found: Found) -> Layout:
+def laid_out(series: Series, found: PhaseSegmentation) -> Layout:
     """Return the corners of the phases found: those that begin and end within a piece."""
     at: list[float] = []
     kind: list[int] = []
@@ -140,7 +140,7 @@ def labels(series: Series, layout: Layout, stretch: Stretch) -> Labels:
     return label
 
 
-def without(layout: Layout, gone: NDArray[np.bool_]) -> Layout:
+def without(layout: Layout, gone: Mask) -> Layout:
     """Return the layout without some corners; what they parted is slip."""
     return replace(
         layout,
@@ -163,7 +163,7 @@ def sticks_of(layout: Layout) -> list[list[int]]:
     return found
 
 
-def spans_of(series: Series, layout: Layout, sticks: list[list[int]]) -> NDArray[np.int64]:
+def spans_of(series: Series, layout: Layout, sticks: list[list[int]]) -> Integers:
     """Return the samples by which each stick is judged, its own and some to either side; and last, all: (s + 1, 2)."""
     spans = []
     for stick in sticks:

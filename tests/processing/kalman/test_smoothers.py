@@ -10,8 +10,8 @@ from daq.compute.compile import compiled
 from daq.errors import InputError
 from processing.kalman import corner_kernel, jerk_kernel, mean_snap_kernel, snap_kernel, white_jerk
 from processing.methods import registry
-from processing.methods.registry import Setting
 from processing.record import series
+from processing.record.setting import Setting
 from processing.segmentation import landing_snap
 from processing.segmentation.noise_levels import Levels
 from processing.segmentation.switching_times import Layout
@@ -41,7 +41,7 @@ CLAIMED = [
 @pytest.mark.parametrize(("pitch", "jitter", "times", "rms", "largest"), CLAIMED)
 def test_sticks_and_slips_smoothed_apart_keep_the_flat_top(motion, recorded, seed, pitch, jitter, times, rms, largest):
     true = motion(5, 60.0, jitter, seed=seed)
-    found = registry.estimate("auto", series.of(recorded(true, pitch), times), Setting())
+    found = registry.estimate("auto", series.from_recording(recorded(true, pitch), times), Setting())
     error = velocity_error(found, true.v)
     assert found.method == "segment"
     assert error[0] < rms
@@ -52,7 +52,7 @@ def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
     covered, covered_near = [], []
     for seed in (1, 2, 5):
         true = motion(5, 60.0, seed=seed)
-        data = series.of(recorded(true))
+        data = series.from_recording(recorded(true))
         found = registry.estimate("auto", data, Setting())
         error = found.velocity - true.v
         near = near_landings(true)
@@ -126,7 +126,7 @@ def test_the_default_is_never_worse_than_the_smoother_without_corners(motion, re
     for at in range(700, kept.size, 2903) if "gap" in make else ():
         kept[at : at + make["gap"]] = False
     true = type(true)(true.time[kept], true.x[kept], true.v[kept], true.sticks)
-    data = series.of(recorded(true))
+    data = series.from_recording(recorded(true))
     plain, default = (registry.estimate(name, data, Setting()) for name in ("rts", "auto"))
     assert velocity_error(default, true.v)[0] <= 1.03 * velocity_error(plain, true.v)[0]
 
@@ -161,7 +161,7 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
     grid = [np.arange(-0.25, 0.06, 1e-3) + k for k in range(40)]
     each = [(own, approach(own - landing)) for own, landing in zip(grid, at, strict=True)]
     time, position = (np.concatenate([own[i] for own in each]) for i in (0, 1))
-    data = series.of(imported(time, position + 1e-7 * rng.standard_normal(time.size)))
+    data = series.from_recording(imported(time, position + 1e-7 * rng.standard_normal(time.size)))
     kind = np.full(40, snap_kernel.LAND, np.uint8)
     layout = Layout(at, np.full(40, 5e-5), kind, (snap_kernel.SLIP,) * 40, unit)
     q = np.full(snap_kernel.LABELS, 1e-3)
@@ -175,7 +175,7 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
 
 @pytest.mark.parametrize("kernel", ["jerk", "snap"])
 def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
-    data = series.of(recorded(motion(5, 0.5, start=0.1)))
+    data = series.from_recording(recorded(motion(5, 0.5, start=0.1)))
     time, position = data.time, data.position
     if kernel == "jerk":
         one, two = np.empty((6, time.size)), np.empty((6, time.size))
@@ -206,7 +206,7 @@ def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
 
 
 def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recorded):
-    data = series.of(recorded(motion(5, 2.0)))
+    data = series.from_recording(recorded(motion(5, 2.0)))
     landing = next(start for start, _ in motion(5, 2.0).sticks[1:]) - motion(5, 2.0).time[0]
     i, j = np.searchsorted(data.time, (landing - 0.2, landing + 0.05))
     edges, parts = np.array([-0.02, -0.005, 0.0]), np.array([snap_kernel.SLIP, 2, 1, snap_kernel.STICK], np.uint8)
@@ -221,7 +221,7 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
 
 
 def test_the_smoother_does_not_depend_on_its_blocks(motion, recorded):
-    data = series.of(recorded(motion(5, 6.0)))
+    data = series.from_recording(recorded(motion(5, 6.0)))
     run = compiled(jerk_kernel.smooth, white_jerk.KERNELS)
     found = []
     for block in (512, 100_000):
@@ -239,7 +239,7 @@ def test_noise_levels_are_those_that_were_put_in(imported):
     a -= np.linspace(0, a[-1], n)
     v = np.cumsum(a) * h
     x = np.cumsum(v) * h
-    noise = white_jerk.fit(series.of(imported(np.arange(n) * h, x + np.sqrt(r) * rng.standard_normal(n))))
+    noise = white_jerk.fit(series.from_recording(imported(np.arange(n) * h, x + np.sqrt(r) * rng.standard_normal(n))))
     assert noise.reading == pytest.approx(r, rel=0.05)
     assert noise.jerk == pytest.approx(q, rel=0.5)
 
@@ -248,7 +248,7 @@ def test_noise_levels_are_those_that_were_put_in(imported):
 def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihood(motion, imported, method):
     # A track without a pitch, 0.3 m/s at 50 um and 1 kHz: in sticks third differences are nothing but rounding.
     true = motion(5, 12.0, jitter=0.0, belt=0.3)
-    data = series.of(imported(true.time, np.floor(true.x / 50e-6) * 50e-6))
+    data = series.from_recording(imported(true.time, np.floor(true.x / 50e-6) * 50e-6))
     noise = white_jerk.fit(data)
     assert noise.reading == pytest.approx((50e-6) ** 2 / 12, rel=0.5)
     found = registry.estimate(method, data, Setting())
@@ -259,7 +259,7 @@ def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihoo
 @pytest.mark.parametrize("setting", [Setting(41, 4), Setting(None, 4)])
 def test_a_smoother_has_no_window(motion, recorded, method, setting):
     with pytest.raises(InputError, match=f"{method} has no window"):
-        registry.estimate(method, series.of(recorded(motion(5, 3.0))), setting)
+        registry.estimate(method, series.from_recording(recorded(motion(5, 3.0))), setting)
 
 
 def test_a_window_that_is_asked_for_means_savitzky_golay(motion, recorded):

@@ -7,8 +7,10 @@ import pytest
 
 from daq.errors import InputError
 from processing.methods import registry
-from processing.methods.registry import METHODS, Motion, Setting
+from processing.methods.registry import METHODS
 from processing.record import series
+from processing.record.motion import Motion
+from processing.record.setting import Setting
 
 FIELDS = [name for name in Motion.__dataclass_fields__ if name not in ("window", "order", "method", "corners")]
 
@@ -25,7 +27,7 @@ def time(request):
 
 
 def run(method, recording, setting=None):
-    return registry.estimate(method, series.of(recording), setting or Setting())
+    return registry.estimate(method, series.from_recording(recording), setting or Setting())
 
 
 def test_shapes_are_kept_and_errors_are_positive(method, time, imported):

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from daq.compute.compile import compiled
-from daq.errors import InputError
 from processing.polynomial import moments, savgol
 from processing.polynomial.gram import coefficients
-from processing.polynomial.stream import SavgolStream
 
 
 def counts(motion, pitch=7.67e-6, duration=5.0):
@@ -58,26 +56,14 @@ def test_an_offset_of_the_count_changes_nothing(motion, offset, window):
 
 @pytest.mark.parametrize(("window", "order"), [(41, 4), (7, 3), (31, 6), (1501, 4), (3001, 4)])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_stream_gives_what_the_whole_record_gives_bit_for_bit(motion, window, order, sign):
-    count, pitch = counts(motion) + 10**12, sign * 7.67e-6
-    seen = count - count[0]
-    time = np.arange(count.size) * 1e-3
-    counted = savgol.Counted(sign * seen, abs(pitch))
-    whole = savgol.fit(time, seen * pitch, window, order, counted)[0]
-    stream = SavgolStream(window, order, (time[-1] - time[0]) / (time.size - 1), pitch)
-    cuts = np.sort(np.random.default_rng(3).choice(count.size, 40, replace=False))
-    told = [stream.push(part) for part in np.split(count, cuts)]
-    assert np.array_equal(np.concatenate([*told, stream.finish()], axis=1), whole)
-
-
-def test_a_stream_refuses_what_it_could_not_tell_exactly():
-    stream = SavgolStream(901, 4, 1e-3)
-    with pytest.raises(InputError, match="counts in a sample; take a shorter window"):
-        stream.push(np.array([0, 10**6]))
-    short = SavgolStream(5, 2, 1e-3)
-    assert short.push(np.array([1, 2])).shape == (3, 0)
-    with pytest.raises(InputError, match="2 samples came; the window holds 5"):
-        short.finish()
+def test_a_part_of_the_record_gives_what_the_whole_gives_bit_for_bit(motion, window, order, sign):
+    count, pitch = counts(motion), sign * 7.67e-6
+    half, begin, end = window // 2, 500, 500 + window + 700
+    whole, part = np.empty((3, count.size)), np.empty((3, end - begin))
+    savgol.inside(count * pitch, window, order, savgol.Counted(sign * count, abs(pitch)), whole)
+    own = count[begin:end]
+    savgol.inside(own * pitch, window, order, savgol.Counted(sign * own, abs(pitch)), part)
+    assert np.array_equal(part[:, half:-half], whole[:, begin + half : end - half])
 
 
 def test_counts_too_fast_for_whole_numbers_take_the_convolution(motion):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from processing.methods import registry
-from processing.methods.registry import Setting
 from processing.polynomial import savgol, uneven
 from processing.record import series
+from processing.record.setting import Setting
 
 
 def velocity_error(found, true):
@@ -37,7 +37,7 @@ def test_velocity_errors_are_the_published_ones_or_smaller(
     motion, recorded, pitch, jitter, times, method, setting, rms, largest
 ):
     true = motion(5, 60.0, jitter)
-    found = registry.estimate(method, series.of(recorded(true, pitch), times), setting)
+    found = registry.estimate(method, series.from_recording(recorded(true, pitch), times), setting)
     error = velocity_error(found, true)
     assert error[0] < rms
     assert error[1] < largest
@@ -45,7 +45,7 @@ def test_velocity_errors_are_the_published_ones_or_smaller(
 
 def test_smoothing_is_ten_times_better_than_differences_on_the_same_times(motion, recorded):
     true = motion(5, 60.0)
-    data = series.of(recorded(true))
+    data = series.from_recording(recorded(true))
     rough, smooth = (velocity_error(registry.estimate(name, data, Setting()), true)[0] for name in ("fd", "sg"))
     assert rough > 10 * smooth
 
@@ -53,7 +53,7 @@ def test_smoothing_is_ten_times_better_than_differences_on_the_same_times(motion
 @pytest.mark.parametrize(("pitch", "setting"), [(7.67e-6, Setting()), (7.67e-6, Setting(41, 4)), (50e-6, Setting())])
 def test_two_standard_errors_cover_the_truth(motion, recorded, pitch, setting):
     true = motion(5, 60.0)
-    found = registry.estimate("sg", series.of(recorded(true, pitch)), setting)
+    found = registry.estimate("sg", series.from_recording(recorded(true, pitch)), setting)
     landings = np.searchsorted(true.time, [start for start, _ in true.sticks[1:]])
     near = np.zeros(true.time.size, bool)
     for at in landings:
@@ -94,7 +94,7 @@ def test_uneven_times_agree_with_a_polynomial_fitted_to_each_window():
 def test_errors_grow_towards_the_ends(imported):
     time = np.arange(400) * 1e-3
     noise = 1e-5 * np.random.default_rng(6).standard_normal(400)
-    found = registry.estimate("sg", series.of(imported(time, np.sin(time) + noise)), Setting(41, 4))
+    found = registry.estimate("sg", series.from_recording(imported(time, np.sin(time) + noise)), Setting(41, 4))
     assert found.velocity_errors[0] > 5 * found.velocity_errors[200]
     assert found.velocity_errors[-1] > 5 * found.velocity_errors[200]
 
@@ -104,7 +104,7 @@ def test_a_lost_sample_is_bridged_at_the_recorded_times(motion, recorded):
     kept = np.ones(true.time.size, bool)
     kept[2000:9000:97] = False
     run = recorded(type(true)(true.time[kept], true.x[kept], true.v[kept], true.sticks))
-    data = series.of(run)
+    data = series.from_recording(run)
     assert len(data.pieces) == 1
     found = registry.estimate("sg", data, Setting(31, 4))
     assert float(np.sqrt(np.mean((found.velocity - true.v[kept]) ** 2))) < 0.45e-3

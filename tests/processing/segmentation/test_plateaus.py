@@ -10,7 +10,7 @@ import processing
 from daq.errors import InputError
 from daq.runfile.rig import Measured, Rig
 from processing.segmentation import plateaus
-from processing.segmentation.plateaus import half_sample_mode
+from processing.segmentation.belt_speed import half_sample_mode
 
 START = 0.5  # s: the belt starts after the record
 

@@ -1,0 +1,64 @@
+"""Savitzky-Golay filters of a window that was asked for or chosen from the record, with standard errors."""
+
+import numpy as np
+
+from processing.methods import window_choice
+from processing.polynomial import savgol
+from processing.record.motion import Motion
+from processing.record.reading_error import reading_error
+from processing.record.series import Series
+from processing.record.setting import DEFAULT_ORDER, Setting, check_window
+
+
+def estimate(series: Series, setting: Setting) -> Motion:
+    """Fit local polynomials.
+
+    Parameters
+    ----------
+    series : Series
+        The record.
+    setting : Setting
+        Window and order; what is None is chosen from the record (`processing.methods.window_choice.choose`).
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    InputError
+        For an even window, or one that does not exceed the order.
+    """
+    if setting.window is None:
+        chosen = window_choice.choose(series, setting.order)
+        length, order = chosen.window, chosen.order
+    else:
+        length, order = setting.window, DEFAULT_ORDER if setting.order is None else setting.order
+    check_window(length, order)
+    values, norms, probe, probe_norms = (np.empty((3, series.time.size)) for _ in range(4))
+    for piece in series.pieces:
+        own = series.time[piece], series.position[piece]
+        counted = None if series.count is None else savgol.Counted(series.count[piece], series.pitch)
+        values[:, piece], norms[:, piece] = savgol.fit(*own, length, order, counted)
+        probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.half(length, order), order, counted)
+    errors = np.empty_like(values)
+    floor = series.pitch / np.sqrt(12) if length > order + 3 else reading_error(series)
+    for piece in series.pieces:
+        errors[:, piece] = savgol.standard_errors(
+            series.position[piece],
+            (values[:, piece], norms[:, piece]),
+            (probe[:, piece], probe_norms[:, piece]),
+            length,
+            floor,
+        )
+    return Motion(
+        position=series.origin + values[0],
+        velocity=values[1],
+        acceleration=values[2],
+        position_errors=errors[0],
+        velocity_errors=errors[1],
+        acceleration_errors=errors[2],
+        window=length,
+        order=order,
+        method="sg",
+    )

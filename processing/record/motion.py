@@ -1,0 +1,131 @@
+"""Values made from a record: its motion, switching times, phases, the belt's motion, and steps of the velocity."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from daq.compute.arrays import Array, Mask
+from processing.record.series import Series
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A corner of the velocity: its estimated time and standard deviation, s, and what happens there.
+
+    ``what`` is "land" (slip to stick), "leave" (stick to slip), "start" (from rest), "stop" (to rest) or "kick" (a step
+    of the velocity).
+    """
+
+    time: float
+    sd: float
+    what: str
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a method returns: x, v, a (m, m/s, m/s^2) with one standard error each, all of shape (n,).
+
+    Attributes
+    ----------
+    window, order : int
+        Samples in the smoothing window, or in that of the equivalent Savitzky-Golay filter, and polynomial degree.
+    method : str
+        The method that was run, never "auto".
+    corners : tuple of Corner
+        Those that the method fitted, in order of time; empty for methods that model no corners.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    position_errors: Array
+    velocity_errors: Array
+    acceleration_errors: Array
+    window: int
+    order: int
+    method: str
+    corners: tuple[Corner, ...] = ()
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One stick or slip.
+
+    Attributes
+    ----------
+    kind : "stick" or "slip"
+    start, end : float
+        Times, s, on the recording's axis; they lie between samples.
+    first, last : int
+        First and last sample inside (both included).
+    start_sd, end_sd : float
+        Standard deviations of the times, s; infinite where they were not fitted, or where a gap or an end of the
+        record cuts the phase off.
+    """
+
+    kind: Literal["stick", "slip"]
+    start: float
+    end: float
+    first: int
+    last: int
+    start_sd: float = math.inf
+    end_sd: float = math.inf
+
+    @property
+    def duration(self) -> float:
+        """Length of the phase, s."""
+        return self.end - self.start
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSegmentation:
+    """The record divided into sticks and slips.
+
+    Attributes
+    ----------
+    belt_speed : float
+        m/s, signed; NaN when unknown.
+    stick : array of bool, shape (n,)
+        True in sticks.
+    phases : tuple of Phase
+        In order of time.
+    plateau_speed : float
+        Common speed of the plateaus, m/s, whatever the belt's nominal speed is; NaN without plateaus.
+    """
+
+    belt_speed: float
+    stick: Mask
+    phases: tuple[Phase, ...]
+    plateau_speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class BeltMotion:
+    """The motion of a belt with an encoder, arrays of shape (n,).
+
+    Attributes
+    ----------
+    velocity, velocity_errors : array
+        Of the belt, m/s, signed, and one standard error.
+    series, motion : Series, Motion
+        The mass relative to the belt: x less the belt's travel, and its motion.
+    """
+
+    velocity: Array
+    velocity_errors: Array
+    series: Series
+    motion: Motion
+
+    def speed(self, moving: Mask) -> float:
+        """Return the belt's median speed where ``moving`` (n,) is True, m/s, signed; NaN when it never is."""
+        return float(np.median(self.velocity[moving])) if moving.any() else math.nan
+
+
+@dataclass(frozen=True)
+class VelocityStep:
+    """The velocity stepped by ``step`` (m/s) just before sample ``sample``."""
+
+    sample: int
+    step: float

@@ -1,0 +1,123 @@
+"""From the times of corners to phases: sticks, and the slips between them.
+
+Corners of a plateau: a landing is sharp, and lies where the acceleration has fallen to half of the slip's last peak; a
+break-away is soft (only the jerk jumps), and is found by extrapolating the acceleration's rise back to zero.  Corners
+that a method fitted itself (`processing.segmentation.smoother`) are used as they are, uncertainties included.
+"""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from daq.compute.arrays import Array, Mask, runs
+from daq.runfile.rig import Measured
+from processing.record.motion import Corner, Motion, Phase, PhaseSegmentation
+from processing.record.series import Series
+from processing.segmentation.belt_speed import SAME_SPEED, reported_speed
+
+Runs = list[tuple[int, int]]  # first and last sample, both included
+Stick = tuple[float, float, float, float]  # start, end, and their standard deviations, s
+
+
+def segment_at_corners(
+    series: Series,
+    motion: Motion,
+    corners: tuple[Corner, ...],
+    moving: Mask,
+    stated: float | None,
+    measured: Measured | None,
+) -> PhaseSegmentation:
+    """Lay out the phases between corners that a method has fitted, with the uncertainties of their times."""
+    moving = moving.copy()
+    sticks: list[Stick] = []
+    time = series.time
+    for piece in series.pieces:
+        begin, end = float(time[piece.start]), float(time[piece.stop - 1])
+        inside = [corner for corner in corners if begin <= corner.time <= end]
+        if inside and inside[0].what == "start":
+            moving[piece.start : np.searchsorted(time, inside[0].time)] = False
+        if inside and inside[-1].what == "stop":
+            moving[np.searchsorted(time, inside[-1].time) : piece.stop] = False
+        landed = Corner(begin, math.inf, "land")
+        stuck = bool(inside) and inside[0].what == "leave"
+        for corner in inside:
+            if corner.what == "land":
+                landed, stuck = corner, True
+            elif stuck:
+                sticks.append((landed.time, corner.time, landed.sd, corner.sd))
+                stuck = False
+        if stuck:
+            sticks.append((landed.time, end, landed.sd, math.inf))
+    velocity = [motion.velocity[(time >= stick[0]) & (time <= stick[1])] for stick in sticks]
+    held = np.concatenate(velocity) if velocity else np.empty(0)
+    level = math.nan
+    if held.size:
+        level = float(held[np.abs(held - np.median(held)) <= SAME_SPEED * abs(np.median(held))].mean())
+    phases, stick = phases_from_sticks(series, moving, sticks)
+    return PhaseSegmentation(reported_speed(stated, measured, level, bool(sticks)), stick, phases, level)
+
+
+def corners_of_plateau(
+    run: tuple[int, int], series: Series, size: Array, window: int, tolerance: float, moving: Mask
+) -> tuple[float, float]:
+    """Return start and end of a stick, s, between samples, from the size of the acceleration."""
+    piece = next(own for own in series.pieces if own.start <= run[0] < own.stop)
+    time = series.time
+    first, last = run
+    start, end = float(time[first]), float(time[last])
+    low = max(first - window, piece.start)
+    if low < first and moving[low]:
+        peak = low + int(np.argmax(size[low:first]))
+        half = 0.5 * size[peak]
+        if half > tolerance:
+            crossing = peak + int(np.argmax(size[peak:first] <= half)) if (size[peak:first] <= half).any() else first
+            start = _crossing(time, size, crossing, half)
+    high = min(last + max(window, round(0.25 / series.interval)), piece.stop - 1)
+    beyond = np.flatnonzero(size[last + 1 : high + 1] > 2 * tolerance)
+    if last + 1 < piece.stop and beyond.size:
+        one = _crossing(time, size, last + 1, tolerance)
+        two = _crossing(time, size, last + 1 + int(beyond[0]), 2 * tolerance)
+        end = max(2 * one - two, 0.5 * (start + end))
+    return start, end
+
+
+def _crossing(time: Array, size: Array, at: int, level: float) -> float:
+    """Return the time between samples at-1 and at where ``size`` passes ``level``."""
+    before, after = size[at - 1], size[at]
+    share = (level - before) / (after - before) if after != before else 1.0
+    return float(time[at - 1] + min(max(share, 0.0), 1.0) * (time[at] - time[at - 1]))
+
+
+def phases_from_sticks(series: Series, moving: Mask, sticks: list[Stick]) -> tuple[tuple[Phase, ...], Mask]:
+    """Lay out sticks, and slips between them, over the pieces of the record that are in motion."""
+    stick = np.zeros(series.time.size, bool)
+    phases: list[Phase] = []
+    for first, last in runs_in_pieces(moving, series.pieces):
+        time = series.time[first : last + 1]
+        at = float(time[0])
+        end = float(time[-1])
+        inside = [own for own in sticks if time[0] <= own[0] and own[1] <= time[-1]]
+        bounds = [(at, at, math.inf, math.inf), *inside, (end, end, math.inf, math.inf)]
+        for before, own in pairwise(bounds):
+            phases += _phase("slip", (before[1], own[0], before[3], own[2]), series.time, first, last)
+            if own is not bounds[-1]:
+                phases += _phase("stick", own, series.time, first, last)
+    for phase in phases:
+        if phase.kind == "stick":
+            stick[phase.first : phase.last + 1] = True
+    return tuple(phases), stick
+
+
+def _phase(kind: str, span: Stick, time: Array, first: int, last: int) -> list[Phase]:
+    start, end, start_sd, end_sd = span
+    i = max(int(np.searchsorted(time, start)), first)
+    j = min(int(np.searchsorted(time, end, side="right")) - 1, last)
+    if end <= start or j < i:
+        return []
+    return [Phase("stick" if kind == "stick" else "slip", start, end, i, j, start_sd, end_sd)]
+
+
+def runs_in_pieces(mask: Mask, pieces: tuple[slice, ...]) -> Runs:
+    """Return first and last sample of every run of True in ``mask`` (n,), each within one piece."""
+    return [(piece.start + i, piece.start + j - 1) for piece in pieces for i, j in runs(mask[piece])]
