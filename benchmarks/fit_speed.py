@@ -36,7 +36,7 @@ from fitting.data import cycles, frame
 from fitting.estimation import levenberg_marquardt
 from fitting.model import shooting
 from fitting.model.parameters import DAMPING, DATUM, LEVEL, LOG_F, SHAPE, V_DR, V_SLIP, X_SLIP, K
-from fitting.model.problem import Run, Setting
+from fitting.model.problem import EstimationProblem, Run
 from processing.record.kinematics import Kinematics
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -99,25 +99,25 @@ class OneWindow:
 
     def __init__(self, kinematics: Kinematics) -> None:
         self.solver = SOLVERS[0]
-        motion = frame.of(kinematics, kinematics.recording.rig, None)
-        cut = cycles.cut(motion)
+        motion = frame.from_kinematics(kinematics, kinematics.recording.rig, None)
+        cut = cycles.segment_cycles(motion)
         cycle = next(cycle for cycle in cut.used[2:] if not cycle.overtakes)
         cycle = replace(cycle, stick=(cycle.slip[0], cycle.slip[0]))
-        setting = Setting.of(5, [Run(motion, replace(cut, cycles=cut.used))])
-        self.windows = shooting.Windows.of(motion, (cycle,))
-        self.setting, self.index = setting, [K, LOG_F, V_DR, SHAPE, DATUM, DAMPING]
+        problem = EstimationProblem.build(5, [Run(motion, replace(cut, cycles=cut.used))])
+        self.windows = shooting.ShootingWindows.from_cycles(motion, (cycle,))
+        self.problem, self.index = problem, [K, LOG_F, V_DR, SHAPE, DATUM, DAMPING]
         self.own = [X_SLIP, V_SLIP, LEVEL]
-        self.local = self.windows.first_locals([motion])
+        self.local = self.windows.starting_values([motion])
         self.weight = 1 / motion.resolution**2
         sd = np.array([[0.1 * motion.travel, motion.belt_speed, 0.05, 0.05, 1.0, 1.0]])
         self.local_precision = 1 / sd**2
-        self.start = np.r_[setting.start[self.index], self.local[0, self.own]]
+        self.start = np.r_[problem.start[self.index], self.local[0, self.own]]
 
     def ours(self) -> tuple[np.ndarray, float, float]:
         """Return unknowns, cost and CPU seconds of our minimiser."""
-        s = self.setting
+        s = self.problem
         begun = clock.process_time()
-        problem = levenberg_marquardt.Problem(
+        problem = levenberg_marquardt.LeastSquaresProblem(
             evaluate=shooting.evaluator(s.curve, s.ramp, self.windows, s.start, self.index, s.scale, s.local_scale),
             rows=self.windows.rows, weights=np.array([self.weight]),
             lower=s.lower[self.index], upper=s.upper[self.index],
@@ -149,7 +149,7 @@ class OneWindow:
         model[: slip.t.size] = slip.y[0]
         if slip.t.size < time.size:
             model[slip.t.size :] = slip.y_events[0][0][0] + belt * (time[slip.t.size :] - slip.t_events[0][0])
-        s = self.setting
+        s = self.problem
         u_prior, u_precision = s.prior[self.index], s.precision[self.index]
         return np.r_[
             math.sqrt(self.weight) * (model - self.windows.position),
@@ -166,7 +166,7 @@ class OneWindow:
             shots += 1
             return self.residuals(unknowns)
 
-        s = self.setting
+        s = self.problem
         lower = np.r_[s.lower[self.index], np.full(3, -np.inf)]
         upper = np.r_[s.upper[self.index], np.full(3, np.inf)]
         scale = np.r_[s.scale[self.index], s.local_scale[self.own]]
@@ -187,7 +187,7 @@ def against_scipy(folder: str) -> dict[str, Any]:
         theirs = [one.scipys() for _ in range(3)]
         found, other, _, shots = theirs[0]
         seconds = float(np.median([run[2] for run in theirs]))
-        scale = np.r_[one.setting.scale[one.index], one.setting.local_scale[one.own]]
+        scale = np.r_[one.problem.scale[one.index], one.problem.local_scale[one.own]]
         gap = float(np.max(np.abs(mine - found) / scale))
         rows.append({"solver": one.solver, "scipy_s": seconds, "ratio": seconds / spent, "shots": shots,
                      "scipy_cost": other, "largest_difference": gap})  # fmt: skip

@@ -149,8 +149,8 @@ def run(case: tuple[str, int, int]) -> dict[str, Any]:
         load = math.nan * onsets
         for i, event in enumerate(ranking.events):
             nearest = int(np.argmin(np.abs(t - event.t)))
-            if abs(t[nearest] - event.t) < 0.2 and event.flag == "" and math.isfinite(event.static_level):
-                seen = event.static_level * mine.parameters["Fs/m"].value / (K * FS)
+            if abs(t[nearest] - event.t) < 0.2 and event.flag == "" and math.isfinite(event.break_away_level):
+                seen = event.break_away_level * mine.parameters["Fs/m"].value / (K * FS)
                 load[i] = seen / factor[nearest] - 1
         found = load[np.isfinite(load)]
         if not found.size:

@@ -20,7 +20,7 @@ from daq.errors import (
     StickslipError,
 )
 from fitting import job
-from fitting.job import Done, Prepared, Wishes
+from fitting.job import FitOptions, FitOutput, LoadedRun
 from fitting.report import page
 
 WORST_FIRST = (EXIT_BUG, EXIT_DEVICE, EXIT_INPUT, EXIT_DATA)
@@ -37,7 +37,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Row:
+class BatchRow:
     """What became of one run: the document of the command for it alone, or its failure."""
 
     file: Path
@@ -62,18 +62,18 @@ class Row:
 def fit(
     files: Sequence[Path],
     places: Sequence[Path],
-    wishes: Wishes,
+    options: FitOptions,
     jobs: int = 1,
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
-) -> list[Row]:
+) -> list[BatchRow]:
     """Fit every run by itself; files are read and written here, by one process, whoever does the fitting.
 
     Parameters
     ----------
     files, places : sequence of Path
         Runs, and where their reports go.
-    wishes : Wishes
+    options : FitOptions
     jobs : int
         Processes; more than there are runs are not started.
     scheduler : str, optional
@@ -90,7 +90,7 @@ def fit(
         raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
     rows = []
     with workers(min(jobs, len(files)), scheduler) as each:
-        found = each(partial(_fitted, wishes=wishes), _read(files, places, wishes))
+        found = each(partial(_fitted, options=options), _read(files, places, options))
         for file, place, one in zip(files, places, found, strict=True):
             rows.append(_kept(file, place, one))
             if progress is not None:
@@ -98,7 +98,7 @@ def fit(
     return rows
 
 
-def exit_code(rows: Sequence[Row]) -> int:
+def exit_code(rows: Sequence[BatchRow]) -> int:
     """Return the worst failure's code, else 5 when a run is undecided, else 0."""
     codes = {row.code for row in rows}
     failed = [code for code in WORST_FIRST if code in codes]
@@ -107,34 +107,34 @@ def exit_code(rows: Sequence[Row]) -> int:
     return EXIT_UNDECIDED if EXIT_UNDECIDED in codes else EXIT_DONE
 
 
-def _read(files: Sequence[Path], places: Sequence[Path], wishes: Wishes) -> Iterator[Prepared | Failure]:
+def _read(files: Sequence[Path], places: Sequence[Path], options: FitOptions) -> Iterator[LoadedRun | Failure]:
     for file, place in zip(files, places, strict=True):
         try:
-            page.refuse_stranger(place)
-            yield job.prepare(file, wishes)
+            page.refuse_foreign_file(place)
+            yield job.load_run(file, options)
         except Exception as error:
             yield _failure(error, file)
 
 
-def _fitted(run: Prepared | Failure, wishes: Wishes) -> Done | Failure:
+def _fitted(run: LoadedRun | Failure, options: FitOptions) -> FitOutput | Failure:
     """Fit one run, in whatever process."""
     if isinstance(run, Failure):
         return run
     try:
-        return job.fit([run], wishes)
+        return job.fit_runs([run], options)
     except Exception as error:
         return _failure(error, run.recording.source)
 
 
-def _kept(file: Path, place: Path, found: Done | Failure) -> Row:
+def _kept(file: Path, place: Path, found: FitOutput | Failure) -> BatchRow:
     """Write what was found where it belongs."""
     if isinstance(found, Failure):
-        return Row(file, {}, found)
+        return BatchRow(file, {}, found)
     try:
-        found.keep([file], [place])
+        found.save([file], [place])
     except Exception as error:
-        return Row(file, {}, _failure(error, file))
-    return Row(file, found.ranking.as_json() | {"report": place})
+        return BatchRow(file, {}, _failure(error, file))
+    return BatchRow(file, found.ranking.as_json() | {"report": place})
 
 
 def _failure(error: Exception, file: Path) -> Failure:

@@ -14,7 +14,7 @@ from daq.errors import EXIT_DONE, EXIT_UNDECIDED, InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from fitting.batch import Row
+    from fitting.batch import BatchRow
     from fitting.selection.result import Ranking
 
 app = application.application(
@@ -79,14 +79,14 @@ def fit(
     files = [file, *more]
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
-    places = pages.places(files, report)
+    places = pages.report_paths(files, report)
     if csv is not None:
-        table.refuse(csv, files)
+        table.refuse_foreign_file(csv, files)
         if csv.resolve() in {place.resolve() for place in places}:
             raise InputError("is the report's name too", str(csv), "give another name with --csv or --report")
     if mass is not None and stiffness is not None:
         raise InputError("--mass and --stiffness together", "command line", "give one: the fit finds the other")
-    wishes = job.Wishes(
+    options = job.FitOptions(
         laws=tuple(numbers(laws, "--laws")),
         mass=None if mass is None else measured(mass, "mass", "--mass"),
         stiffness=None if stiffness is None else measured(stiffness, "stiffness", "--stiffness"),
@@ -100,17 +100,17 @@ def fit(
     )
     if each:
         with application.progress("fitting", float(len(files)), "runs") as tell:
-            rows = batch.fit(files, places, wishes, jobs, scheduler, tell)
+            rows = batch.fit(files, places, options, jobs, scheduler, tell)
         if csv is not None:
             table.write(csv, [(row.file, row.document) for row in rows])
         told = {"runs": [row.as_json() for row in rows]}
         return Answer(told, _batch(rows), batch.exit_code(rows))
     for place in places:
-        pages.refuse_stranger(place)
-    runs = [job.prepare(path, wishes) for path in files]
-    with application.progress("fitting", float(len(wishes.laws)), "laws") as tell:
-        done = job.fit(runs, wishes, jobs, scheduler, tell)
-    done.keep(files, places)
+        pages.refuse_foreign_file(place)
+    runs = [job.load_run(path, options) for path in files]
+    with application.progress("fitting", float(len(options.laws)), "laws") as tell:
+        done = job.fit_runs(runs, options, jobs, scheduler, tell)
+    done.save(files, places)
     if csv is not None:
         sides = done.ranking.runs or (done.ranking,)
         table.write(csv, [(path, side.as_json()) for path, side in zip(files, sides, strict=True)])
@@ -146,7 +146,7 @@ def numbers(text: str, flag: str) -> list[int]:
     return found
 
 
-def _batch(rows: "Sequence[Row]") -> list[Any]:
+def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
     """Return the table of a batch: file, set, and the verdict or what went wrong."""
     table = application.table("every run by itself", ("file", "set", "verdict"))
     table.columns[0].overflow = table.columns[2].overflow = "fold"
@@ -178,7 +178,7 @@ def _text(ranking: "Ranking", places: list[Path], alpha: float) -> list[Any]:
 
 def _laws(ranking: "Ranking") -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
-    from fitting.selection.verdict import length
+    from fitting.selection.verdict import format_length
 
     table = application.table("friction laws, best first", ("law", "error", "behind", "weight", "in set"))
     for row in ranking.rows:
@@ -186,7 +186,7 @@ def _laws(ranking: "Ranking") -> "Table":
         weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
         style = "bold" if row.in_set else None
         told = "yes" if row.in_set else "-"
-        table.add_row(f"{row.law} {row.name}", length(row.rms_m), behind, weight, told, style=style)
+        table.add_row(f"{row.law} {row.name}", format_length(row.rms_m), behind, weight, told, style=style)
     return table
 
 
@@ -197,7 +197,7 @@ def _parameters(ranking: "Ranking", alpha: float) -> "Table":
     sure = f"{100 * (1 - alpha):g} % interval"
     table = application.table(f"law {ranking.best.law}", ("parameter", "value", "std. error", sure, "unit"))
     for name, item in ranking.best.parameters.items():
-        value, error, bounds, _ = report.interval(item)
+        value, error, bounds, _ = report.format_interval(item)
         table.add_row(name, value, error, bounds, item.unit)
     return table
 

@@ -19,7 +19,7 @@ from processing.smoothing import smooth
 
 
 @dataclass(frozen=True)
-class Wishes:
+class FitOptions:
     """What the command line asks for, the same for every run; None leaves the run's own calibration as it is."""
 
     laws: tuple[int, ...] = ALL_LAWS
@@ -35,7 +35,7 @@ class Wishes:
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class LoadedRun:
     """A run as it was read: smoothed already, where its file holds that stage; with the calibration to use."""
 
     recording: Recording
@@ -44,13 +44,13 @@ class Prepared:
 
 
 @dataclass(frozen=True, eq=False)
-class Done:
+class FitOutput:
     """A ranking and the page of each run."""
 
     ranking: Ranking
     pages: tuple[str, ...]
 
-    def keep(self, files: Sequence[Path], places: Sequence[Path]) -> None:
+    def save(self, files: Sequence[Path], places: Sequence[Path]) -> None:
         """Write results into the run files and the reports beside them."""
         for path, place, page, side in zip(
             files, places, self.pages, self.ranking.runs or (self.ranking,), strict=True
@@ -59,7 +59,7 @@ class Done:
             report.write(page, place)
 
 
-def prepare(path: Path, wishes: Wishes) -> Prepared:
+def load_run(path: Path, options: FitOptions) -> LoadedRun:
     """Read a run.
 
     Raises
@@ -69,54 +69,54 @@ def prepare(path: Path, wishes: Wishes) -> Prepared:
     """
     kinematics = stage.load(path)
     recording = runfile.load(path) if kinematics is None else kinematics.recording
-    return Prepared(recording, kinematics, _rig(recording.rig, wishes))
+    return LoadedRun(recording, kinematics, _rig(recording.rig, options))
 
 
-def fit(
-    runs: Sequence[Prepared],
-    wishes: Wishes,
+def fit_runs(
+    runs: Sequence[LoadedRun],
+    options: FitOptions,
     jobs: int = 1,
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Done:
+) -> FitOutput:
     """Smooth what is not yet smoothed, rank the laws, and write the pages."""
-    speed = wishes.belt_speed
+    speed = options.belt_speed
     known = "auto" if speed is None or isinstance(speed, str) else speed
     motions = [smooth(run.recording, belt_speed=known) if run.kinematics is None else run.kinematics for run in runs]
     ranking = rank(
         motions,
         [run.rig for run in runs],
-        wishes.laws,
+        options.laws,
         belt_speed=speed,
-        excluded=wishes.excluded,
-        alpha=wishes.alpha,
+        excluded=options.excluded,
+        alpha=options.alpha,
         jobs=jobs,
         progress=progress,
         scheduler=scheduler,
     )
     sides = ranking.runs or (ranking,)
-    return Done(
-        ranking, tuple(report.render(side, motion, wishes.alpha) for side, motion in zip(sides, motions, strict=True))
+    return FitOutput(
+        ranking, tuple(report.render(side, motion, options.alpha) for side, motion in zip(sides, motions, strict=True))
     )
 
 
-def _rig(rig: Rig, wishes: Wishes) -> Rig:
+def _rig(rig: Rig, options: FitOptions) -> Rig:
     """Return a run's calibration with what is known better."""
     for name in ("mass", "stiffness"):
-        found = getattr(wishes, name)
+        found = getattr(options, name)
         if found is not None and not found.value > 0:
             raise InputError(f"{name} is {found.value}", f"--{name}", "give one above 0")
-    if wishes.mass is not None:
-        rig = replace(rig, mass=wishes.mass)
-    if wishes.stiffness is not None:
-        rig = replace(rig, mass=wishes.mass, stiffness=wishes.stiffness)
-    if wishes.datum_sd is not None and wishes.datum is None and rig.datum is None:
+    if options.mass is not None:
+        rig = replace(rig, mass=options.mass)
+    if options.stiffness is not None:
+        rig = replace(rig, mass=options.mass, stiffness=options.stiffness)
+    if options.datum_sd is not None and options.datum is None and rig.datum is None:
         raise InputError("--datum-sd without a datum", "--datum-sd", "give --datum too")
-    if wishes.datum is not None or wishes.datum_sd is not None:
-        rig = replace(rig, datum=_changed("--datum", rig.datum, wishes.datum, wishes.datum_sd))
-    if wishes.damping is None and wishes.damping_sd is None:
+    if options.datum is not None or options.datum_sd is not None:
+        rig = replace(rig, datum=_changed("--datum", rig.datum, options.datum, options.datum_sd))
+    if options.damping is None and options.damping_sd is None:
         return rig
-    damping = _changed("--damping", rig.damping, wishes.damping, wishes.damping_sd)
+    damping = _changed("--damping", rig.damping, options.damping, options.damping_sd)
     if damping.value < 0:
         raise InputError(f"damping is {damping.value}", "--damping", "give 0 or more, in N s/m")
     if rig.mass is None and rig.stiffness is None:

@@ -47,23 +47,23 @@ class BeltLine:
     swing: float
 
     @property
-    def gives(self) -> bool:
+    def slows_under_load(self) -> bool:
         """Whether the belt is seen to slow under load."""
         return -self.slope.value > SURE * self.slope.sd
 
     @property
-    def swings(self) -> bool:
+    def is_unsteady(self) -> bool:
         """Whether the belt's speed swings by more than the load explains."""
         return self.swing > SWING * abs(self.speed.value)
 
-    def unloaded(self, rest: Measured) -> Measured:
+    def speed_without_load(self, rest: Measured) -> Measured:
         """Return the belt's speed without load, where the spring rests (``rest``, m), with its error."""
         reach = rest.value - self.middle
         value = self.speed.value + self.slope.value * reach
         return Measured(value, math.hypot(self.speed.sd, math.hypot(self.slope.sd * reach, self.slope.value * rest.sd)))
 
 
-def line(kinematics: Kinematics) -> BeltLine | None:
+def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
     """Fit the belt's line; None where the belt was not counted or no stick is long enough.
 
     Parameters

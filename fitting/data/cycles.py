@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array, runs
-from fitting.data.frame import REST_FRACTION, Motion
+from fitting.data.frame import REST_FRACTION, MeasuredMotion
 
 BEFORE_ONSET_S = 0.05
 SHORTEST_S = 0.03
@@ -57,7 +57,7 @@ class Cycle:
 
 
 @dataclass(frozen=True)
-class Cut:
+class CycleSegmentation:
     """A record cut into cycles.
 
     Attributes
@@ -84,19 +84,19 @@ class Cut:
         return tuple(cycle for cycle in self.cycles if not cycle.flag)
 
 
-def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:
+def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset()) -> CycleSegmentation:
     """Cut a record into cycles.
 
     Parameters
     ----------
-    motion : Motion
+    motion : MeasuredMotion
         In the fit's frame.
     excluded : set of int
         Numbers of cycles to leave out; they keep their place in the list, flagged.
 
     Returns
     -------
-    Cut
+    CycleSegmentation
         With no cycles when the mass never falls below half the belt's speed.
     """
     time, v, a = motion.time, motion.velocity, motion.acceleration
@@ -104,7 +104,7 @@ def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:
     shortest = max(3, round(SHORTEST_S / float(np.median(np.diff(time)))))
     slow = [(i, j) for i, j in runs(v < SLIPPING * motion.belt_speed) if j - i >= shortest]
     if not slow:
-        return Cut((), 0.0, False, (0, 0))
+        return CycleSegmentation((), 0.0, False, (0, 0))
     at_rest = np.abs(v) < REST_FRACTION * motion.belt_speed
     starts_at_rest = slow[0][0] == 0 and bool(at_rest[: min(shortest, n)].all())
     rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > REST_S]
@@ -163,10 +163,10 @@ def cut(motion: Motion, excluded: frozenset[int] = frozenset()) -> Cut:
     )
     first = min(sticks[0][1], n - 1) if starts_at_rest else 0
     span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
-    return Cut(tuple(cycles), riding / span if span > 0 else 0.0, starts_at_rest, drag)
+    return CycleSegmentation(tuple(cycles), riding / span if span > 0 else 0.0, starts_at_rest, drag)
 
 
-def _calm(motion: Motion, onset: int, still: float) -> int:
+def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:
     """Return the first sample of the plateau that a record begins in; a start-up too short to be a slip is left out."""
     restless = np.flatnonzero(np.abs(motion.acceleration[:onset]) > still)
     if not restless.size:
@@ -174,7 +174,7 @@ def _calm(motion: Motion, onset: int, still: float) -> int:
     return int(np.searchsorted(motion.time, motion.time[restless[-1]] + motion.half_window))
 
 
-def _riding(motion: Motion, middle: int, last: int) -> int:
+def _riding(motion: MeasuredMotion, middle: int, last: int) -> int:
     """Return the first sample from ``middle`` on at which the mass rides: a long overtaking goes on past the middle."""
     v = motion.velocity[middle:last]
     if v.size < 4:
@@ -185,7 +185,7 @@ def _riding(motion: Motion, middle: int, last: int) -> int:
     return int(np.searchsorted(motion.time, motion.time[middle + fast[-1]] + motion.half_window))
 
 
-def _overtakes(motion: Motion, landing: int, end: int) -> bool:
+def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
     """Tell whether the velocity peaks above the plateau after the landing, by more than smoothing would make it."""
     early = int(np.searchsorted(motion.time, motion.time[landing] + 2 * motion.half_window))
     settled = motion.velocity[(early + end) // 2 : end]

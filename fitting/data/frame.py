@@ -22,7 +22,7 @@ FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class MeasuredMotion:
     """What was measured, in the fit's frame.
 
     Attributes
@@ -89,7 +89,7 @@ class Motion:
         return float(np.ptp(self.position))
 
 
-def of(kinematics: Kinematics, rig: Rig, belt_speed: float | str | None) -> Motion:
+def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | None) -> MeasuredMotion:
     """Bring a smoothed record into the fit's frame.
 
     Parameters
@@ -137,9 +137,9 @@ def of(kinematics: Kinematics, rig: Rig, belt_speed: float | str | None) -> Moti
     if channel is not None:
         middle = 0.5 * float(kinematics.position.max() + kinematics.position.min())
         unknown = Measured(middle, 0.5 * float(np.ptp(kinematics.position)))
-        stated = channel.unloaded(unknown if rest is None else Measured(sign * rest.value, rest.sd))
+        stated = channel.speed_without_load(unknown if rest is None else Measured(sign * rest.value, rest.sd))
         stated = replace(stated, sd=math.hypot(stated.sd, _length_error(recording.rig) * stated.value))
-    return Motion(
+    return MeasuredMotion(
         time=kinematics.time,
         measured=sign * kinematics.measured,
         position=sign * kinematics.position,
@@ -156,9 +156,11 @@ def of(kinematics: Kinematics, rig: Rig, belt_speed: float | str | None) -> Moti
         resolution=resolution,
         half_window=kinematics.window * usual / 2,
         length_error=_length_error(recording.rig),
-        give=Measured(-channel.slope.value, channel.slope.sd) if channel is not None and channel.gives else None,
+        give=Measured(-channel.slope.value, channel.slope.sd)
+        if channel is not None and channel.slows_under_load
+        else None,
         belt_measured=channel is not None,
-        swing=0.0 if channel is None or not channel.swings else channel.swing,
+        swing=0.0 if channel is None or not channel.is_unsteady else channel.swing,
     )
 
 
@@ -174,7 +176,7 @@ def _channel(kinematics: Kinematics, belt_speed: float | str | None) -> BeltLine
         )
     if belt_speed is not None and belt_speed != "channel":
         return None
-    return belt_line.line(kinematics)
+    return belt_line.fit_belt_line(kinematics)
 
 
 def _length_error(rig: Rig) -> float:

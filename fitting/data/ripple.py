@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
-from fitting.data.cycles import BEFORE_ONSET_S, Cut
-from fitting.data.frame import Motion
+from fitting.data.cycles import BEFORE_ONSET_S, CycleSegmentation
+from fitting.data.frame import MeasuredMotion
 
 LEFT = 0.45  # of the velocity's variance in stick: a ripple worth the name leaves no more than this
 SMALLEST = 2e-3  # of the belt's speed
@@ -43,7 +43,7 @@ class Ripple:
         """m/s."""
         return math.hypot(self.cosine, self.sine)
 
-    def removed(self, motion: Motion) -> Motion:
+    def removed(self, motion: MeasuredMotion) -> MeasuredMotion:
         """Return the motion with the swing taken off its smoothed velocity and acceleration, where corners show."""
         _, velocity, acceleration = self.swing(motion.time)
         return replace(motion, velocity=motion.velocity - velocity, acceleration=motion.acceleration - acceleration)
@@ -57,12 +57,12 @@ class Ripple:
         return quarter / self.omega, speed, -self.omega * quarter
 
 
-def find(motion: Motion, cut: Cut) -> Ripple | None:
+def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None:
     """Return the ripple that the sticks show; None where they are few or show none to speak of.
 
     Parameters
     ----------
-    motion, cut : Motion, Cut
+    motion, cut : MeasuredMotion, CycleSegmentation
         In the fit's frame.
     """
     index = _riding(motion, cut)
@@ -104,7 +104,7 @@ def find(motion: Motion, cut: Cut) -> Ripple | None:
     return Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega)
 
 
-def _riding(motion: Motion, cut: Cut) -> NDArray[np.int64] | None:
+def _riding(motion: MeasuredMotion, cut: CycleSegmentation) -> NDArray[np.int64] | None:
     """Return the samples in which the mass rides on the belt, well away from corners; None with too few sticks."""
     settle = max(motion.half_window, SETTLED_S)
     parts = []

@@ -9,8 +9,8 @@ import math
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.data.cycles import BEFORE_ONSET_S, Cut
-from fitting.data.frame import Motion
+from fitting.data.cycles import BEFORE_ONSET_S, CycleSegmentation
+from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.estimation.result import BreakAway
 from fitting.estimation.trajectory import Fit
@@ -20,10 +20,10 @@ from fitting.model.parameters import (
     DATUM,
     GIVE,
     LEVEL,
-    LOCALS,
     LOG_F,
     NEXT_LEVEL,
     OMEGA,
+    PER_CYCLE,
     SINE,
     V_DR,
     V_SLIP,
@@ -32,23 +32,23 @@ from fitting.model.parameters import (
     D,
     K,
 )
-from fitting.model.shooting import Windows, evaluator
+from fitting.model.shooting import ShootingWindows, evaluator
 from rig_sim.friction.law import LAWS
 
-LONGEST_DOUBT_S = 0.15  # about the smoothed onset
+SEARCH_RANGE_S = 0.15  # about the smoothed onset
 AFTER_S = 0.05  # of the slip that the break-away is judged by
 ROUNDS, TRIALS = 3, 21  # of the search: each round looks closer, about the best trial before
-ROUGH = 3.0  # times the usual error of a cycle: so much says that something else happened in it
+POOR_CYCLE = 3.0  # times the usual error of a cycle: so much says that something else happened in it
 
 
-def events(fit: Fit, motion: Motion, cut: Cut) -> tuple[BreakAway, ...]:
+def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:
     """Return every break-away of the record, fitted or not.
 
     Parameters
     ----------
     fit : Fit
         Of the best law.
-    motion, cut : Motion, Cut
+    motion, cut : MeasuredMotion, CycleSegmentation
         What it was fitted to.
     """
     times, loads = _break_aways(fit, motion)
@@ -60,13 +60,13 @@ def events(fit: Fit, motion: Motion, cut: Cut) -> tuple[BreakAway, ...]:
         if k is None:
             rows.append(BreakAway(cycle.number, cycle.onset, math.nan, math.nan, cycle.flag))
             continue
-        rough = fit.cycle_rms[k] > ROUGH * max(usual, motion.resolution)
+        rough = fit.cycle_rms[k] > POOR_CYCLE * max(usual, motion.resolution)
         scale = math.exp(float(fit.local[k, LEVEL]))
         rows.append(BreakAway(cycle.number, float(times[k]), float(loads[k]), scale, "rough" if rough else ""))
     return tuple(rows)
 
 
-def _break_aways(fit: Fit, motion: Motion) -> tuple[Array, Array]:
+def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
     """Return time (s) and friction over Fs/m of each fitted cycle's break-away; arrays of shape (cycles,).
 
     The search begins where the load reaches the level of the slip that follows: earlier, the law itself would hold.
@@ -112,16 +112,16 @@ def _friction(fit: Fit, time: Array, x: Array) -> Array:
     return np.asarray(load - slowing)
 
 
-def _reaches_level(fit: Fit, motion: Motion, k: int) -> float:
+def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
     """Return when the friction of a riding mass reaches the level of the slip after it, s."""
     onset = fit.cycles[k].onset
-    time = np.arange(onset - LONGEST_DOUBT_S, onset + LONGEST_DOUBT_S, 1e-4)
+    time = np.arange(onset - SEARCH_RANGE_S, onset + SEARCH_RANGE_S, 1e-4)
     level = math.exp(float(fit.u[LOG_F] + fit.local[k, LEVEL]))
     enough = _friction(fit, time, _riding(fit, motion, k, time)) >= level
     return float(time[np.argmax(enough)]) if enough.any() else onset
 
 
-def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
+def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
     """Return the squared error around the corner for break-aways at ``trials`` (cycles, m), same shape; m^2."""
     law, u = LAWS[fit.law], fit.u
     errors = np.full(trials.shape, np.inf)
@@ -138,7 +138,7 @@ def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
             after = max(first, int(np.searchsorted(motion.time, begin, side="right")))
             if after >= last:
                 continue
-            row = np.zeros(LOCALS)
+            row = np.zeros(PER_CYCLE)
             row[X_SLIP], row[V_SLIP] = x, float(edge) - 1e-9 * u[V_DR]
             row[LEVEL] = row[NEXT_LEVEL] = fit.local[k, LEVEL]
             taken = np.r_[begin, motion.time[after:last]]
@@ -149,16 +149,16 @@ def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
             total += taken.size
     if not table:
         return errors
-    windows = Windows(
+    windows = ShootingWindows(
         table=np.array(table, np.int64),
-        epoch=np.array([fit.cycles[row[0]].onset for row in owner]),
-        firm=np.full(len(table), np.inf),
+        level_epoch=np.array([fit.cycles[row[0]].onset for row in owner]),
+        earliest_landing=np.full(len(table), np.inf),
         time=np.concatenate(time),
         position=np.zeros(total),
         source=np.zeros(total, np.int64),
         rows=(),
     )
-    evaluate = evaluator(law.curve_code, bool(law.ramp), windows, u, [K], np.ones(u.size), np.ones(LOCALS))
+    evaluate = evaluator(law.curve_code, bool(law.ramp), windows, u, [K], np.ones(u.size), np.ones(PER_CYCLE))
     found = evaluate(u[[K]], np.array(local), False)
     if found is None:
         return errors
@@ -170,7 +170,7 @@ def _misfit(fit: Fit, motion: Motion, trials: Array) -> Array:
     return errors
 
 
-def _riding(fit: Fit, motion: Motion, k: int, time: Array) -> Array:
+def _riding(fit: Fit, motion: MeasuredMotion, k: int, time: Array) -> Array:
     """Return where the mass would be at ``time`` had it not yet left the belt, m."""
     first, end = fit.cycles[k].stick
     if _width(fit) > 0 or end <= first:

@@ -12,8 +12,8 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
-from fitting.data.frame import Motion
-from fitting.estimation.levenberg_marquardt import Reduced
+from fitting.data.frame import MeasuredMotion
+from fitting.estimation.levenberg_marquardt import SchurComplement
 from fitting.estimation.result import Parameter
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import (
@@ -23,15 +23,15 @@ from fitting.model.parameters import (
     GIVE,
     LOG_F,
     OMEGA,
+    PER_RUN,
     SHAPE,
     SINE,
-    UNKNOWNS,
     V_DR,
     D,
     K,
     columns,
 )
-from fitting.model.problem import datum_guess
+from fitting.model.problem import datum_calibration
 from rig_sim.friction.law import LAWS
 
 LITTLE = 0.01  # of a guess's variance: where more is left of it after the fit, the guess still says how much
@@ -54,9 +54,9 @@ def covariance(fit: Fit, precision: Array) -> Array:
         1/sd^2 of the calibrations, 0 where there is none: a prior's own error is one more independent source.
     """
     blocks = fit.solution.blocks
-    reduced = Reduced(blocks)
+    reduced = SchurComplement(blocks)
     H = reduced.H
-    own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.pull(blocks.gl))
+    own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.local_step(blocks.gl))
     cycles = own.shape[0]
     # A weak direction must neither make the inverse fail nor pass for a known one: in units of the curvatures, a
     # direction that only rounding holds gets the variance of a guess that is all there is to it.
@@ -73,7 +73,9 @@ def covariance(fit: Fit, precision: Array) -> Array:
     return np.asarray(spread)
 
 
-def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustained: bool = True) -> dict[str, Parameter]:
+def parameters(
+    fit: Fit, motion: MeasuredMotion, alpha: float, run: int = 0, *, sustained: bool = True
+) -> dict[str, Parameter]:
     """Return a law's parameters with their intervals, in the record's own signs.
 
     ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
@@ -92,7 +94,7 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
     ----------
     fit : Fit
         Of all runs together.
-    motion : Motion
+    motion : MeasuredMotion
         Of the run; its mass or stiffness, when known, turns accelerations into newtons.
     alpha : float
         1 - confidence.
@@ -114,8 +116,8 @@ def parameters(fit: Fit, motion: Motion, alpha: float, run: int = 0, *, sustaine
         if D not in active:
             del beside[V_DR]
         against = np.array([beside.get(slot, 0.0) for slot in active])
-        spread = spread + datum_guess(motion).sd ** 2 * np.outer(against, against)
-    own = fit.u[UNKNOWNS * run : UNKNOWNS * (run + 1)]
+        spread = spread + datum_calibration(motion).sd ** 2 * np.outer(against, against)
+    own = fit.u[PER_RUN * run : PER_RUN * (run + 1)]
     quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
     found: dict[str, Parameter] = {}
 

@@ -20,19 +20,26 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 
-START_DAMPING, EASE, WARY, TIGHTEN = 1e-4, 30.0, 3.0, 10.0  # WARY: how far a step is eased that was first refused
-REACH = 0.1  # of the step: where the second derivative along it is measured
-GUILTY = 0.1  # of what all cycles lost: a cycle that lost as much is to blame
-FEW = 0.35  # of the cycles: where more are to blame, the shared unknowns are
-STIFFEST = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
-BENT = 0.75  # of the step: twice the acceleration may be as long, else the step is too far for a second order
+FIRST_DAMPING, DAMPING_CUT, CAUTIOUS_CUT, DAMPING_RISE = (
+    1e-4,
+    30.0,
+    3.0,
+    10.0,
+)  # CAUTIOUS_CUT: how far a step is eased that was first refused
+PROBE_STEP = 0.1  # of the step: where the second derivative along it is measured
+OUTLIER_SHARE = 0.1  # of what all cycles lost: a cycle that lost as much is an outlier
+FEW = 0.35  # of the cycles: where more lost as much, the shared unknowns are at fault
+LARGEST_CYCLE_DAMPING = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
+LARGEST_ACCELERATION = (
+    0.75  # of the step: twice the acceleration may be as long, else the step is too far for a second order
+)
 
 # Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
 Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class LeastSquaresProblem:
     """What is minimised.
 
     Attributes
@@ -73,7 +80,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
+class NormalEquations:
     """Normal equations: gradient and Hessian in blocks; shapes (p,), (p, p), (c, q), (c, q, q), (c, p, q)."""
 
     g: Array
@@ -93,7 +100,7 @@ class Solution:
     u, local : (p,), (cycles, q) f8
     cost : float
     residual : (N,) f8
-    blocks : Blocks
+    blocks : NormalEquations
         At the solution.
     outcome : str
         "converged", "step limit", "no progress", or "no flow": the start could not be followed.
@@ -105,7 +112,7 @@ class Solution:
     local: Array
     cost: float
     residual: Array
-    blocks: Blocks
+    blocks: NormalEquations
     outcome: str
     steps: int
 
@@ -118,13 +125,15 @@ class Step:
     local: Array
 
 
-def cost(problem: Problem, u: Array, local: Array, residual: Array) -> float:
+def cost(problem: LeastSquaresProblem, u: Array, local: Array, residual: Array) -> float:
     """Return the objective."""
     shared = 0.5 * float(np.sum(problem.precision * (u - problem.prior) ** 2))
-    return shared + float(np.sum(_by_cycle(problem, local, residual)))
+    return shared + float(np.sum(_cost_by_cycle(problem, local, residual)))
 
 
-def normal_equations(problem: Problem, u: Array, local: Array, residual: Array, jacobian: Array) -> Blocks:
+def normal_equations(
+    problem: LeastSquaresProblem, u: Array, local: Array, residual: Array, jacobian: Array
+) -> NormalEquations:
     """Return gradient and Gauss-Newton Hessian, cycle by cycle."""
     p, (c, q) = u.size, local.shape
     cycle_g = np.zeros((c, p))
@@ -142,15 +151,15 @@ def normal_equations(problem: Problem, u: Array, local: Array, residual: Array, 
         Hl[k] = square[p:, p:] + np.diag(problem.local_precision[k])
         cross[k] = square[:p, p:]
     g = cycle_g.sum(axis=0) + problem.precision * (u - problem.prior)
-    return Blocks(g, H, gl, Hl, cross, cycle_g)
+    return NormalEquations(g, H, gl, Hl, cross, cycle_g)
 
 
-class Reduced:
+class SchurComplement:
     """The normal equations with the cycles' own unknowns eliminated.
 
     Parameters
     ----------
-    blocks : Blocks
+    blocks : NormalEquations
     damping : (cycles,) f8, optional
         Adds to the curvatures of the cycles' own unknowns; the least of it to those of the shared ones.
 
@@ -160,7 +169,7 @@ class Reduced:
         The information on the shared unknowns with every cycle's own unknowns fitted along.
     """
 
-    def __init__(self, blocks: Blocks, damping: Array | None = None) -> None:
+    def __init__(self, blocks: NormalEquations, damping: Array | None = None) -> None:
         c, q = blocks.gl.shape
         least = 0.0 if damping is None else float(damping.min())
         Hl = blocks.Hl
@@ -172,27 +181,27 @@ class Reduced:
         lost = np.swapaxes(blocks.cross, 0, 1).reshape(-1, c * q) @ self._spread.reshape(c * q, -1)
         self.H = blocks.H + least * np.diag(np.diag(blocks.H)) - lost
 
-    def pull(self, gl: Array) -> Array:
+    def local_step(self, gl: Array) -> Array:
         """Return inv(Hl) gl, shape (cycles, q)."""
         return np.asarray((self._inverse @ gl[:, :, None])[:, :, 0])
 
-    def given(self, g: Array, pull: Array) -> Array:
+    def reduced_gradient(self, g: Array, pull: Array) -> Array:
         """Return the gradient (p,) with the cycles' unknowns fitted along."""
         return np.asarray(g - np.einsum("cpq,cq->p", self._cross, pull))
 
-    def follow(self, step: Array, pull: Array) -> Array:
+    def back_substitute(self, step: Array, pull: Array) -> Array:
         """Return the cycles' own step (cycles, q) beside a shared one."""
         return np.asarray(-pull - self._spread @ step)
 
 
 def minimise(
-    problem: Problem, u: Array, local: Array, *, max_steps: int = 40, tolerance: float = 1e-5
+    problem: LeastSquaresProblem, u: Array, local: Array, *, max_steps: int = 40, tolerance: float = 1e-5
 ) -> Solution | None:
     """Minimise from (u, local); None when not even the start can be followed.
 
     Parameters
     ----------
-    problem : Problem
+    problem : LeastSquaresProblem
     u : (p,) f8
     local : (cycles, q) f8
     max_steps : int
@@ -206,13 +215,13 @@ def minimise(
         return None
     residual, jacobian = first
     value = cost(problem, u, local, residual)
-    damping, stiff = START_DAMPING, np.ones(local.shape[0])
+    damping, cycle_damping = FIRST_DAMPING, np.ones(local.shape[0])
     calm, outcome, steps = 0, "step limit", 1
     blocks = normal_equations(problem, u, local, residual, jacobian)
     while steps < max_steps:
         moved, refused = False, 0
         while damping < 1e10:
-            step = _bent(problem, u, local, blocks, damping * stiff, residual, jacobian)
+            step = _accelerated_step(problem, u, local, blocks, damping * cycle_damping, residual, jacobian)
             if isinstance(step, Step):
                 trial, local_trial = np.clip(u + step.u, problem.lower, problem.upper), local + step.local
                 found = problem.evaluate(trial, local_trial, False)
@@ -222,25 +231,30 @@ def minimise(
                     break
                 if found is not None and trial_value - value < 1e-12 * value:
                     break
-                blame = np.zeros(stiff.size)
+                cost_increase = np.zeros(cycle_damping.size)
                 if found is not None:
-                    blame = _by_cycle(problem, local_trial, found[0]) - _by_cycle(problem, local, residual)
+                    cost_increase = _cost_by_cycle(problem, local_trial, found[0]) - _cost_by_cycle(
+                        problem, local, residual
+                    )
             else:
-                blame = step
+                cost_increase = step
             refused += 1
             # One cycle gone astray (a kick, a corner on the wrong side) must not hold up all the others.
-            guilty = blame > GUILTY * np.sum(np.maximum(blame, 0.0))
-            if 0 < guilty.sum() <= FEW * guilty.size and stiff[guilty].max() < STIFFEST:
-                stiff[guilty] *= TIGHTEN**2
+            outlier_cycles = cost_increase > OUTLIER_SHARE * np.sum(np.maximum(cost_increase, 0.0))
+            if (
+                0 < outlier_cycles.sum() <= FEW * outlier_cycles.size
+                and cycle_damping[outlier_cycles].max() < LARGEST_CYCLE_DAMPING
+            ):
+                cycle_damping[outlier_cycles] *= DAMPING_RISE**2
             else:
-                damping *= TIGHTEN
+                damping *= DAMPING_RISE
         if not moved:
             outcome = "converged" if damping < 1e10 else "no progress"
             break
         gain, value = value - trial_value, trial_value
         u, local = trial, local_trial
-        ease = WARY if refused else EASE
-        damping, stiff = max(damping / ease, 1e-12), np.maximum(stiff / ease, 1.0)
+        ease = CAUTIOUS_CUT if refused else DAMPING_CUT
+        damping, cycle_damping = max(damping / ease, 1e-12), np.maximum(cycle_damping / ease, 1.0)
         again = problem.evaluate(u, local, True)
         steps += 1
         if again is None:  # the point itself can be followed, one of its neighbours cannot
@@ -255,15 +269,21 @@ def minimise(
     return Solution(u, local, value, residual, blocks, outcome, steps)
 
 
-def _by_cycle(problem: Problem, local: Array, residual: Array) -> Array:
+def _cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -> Array:
     """Return each cycle's share of the objective, shape (cycles,)."""
     own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
     own += problem.weights * np.add.reduceat(residual**2, problem.starts)
     return np.asarray(0.5 * own)
 
 
-def _bent(
-    problem: Problem, u: Array, local: Array, blocks: Blocks, damping: Array, residual: Array, jacobian: Array
+def _accelerated_step(
+    problem: LeastSquaresProblem,
+    u: Array,
+    local: Array,
+    blocks: NormalEquations,
+    damping: Array,
+    residual: Array,
+    jacobian: Array,
 ) -> Step | Array:
     """Return the damped step with its acceleration, or whose fault it is that it leads too far.
 
@@ -273,14 +293,14 @@ def _bent(
     ``damping`` is the cycles' own (cycles,); the least of them is that of the shared unknowns.
     """
     p = u.size
-    damped = Reduced(blocks, damping)
+    damped = SchurComplement(blocks, damping)
     step = _step(problem, u, damped, blocks.g, blocks.gl)
-    near = problem.evaluate(u + REACH * step.u, local + REACH * step.local, False)
+    near = problem.evaluate(u + PROBE_STEP * step.u, local + PROBE_STEP * step.local, False)
     if near is None:
         return np.zeros(damping.size)
     shared, own = jacobian[:, :p], jacobian[:, p:]
     straight = shared @ step.u + np.einsum("nq,nq->n", own, step.local[problem.owner])
-    bend = ((near[0] - residual) / REACH - straight) * (2 / REACH)
+    bend = ((near[0] - residual) / PROBE_STEP - straight) * (2 / PROBE_STEP)
     push = bend * problem.weights[problem.owner]
     turn = _step(problem, u, damped, push @ shared, np.add.reduceat(own * push[:, None], problem.starts))
     scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
@@ -288,15 +308,15 @@ def _bent(
         length = float(scale @ step.u**2 + np.sum(local_scale * step.local**2))
         turned = float(scale @ turn.u**2 + np.sum(local_scale * turn.local**2))
         strain = np.add.reduceat(bend * push, problem.starts)
-    if not turned <= BENT**2 * length < math.inf:
+    if not turned <= LARGEST_ACCELERATION**2 * length < math.inf:
         return np.asarray(strain) if np.isfinite(strain).all() else np.zeros(damping.size)
     return Step(step.u + 0.5 * turn.u, step.local + 0.5 * turn.local)
 
 
-def _step(problem: Problem, u: Array, damped: Reduced, g: Array, gl: Array) -> Step:
+def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Array, gl: Array) -> Step:
     """Return the step down the gradients g and gl; an unknown on its bound that is pushed outward stays."""
-    pull = damped.pull(gl)
-    g = damped.given(g, pull)
+    pull = damped.local_step(gl)
+    g = damped.reduced_gradient(g, pull)
     index = np.flatnonzero(~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0)))
     step = np.zeros_like(u)
     if index.size:
@@ -304,4 +324,4 @@ def _step(problem: Problem, u: Array, damped: Reduced, g: Array, gl: Array) -> S
         scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         step[index] = -scale * np.linalg.lstsq(H * scale[:, None] * scale, scale * g[index], rcond=1e-13)[0]
     step = np.clip(u + step, problem.lower, problem.upper) - u
-    return Step(step, damped.follow(step, pull))
+    return Step(step, damped.back_substitute(step, pull))

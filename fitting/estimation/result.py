@@ -28,7 +28,7 @@ class BreakAway:
     number : int
     t : float
         s, when the mass leaves the belt.
-    static_level : float
+    break_away_level : float
         Load at the break-away over Fs; NaN for a cycle that was not fitted.
     kinetic_scale : float
         This cycle's kinetic level over Fs; NaN for a cycle that was not fitted.
@@ -38,10 +38,16 @@ class BreakAway:
 
     number: int
     t: float
-    static_level: float
+    break_away_level: float
     kinetic_scale: float
     flag: str
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
-        return vars(self)
+        return {
+            "number": self.number,
+            "t": self.t,
+            "static_level": self.break_away_level,
+            "kinetic_scale": self.kinetic_scale,
+            "flag": self.flag,
+        }

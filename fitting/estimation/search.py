@@ -14,12 +14,14 @@ from fitting.model.parameters import D
 from fitting.model.problem import Run
 from rig_sim.friction.law import LAWS
 
-STUCK = 0.98  # of a law's error: where its jump or ramp law errs less than that, it found a better place
-HOPELESS = 30.0  # times the best law's error after the first pass: so far behind a law is not fitted any further
-CONTENDER = 10.0  # times the best law's error: up to there a law is fitted to every sample, beyond to a thinned record
+LOCAL_MINIMUM = 0.98  # of a law's error: where its jump or ramp law errs less than that, it found a better place
+GIVE_UP_FACTOR = 30.0  # times the best law's error after the first pass: so far behind a law is not fitted any further
+FULL_RECORD_FACTOR = (
+    10.0  # times the best law's error: up to there a law is fitted to every sample, beyond to a thinned record
+)
 
 
-def every(
+def fit_laws(
     laws: Sequence[int],
     runs: Sequence[Run],
     jobs: int = 1,
@@ -50,48 +52,50 @@ def every(
     found: list[Fit] = []
     with workers(min(jobs, len(curves)), scheduler) as each:
         done = 0
-        for own, chain in zip(curves.values(), each(partial(_curve, runs=runs), curves.values()), strict=True):
+        for own, chain in zip(curves.values(), each(partial(_coarse_fits, runs=runs), curves.values()), strict=True):
             found += chain
             done += len(own)
             if progress is not None:
                 progress(float(done))
-        nearest = min((fit.usual for fit in found), default=0.0)
+        nearest = min((fit.geometric_mean_rms for fit in found), default=0.0)
         chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
-        found = [fit for own in each(partial(_settled, runs=runs, limit=HOPELESS * nearest), chains) for fit in own]
-        nearest = min((fit.usual for fit in found), default=0.0)
-        polished = list(each(partial(_polished, runs=runs, limit=CONTENDER * nearest), found))
+        found = [
+            fit for own in each(partial(_refined, runs=runs, limit=GIVE_UP_FACTOR * nearest), chains) for fit in own
+        ]
+        nearest = min((fit.geometric_mean_rms for fit in found), default=0.0)
+        polished = list(each(partial(_final, runs=runs, limit=FULL_RECORD_FACTOR * nearest), found))
     return sorted((fit for own in polished for fit in own), key=lambda fit: (LAWS[fit.law].ramp, fit.law))
 
 
-def _curve(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
+def _coarse_fits(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
     """Fit the laws of one curve roughly, the jump law first."""
     found: dict[int, Fit] = {}
     for law in laws:
-        fit = trajectory.begin(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
+        fit = trajectory.coarse_fit(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
         if fit is not None:
             found[law] = fit
     return list(found.values())
 
 
-def _settled(chain: Sequence[Fit], runs: Sequence[Run], limit: float) -> list[Fit]:
+def _refined(chain: Sequence[Fit], runs: Sequence[Run], limit: float) -> list[Fit]:
     """Settle the laws of one curve whose error is below ``limit``; the others stay as they are."""
     found = {fit.law: fit for fit in chain}
     for law, fit in list(found.items()):
-        again = trajectory.settle(fit, runs) if fit.usual < limit else None
+        again = trajectory.refine(fit, runs) if fit.geometric_mean_rms < limit else None
         found[law] = fit if again is None else again
     slowest = min(run.motion.belt_speed for run in runs)
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
         # One of the two can get stuck where the other finds a way: from there it tries again.
-        narrow = found[ramp].u[D] < trajectory.NARROW * slowest
+        narrow = found[ramp].u[D] < trajectory.NARROW_RAMP * slowest
         for law, other in ((ramp, ramp - 1), (ramp - 1, ramp)):
-            behind = found[other].usual < STUCK * found[law].usual
-            if behind and found[other].usual < limit and (law == ramp or narrow):
-                again = trajectory.search(law, runs, found[other])
-                if again is not None and again.usual < found[law].usual:
+            behind = found[other].geometric_mean_rms < LOCAL_MINIMUM * found[law].geometric_mean_rms
+            if behind and found[other].geometric_mean_rms < limit and (law == ramp or narrow):
+                again = trajectory.fit_from(law, runs, found[other])
+                if again is not None and again.geometric_mean_rms < found[law].geometric_mean_rms:
                     found[law] = again
     return list(found.values())
 
 
-def _polished(fit: Fit, runs: Sequence[Run], limit: float) -> list[Fit]:
+def _final(fit: Fit, runs: Sequence[Run], limit: float) -> list[Fit]:
     """Return the fit on every sample where its error is below ``limit``."""
-    return [trajectory.polish(fit, runs) if fit.usual < limit else fit]
+    return [trajectory.final_fit(fit, runs) if fit.geometric_mean_rms < limit else fit]

@@ -21,29 +21,31 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, autocorrelation_time
 from fitting.data.cycles import Cycle
-from fitting.data.frame import Motion
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation import levenberg_marquardt, wear
 from fitting.model import parameters
-from fitting.model.parameters import CALIBRATED, DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, RIPPLE, UNKNOWNS, D, K
-from fitting.model.problem import Run, Setting
-from fitting.model.shooting import Windows, evaluator
+from fitting.model.parameters import DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, NUISANCE, PER_RUN, RIPPLE, D, K
+from fitting.model.problem import EstimationProblem, Run
+from fitting.model.shooting import ShootingWindows, evaluator
 
 FIRST_SCATTER = 0.1  # standard deviation of the levels before the fit has seen them
 OVERTAKING_LEVEL = 0.9  # of the load at landing: the first guess of the level where the mass overtakes the belt
 FIRST_SIGMA = 10.0  # of the resolution: nearly any misfit outweighs the calibrations in the first pass
-NARROW = 0.02  # of the belt's speed: the second start of a ramp law
+NARROW_RAMP = 0.02  # of the belt's speed: the second start of a ramp law
 COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
 FADE_PASS = (15, 1e-4)
 FINE_PASS = (10, 1e-5)
-NO_TREND = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
+DEFAULT_FADE_SD = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
 
-CALM = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
-RIVAL = 10.0  # times the best start's error after the first pass: so near a start may still turn out the better one
-NO_LEVEL = 10.0  # standard deviation of a level that must not pull at the mean
-TRUSTED = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
-LEAST_FADING = 1e-6  # 1/s
+STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
+ALTERNATIVE_FACTOR = (
+    10.0  # times the best start's error after the first pass: so near a start may still turn out the better one
+)
+OUTLIER_LEVEL_SD = 10.0  # standard deviation of a level that must not pull at the mean
+INLIER_WEIGHT = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
+LEAST_FADE_SD = 1e-6  # 1/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +69,23 @@ class Fit:
         The residuals of each cycle.
     cycle_rms : (cycles,) f8
         m.
-    trusted : (cycles,) bool
+    inlier_cycles : (cycles,) bool
         False where a cycle fits so badly (a kick, lost counts) that its level says nothing.
     sigma : (runs,) f8
         Effective standard deviation of one residual, m: rms x sqrt(correlation time in samples).
-    deviations : (p,) f8
+    prior_deviations : (p,) f8
         How far the active unknowns are from their calibrations, in standard deviations; 0 where there is none.
     solution : Solution
         In the active unknowns only.
     precision : (p,) f8
         1/sd^2 of the calibrations, for the active unknowns.
-    windows : Windows
+    windows : ShootingWindows
     cycles : tuple of Cycle
-    state : State
+    state : PassState
         Where the last pass ended.
     outcome : str
     cpu_s : float
-    rivals : tuple of State
+    alternatives : tuple of PassState
         Where other starts led after the first pass, if not much worse.
     """
 
@@ -94,17 +96,17 @@ class Fit:
     residual: Array
     rows: tuple[slice, ...]
     cycle_rms: Array
-    trusted: NDArray[np.bool_]
+    inlier_cycles: NDArray[np.bool_]
     sigma: Array
-    deviations: Array
+    prior_deviations: Array
     solution: levenberg_marquardt.Solution
     precision: Array
-    windows: Windows
+    windows: ShootingWindows
     cycles: tuple[Cycle, ...]
-    state: "State"
+    state: "PassState"
     outcome: str
     cpu_s: float
-    rivals: "tuple[State, ...]" = ()
+    alternatives: "tuple[PassState, ...]" = ()
 
     @property
     def rms(self) -> float:
@@ -112,27 +114,27 @@ class Fit:
         return float(np.sqrt(np.mean(self.residual**2)))
 
     @property
-    def usual(self) -> float:
+    def geometric_mean_rms(self) -> float:
         """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
     @property
-    def free(self) -> int:
+    def law_parameters(self) -> int:
         """Number of the law's own shared unknowns; what every law has besides (datum, damping, fade, give) not."""
-        return sum(place % UNKNOWNS not in CALIBRATED for place in self.active)
+        return sum(place % PER_RUN not in NUISANCE for place in self.active)
 
     @property
     def runs(self) -> int:
         """How many runs were fitted together."""
-        return self.u.size // UNKNOWNS
+        return self.u.size // PER_RUN
 
     def level_trend(self, run: int = 0) -> "wear.Wear | None":
         """Return the line through the friction levels of one run's inlier cycles (`fitting.estimation.wear`)."""
         table = self.windows.table
-        own = (table[:, 1] == 0) & (table[:, 5] == run) & self.trusted[table[:, 0]]
-        return wear.level_trend(self.windows.epoch[own], np.exp(self.local[table[own, 0], LEVEL]))
+        own = (table[:, 1] == 0) & (table[:, 5] == run) & self.inlier_cycles[table[:, 0]]
+        return wear.level_trend(self.windows.level_epoch[own], np.exp(self.local[table[own, 0], LEVEL]))
 
-    def part(self, run: int) -> "Fit":
+    def for_run(self, run: int) -> "Fit":
         """Return what the fit says of one run: its unknowns, cycles and residuals; the solution stays that of all."""
         if self.runs == 1:
             return self
@@ -141,22 +143,22 @@ class Fit:
         slots = parameters.columns(self.active, self.runs)[run]
         return replace(
             self,
-            u=self.u[UNKNOWNS * run : UNKNOWNS * (run + 1)],
+            u=self.u[PER_RUN * run : PER_RUN * (run + 1)],
             active=tuple(int(slot) for slot in slots if slot >= 0),
             local=self.local[own],
             residual=np.concatenate([self.residual[self.rows[k]] for k in own]),
             rows=windows.rows,
             cycle_rms=self.cycle_rms[own],
-            trusted=self.trusted[own],
+            inlier_cycles=self.inlier_cycles[own],
             sigma=self.sigma[[run]],
-            deviations=self.deviations[slots >= 0],
+            prior_deviations=self.prior_deviations[slots >= 0],
             precision=self.precision[slots >= 0],
             windows=windows,
             cycles=tuple(self.cycles[k] for k in own),
         )
 
 
-def begin(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False) -> Fit | None:
+def coarse_fit(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False) -> Fit | None:
     """Fit one law roughly to the thinned record, or to those of several runs of one contact.
 
     Parameters
@@ -178,72 +180,88 @@ def begin(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool
         flow cannot be followed from any of them: the law then has no place in the ranking.
     """
     begun = clock.process_time()
-    setting = Setting.of(law, runs)
-    windows = Windows.joined([Windows.of(run.motion, run.cut.used, _stride(run.motion)) for run in runs])
+    problem = EstimationProblem.build(law, runs)
+    windows = ShootingWindows.join(
+        [ShootingWindows.from_cycles(run.motion, run.cut.used, _stride(run.motion)) for run in runs]
+    )
     cycles = [cycle for run in runs for cycle in run.cut.used]
-    starts = [_begin(setting, windows, cycles)]
+    starts = [_starting_state(problem, windows, cycles)]
     if near is not None:
         u = near.u.copy()
-        slowest = min(motion.belt_speed for motion in setting.motions)
-        u[D::UNKNOWNS] = NARROW * slowest if setting.ramp else starts[0].u[D]
+        slowest = min(motion.belt_speed for motion in problem.motions)
+        u[D::PER_RUN] = NARROW_RAMP * slowest if problem.ramp else starts[0].u[D]
         starts = [*([] if alone else starts), replace(starts[0], u=u, local=near.local)]
-    found = [state for state in (_pass_by(setting, windows, first, 0) for first in starts) if state is not None]
+    found = [state for state in (_search_pass(problem, windows, first, 0) for first in starts) if state is not None]
     if not found:
         return None
-    best, *others = sorted(found, key=lambda state: state.usual)
-    fit = _fit(law, setting, windows, best, runs, clock.process_time() - begun)
-    return replace(fit, rivals=tuple(state for state in others if state.usual < RIVAL * best.usual))
+    best, *others = sorted(found, key=lambda state: state.geometric_mean_rms)
+    fit = _fit(law, problem, windows, best, runs, clock.process_time() - begun)
+    return replace(
+        fit,
+        alternatives=tuple(
+            state for state in others if state.geometric_mean_rms < ALTERNATIVE_FACTOR * best.geometric_mean_rms
+        ),
+    )
 
 
-def settle(fit: Fit, runs: Sequence[Run]) -> Fit | None:
+def refine(fit: Fit, runs: Sequence[Run]) -> Fit | None:
     """Fit again with noise level, weights and scatter as the passes before show them; None where that leads nowhere."""
     begun = clock.process_time()
-    setting = Setting.of(fit.law, runs)
+    problem = EstimationProblem.build(fit.law, runs)
     ended = []
-    for first in (fit.state, *fit.rivals):
-        state: State | None = first
+    for first in (fit.state, *fit.alternatives):
+        state: PassState | None = first
         for number in range(1, len(PASSES)):
             if state is not None:
-                state = _pass_by(setting, fit.windows, state, number)
+                state = _search_pass(problem, fit.windows, state, number)
         if state is not None:
             ended.append(state)
     if not ended:
         return None
-    best = min(ended, key=lambda state: state.usual)
-    return _fit(fit.law, setting, fit.windows, best, runs, fit.cpu_s + clock.process_time() - begun)
+    best = min(ended, key=lambda state: state.geometric_mean_rms)
+    return _fit(fit.law, problem, fit.windows, best, runs, fit.cpu_s + clock.process_time() - begun)
 
 
-def search(law: int, runs: Sequence[Run], near: Fit) -> Fit | None:
+def fit_from(law: int, runs: Sequence[Run], near: Fit) -> Fit | None:
     """Fit one law from another's fit alone, settled; None where that leads nowhere."""
-    first = begin(law, runs, near, alone=True)
-    return None if first is None else settle(first, runs)
+    first = coarse_fit(law, runs, near, alone=True)
+    return None if first is None else refine(first, runs)
 
 
-def _stride(motion: Motion) -> int:
+def _stride(motion: MeasuredMotion) -> int:
     return max(1, round(motion.time.size / motion.span / COARSE_HZ))
 
 
-def polish(fit: Fit, runs: Sequence[Run]) -> Fit:
+def final_fit(fit: Fit, runs: Sequence[Run]) -> Fit:
     """Fit the whole record, fading included, from where the search on the thinned one ended.
 
     The search's own fit is returned when that leads nowhere.
     """
     begun = clock.process_time()
-    setting = Setting.of(fit.law, runs)
-    first = replace(fit.state, fading=_fading(fit))
-    last = _pass(setting, fit.windows, first, *FADE_PASS)
-    windows = Windows.joined([Windows.of(run.motion, run.cut.used) for run in runs])
+    problem = EstimationProblem.build(fit.law, runs)
+    first = replace(fit.state, fade_sd=_fade_sd(fit))
+    last = _minimise(problem, fit.windows, first, *FADE_PASS)
+    windows = ShootingWindows.join([ShootingWindows.from_cycles(run.motion, run.cut.used) for run in runs])
     if last is not None and windows.time.size > fit.windows.time.size:
-        last = _pass(setting, windows, _assume(last, fit.windows, setting.motions, first=False), *FINE_PASS)
+        last = _minimise(
+            problem, windows, _reestimate_noise(last, fit.windows, problem.motions, first=False), *FINE_PASS
+        )
     else:
         windows = fit.windows
     if last is None:
         return fit
-    return _fit(fit.law, setting, windows, last, runs, fit.cpu_s + clock.process_time() - begun)
+    return _fit(fit.law, problem, windows, last, runs, fit.cpu_s + clock.process_time() - begun)
 
 
-def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Sequence[Run], cpu_s: float) -> Fit:
-    active = _moved(setting, state)
+def _fit(
+    law: int,
+    problem: EstimationProblem,
+    windows: ShootingWindows,
+    state: "PassState",
+    runs: Sequence[Run],
+    cpu_s: float,
+) -> Fit:
+    active = _active(problem, state)
     index = list(active)
     solution = state.solution
     if solution is None or state.precision is None:
@@ -256,9 +274,9 @@ def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Seq
         residual=solution.residual,
         rows=windows.rows,
         cycle_rms=state.cycle_rms,
-        trusted=state.weights > TRUSTED,
+        inlier_cycles=state.weights > INLIER_WEIGHT,
         sigma=state.sigma,
-        deviations=(state.u[index] - setting.prior[index]) * np.sqrt(setting.precision[index]),  # none of a fade
+        prior_deviations=(state.u[index] - problem.prior[index]) * np.sqrt(problem.precision[index]),  # none of a fade
         solution=solution,
         precision=state.precision[index],
         windows=windows,
@@ -270,7 +288,7 @@ def _fit(law: int, setting: Setting, windows: Windows, state: "State", runs: Seq
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class PassState:
     """Where a pass ended: unknowns of all runs, the cycles' own, and what the next pass is to assume of the noise."""
 
     u: Array
@@ -280,31 +298,31 @@ class State:
     weights: Array
     cycle_rms: Array
     solution: levenberg_marquardt.Solution | None
-    fading: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None before the last passes
+    fade_sd: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None before the last passes
     prior: Array | None = None
     precision: Array | None = None
 
     @property
-    def usual(self) -> float:
+    def geometric_mean_rms(self) -> float:
         """Geometric mean of the cycles' errors, m."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
 
-def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State:
+def _starting_state(problem: EstimationProblem, windows: ShootingWindows, cycles: Sequence[Cycle]) -> PassState:
     """Return the regression's start, with no noise known yet.
 
     Where the mass overtakes the belt, the new level must be below the load it landed with, or it would not.
     """
-    local = windows.first_locals(setting.motions)
+    local = windows.starting_values(problem.motions)
     for k, (cycle, run) in enumerate(zip(cycles, windows.run, strict=True)):
         if cycle.overtakes:
-            motion, u = setting.motions[run], setting.start[UNKNOWNS * run :]
+            motion, u = problem.motions[run], problem.start[PER_RUN * run :]
             load = u[K] * (u[DATUM] - float(np.interp(cycle.landing, motion.time, motion.position)))
             local[k, NEXT_LEVEL] = math.log(max(OVERTAKING_LEVEL * load / math.exp(u[LOG_F]), 0.2))
-    return State(
-        u=setting.start,
+    return PassState(
+        u=problem.start,
         local=local,
-        sigma=np.array([FIRST_SIGMA * motion.resolution for motion in setting.motions]),
+        sigma=np.array([FIRST_SIGMA * motion.resolution for motion in problem.motions]),
         scatter=FIRST_SCATTER,
         weights=np.ones(len(windows.rows)),
         cycle_rms=np.ones(len(windows.rows)),
@@ -312,56 +330,62 @@ def _begin(setting: Setting, windows: Windows, cycles: Sequence[Cycle]) -> State
     )
 
 
-def _pass_by(setting: Setting, windows: Windows, state: State, number: int) -> State | None:
+def _search_pass(
+    problem: EstimationProblem, windows: ShootingWindows, state: PassState, number: int
+) -> PassState | None:
     """Make one of the search's passes, then settle noise level, weights and scatter by it."""
-    passes = LONG_PASSES if any(motion.datum_prior is None for motion in setting.motions) else PASSES
-    found = _pass(setting, windows, state, *passes[number])
-    return None if found is None else _assume(found, windows, setting.motions, first=number == 0)
+    passes = LONG_PASSES if any(motion.datum_prior is None for motion in problem.motions) else PASSES
+    found = _minimise(problem, windows, state, *passes[number])
+    return None if found is None else _reestimate_noise(found, windows, problem.motions, first=number == 0)
 
 
-def _pass(setting: Setting, windows: Windows, state: State, max_steps: int, tolerance: float) -> State | None:
+def _minimise(
+    problem: EstimationProblem, windows: ShootingWindows, state: PassState, max_steps: int, tolerance: float
+) -> PassState | None:
     """Minimise once with the noise assumed so far."""
-    index = list(_moved(setting, state))
-    prior, precision = setting.prior.copy(), setting.precision.copy()
-    if state.fading is not None:
-        precision[FADE::UNKNOWNS] = [1 / sd**2 for sd in state.fading]
-    wide = [(0.1 * motion.travel, motion.belt_speed) for motion in setting.motions]
-    local_sd = np.array([[x, v, state.scatter, state.scatter, x, CALM * v] for x, v in wide])[windows.run]
-    local_sd[state.weights <= TRUSTED, LEVEL : NEXT_LEVEL + 1] = NO_LEVEL
-    problem = levenberg_marquardt.Problem(
-        evaluate=evaluator(setting.curve, setting.ramp, windows, state.u, index, setting.scale, setting.local_scale),
+    index = list(_active(problem, state))
+    prior, precision = problem.prior.copy(), problem.precision.copy()
+    if state.fade_sd is not None:
+        precision[FADE::PER_RUN] = [1 / sd**2 for sd in state.fade_sd]
+    wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
+    local_sd = np.array([[x, v, state.scatter, state.scatter, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
+    local_sd[state.weights <= INLIER_WEIGHT, LEVEL : NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
+    least_squares = levenberg_marquardt.LeastSquaresProblem(
+        evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),
         rows=windows.rows,
         weights=state.weights / state.sigma[windows.run] ** 2,
-        lower=setting.lower[index],
-        upper=setting.upper[index],
+        lower=problem.lower[index],
+        upper=problem.upper[index],
         prior=prior[index],
         precision=precision[index],
-        local_prior=windows.first_locals(setting.motions),
+        local_prior=windows.starting_values(problem.motions),
         local_precision=1 / local_sd**2,
     )
     solution = levenberg_marquardt.minimise(
-        problem, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance
+        least_squares, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance
     )
     if solution is None:
         return None
     u = state.u.copy()
     u[index] = solution.u
-    u = parameters.spread(u)
+    u = parameters.copy_shared(u)
     rms = np.array([math.sqrt(float(np.mean(solution.residual[rows] ** 2))) for rows in windows.rows])
     return replace(state, u=u, local=solution.local, cycle_rms=rms, solution=solution, prior=prior, precision=precision)
 
 
-def _moved(setting: Setting, state: State) -> tuple[int, ...]:
+def _active(problem: EstimationProblem, state: PassState) -> tuple[int, ...]:
     """Return the unknowns that a pass moves.
 
     Fading comes last: the levels must be known first, whose trend says about how much of it there may be.  So does a
     ripple, which the sticks have shown well enough: far from the end its phase would be turned to please the slips.
     """
-    late = () if state.fading is not None else (FADE, *RIPPLE)
-    return tuple(place for place in setting.active if place % UNKNOWNS not in late)
+    late = () if state.fade_sd is not None else (FADE, *RIPPLE)
+    return tuple(place for place in problem.active if place % PER_RUN not in late)
 
 
-def _assume(state: State, windows: Windows, motions: Sequence[Motion], *, first: bool) -> State:
+def _reestimate_noise(
+    state: PassState, windows: ShootingWindows, motions: Sequence[MeasuredMotion], *, first: bool
+) -> PassState:
     """Take noise level, weights and scatter from the residuals of the pass before, run by run."""
     if state.solution is None:
         return state
@@ -374,16 +398,18 @@ def _assume(state: State, windows: Windows, motions: Sequence[Motion], *, first:
         seen = effective_sigma(state.solution.residual, [windows.rows[k] for k in own if weights[k] > 0.5])
         # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
         sigma[run] = max(seen if first else min(seen, float(sigma[run])), motion.resolution)
-    scatter = float(np.clip(np.std(state.local[weights > TRUSTED, LEVEL]), 0.01, 0.5))
+    scatter = float(np.clip(np.std(state.local[weights > INLIER_WEIGHT, LEVEL]), 0.01, 0.5))
     return replace(state, weights=weights, sigma=sigma, scatter=scatter)
 
 
-def _fading(fit: Fit) -> tuple[float, ...]:
+def _fade_sd(fit: Fit) -> tuple[float, ...]:
     """Return how much the levels of each run may fade within a cycle, 1/s: about what they lose from cycle to cycle."""
     found = []
     for run in range(fit.runs):
         trend = fit.level_trend(run)
-        found.append(NO_TREND if trend is None else max(math.hypot(trend.rate.value, trend.rate.sd), LEAST_FADING))
+        found.append(
+            DEFAULT_FADE_SD if trend is None else max(math.hypot(trend.rate.value, trend.rate.sd), LEAST_FADE_SD)
+        )
     return tuple(found)
 
 

@@ -13,15 +13,15 @@ from daq.compute.arrays import Array
 from rig_sim.friction.law import LAWS
 
 K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, FADE, GIVE, COSINE, SINE, OMEGA = range(12)
-UNKNOWNS = 12
+PER_RUN = 12
 RIPPLE = (COSINE, SINE, OMEGA)
 X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)  # a cycle's own
-LOCALS = 6
+PER_CYCLE = 6
 SHARED = (K, LOG_F, SHAPE, D, DAMPING)  # by all runs
-CALIBRATED = (DATUM, DAMPING, FADE, GIVE, *RIPPLE)  # what every law has besides its own
+NUISANCE = (DATUM, DAMPING, FADE, GIVE, *RIPPLE)  # what every law has besides its own
 
 
-def active(law: int, gives: Sequence[bool], ripples: Sequence[bool]) -> tuple[int, ...]:
+def active_places(law: int, gives: Sequence[bool], ripples: Sequence[bool]) -> tuple[int, ...]:
     """Return the places of the unknowns that a law has.
 
     ``gives`` and ``ripples`` tell of each run's belt whether it gives way and whether its speed swings.
@@ -32,7 +32,7 @@ def active(law: int, gives: Sequence[bool], ripples: Sequence[bool]) -> tuple[in
     found = [K, LOG_F, *shape, *ramp, DAMPING]
     for run, (give, ripple) in enumerate(zip(gives, ripples, strict=True)):
         own = (V_DR, DATUM, FADE, *((GIVE,) if give else ()), *(RIPPLE if ripple else ()))
-        found += [UNKNOWNS * run + slot for slot in own]
+        found += [PER_RUN * run + slot for slot in own]
     return tuple(sorted(found))
 
 
@@ -40,13 +40,13 @@ def columns(places: Sequence[int], runs: int) -> NDArray[np.int64]:
     """Return which of a run's twelve each place is, shape (runs, places); -1 where the run does not know it."""
     table = np.full((runs, len(places)), -1, np.int64)
     for j, place in enumerate(places):
-        run, slot = divmod(place, UNKNOWNS)
+        run, slot = divmod(place, PER_RUN)
         table[slice(None) if slot in SHARED else run, j] = slot
     return table
 
 
-def spread(u: Array) -> Array:
+def copy_shared(u: Array) -> Array:
     """Return the unknowns of all runs with what they share copied from the first."""
-    whole = u.reshape(-1, UNKNOWNS).copy()
+    whole = u.reshape(-1, PER_RUN).copy()
     whole[:, SHARED] = whole[0, SHARED]
     return whole.ravel()

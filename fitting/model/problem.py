@@ -8,35 +8,35 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
-from fitting.data.cycles import Cut
-from fitting.data.frame import Motion
+from fitting.data.cycles import CycleSegmentation
+from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters, starts
-from fitting.model.parameters import COSINE, DAMPING, DATUM, GIVE, SHAPE, UNKNOWNS, V_DR
+from fitting.model.parameters import COSINE, DAMPING, DATUM, GIVE, PER_RUN, SHAPE, V_DR
 from rig_sim.friction.law import LAWS
 
-UNKNOWN_DAMPING = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
-STILL_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
-RIPPLE_KNOWN = 0.2  # of its amplitude: how well the sticks show it
-RIPPLE_CYCLES = 0.1  # of a turn over the whole record: further off lie other minima
-NO_FRICTION = 30.0  # log: so far below its first value friction is none, and its exponential still a number
-NO_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
+DEFAULT_DAMPING_SD = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
+LEAST_LINEAR_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
+RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
+RIPPLE_FREQUENCY_SD = 0.1  # of a turn over the whole record: further off lie other minima
+LARGEST_LOG_DROP = 30.0  # log: so far below its first value friction is none, and its exponential still a number
+NARROWEST_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
     """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any."""
 
-    motion: Motion
-    cut: Cut
+    motion: MeasuredMotion
+    cut: CycleSegmentation
     ripple: Ripple | None = None
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class EstimationProblem:
     """What stays the same through a law's passes; arrays over the unknowns of all runs unless said otherwise."""
 
-    motions: tuple[Motion, ...]
+    motions: tuple[MeasuredMotion, ...]
     curve: int
     ramp: bool
     active: tuple[int, ...]
@@ -49,7 +49,7 @@ class Setting:
     local_scale: Array  # (6,)
 
     @classmethod
-    def of(cls, law: int, runs: Sequence[Run]) -> "Setting":
+    def build(cls, law: int, runs: Sequence[Run]) -> "EstimationProblem":
         """Regress the start and turn the calibrations into priors.
 
         Several runs start from the median of what their regressions say of the contact.
@@ -57,22 +57,23 @@ class Setting:
         kind = LAWS[law]
         motions = tuple(run.motion for run in runs)
         first = [
-            starts.start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_guess(run.motion)) for run in runs
+            starts.regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_calibration(run.motion))
+            for run in runs
         ]
         K0, F, shape0, d = (
             float(np.median([getattr(one, name) for one in first])) for name in ("K", "F", "shape", "d")
         )
         omega = math.sqrt(K0)
-        damping = damping_guess(motions[0], K0)
+        damping = damping_calibration(motions[0], K0)
         speed = min(motion.belt_speed for motion in motions)
         travel = max(motion.travel for motion in motions)
         shape = max(abs(shape0), 1e-3 / speed)
-        start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), UNKNOWNS))
+        start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), PER_RUN))
         upper[:] = np.inf
         if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
-            upper[:, SHAPE] = STILL_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
+            upper[:, SHAPE] = LEAST_LINEAR_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
         for r, (motion, own) in enumerate(zip(motions, first, strict=True)):
-            datum, v = datum_guess(motion), motion.belt_speed
+            datum, v = datum_calibration(motion), motion.belt_speed
             give = 0.0 if motion.give is None else motion.give.value
             level = math.log(F)
             start[r, :COSINE] = (
@@ -89,14 +90,14 @@ class Setting:
             scale[r, :COSINE] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
             lower[r, :COSINE] = (
                 1e-6 * K0,
-                level - NO_FRICTION,
+                level - LARGEST_LOG_DROP,
                 0.05 * v,
                 0,
-                NO_RAMP * speed,
+                NARROWEST_RAMP * speed,
                 -np.inf,
                 0,
                 -np.inf,
-                NO_RAMP * v / motion.travel,
+                NARROWEST_RAMP * v / motion.travel,
             )
             lower[r, COSINE:] = -np.inf, -np.inf, 0.0
             ripple = runs[r].ripple
@@ -104,8 +105,8 @@ class Setting:
                 start[r, COSINE:] = ripple.cosine, ripple.sine, ripple.omega
                 scale[r, COSINE:] = v, v, ripple.omega
                 prior[r, COSINE:] = start[r, COSINE:]
-                spread = RIPPLE_KNOWN * ripple.amplitude
-                precision[r, COSINE:] = spread**-2, spread**-2, (RIPPLE_CYCLES * 2 * math.pi / motion.span) ** -2
+                spread = RIPPLE_AMPLITUDE_SD * ripple.amplitude
+                precision[r, COSINE:] = spread**-2, spread**-2, (RIPPLE_FREQUENCY_SD * 2 * math.pi / motion.span) ** -2
             # Constant friction knows only datum + Fs/k: let no scatter of levels tell the two apart.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
             prior[r, DATUM], precision[r, DATUM] = datum.value, _precision(datum_sd, 1e-6 * motion.travel)
@@ -120,7 +121,7 @@ class Setting:
             motions=motions,
             curve=kind.curve_code,
             ramp=bool(kind.ramp),
-            active=parameters.active(
+            active=parameters.active_places(
                 law, [motion.give is not None for motion in motions], [run.ripple is not None for run in runs]
             ),
             start=start.ravel(),
@@ -133,7 +134,7 @@ class Setting:
         )
 
 
-def datum_guess(motion: Motion) -> Measured:
+def datum_calibration(motion: MeasuredMotion) -> Measured:
     """Return what is known of the spring's rest position: the calibration, or the middle of the motion give or take it.
 
     Without a datum laws 1 and 3 know only datum + Fs/k; the wide prior keeps the fit finite and its interval wide.
@@ -144,12 +145,12 @@ def datum_guess(motion: Motion) -> Measured:
     return Measured(middle, 0.5 * motion.travel)
 
 
-def damping_guess(motion: Motion, K: float) -> Measured:
+def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
     """Return c/m, 1/s: the ring-down's, or 0 give or take a hundredth of the critical damping."""
     known = motion.damping_prior
     mass = motion.mass.value if motion.mass else motion.stiffness.value / K if motion.stiffness else None
     if known is None or mass is None:
-        return Measured(0.0, UNKNOWN_DAMPING * 2 * math.sqrt(K))
+        return Measured(0.0, DEFAULT_DAMPING_SD * 2 * math.sqrt(K))
     return Measured(known.value / mass, known.sd / mass)
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from fitting.data.cycles import Cycle
-from fitting.data.frame import Motion
+from fitting.data.frame import MeasuredMotion
 from fitting.model import parameters
-from fitting.model.parameters import LOCALS, UNKNOWNS
+from fitting.model.parameters import PER_CYCLE, PER_RUN
 from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry
 from rig_sim.integrate.hybrid import sample_phase
 from rig_sim.integrate.modes import (
@@ -29,13 +29,13 @@ from rig_sim.integrate.modes import (
 )
 
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
-HOLDS = 10.0  # break-away level of a jump's stick inside a window: the break-away itself lies in no window
+STICK_LOCK = 10.0  # break-away level of a jump's stick inside a window: the break-away itself lies in no window
 FADE_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class ShootingWindows:
     """The samples of all windows, end to end, each cycle's stick window before its slip window.
 
     Attributes
@@ -43,9 +43,9 @@ class Windows:
     table : (windows, 6) i8
         Cycle, 1 for a stick window and 0 for a slip window, first sample, number of samples, 1 where the mass was seen
         to overtake the belt after landing, run (0 when there is one).
-    epoch : (windows,) f8
+    level_epoch : (windows,) f8
         s; the cycle's break-away: its level is the level then.
-    firm : (windows,) f8
+    earliest_landing : (windows,) f8
         s; half way from a slip window's start to the measured landing: a touch of the belt before is no landing.
     time, position : (N,) f8
         s, m.
@@ -53,39 +53,39 @@ class Windows:
         Index of each sample in its run's record.
     rows : tuple of slice
         The samples of each cycle.
-    parts : tuple of Windows
+    parts : tuple of ShootingWindows
         Each run's own, where several are joined.
     """
 
     table: NDArray[np.int64]
-    epoch: Array
-    firm: Array
+    level_epoch: Array
+    earliest_landing: Array
     time: Array
     position: Array
     source: NDArray[np.int64]
     rows: tuple[slice, ...]
-    parts: "tuple[Windows, ...]" = ()
+    parts: "tuple[ShootingWindows, ...]" = ()
 
     @classmethod
-    def of(cls, motion: Motion, cycles: tuple[Cycle, ...], stride: int = 1) -> "Windows":
+    def from_cycles(cls, motion: MeasuredMotion, cycles: tuple[Cycle, ...], stride: int = 1) -> "ShootingWindows":
         """Gather the windows of the given cycles, taking every ``stride``-th sample."""
-        table, epoch, firm, source, rows, total = [], [], [], [], [], 0
+        table, level_epoch, earliest_landing, source, rows, total = [], [], [], [], [], 0
         for k, cycle in enumerate(cycles):
             begin = total
             for riding, (first, end) in ((1, cycle.stick), (0, cycle.slip)):
                 if end > first:
                     taken = np.arange(first, end, stride)
                     table.append((k, riding, total, taken.size, cycle.overtakes, 0))
-                    epoch.append(cycle.onset)
-                    firm.append(0.5 * (float(motion.time[first]) + cycle.landing))
+                    level_epoch.append(cycle.onset)
+                    earliest_landing.append(0.5 * (float(motion.time[first]) + cycle.landing))
                     source.append(taken)
                     total += taken.size
             rows.append(slice(begin, total))
         index = np.concatenate(source)
         return cls(
             np.array(table, np.int64),
-            np.array(epoch),
-            np.array(firm),
+            np.array(level_epoch),
+            np.array(earliest_landing),
             motion.time[index],
             motion.measured[index],
             index,
@@ -93,7 +93,7 @@ class Windows:
         )
 
     @classmethod
-    def joined(cls, parts: "Sequence[Windows]") -> "Windows":
+    def join(cls, parts: "Sequence[ShootingWindows]") -> "ShootingWindows":
         """Put the windows of several runs end to end; those of one run stay as they are."""
         if len(parts) == 1:
             return parts[0]
@@ -106,8 +106,8 @@ class Windows:
             total += part.time.size
         return cls(
             table=np.concatenate(tables),
-            epoch=np.concatenate([part.epoch for part in parts]),
-            firm=np.concatenate([part.firm for part in parts]),
+            level_epoch=np.concatenate([part.level_epoch for part in parts]),
+            earliest_landing=np.concatenate([part.earliest_landing for part in parts]),
             time=np.concatenate([part.time for part in parts]),
             position=np.concatenate([part.position for part in parts]),
             source=np.concatenate([part.source for part in parts]),
@@ -122,9 +122,9 @@ class Windows:
         found[self.table[:, 0]] = self.table[:, 5]
         return found
 
-    def first_locals(self, motions: Sequence[Motion]) -> Array:
+    def starting_values(self, motions: Sequence[MeasuredMotion]) -> Array:
         """Return starting values of the cycles' own unknowns, from the smoothed motions; shape (cycles, 6)."""
-        local = np.zeros((len(self.rows), LOCALS))
+        local = np.zeros((len(self.rows), PER_CYCLE))
         for k, riding, first, _, _, run in self.table:
             motion = motions[run]
             at = self.source[first]
@@ -135,18 +135,18 @@ class Windows:
 
 
 def evaluator(
-    curve: int, ramp: bool, windows: Windows, full: Array, active: list[int], scale: Array, local_scale: Array
+    curve: int, ramp: bool, windows: ShootingWindows, full: Array, active: list[int], scale: Array, local_scale: Array
 ) -> Callable[[Array, Array, bool], tuple[Array, Array] | None]:
     """Return ``evaluate(u, local, derivatives)`` for one law; u holds the active unknowns only.
 
     ``full`` and ``scale`` hold the unknowns of all runs end to end (`fitting.model.parameters`), ``active`` their
     places.
     """
-    runs = full.size // UNKNOWNS
+    runs = full.size // PER_RUN
     columns = parameters.columns(active, runs)
     steps, local_steps = STEP * scale[active], STEP * local_scale
     n = windows.time.size
-    whole = full.reshape(runs, UNKNOWNS).copy()
+    whole = full.reshape(runs, PER_RUN).copy()
     known = columns >= 0
     run, place = np.nonzero(known)
     slot = columns[known]
@@ -157,15 +157,15 @@ def evaluator(
     def evaluate(u: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
         whole[run, slot] = u[place]
         model = np.empty(n)
-        jacobian = np.zeros((n if derivatives else 0, columns.shape[1] + LOCALS))
+        jacobian = np.zeros((n if derivatives else 0, columns.shape[1] + PER_CYCLE))
         status = compiled(
             curve,
             int(ramp),
             whole,
             np.array(local, order="C"),
             windows.table,
-            windows.epoch,
-            windows.firm,
+            windows.level_epoch,
+            windows.earliest_landing,
             windows.time,
             columns,
             steps,
@@ -188,8 +188,8 @@ def window_positions(
     u: Array,
     local: Array,
     table: NDArray[np.int64],
-    epoch: Array,
-    firm: Array,
+    level_epoch: Array,
+    earliest_landing: Array,
     time: Array,
     columns: NDArray[np.int64],
     steps: Array,
@@ -217,13 +217,26 @@ def window_positions(
         which = columns[table[row, 5]]
         times = time[first:end]
         base = model[first:end]
-        bad = follow(curve, ramp, own, part, riding, table[row, 4], epoch[row], firm[row], times, base, room, work)
+        bad = integrate_window(
+            curve,
+            ramp,
+            own,
+            part,
+            riding,
+            table[row, 4],
+            level_epoch[row],
+            earliest_landing[row],
+            times,
+            base,
+            room,
+            work,
+        )
         if bad != 0:
             return bad
         if not derivatives:
             continue
         near = room[2, : end - first]
-        for j in range(p + LOCALS):
+        for j in range(p + PER_CYCLE):
             # A jump's stick is a straight line: it knows its start and the belt's speed, nothing else.
             line = riding == 1 and ramp == 0 and own[8] == 0.0 and own[11] == 0.0
             if line and j != p + 4 and (j >= p or which[j] != 2):
@@ -241,7 +254,20 @@ def window_positions(
                 h = local_steps[i]
                 kept = part[i]
                 part[i] += h
-            bad = follow(curve, ramp, own, part, riding, table[row, 4], epoch[row], firm[row], times, near, room, work)
+            bad = integrate_window(
+                curve,
+                ramp,
+                own,
+                part,
+                riding,
+                table[row, 4],
+                level_epoch[row],
+                earliest_landing[row],
+                times,
+                near,
+                room,
+                work,
+            )
             if j < p:
                 own[which[j]] = kept
             else:
@@ -253,15 +279,15 @@ def window_positions(
     return 0
 
 
-def follow(
+def integrate_window(
     curve: int,
     ramp: int,
     u: Array,
     part: Array,
     riding: int,
     overtakes: int,
-    epoch: float,
-    firm: float,
+    level_epoch: float,
+    earliest_landing: float,
     times: Array,
     out: Array,
     room: Array,
@@ -269,11 +295,11 @@ def follow(
 ) -> int:
     """Follow one window from its own start and store the position at ``times``; return 0 or an outcome.
 
-    The level is the cycle's own until the landing and the next one from there on, less what it has faded by.  A touch
-    of the belt before ``firm`` is no landing: the mass slips on as soon as the load exceeds its level, so the motion
-    depends continuously on where the window starts.  After the landing a jump's stick holds whatever the load: its
-    break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on forwards under the new
-    level, until that stops it.
+    The level is the cycle's own until the landing and the next one from there on, less what it has faded by.  A
+    touch of the belt before ``earliest_landing`` is no landing: the mass slips on as soon as the load exceeds its
+    level, so the motion depends continuously on where the window starts.  After the landing a jump's stick holds
+    whatever the load: its break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on
+    forwards under the new level, until that stops it.
 
     A belt that gives way under load is the flow's own droop, u[8] F/K: a jump then rides on the ramp that the belt
     makes, and overtakes it as a ramp law would; before a break-away level and width are both raised, so that it holds
@@ -302,7 +328,7 @@ def follow(
     if droop > 0.0:
         edge = droop + d if ramp == 1 else droop
         if riding == 1 and ramp == 0:
-            hold = HOLDS
+            hold = STICK_LOCK
             mode = RAMP
             w = min(max(w, -hold * edge), hold * edge)
         elif abs(w) <= edge:
@@ -313,7 +339,7 @@ def follow(
         mode = RAMP
     elif ramp == 0 and riding == 1:
         mode = STICK
-        static = HOLDS
+        static = STICK_LOCK
         w = 0.0
     else:
         mode = NEGATIVE if w <= 0.0 else POSITIVE
@@ -328,7 +354,7 @@ def follow(
         # The level fades steadily; the flow's is constant, so it is lowered in small steps.
         steady = fade == 0.0 or mode == STICK
         end = last if steady else min(t + FADE_STEP_S, last)
-        factor = base * (1.0 - fade * (0.5 * (t + end) - epoch))
+        factor = base * (1.0 - fade * (0.5 * (t + end) - level_epoch))
         if not factor > 0.0:
             return NOT_FINITE
         factor *= hold
@@ -339,11 +365,11 @@ def follow(
         kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
         if kind >= FORCE_REVERSAL:
             return kind
-        if not landed and before == NEGATIVE and kind != 0 and t >= firm:
+        if not landed and before == NEGATIVE and kind != 0 and t >= earliest_landing:
             landed = True
             base = following
             if ramp == 0 and droop == 0.0:
-                static = HOLDS
+                static = STICK_LOCK
                 w = 0.0
                 mode = POSITIVE if overtakes == 1 else STICK
     if omega > 0.0:
@@ -357,5 +383,5 @@ def _compiled() -> Callable[..., int]:
     """Compile `window_positions` on first use."""
     from numba.extending import register_jitable
 
-    register_jitable(**JIT_OPTIONS)(follow)
+    register_jitable(**JIT_OPTIONS)(integrate_window)
     return compile_entry(window_positions)

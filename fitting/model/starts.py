@@ -13,8 +13,8 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
-from fitting.data.cycles import Cut
-from fitting.data.frame import Motion
+from fitting.data.cycles import CycleSegmentation
+from fitting.data.frame import MeasuredMotion
 
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2
 LOOSE = 0.05  # of the travel: a rest position known no better is fitted along
@@ -23,7 +23,7 @@ STICK_SLOPE_S = 0.06  # shortest stretch of stick whose slope is worth a fit
 
 
 @dataclass(frozen=True)
-class Start:
+class StartingValues:
     """Where the trajectory fit starts, per unit mass.
 
     Attributes
@@ -59,7 +59,7 @@ class SlipSamples:
     a: Array
 
 
-def slip_samples(motion: Motion, cut: Cut) -> SlipSamples:
+def slip_samples(motion: MeasuredMotion, cut: CycleSegmentation) -> SlipSamples:
     """Collect the samples of every slip, half a smoothing window away from its two corners."""
     keep = np.zeros(motion.time.size, bool)
     for cycle in cut.used:
@@ -71,7 +71,7 @@ def slip_samples(motion: Motion, cut: Cut) -> SlipSamples:
     return SlipSamples(motion.position[keep], s[keep], motion.acceleration[keep])
 
 
-def stick_line(motion: Motion, cut: Cut) -> tuple[float, float]:
+def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[float, float]:
     """Return (velocity at the record's zero, slope dv/dx) of the plateaus, in m/s and 1/s.
 
     A jump contact rides at the belt's speed (slope 0); on a ramp the mass falls behind in proportion to the spring's
@@ -91,12 +91,14 @@ def stick_line(motion: Motion, cut: Cut) -> tuple[float, float]:
     return float(level), float(slope)
 
 
-def start(motion: Motion, cut: Cut, curve: int, ramp: bool, datum: Measured) -> Start:
+def regress_start(
+    motion: MeasuredMotion, cut: CycleSegmentation, curve: int, ramp: bool, datum: Measured
+) -> StartingValues:
     """Regress one law's starting values.
 
     Parameters
     ----------
-    motion, cut : Motion, Cut
+    motion, cut : MeasuredMotion, CycleSegmentation
         The record and its cycles (at least one used).
     curve : int
         CONSTANT, LINEAR or HYPERBOLIC.
@@ -107,7 +109,7 @@ def start(motion: Motion, cut: Cut, curve: int, ramp: bool, datum: Measured) -> 
         falls towards zero; the other curves cannot.
     """
     samples = slip_samples(motion, cut)
-    level, slope = stick_line(motion, cut)
+    level, slope = stick_velocity_line(motion, cut)
     loose = datum.sd > LOOSE * motion.travel
     v_dr, d, rest = motion.belt_speed, 0.0, datum.value
     if loose and curve == LINEAR:
@@ -118,7 +120,7 @@ def start(motion: Motion, cut: Cut, curve: int, ramp: bool, datum: Measured) -> 
         give = 0.0 if motion.give is None else motion.give.value  # that much of the slope is the belt's
         d = float(np.clip((-slope - give) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
         K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose)
-    return Start(K, F, v_dr, shape, d, rest)
+    return StartingValues(K, F, v_dr, shape, d, rest)
 
 
 def _curve(
@@ -150,7 +152,7 @@ def _curve(
     return float(K), float(F), float(shape), datum + shift
 
 
-def _rest_by_scatter(motion: Motion, cut: Cut, otherwise: float) -> float:
+def _rest_by_scatter(motion: MeasuredMotion, cut: CycleSegmentation, otherwise: float) -> float:
     """Return the spring's rest position that the scatter of the levels betrays, m.
 
     Cycle by cycle a = -K x + p - q s with p = level F + K b and q = level G: p against q is a line that meets q = 0 at

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
-from fitting.data.frame import Motion
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import DAMPING, DATUM, GIVE, LEVEL, LOG_F, SHAPE, V_DR, D, K
 from fitting.selection.result import LawResult, Ranking
@@ -19,19 +19,19 @@ from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 
 
-def mass(motion: Motion, fit: Fit) -> float:
+def mass(motion: MeasuredMotion, fit: Fit) -> float:
     """Return the mass that turns accelerations into newtons, kg; 1 when neither mass nor stiffness is known."""
     if motion.mass is not None:
         return motion.mass.value
     return motion.stiffness.value / float(fit.u[K]) if motion.stiffness is not None else 1.0
 
 
-def unit(motion: Motion) -> str:
+def unit(motion: MeasuredMotion) -> str:
     """Return the unit of a friction."""
     return "N" if motion.mass is not None or motion.stiffness is not None else "N/kg"
 
 
-def speeds(motion: Motion, number: int = 401) -> Array:
+def speeds(motion: MeasuredMotion, number: int = 401) -> Array:
     """Return relative velocities (m/s, in the record's own sign) that span the motion, 0 among them."""
     w = motion.velocity - motion.belt_speed
     low, high = float(w.min()), max(float(w.max()), 0.1 * motion.belt_speed)
@@ -40,7 +40,7 @@ def speeds(motion: Motion, number: int = 401) -> Array:
     return np.sort(motion.sign * np.r_[low * half[1:], high * half])
 
 
-def curve(row: LawResult, motion: Motion, w: Array) -> Array:
+def curve(row: LawResult, motion: MeasuredMotion, w: Array) -> Array:
     """Return a law's friction at relative velocities ``w`` (m/s, the record's own sign), in `unit`."""
     u = row.fit.u
     scale = mass(motion, row.fit)

@@ -13,7 +13,7 @@ from daq.version import VERSION
 from fitting.estimation.result import Parameter
 from fitting.report import plot
 from fitting.selection.result import Ranking
-from fitting.selection.verdict import length
+from fitting.selection.verdict import format_length
 from processing.record.kinematics import Kinematics
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -25,7 +25,7 @@ def default_path(run: Path) -> Path:
     return run.with_name(run.stem + ".report.html")
 
 
-def places(runs: Sequence[Path], report: Path | None) -> list[Path]:
+def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
     """Return where the reports of several runs go: each beside its run, or FILE, FILE-2, FILE-3 ... in that order.
 
     Raises
@@ -42,7 +42,7 @@ def places(runs: Sequence[Path], report: Path | None) -> list[Path]:
     return found
 
 
-def refuse_stranger(path: Path) -> None:
+def refuse_foreign_file(path: Path) -> None:
     """Raise InputError when ``path`` holds something that is not a report of ours, or cannot be written."""
     if path.is_dir():
         raise InputError("is a folder", str(path), "give a file name with --report")
@@ -68,7 +68,7 @@ def write(page: str, path: Path) -> None:
     RefusedError
         The disk refuses; an older report still stands.
     """
-    refuse_stranger(path)
+    refuse_foreign_file(path)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -95,7 +95,7 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         alone=len(ranking.laws_in_set) == 1,
         rows=[_row(row, ranking) for row in ranking.rows],
         best=ranking.best,
-        parameters=[(name, *interval(item)) for name, item in ranking.best.parameters.items()],
+        parameters=[(name, *format_interval(item)) for name, item in ranking.best.parameters.items()],
         confidence=f"{100 * (1 - alpha):g} %",
         events=[_event(event) for event in ranking.events],
         warnings=ranking.warnings,
@@ -104,7 +104,7 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
             ("record", f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples"),
             ("break-aways", f"{len(cut.cycles)} found, {len(cut.used)} fitted"),
             ("riding on the belt", f"{100 * cut.plateau_fraction:.0f} % of the record"),
-            ("one position", f"known to {length(motion.resolution)}"),
+            ("one position", f"known to {format_length(motion.resolution)}"),
             ("smoothing", f"{kinematics.method}, window {kinematics.window}, order {kinematics.order} (starts only)"),
             ("run time", f"{ranking.cpu_s:.2f} s CPU for {len(ranking.rows)} laws"),
         ],
@@ -117,7 +117,7 @@ def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
         "law": row.law,
         "name": row.name,
         "in_set": row.in_set,
-        "rms": length(row.rms_m),
+        "rms": format_length(row.rms_m),
         "score": f"{row.score:.1f}",
         "weight": f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01",
         "behind": "best" if row.score == 0 else f"{mean:.2f} ± {half:.2f}",
@@ -131,10 +131,10 @@ def _event(event: Any) -> tuple[str, str, str, str, str]:
     def shown(value: float) -> str:
         return "–" if math.isnan(value) else f"{value:.4f}"
 
-    return str(event.number), f"{event.t:.3f}", shown(event.static_level), shown(event.kinetic_scale), event.flag
+    return str(event.number), f"{event.t:.3f}", shown(event.break_away_level), shown(event.kinetic_scale), event.flag
 
 
-def interval(item: Parameter) -> tuple[str, str, str, str]:
+def format_interval(item: Parameter) -> tuple[str, str, str, str]:
     """Return value, standard error and interval with as many digits as the error deserves, and the unit."""
     digits = max(0, 1 - math.floor(math.log10(item.stderr))) if item.stderr > 0 else 6
     digits = min(digits, 12)

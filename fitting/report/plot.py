@@ -193,7 +193,7 @@ def levels(ranking: Ranking) -> Figure:
     with mpl.rc_context(fname=str(STYLE)):
         figure = Figure(figsize=(5.4, 3.4), layout="constrained")
         axes = figure.add_subplot()
-        _level(axes, time, np.array([event.static_level for event in events]), "o", "break-away", COLOURS[4])
+        _level(axes, time, np.array([event.break_away_level for event in events]), "o", "break-away", COLOURS[4])
         _level(axes, time, np.array([event.kinetic_scale for event in events]), "s", "sliding", COLOURS[2])
         axes.set(xlabel="time (s)", ylabel="level / mean sliding level")
         axes.legend(loc="best")

@@ -76,7 +76,7 @@ def _write(entry: h5py.Group, ranking: Ranking) -> None:
         "cycles",
         {
             "t": (np.array([event.t for event in ranking.events]), "s"),
-            "static_level": (np.array([event.static_level for event in ranking.events]), ""),
+            "static_level": (np.array([event.break_away_level for event in ranking.events]), ""),
             "kinetic_scale": (np.array([event.kinetic_scale for event in ranking.events]), ""),
             "used": (np.array([event.flag in ("", "rough") for event in ranking.events], np.uint8), ""),
         },

@@ -11,7 +11,7 @@ from daq.output import atomic
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 
 
-def refuse(path: Path, files: Sequence[Path]) -> None:
+def refuse_foreign_file(path: Path, files: Sequence[Path]) -> None:
     """Raise InputError when the table cannot go to ``path``: a folder, a run, a file that is no table of ours."""
     if path.is_dir():
         raise InputError("is a folder", str(path), "give a file name with --csv")

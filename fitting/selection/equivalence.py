@@ -17,7 +17,7 @@ from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.estimation import trajectory
 from fitting.estimation.trajectory import Fit
-from fitting.model.parameters import GIVE, LOG_F, UNKNOWNS, D, K
+from fitting.model.parameters import GIVE, LOG_F, PER_RUN, D, K
 from fitting.model.problem import Run
 from rig_sim.friction.law import LAWS
 
@@ -27,7 +27,7 @@ UNSTEADY = 1.3  # times the error of the whole record: what the drag on a steady
 SAME = 0.05  # log error: what a drooping hyperbola and a ramp in front of one may differ by
 
 
-def of(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:
+def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:
     """Fit the jump law of a narrow ramp on a belt that gives way.
 
     Parameters
@@ -55,18 +55,18 @@ def of(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit 
         return None
     give = float(near.u[D] * near.u[K]) / math.exp(near.u[LOG_F])
     start = near.u.copy()
-    start[GIVE::UNKNOWNS] = give
+    start[GIVE::PER_RUN] = give
     giving = [replace(run, motion=replace(run.motion, give=Measured(give, give))) for run in runs]
-    fit = trajectory.search(ramp - 1, giving, replace(near, u=start))
-    return None if fit is None else trajectory.polish(fit, giving)
+    fit = trajectory.fit_from(ramp - 1, giving, replace(near, u=start))
+    return None if fit is None else trajectory.final_fit(fit, giving)
 
 
-def lag(twin: Array, ramp: Array) -> float:
+def mean_excess(twin: Array, ramp: Array) -> float:
     """Return how much worse than the ramp law the twin errs: mean difference of log errors (units,)."""
     return float(np.mean(twin - ramp))
 
 
-def by_swing(ramp: Fit, drag: Array, runs: Sequence[Run]) -> bool:
+def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> bool:
     """Tell whether the ramp of constant friction may be a belt that swings.
 
     Where the mass never sticks again, jump and ramp differ in the start-up drag alone: half a second in which a belt
@@ -83,4 +83,4 @@ def by_swing(ramp: Fit, drag: Array, runs: Sequence[Run]) -> bool:
     """
     narrow = ramp.u[D] <= SWINGING * min(run.motion.belt_speed for run in runs)
     measured = any(run.motion.belt_measured for run in runs)
-    return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY * ramp.usual)
+    return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY * ramp.geometric_mean_rms)

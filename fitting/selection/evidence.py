@@ -18,15 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
-from fitting.data.frame import Motion
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation.trajectory import Fit
 from fitting.model.problem import Run
 
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 FEWEST_CYCLES = 4
 DRAG_BLOCKS = 8
-KIN = 2.0  # times the best law's error: a limit of it that is further off is no near relative
-MUCH = 8.0  # times the encoder's error: constant friction leaves 2 even with 200 us of jitter and a belt that ripples
+RELATED_FACTOR = 2.0  # times the best law's error: a limit of it that is further off is no near relative
+CONSTANT_FRICTION_FACTOR = (
+    8.0  # times the encoder's error: constant friction leaves 2 even with 200 us of jitter and a belt that ripples
+)
 TIE = 1.0  # score: laws of the same freedom whose evidence differs by less are not told apart by it
 
 
@@ -38,20 +40,24 @@ class Evidence:
     penalised: Array
 
 
-def _log_error(residual: Array, motion: Motion) -> float:
+def _log_error(residual: Array, motion: MeasuredMotion) -> float:
     """Return the log of the rms, with the encoder's own error as the floor below which nothing is better."""
     return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
 
 
-def judged(fits: Sequence[Fit]) -> NDArray[np.bool_]:
+def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     """Return which cycles are judged by, shape (cycles,): those that the best law describes, if these are enough.
 
     A cycle with a kick in the middle of its slip is described by no law, and says nothing of which it is.  Laws that
     are limits of each other differ there by where their minimisers ended, so near relatives must all describe it.
     """
-    best = min(fits, key=lambda fit: fit.usual)
-    kin = [fit for fit in fits if fit.usual < KIN * best.usual and _related(fit.law, best.law)]
-    trusted = np.logical_and.reduce([fit.trusted for fit in kin])
+    best = min(fits, key=lambda fit: fit.geometric_mean_rms)
+    kin = [
+        fit
+        for fit in fits
+        if fit.geometric_mean_rms < RELATED_FACTOR * best.geometric_mean_rms and _related(fit.law, best.law)
+    ]
+    trusted = np.logical_and.reduce([fit.inlier_cycles for fit in kin])
     return trusted if trusted.sum() >= FEWEST_CYCLES else np.ones_like(trusted)
 
 
@@ -63,7 +69,7 @@ def unit_errors(fit: Fit, runs: Sequence[Run], taken: NDArray[np.bool_], *, sust
     """Return the log error of every cycle of every run that is ``taken``, or of every piece of the start-up drags."""
     found = []
     for number, run in enumerate(runs):
-        part = fit.part(number)
+        part = fit.for_run(number)
         if sustained:
             own = taken[fit.windows.run == number]
             kept = [rows for rows, good in zip(part.rows, own, strict=True) if good]
@@ -73,13 +79,13 @@ def unit_errors(fit: Fit, runs: Sequence[Run], taken: NDArray[np.bool_], *, sust
     return np.concatenate(found) if found else np.zeros(DRAG_BLOCKS)  # a drag too short to tell anything
 
 
-def leaves_much(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     """Tell whether constant friction leaves far more of a motion without sustained sticks than counting explains."""
     floor = max(run.motion.resolution for run in runs)
-    return all(fit.usual > MUCH * floor for fit in fits)
+    return all(fit.geometric_mean_rms > CONSTANT_FRICTION_FACTOR * floor for fit in fits)
 
 
-def _drag_errors(fit: Fit, motion: Motion, drag: tuple[int, int]) -> Array:
+def _drag_errors(fit: Fit, motion: MeasuredMotion, drag: tuple[int, int]) -> Array:
     """Return the log error of equal pieces of the start-up drag: the sine after it cannot tell law 1 from law 2."""
     _, riding, first, count, *_ = fit.windows.table[0]
     if not riding or fit.cycles[0].stick != drag:
@@ -91,19 +97,19 @@ def _drag_errors(fit: Fit, motion: Motion, drag: tuple[int, int]) -> Array:
 def penalised(fit: Fit, errors: Array) -> Array:
     """Return the log errors with what the law pays for its freedom and for contradicting its calibrations."""
     n = errors.size
-    return errors + (fit.free * math.log(n) + strain(fit)) / (2 * n)
+    return errors + (fit.law_parameters * math.log(n) + prior_misfit(fit)) / (2 * n)
 
 
-def strain(fit: Fit) -> float:
+def prior_misfit(fit: Fit) -> float:
     """Return what a fit pays for contradicting its calibrations, like a squared deviation where that is small.
 
     Student's t with 4 degrees of freedom: a calibration can be plainly wrong, and then must not decide alone.
     """
-    return float(np.sum(5 * np.log1p(fit.deviations**2 / 4)))
+    return float(np.sum(5 * np.log1p(fit.prior_deviations**2 / 4)))
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class ModelSet:
     """Order of the laws, members of the set (best first), and score, weight and lag of each law."""
 
     order: tuple[int, ...]
@@ -113,7 +119,7 @@ class Choice:
     behind: dict[int, tuple[float, float]]
 
 
-def choose(evidence: Evidence, alpha: float) -> Choice:
+def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
     """Apply the set rule to the evidence.
 
     Parameters
@@ -146,4 +152,4 @@ def choose(evidence: Evidence, alpha: float) -> Choice:
     others = [law for law in sorted(laws, key=score.__getitem__) if law not in members]
     total = sum(math.exp(-value / 2) for value in score.values())
     weight = {law: math.exp(-value / 2) / total for law, value in score.items()}
-    return Choice((*members, *others), tuple(members), score, weight, behind)
+    return ModelSet((*members, *others), tuple(members), score, weight, behind)

@@ -9,20 +9,20 @@ import math
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.data.frame import Motion
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation.trajectory import Fit
 
 MOST_POINTS = 4000
 
 
-def distance(fit: Fit, motion: Motion) -> float:
+def orbit_distance(fit: Fit, motion: MeasuredMotion) -> float:
     """Return the rms distance of a law's orbit to the nearest points of the measured one.
 
     Parameters
     ----------
     fit : Fit
         Of this one run (`Fit.part`).
-    motion : Motion
+    motion : MeasuredMotion
 
     Returns
     -------

@@ -15,12 +15,12 @@ from daq.compute.arrays import Array
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Rig
 from fitting.data import cycles, frame, ripple
-from fitting.data.frame import Motion
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation import break_aways, covariance, search
 from fitting.estimation.trajectory import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence, phase_distance, screening, verdict
-from fitting.selection.evidence import FEWEST_CYCLES, Choice, Evidence
+from fitting.selection.evidence import FEWEST_CYCLES, Evidence, ModelSet
 from fitting.selection.result import LawResult
 from fitting.selection.result import Ranking as Ranking
 from processing.record.kinematics import Kinematics
@@ -107,15 +107,15 @@ def rank(
     rigs = [None] * len(records) if rig is None else [rig] * len(records) if isinstance(rig, Rig) else rig
     runs = []
     for record, known in zip(records, rigs, strict=True):
-        motion = frame.of(record, record.recording.rig if known is None else known, belt_speed)
+        motion = frame.from_kinematics(record, record.recording.rig if known is None else known, belt_speed)
         runs.append(_run(motion, frozenset(excluded)))
     sources = [str(record.recording.source) for record in records]
     sustained = _check(runs, sources)
     seen = sustained  # as the record itself shows, before any law is fitted
-    fits = search.every(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
-    if not sustained and evidence.leaves_much(fits, runs):
+    fits = search.fit_laws(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
+    if not sustained and evidence.rules_out_constant_friction(fits, runs):
         sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
-        fits = search.every(laws, runs, jobs, progress, scheduler)
+        fits = search.fit_laws(laws, runs, jobs, progress, scheduler)
     fits = [fit for fit in fits if fit.law in laws]
     if not sustained and not fits:
         raise DataError(
@@ -123,7 +123,7 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
-    if what := screening.of_fits(fits, runs, sustained=seen):
+    if what := screening.reject_by_misfit(fits, runs, sustained=seen):
         do = "check the calibration and the belt speed, or look at it with 'process inspect'"
         raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
     if not sustained and not any(run.cut.starts_at_rest for run in runs):
@@ -136,17 +136,17 @@ def rank(
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
     rows = tuple(_row(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered)
     measured = all(run.motion.belt_measured for run in runs)
-    words = verdict.sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
+    words = verdict.verdict_sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
     sides = []
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
         own = tuple(_side(row, run.motion, alpha, number, sustained=sustained) for row in rows)
-        events = break_aways.events(own[0].fit, run.motion, run.cut)
+        events = break_aways.find_break_aways(own[0].fit, run.motion, run.cut)
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, sustained=sustained)
         sides.append(Ranking(words, chosen.members, own, events, said, run.motion, run.cut))
     cpu_s = clock.process_time() - begun
     if len(sides) == 1:
         return replace(sides[0], cpu_s=cpu_s)
-    warnings = verdict.together([side.warnings for side in sides], [Path(source).name for source in sources])
+    warnings = verdict.merge_warnings([side.warnings for side in sides], [Path(source).name for source in sources])
     return Ranking(
         verdict=words,
         laws_in_set=chosen.members,
@@ -160,46 +160,46 @@ def rank(
     )
 
 
-def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], Choice]:
+def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], ModelSet]:
     """Weigh the laws against each other; a jump law that tells the best ramp's motion as well takes its place."""
-    taken = evidence.judged(fits)
+    taken = evidence.common_inliers(fits)
 
     def errors(fit: Fit) -> Array:
         return evidence.unit_errors(fit, runs, taken, sustained=sustained)
 
     place = {fit.law: i for i, fit in enumerate(fits)}
     penalised = np.array([evidence.penalised(fit, errors(fit)) for fit in fits])
-    chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
-    double = equivalence.of(fits, chosen.members, runs)
+    chosen = evidence.model_confidence_set(Evidence(tuple(place), penalised), alpha)
+    double = equivalence.equivalent_jump_law(fits, chosen.members, runs)
     if double is not None:
         jump, ramp = place[double.law], place[double.law + 1]
-        lag = equivalence.lag(errors(double), errors(fits[ramp]))
+        lag = equivalence.mean_excess(errors(double), errors(fits[ramp]))
         if lag < equivalence.SAME:  # one observable, one piece of evidence, unless runs at several speeds split it
             apart = len(runs) > 1 and lag < -equivalence.SAME
             fits = [*fits[:jump], double, *fits[jump + 1 :]]
             penalised[jump] = evidence.penalised(double, errors(double)) if apart else penalised[ramp]
-            chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
+            chosen = evidence.model_confidence_set(Evidence(tuple(place), penalised), alpha)
     if (
         not sustained
         and chosen.members == (2,)
         and 1 in place
-        and equivalence.by_swing(fits[place[2]], errors(fits[place[2]]), runs)
+        and equivalence.explained_by_belt_ripple(fits[place[2]], errors(fits[place[2]]), runs)
     ):
         penalised[place[1]] = penalised[place[2]]
-        chosen = evidence.choose(Evidence(tuple(place), penalised), alpha)
+        chosen = evidence.model_confidence_set(Evidence(tuple(place), penalised), alpha)
     return fits, chosen
 
 
-def _run(motion: Motion, excluded: frozenset[int]) -> Run:
+def _run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     """Cut a record into cycles; where the belt's speed swings, as it would move on a steady belt."""
-    cut = cycles.cut(motion, excluded)
+    cut = cycles.segment_cycles(motion, excluded)
     beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
     if beyond and cut.cycles:
         what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
         raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
-    swing = ripple.find(motion, cut)
+    swing = ripple.find_ripple(motion, cut)
     if swing is not None:
-        cut = cycles.cut(swing.removed(motion), excluded)
+        cut = cycles.segment_cycles(swing.removed(motion), excluded)
     return Run(motion, cut, swing)
 
 
@@ -231,7 +231,7 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
     kinds = [run.cut.plateau_fraction >= SUSTAINED for run in runs]
     sustained = all(kinds)
     for run, kind, source in zip(runs, kinds, sources, strict=True):
-        if what := screening.of_cycles(run.motion, run.cut, sustained=kind):
+        if what := screening.reject_by_cycles(run.motion, run.cut, sustained=kind):
             raise DataError(f"no belt stick-slip in this record: {what}", source, screening.AGAIN)
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
@@ -250,7 +250,7 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
     return sustained
 
 
-def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:
+def _row(fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:
     parameters = covariance.parameters(fit, runs[0].motion, alpha, sustained=sustained)
     if len(runs) > 1:
         every = [
@@ -272,20 +272,22 @@ def _row(fit: Fit, chosen: Choice, runs: Sequence[Run], alpha: float, *, sustain
         cpu_s=fit.cpu_s,
         behind=chosen.behind[fit.law],
         orbit=math.sqrt(
-            float(np.mean([phase_distance.distance(fit.part(n), run.motion) ** 2 for n, run in enumerate(runs)]))
+            float(
+                np.mean([phase_distance.orbit_distance(fit.for_run(n), run.motion) ** 2 for n, run in enumerate(runs)])
+            )
         ),
         fit=fit,
     )
 
 
-def _side(row: LawResult, motion: Motion, alpha: float, run: int, *, sustained: bool) -> LawResult:
+def _side(row: LawResult, motion: MeasuredMotion, alpha: float, run: int, *, sustained: bool) -> LawResult:
     """Return a law's row as one of the runs sees it."""
     if row.fit.runs == 1:
         return row
-    part = row.fit.part(run)
+    part = row.fit.for_run(run)
     return replace(
         row,
-        orbit=phase_distance.distance(part, motion),
+        orbit=phase_distance.orbit_distance(part, motion),
         rms_m=part.rms,
         cycles=len(part.rows),
         parameters=covariance.parameters(row.fit, motion, alpha, run, sustained=sustained),

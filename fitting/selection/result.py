@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-from fitting.data.cycles import Cut
-from fitting.data.frame import Motion
+from fitting.data.cycles import CycleSegmentation
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation.result import BreakAway, Parameter
 from fitting.estimation.trajectory import Fit
 
@@ -93,8 +93,8 @@ class Ranking:
     rows: tuple[LawResult, ...]
     events: tuple[BreakAway, ...]
     warnings: tuple[str, ...]
-    motion: Motion = field(repr=False)
-    cut: Cut = field(repr=False)
+    motion: MeasuredMotion = field(repr=False)
+    cut: CycleSegmentation = field(repr=False)
     cpu_s: float = 0.0
     runs: "tuple[Ranking, ...]" = ()
 

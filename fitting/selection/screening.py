@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.data.cycles import SLIPPING, Cut
-from fitting.data.frame import REST_FRACTION, Motion
+from fitting.data.cycles import SLIPPING, CycleSegmentation
+from fitting.data.frame import REST_FRACTION, MeasuredMotion
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import LOG_F, V_DR, D, K
 from fitting.model.problem import Run
@@ -33,12 +33,12 @@ SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
 
 
-def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
+def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustained: bool) -> str:
     """Say why a record is no stick-slip on a belt; "" where it may well be.
 
     Parameters
     ----------
-    motion, cut : Motion, Cut
+    motion, cut : MeasuredMotion, CycleSegmentation
     sustained : bool
         Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
     """
@@ -78,7 +78,7 @@ def of_cycles(motion: Motion, cut: Cut, *, sustained: bool) -> str:
     return ""
 
 
-def of_fits(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
+def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
     """Say that no law describes the runs; "" where one does.  A sine looks the same at any friction."""
     what = _misfit(fits, runs, sustained=sustained)
     return SINE_ALONE if what and not sustained and all(_is_sine(run.motion) for run in runs) else what
@@ -86,10 +86,10 @@ def of_fits(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
 
 def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
     longest = max(_slip_length(run.motion, run.cut) for run in runs)
-    near = [fit for fit in fits if fit.usual < WORST_FIT * longest]
+    near = [fit for fit in fits if fit.geometric_mean_rms < WORST_FIT * longest]
     if not near:
         return "no law comes near it"
-    best = min(near, key=lambda fit: fit.usual)
+    best = min(near, key=lambda fit: fit.geometric_mean_rms)
     if LAWS[best.law].ramp and best.u[D] > best.u[V_DR]:
         return f"law {best.law} comes nearest, with a ramp wider than the belt is fast"
     if sustained and math.exp(best.u[LOG_F]) < LEAST_FRICTION * best.u[K] * longest:
@@ -97,7 +97,7 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
     return ""
 
 
-def _of_motion(motion: Motion) -> str:
+def _of_motion(motion: MeasuredMotion) -> str:
     """Say why a record without a single whole cycle shows no stick-slip."""
     v = motion.velocity
     if motion.travel < 20 * motion.resolution or motion.travel == 0:
@@ -111,7 +111,7 @@ def _of_motion(motion: Motion) -> str:
     return "no slip between two sticks"
 
 
-def _filled(motion: Motion, cut: Cut) -> float:
+def _filled(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
     """Return the share of the record in which the mass rides, slips in a cycle that was found, or stands still."""
     speed = motion.velocity / motion.belt_speed
     known = (np.abs(speed) < REST_FRACTION) | ((speed > RIDING[0]) & (speed < RIDING[1]))
@@ -120,7 +120,7 @@ def _filled(motion: Motion, cut: Cut) -> float:
     return float(np.mean(known))
 
 
-def _is_sine(motion: Motion) -> bool:
+def _is_sine(motion: MeasuredMotion) -> bool:
     """Tell whether the position is a sine of at least two periods."""
     x = motion.position - 0.5 * (motion.position.max() + motion.position.min())
     up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
@@ -137,6 +137,6 @@ def _dies_away(velocity: Array) -> bool:
     return last < DIES_AWAY * first
 
 
-def _slip_length(motion: Motion, cut: Cut) -> float:
+def _slip_length(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
     """Return the median distance covered in a slip window, m."""
     return float(np.median([np.ptp(motion.position[slice(*cycle.slip)]) for cycle in cut.used]))

@@ -3,10 +3,10 @@
 import math
 from collections.abc import Sequence
 
-from fitting.data.cycles import Cut
-from fitting.data.frame import Motion
+from fitting.data.cycles import CycleSegmentation
+from fitting.data.frame import MeasuredMotion
 from fitting.model.parameters import DATUM, GIVE, D
-from fitting.model.problem import NO_RAMP
+from fitting.model.problem import NARROWEST_RAMP
 from fitting.selection.result import LawResult
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
@@ -22,7 +22,7 @@ SPLITS = {
 }
 
 
-def sentence(
+def verdict_sentence(
     rows: Sequence[LawResult], members: Sequence[int], *, sustained: bool, measured: bool = False, runs: int = 1
 ) -> str:
     """Return the verdict: the law, or the laws that the record cannot tell apart, and why.
@@ -60,7 +60,7 @@ def sentence(
         if GIVE in best.fit.active and not measured:
             return (
                 f"{named} on a belt that slows under load, or {others}: the same motion, told twice "
-                f"({cycles} fit to {length(best.rms_m)}); {split} would tell"
+                f"({cycles} fit to {format_length(best.rms_m)}); {split} would tell"
             )
         row = next(row for row in rows if row.law == members[1])
         gap = abs(row.behind[0] - best.behind[0])
@@ -68,7 +68,7 @@ def sentence(
             f"{named} or {others}: {cycles} cannot tell them apart (their errors differ by "
             f"{100 * math.expm1(gap):.0f} %, within the scatter between cycles); {split} would"
         )
-    fit = f"its {cycles} fit to {length(best.rms_m)}"
+    fit = f"its {cycles} fit to {format_length(best.rms_m)}"
     rest = [row for row in rows if row.law not in members]
     if not rest:
         return f"{named}, the only law fitted: {fit}"
@@ -82,8 +82,8 @@ def sentence(
 def warnings(
     rows: Sequence[LawResult],
     members: Sequence[int],
-    motion: Motion,
-    cut: Cut,
+    motion: MeasuredMotion,
+    cut: CycleSegmentation,
     kinematics: Kinematics,
     *,
     sustained: bool,
@@ -91,8 +91,8 @@ def warnings(
     """Return what a reader must know beside the verdict."""
     best = rows[0]
     said = []
-    if best.fit.usual > POOR_FIT * motion.travel:
-        share = 100 * best.fit.usual / motion.travel
+    if best.fit.geometric_mean_rms > POOR_FIT * motion.travel:
+        share = 100 * best.fit.geometric_mean_rms / motion.travel
         said.append(
             f"no law fits well: the best one usually errs by {share:.2g} % of the motion, "
             "so this friction may be none of the six"
@@ -139,19 +139,19 @@ def warnings(
     row = next((row for row in rows if row.law == best.law + 1), None)
     if sustained and not LAWS[best.law].ramp and row is not None and row.in_set is False and "d" in row.parameters:
         width = row.parameters["d"]
-        if row.rms_m < 1.05 * best.rms_m and row.fit.u[D] > 10 * NO_RAMP * motion.belt_speed:
+        if row.rms_m < 1.05 * best.rms_m and row.fit.u[D] > 10 * NARROWEST_RAMP * motion.belt_speed:
             said.append(f"a ramp narrower than {width.hi:.2g} m/s cannot be excluded")
     return tuple(said)
 
 
-def together(said: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
+def merge_warnings(said: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
     """Return the warnings of several runs: what holds for all of them once, the rest with the file's name before it."""
     common = [text for text in said[0] if all(text in own for own in said)]
     apart = ((name, text) for name, own in zip(names, said, strict=True) for text in own if text not in common)
     return (*common, *(f"{name}: {text}" for name, text in apart))
 
 
-def _strained(best: LawResult, motion: Motion) -> list[str]:
+def _strained(best: LawResult, motion: MeasuredMotion) -> list[str]:
     """Name the calibrations that the best law contradicts by more than three standard deviations."""
     u, said = best.fit.u, []
     for name, index, prior, unit in (
@@ -169,7 +169,7 @@ def _strained(best: LawResult, motion: Motion) -> list[str]:
     return said
 
 
-def length(metres: float) -> str:
+def format_length(metres: float) -> str:
     """Return a length in a readable unit."""
     if metres < 1e-3:
         return f"{metres * 1e6:.3g} um"

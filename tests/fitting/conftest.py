@@ -58,7 +58,7 @@ def motion_of(synthetic):
     @cache
     def of(**changes):
         recording = synthetic.recording(**changes)
-        return frame.of(smooth(recording), recording.rig, None)
+        return frame.from_kinematics(smooth(recording), recording.rig, None)
 
     return of
 

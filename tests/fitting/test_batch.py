@@ -18,7 +18,7 @@ from daq.compute import workers
 from daq.console import application
 from daq.errors import DeviceError, InputError
 from fitting import batch, cli
-from fitting.batch import Failure, Row
+from fitting.batch import BatchRow, Failure
 from processing.smoothing import smooth
 
 needs_dask = pytest.mark.skipif(find_spec("distributed") is None, reason="dask.distributed is not installed")
@@ -95,7 +95,7 @@ def test_a_batch_is_a_table_on_the_screen(folder, capsys):
 )
 def test_the_exit_code_of_a_batch(codes, expected):
     rows = [
-        Row(
+        BatchRow(
             Path("x"),
             {"set": [5] if code == 0 else [5, 6]},
             Failure("", "", "", code) if code in (1, 2, 3, 4) else None,
@@ -116,10 +116,10 @@ def test_a_foreign_report_is_that_runs_own_error(folder, capsys):
 def test_a_bug_in_one_run_is_told_as_one_and_stops_no_other(folder, capsys, monkeypatch):
     from fitting import job
 
-    def broken(runs, wishes):
+    def broken(runs, options):
         if "five" in str(runs[0].recording.source):
             raise ZeroDivisionError("by nothing")
-        return done(runs, wishes)
+        return done(runs, options)
 
     done = job.fit
     monkeypatch.setattr(job, "fit", broken)

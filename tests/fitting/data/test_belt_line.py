@@ -19,23 +19,23 @@ def test_the_give_is_read_off_the_sticks_whatever_the_law(simulated, law, sign):
     motion = simulated(
         "belt.channel=true", "droop.fraction=0.02", f"friction.law={law}", f"belt.speed={0.22 * sign}", "scatter.Fs=0"
     )
-    line = belt_line.line(motion)
-    assert line.gives
-    assert not line.swings
+    line = belt_line.fit_belt_line(motion)
+    assert line.slows_under_load
+    assert not line.is_unsteady
     assert -line.slope.value == pytest.approx(0.02 * 0.22 / FS_OVER_K, abs=3 * line.slope.sd)
     assert line.slope.sd < 0.02 * abs(line.slope.value)
-    free = line.unloaded(motion.recording.rig.datum)
+    free = line.speed_without_load(motion.recording.rig.datum)
     assert free.value == pytest.approx(0.22 * sign, abs=3 * free.sd)
 
 
 def test_a_stiff_belt_is_not_said_to_give(simulated):
-    line = belt_line.line(simulated("belt.channel=true"))
-    assert not line.gives
+    line = belt_line.fit_belt_line(simulated("belt.channel=true"))
+    assert not line.slows_under_load
     assert abs(line.slope.value) < 0.05 * 0.0022 / FS_OVER_K
 
 
 def test_without_a_channel_there_is_no_line(simulated):
-    assert belt_line.line(simulated("droop.fraction=0.01")) is None
+    assert belt_line.fit_belt_line(simulated("droop.fraction=0.01")) is None
 
 
 @pytest.mark.parametrize("law", [1, 3, 5])

@@ -12,7 +12,7 @@ from fitting.data.cycles import BEFORE_ONSET_S
 @pytest.fixture(scope="module")
 def law5(motion_of):
     motion = motion_of(law=5)
-    return motion, cycles.cut(motion)
+    return motion, cycles.segment_cycles(motion)
 
 
 def test_every_complete_cycle_is_found(law5, synthetic):
@@ -51,14 +51,14 @@ def test_the_start_up_drag_is_found(law5):
 
 
 def test_plateau_fraction_tells_sustained_stick_from_grazing(motion_of):
-    assert cycles.cut(motion_of(law=5)).plateau_fraction > 0.5
-    assert cycles.cut(motion_of(law=3)).plateau_fraction > 0.24
-    assert cycles.cut(motion_of(law=1)).plateau_fraction < 0.09
+    assert cycles.segment_cycles(motion_of(law=5)).plateau_fraction > 0.5
+    assert cycles.segment_cycles(motion_of(law=3)).plateau_fraction > 0.24
+    assert cycles.segment_cycles(motion_of(law=1)).plateau_fraction < 0.09
 
 
 def test_excluded_cycles_keep_their_place(law5):
     motion, cut = law5
-    without = cycles.cut(motion, frozenset((2, 3)))
+    without = cycles.segment_cycles(motion, frozenset((2, 3)))
     assert [cycle.number for cycle in without.cycles] == [cycle.number for cycle in cut.cycles]
     assert [cycle.number for cycle in without.cycles if cycle.flag == "excluded"] == [2, 3]
     assert len(without.used) == len(cut.used) - 2
@@ -70,6 +70,6 @@ def test_a_stick_window_begins_when_an_overtaking_has_ended(law5):
     velocity = motion.velocity.copy()
     long = first + (end - first) // 2
     velocity[first - 200 : long] += 0.1 * motion.belt_speed
-    later, same_end = cycles.cut(replace(motion, velocity=velocity)).cycles[3].stick
+    later, same_end = cycles.segment_cycles(replace(motion, velocity=velocity)).cycles[3].stick
     assert motion.time[later] == pytest.approx(motion.time[long] + motion.half_window, abs=3e-3)
     assert same_end == end

@@ -12,8 +12,8 @@ HERTZ, AMPLITUDE = 2.3, 0.0044
 
 
 def found_in(kinematics):
-    motion = frame.of(kinematics, kinematics.recording.rig, None)
-    return ripple.find(motion, cycles.cut(motion))
+    motion = frame.from_kinematics(kinematics, kinematics.recording.rig, None)
+    return ripple.find_ripple(motion, cycles.segment_cycles(motion))
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def test_constant_friction_has_no_sticks_to_show_it(swinging):
 def test_a_belt_that_swings_is_no_ramp(swinging, law):
     ranking = rank(swinging(law))
     assert ranking.laws_in_set[0] == law
-    assert ranking.best.fit.usual < 5e-6  # down to the counts, 2.2 um
+    assert ranking.best.fit.geometric_mean_rms < 5e-6  # down to the counts, 2.2 um
     assert ranking.best.parameters["ripple"].value == pytest.approx(AMPLITUDE, rel=0.01)
     assert ranking.best.parameters["ripple_hz"].value == pytest.approx(HERTZ, abs=1e-3)
     assert any("swings by 2 % at 2.3 Hz" in warning for warning in ranking.warnings)
@@ -75,6 +75,6 @@ def test_break_aways_from_a_belt_that_swings_carry_its_swing(swinging, law):
     ranking = rank(swinging(law))
     events = [event for event in ranking.events if not event.flag]
     assert len(events) >= 10
-    assert [event.static_level / event.kinetic_scale for event in events] == pytest.approx(
+    assert [event.break_away_level / event.kinetic_scale for event in events] == pytest.approx(
         [1.0] * len(events), abs=3e-3
     )

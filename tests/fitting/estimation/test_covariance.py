@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.estimation.covariance import covariance
-from fitting.estimation.levenberg_marquardt import Blocks
+from fitting.estimation.levenberg_marquardt import NormalEquations
 
 
 def fit_with(slopes, guess):
@@ -14,7 +14,7 @@ def fit_with(slopes, guess):
     slopes = np.asarray(slopes, float)
     cycles, p = slopes.shape
     misfit = np.where(np.arange(cycles) % 2, 1.0, -1.0)
-    blocks = Blocks(
+    blocks = NormalEquations(
         g=np.zeros(p),
         H=slopes.T @ slopes + np.diag(guess),
         gl=np.zeros((cycles, 1)),

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from fitting.model.parameters import LOCALS, UNKNOWNS
-from fitting.model.shooting import Windows, evaluator
+from fitting.model.parameters import PER_CYCLE, PER_RUN
+from fitting.model.shooting import ShootingWindows, evaluator
 
 K, F, V = 35.184, 4.598, 0.22
 OMEGA = K**0.5
 
 
-def one_window(time, riding=0, overtakes=0, firm=0.0):
-    return Windows(
+def one_window(time, riding=0, overtakes=0, earliest_landing=0.0):
+    return ShootingWindows(
         table=np.array([[0, riding, 0, time.size, overtakes, 0]], np.int64),
-        epoch=np.array([time[0]]),
-        firm=np.array([firm]),
+        level_epoch=np.array([time[0]]),
+        earliest_landing=np.array([earliest_landing]),
         time=time,
         position=np.zeros(time.size),
         source=np.zeros(time.size, np.int64),
@@ -30,12 +30,12 @@ def predicted(
     windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, fade=0.0, give=0.0, ripple=STEADY
 ):
     u = np.array([K, np.log(F), V, shape, d, datum, c, fade, give, *ripple])
-    evaluate = evaluator(curve, ramp, windows, u, list(range(UNKNOWNS)), np.ones(UNKNOWNS), np.ones(LOCALS))
+    evaluate = evaluator(curve, ramp, windows, u, list(range(PER_RUN)), np.ones(PER_RUN), np.ones(PER_CYCLE))
     return evaluate(u, local[None], False)[0]
 
 
 def start(x, v, riding=False, level=1.0, following=1.0):
-    local = np.zeros(LOCALS)
+    local = np.zeros(PER_CYCLE)
     local[2:4] = np.log(level), np.log(following)
     local[4 if riding else 0], local[5 if riding else 1] = x, v
     return local
@@ -43,7 +43,7 @@ def start(x, v, riding=False, level=1.0, following=1.0):
 
 def test_constant_slip_is_a_sine_about_its_level():
     time = 3.0 + np.linspace(0, 0.6, 101)
-    x = predicted(one_window(time, firm=9.0), start(0.1, 0.1, level=1.1), datum=0.002)
+    x = predicted(one_window(time, earliest_landing=9.0), start(0.1, 0.1, level=1.1), datum=0.002)
     centre = 0.002 + 1.1 * F / K
     t = time - 3.0
     exact = centre + (0.1 - centre) * np.cos(OMEGA * t) + 0.1 / OMEGA * np.sin(OMEGA * t)
@@ -62,13 +62,13 @@ def test_a_jumps_stick_is_a_straight_line_whatever_the_load():
 def test_touching_the_belt_at_the_start_changes_the_motion_continuously():
     time = np.linspace(0.0, 0.5, 51)
     place = F / K - 1e-4  # just short of the slip point: friction still wins, the belt is touched first
-    ends = [predicted(one_window(time, firm=0.4), start(place, V - gap))[-1] for gap in (1e-9, 1e-6, 1e-5)]
+    ends = [predicted(one_window(time, earliest_landing=0.4), start(place, V - gap))[-1] for gap in (1e-9, 1e-6, 1e-5)]
     assert ends == pytest.approx([ends[0]] * 3, abs=1e-5)
 
 
 def test_fading_lowers_the_level_as_a_smaller_level_would():
     time = np.linspace(0.0, 0.4, 41)
-    worn = predicted(one_window(time, firm=9.0), start(0.12, 0.1), fade=0.02)
+    worn = predicted(one_window(time, earliest_landing=9.0), start(0.12, 0.1), fade=0.02)
     fine = np.linspace(0.0, 0.4, 40_001)
     h = fine[1]
     x, v, path = 0.12, 0.1, [0.12]
@@ -98,7 +98,7 @@ def test_riding_a_belt_that_ripples_is_its_own_motion():
 def test_a_slip_on_a_belt_that_ripples_is_the_brute_force_motion():
     gamma, c, ripple = 9.6, 0.05, (2e-3, 4e-3, 14.0)
     time = 2.0 + np.linspace(0.0, 0.4, 41)
-    x = predicted(one_window(time, firm=9.0), start(0.12, 0.1), curve=2, shape=gamma, c=c, ripple=ripple)
+    x = predicted(one_window(time, earliest_landing=9.0), start(0.12, 0.1), curve=2, shape=gamma, c=c, ripple=ripple)
 
     def rates(t, state):
         belt = V + ripple[0] * np.cos(ripple[2] * t) + ripple[1] * np.sin(ripple[2] * t)
@@ -112,7 +112,7 @@ def test_a_slip_on_a_belt_that_ripples_is_the_brute_force_motion():
 def test_a_linear_jump_on_a_giving_belt_is_the_ramp_law_of_the_flows_table(riding):
     time = np.linspace(0.0, 1.0 if riding == 0 else 0.6, 161)
     first = start(0.128, 0.1, level=1.05, following=0.97) if riding == 0 else start(-0.05, 0.219, riding=True)
-    windows = one_window(time, riding=riding, firm=0.3)
+    windows = one_window(time, riding=riding, earliest_landing=0.3)
     slope, droop = 0.435, 0.004  # G_slip/Fs (s/m), m/s
     giving = predicted(windows, first, curve=1, shape=slope, give=droop * K / F)
     steeper = slope / (1 - droop * slope)
@@ -123,13 +123,13 @@ def test_a_linear_jump_on_a_giving_belt_is_the_ramp_law_of_the_flows_table(ridin
 def test_derivatives_are_those_of_the_positions():
     rng = np.random.default_rng(3)
     time = np.linspace(0.0, 0.9, 91)
-    windows = one_window(time, firm=0.3)
+    windows = one_window(time, earliest_landing=0.3)
     u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001, 0.02, 2e-3, 4e-3, 14.0])
-    scale, local_scale = np.ones(UNKNOWNS), np.ones(LOCALS)
+    scale, local_scale = np.ones(PER_RUN), np.ones(PER_CYCLE)
     local = start(0.12, 0.15)[None]
-    evaluate = evaluator(2, True, windows, u, list(range(UNKNOWNS)), scale, local_scale)
+    evaluate = evaluator(2, True, windows, u, list(range(PER_RUN)), scale, local_scale)
     _, jacobian = evaluate(u, local, True)
-    direction, own = rng.standard_normal(UNKNOWNS), np.r_[rng.standard_normal(4), 0, 0]
+    direction, own = rng.standard_normal(PER_RUN), np.r_[rng.standard_normal(4), 0, 0]
     h = 1e-5
     up = evaluate(u + h * direction, local + h * own, False)[0]
     down = evaluate(u - h * direction, local - h * own, False)[0]

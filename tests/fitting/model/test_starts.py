@@ -12,7 +12,7 @@ KNOWN = Measured(0.0, 5e-4)
 @pytest.mark.parametrize(("law", "curve", "shape"), [(3, starts.LINEAR, 0.435), (5, starts.HYPERBOLIC, 9.618)])
 def test_jump_laws_start_near_the_truth(motion_of, law, curve, shape):
     motion = motion_of(law=law)
-    start = starts.start(motion, cycles.cut(motion), curve, False, KNOWN)
+    start = starts.regress_start(motion, cycles.segment_cycles(motion), curve, False, KNOWN)
     assert start.K == pytest.approx(35.184, rel=0.01)
     assert start.v_dr == pytest.approx(0.22, rel=0.01)
     assert start.shape == pytest.approx(shape, rel=0.15)
@@ -22,14 +22,14 @@ def test_jump_laws_start_near_the_truth(motion_of, law, curve, shape):
 @pytest.mark.parametrize(("law", "curve"), [(4, starts.LINEAR), (6, starts.HYPERBOLIC)])
 def test_a_ramp_is_read_off_the_slope_of_the_plateau(motion_of, law, curve):
     motion = motion_of(law=law)
-    start = starts.start(motion, cycles.cut(motion), curve, True, KNOWN)
+    start = starts.regress_start(motion, cycles.segment_cycles(motion), curve, True, KNOWN)
     assert start.d == pytest.approx(0.03, rel=0.1)
     assert start.v_dr == pytest.approx(0.22, rel=0.02)
 
 
 def test_no_slip_sample_lies_near_a_corner(motion_of):
     motion = motion_of(law=5)
-    cut = cycles.cut(motion)
+    cut = cycles.segment_cycles(motion)
     assert starts.slip_samples(motion, cut).x.size < sum(
         cycle.landing - motion.time[cycle.slip[0]] for cycle in cut.used
     ) / 1e-3 - 2 * len(cut.used) * (motion.half_window / 1e-3 - 2)
@@ -38,7 +38,7 @@ def test_no_slip_sample_lies_near_a_corner(motion_of):
 def test_without_a_datum_the_rest_position_is_found_along(motion_of):
     motion = motion_of(law=5)
     loose = Measured(0.02, 0.2)
-    start = starts.start(motion, cycles.cut(motion), starts.HYPERBOLIC, False, loose)
+    start = starts.regress_start(motion, cycles.segment_cycles(motion), starts.HYPERBOLIC, False, loose)
     assert start.datum == pytest.approx(0.0, abs=0.005)
     assert start.shape == pytest.approx(9.618, rel=0.2)
 
@@ -46,5 +46,5 @@ def test_without_a_datum_the_rest_position_is_found_along(motion_of):
 def test_the_scatter_of_the_levels_betrays_the_rest_position_under_a_linear_law(motion_of):
     motion = motion_of(law=3)
     loose = Measured(0.08, 0.08)
-    start = starts.start(motion, cycles.cut(motion), starts.LINEAR, False, loose)
+    start = starts.regress_start(motion, cycles.segment_cycles(motion), starts.LINEAR, False, loose)
     assert start.datum == pytest.approx(0.0, abs=0.02)

@@ -31,19 +31,19 @@ def test_a_strangers_file_is_not_replaced(tmp_path):
     path = tmp_path / "run.report.html"
     path.write_text("<html>mine</html>")
     with pytest.raises(InputError, match="is no report"):
-        report.refuse_stranger(path)
+        report.refuse_foreign_file(path)
     assert path.read_text() == "<html>mine</html>"
 
 
 def test_an_older_report_is_replaced(tmp_path, page):
     path = tmp_path / "run.report.html"
     path.write_text(page)
-    report.refuse_stranger(path)
+    report.refuse_foreign_file(path)
 
 
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(InputError, match="folder does not exist"):
-        report.refuse_stranger(tmp_path / "none" / "run.html")
+        report.refuse_foreign_file(tmp_path / "none" / "run.html")
 
 
 def test_the_true_laws_orbit_is_the_nearest(ranked):

@@ -11,7 +11,7 @@ from daq.errors import DataError, InputError
 from daq.runfile import store
 from fitting import cli
 from fitting.model import parameters
-from fitting.model.parameters import DATUM, FADE, GIVE, UNKNOWNS, V_DR, D, K
+from fitting.model.parameters import DATUM, FADE, GIVE, PER_RUN, V_DR, D, K
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -38,16 +38,16 @@ def runs_of(synthetic):
 
 
 def test_what_runs_share_stands_once_and_the_rest_is_their_own():
-    places = parameters.active(6, [False, True], [False, False])
+    places = parameters.active_places(6, [False, True], [False, False])
     table = parameters.columns(places, 2)
-    own = [UNKNOWNS + slot for slot in (V_DR, DATUM, FADE, GIVE)]
+    own = [PER_RUN + slot for slot in (V_DR, DATUM, FADE, GIVE)]
     assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
     assert (table[:, places.index(K)] == K).all()
     assert table[:, places.index(V_DR)].tolist() == [V_DR, -1]
-    assert table[:, places.index(UNKNOWNS + GIVE)].tolist() == [-1, GIVE]
-    spread = parameters.spread(np.arange(2.0 * UNKNOWNS)).reshape(2, UNKNOWNS)
+    assert table[:, places.index(PER_RUN + GIVE)].tolist() == [-1, GIVE]
+    spread = parameters.copy_shared(np.arange(2.0 * PER_RUN)).reshape(2, PER_RUN)
     assert spread[1, [K, D]].tolist() == [K, D]
-    assert spread[1, V_DR] == UNKNOWNS + V_DR
+    assert spread[1, V_DR] == PER_RUN + V_DR
 
 
 @pytest.mark.parametrize("law", [3, 4, 5, 6])
@@ -70,7 +70,7 @@ def test_three_belt_speeds_put_the_true_law_first(runs_of, law):
 def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(runs_of):
     fit = rank(runs_of(5, 2), laws=(5,)).rows[0].fit
     cross = fit.solution.blocks.cross
-    own = list(fit.active).index(UNKNOWNS + V_DR)
+    own = list(fit.active).index(PER_RUN + V_DR)
     assert np.abs(cross[fit.windows.run == 1, own]).max() > 0
     assert not cross[fit.windows.run != 1, own].any()
 
@@ -139,7 +139,7 @@ def test_the_command_fits_its_files_together_and_writes_to_each(files):
 def test_reports_of_several_runs_are_numbered(files, tmp_path):
     from fitting.report import page
 
-    assert [place.name for place in page.places(files, tmp_path / "all.html")] == [
+    assert [place.name for place in page.report_paths(files, tmp_path / "all.html")] == [
         "all.html",
         "all-2.html",
         "all-3.html",
