@@ -62,7 +62,7 @@ def _packages() -> list[Check]:
     from importlib.metadata import packages_distributions
     from importlib.util import find_spec
 
-    home = Path(__file__).resolve().parent.parent
+    home = Path(__file__).resolve().parents[2]
     owners = packages_distributions()
     checks = []
     for package in PACKAGES:

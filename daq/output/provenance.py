@@ -37,7 +37,7 @@ def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
         "hostname": platform.node(),
         "command_line": shlex.join(_typed() if command is None else command),
     }
-    return found | _commit(Path(__file__).resolve().parent.parent)
+    return found | _commit(Path(__file__).resolve().parents[2])
 
 
 def _typed() -> list[str]:
