@@ -29,7 +29,7 @@ import matplotlib.pyplot as plt
 import rig_sim
 from daq.compute.compile import compiled
 from daq.runfile import store
-from daq.runfile.recording import RunData
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
 from processing import chunked, stage
 from processing.defects import lost_counts
@@ -79,11 +79,11 @@ class Bench:
         for landing in self.landings:
             self.near |= np.abs(instants - landing) < 0.01
 
-    def run(self, count: np.ndarray | None = None) -> RunData:
+    def run(self, count: np.ndarray | None = None) -> Recording:
         """Return the record on its way into a run file."""
         count = self.count if count is None else count
         rig = Rig(metres_per_count=Measured(self.pitch))
-        return RunData(
+        return Recording(
             title="bench", started="2026-01-01T00:00:00+00:00", ended="2026-01-01T00:01:00+00:00", rate_hz=1000.0,
             rig=rig, time=self.time - self.time[0], position=count * self.pitch, count=count,
         )  # fmt: skip

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from daq.runfile.store import Recording as Recording
+    from daq.runfile.recording import Recording as Recording
     from daq.runfile.store import load as load
 
 __all__ = ["Recording", "load"]

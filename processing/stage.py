@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from daq.errors import InputError
-from daq.runfile import nexus, nexus_read, store
+from daq.runfile import nexus, store
 from daq.version import VERSION
 from processing.record.kinematics import Kinematics, SmoothingHeader
 from processing.record.lost_counts import LostCounts
@@ -150,7 +150,7 @@ def load(path: Path) -> Kinematics | None:
         entry = file["entry"]
         if "smooth" not in entry:
             return None
-        made_from = nexus_read.string(entry, "smooth/parameters/sha256_input", path)
+        made_from = nexus.read_text(entry, "smooth/parameters/sha256_input", path)
         if made_from != recording.digest:
             raise InputError(
                 "its smoothed motion was made from other raw data", str(path), f"run: process smooth {path.name}"
@@ -158,8 +158,8 @@ def load(path: Path) -> Kinematics | None:
         columns = {}
         belt = ("belt_velocity", "belt_velocity_errors") if "smooth/kinematics/belt_velocity" in entry else ()
         for name in ("time", *(key for base in DERIVATIVES for key in (base, f"{base}_errors")), *belt):
-            columns[name] = nexus_read.array(entry, f"smooth/kinematics/{name}", np.float64, path)
-            nexus_read.same_length(columns[name].size, recording.time.size, f"smooth/kinematics/{name}", path)
+            columns[name] = nexus.read_array(entry, f"smooth/kinematics/{name}", np.float64, path)
+            nexus.check_length(columns[name].size, recording.time.size, f"smooth/kinematics/{name}", path)
         phases = _phases(entry, path)
         stick = np.zeros(recording.time.size, bool)
         for phase in phases:
@@ -169,29 +169,29 @@ def load(path: Path) -> Kinematics | None:
         return Kinematics(
             recording=recording,
             **columns,
-            method=nexus_read.string(entry, f"{parameters}/method", path),
-            window=int(nexus_read.scalar(entry, f"{parameters}/window", path)),
-            order=int(nexus_read.scalar(entry, f"{parameters}/order", path)),
-            times=nexus_read.string(entry, f"{parameters}/times", path),
-            belt_speed=nexus_read.scalar(entry, f"{parameters}/belt_speed", path),
+            method=nexus.read_text(entry, f"{parameters}/method", path),
+            window=int(nexus.read_number(entry, f"{parameters}/window", path)),
+            order=int(nexus.read_number(entry, f"{parameters}/order", path)),
+            times=nexus.read_text(entry, f"{parameters}/times", path),
+            belt_speed=nexus.read_number(entry, f"{parameters}/belt_speed", path),
             stick=stick,
             phases=phases,
             losses=_losses(entry, path),
             kicks=_kicks(entry, path),
-            repaired="repaired" in entry[parameters] and bool(nexus_read.scalar(entry, f"{parameters}/repaired", path)),
-            cpu_s=nexus_read.scalar(entry, f"{parameters}/cpu_time", path),
+            repaired="repaired" in entry[parameters] and bool(nexus.read_number(entry, f"{parameters}/repaired", path)),
+            cpu_s=nexus.read_number(entry, f"{parameters}/cpu_time", path),
         )
 
 
 def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:
     if "smooth/phases" not in entry:
         return ()
-    start, end = (nexus_read.array(entry, f"smooth/phases/{name}", np.float64, path) for name in ("start", "end"))
+    start, end = (nexus.read_array(entry, f"smooth/phases/{name}", np.float64, path) for name in ("start", "end"))
     first, last, stick = (
-        nexus_read.array(entry, f"smooth/phases/{name}", np.int64, path) for name in ("first", "last", "stick")
+        nexus.read_array(entry, f"smooth/phases/{name}", np.int64, path) for name in ("first", "last", "stick")
     )
     start_sd, end_sd = (
-        nexus_read.array(entry, f"smooth/phases/{name}_errors", np.float64, path)
+        nexus.read_array(entry, f"smooth/phases/{name}_errors", np.float64, path)
         if f"smooth/phases/{name}_errors" in entry
         else np.full(start.size, np.nan)  # written before the corners' errors were
         for name in ("start", "end")
@@ -205,13 +205,13 @@ def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:
 def _losses(entry: h5py.Group, path: Path) -> tuple[LostCounts, ...]:
     if "smooth/losses" not in entry:
         return ()
-    columns = [nexus_read.array(entry, f"smooth/losses/{name}", np.int64, path) for name in ("first", "last", "counts")]
+    columns = [nexus.read_array(entry, f"smooth/losses/{name}", np.int64, path) for name in ("first", "last", "counts")]
     return tuple(LostCounts(*map(int, row)) for row in zip(*columns, strict=True))
 
 
 def _kicks(entry: h5py.Group, path: Path) -> tuple[VelocityStep, ...]:
     if "smooth/kicks" not in entry:
         return ()
-    sample = nexus_read.array(entry, "smooth/kicks/sample", np.int64, path)
-    step = nexus_read.array(entry, "smooth/kicks/step", np.float64, path)
+    sample = nexus.read_array(entry, "smooth/kicks/sample", np.int64, path)
+    step = nexus.read_array(entry, "smooth/kicks/step", np.float64, path)
     return tuple(VelocityStep(int(at), float(size)) for at, size in zip(sample, step, strict=True))

@@ -13,7 +13,7 @@ from daq.errors import InputError
 
 if TYPE_CHECKING:
     from daq.imports.capture import Totals
-    from daq.runfile.recording import RunData
+    from daq.runfile.recording import Recording
     from daq.runfile.rig import Measured, Rig
 
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], help="Run file to write.")]
@@ -259,7 +259,7 @@ def _default_output(source: Path, kind: str) -> Path:
     return source.with_suffix("") if source.suffix == ".part" else source.with_suffix(".h5")
 
 
-def _summary(run: "RunData", target: Path, warnings: list[str]) -> dict[str, Any]:
+def _summary(run: "Recording", target: Path, warnings: list[str]) -> dict[str, Any]:
     segment = run.segment
     return {
         "samples": int(run.time.size),
@@ -277,7 +277,7 @@ def _count_warnings(totals: "Totals") -> list[str]:
     return [] if totals.edges else ["no edges: are these the right probes?"]
 
 
-def _text(done: str, run: "RunData", data: dict[str, Any], *lines: str) -> str:
+def _text(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> str:
     counted = run.count is not None and run.rig.metres_per_count is None
     scale, unit = (1.0, "counts") if counted else (1e3, "mm")
     low, high = (scale * float(edge) for edge in (run.position.min(), run.position.max()))

@@ -21,7 +21,7 @@ from daq.finalise.timeline import Samples, TruthRows
 from daq.output import atomic
 from daq.protocols import link_budget
 from daq.runfile import journal, store
-from daq.runfile.recording import Raw, RunData, Truth, positions
+from daq.runfile.recording import EVENT_NAMES, Raw, Recording, Truth, positions
 from daq.runfile.rig import Rig
 from daq.wire import counters, decode, frames
 from daq.wire.quadrature import EDGES_PER_COUNT
@@ -57,7 +57,7 @@ def finalise(part: Path, output: Path, *, finished_by: str, force: bool = False)
 
 def run_data(
     taken: journal.Journal, markers: Sequence[tuple[int, str]] = (), finished_by: str = ""
-) -> tuple[RunData, Summary]:
+) -> tuple[Recording, Summary]:
     """Turn a journal into a run, and say what was found in it.
 
     Raises
@@ -89,7 +89,7 @@ def run_data(
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
     clocks = _clocks(samples, said, header.get("baud"))
     events = events_of(samples, checked, said, markers, rate_hz)
-    data = RunData(
+    data = Recording(
         title=header["title"],
         started=started.isoformat(),
         ended=ended.isoformat(),
@@ -107,7 +107,7 @@ def run_data(
         clock_ppm_error=clocks.ppm_error,
         clock_offset_error=clocks.offset_error,
         event_sample=np.array([event[0] for event in events], dtype=np.uint32),
-        event_kind=np.array([event[1] for event in events], dtype=np.uint8),
+        event_kind=tuple(EVENT_NAMES[event[1]] for event in events),
         event_note=tuple(event[2] for event in events),
         belt_velocity=belt_velocity,
         belt_count=belt_count,

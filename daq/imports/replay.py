@@ -19,7 +19,7 @@ from daq.imports import capture as decode
 from daq.imports import sigrok
 from daq.output import provenance
 from daq.runfile import store
-from daq.runfile.recording import EVENTS, Raw, RunData, positions
+from daq.runfile.recording import EVENTS, Raw, Recording, positions
 from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
@@ -56,36 +56,17 @@ def kind_of(source: Path) -> str:
     raise InputError("is neither a journal, a run file nor a .sr capture", where, "a CSV is read by daq import")
 
 
-def from_run(source: Path) -> RunData:
+def from_run(source: Path) -> Recording:
     """Decode a run file anew from its raw counters; an import, which has none, is taken as it stands."""
     recording = store.load(source)
     count = recording.count
     if recording.raw is not None and count is not None:
         count = _recount(recording.raw, recording.segment, recording.rig.counter_bits)
-    position = recording.position if count is None else positions(count, recording.rig)
-    run = RunData(
-        title=recording.title,
-        started=recording.started,
-        ended=recording.ended,
-        rate_hz=recording.rate_hz,
-        rig=recording.rig,
-        time=recording.time,
-        position=position,
+    run = replace(
+        recording,
+        position=recording.position if count is None else positions(count, recording.rig),
         count=count,
-        raw=recording.raw,
-        segment=recording.segment,
-        config_toml=recording.config_toml,
-        clock_sample=recording.clock_sample,
-        clock_offset=recording.clock_offset,
-        clock_ppm=recording.clock_ppm,
-        clock_ppm_error=recording.clock_ppm_error,
-        clock_offset_error=recording.clock_offset_error,
-        event_sample=recording.event_sample,
-        event_kind=np.array([EVENTS[kind] for kind in recording.event_kind], np.uint8),
-        event_note=recording.event_note if any(recording.event_note) else (),
-        belt_velocity=recording.belt_velocity,
         truth=store.truth(source),
-        operator=recording.operator,
         provenance={key: recording.provenance[key] for key in ("port", "firmware") if key in recording.provenance}
         | provenance.here()
         | {"replay_of": source.name, "replay_of_sha256": recording.digest},
@@ -93,32 +74,32 @@ def from_run(source: Path) -> RunData:
     return _belt_recounted(run)
 
 
-def recalibrated(run: RunData, rig: Rig) -> RunData:
+def recalibrated(run: Recording, rig: Rig) -> Recording:
     """Return the run with another calibration; decoder and counter width stay those it was recorded with."""
     rig = replace(rig, decoder=run.rig.decoder, counter_bits=run.rig.counter_bits)
     position = run.position if run.count is None else positions(run.count, rig)
     return _belt_recounted(replace(run, rig=rig, position=position, config_toml=rig.to_toml()))
 
 
-def _belt_recounted(run: RunData) -> RunData:
+def _belt_recounted(run: Recording) -> Recording:
     """Return the run with its belt decoded anew from the raw counter; a run that has none keeps what it has."""
-    if run.raw is None or run.raw.belt_count is None or run.segment is None:
+    if run.raw is None or run.raw.belt_count is None:
         return run
     starts = np.flatnonzero(np.diff(run.segment.astype(np.int64), prepend=-1))
     count, velocity = belt_counter.decoded(run.raw.belt_count, run.time, starts, run.rate_hz, run.rig)
     return replace(run, belt_count=count, belt_velocity=velocity)
 
 
-def findings(run: RunData) -> dict[str, int]:
+def findings(run: Recording) -> dict[str, int]:
     """Return ``lost, crc_errors, illegal, phase_errors`` as the raw samples and events of a run tell them."""
     found = {"lost": 0, "illegal": 0, "phase_errors": 0}
-    if run.raw is not None and run.segment is not None:
+    if run.raw is not None:
         within = np.diff(run.segment) == 0
         steps = np.diff(run.raw.sample.astype(np.int64))[within] - 1
         found["lost"] = int(steps.sum())
         found["illegal"] = int(counters.increments(run.raw.illegal, 16)[within].sum())
         found["phase_errors"] = int(np.count_nonzero(run.raw.flags & counters.FLAG_PHASE))
-    return found | {"crc_errors": int(np.count_nonzero(run.event_kind == EVENTS["crc"]))}
+    return found | {"crc_errors": run.event_kind.count("crc")}
 
 
 def _recount(raw: Raw, segment: NDArray[np.uint16], bits: int) -> NDArray[np.int64]:
@@ -166,7 +147,7 @@ def from_capture(
     rate_hz: float,
     rig: Rig,
     tell: Callable[[float], None] = lambda done: None,
-) -> tuple[RunData, decode.Totals]:
+) -> tuple[Recording, decode.Totals]:
     """Sample a capture as a board would.
 
     Parameters
@@ -217,7 +198,7 @@ def _captured(
     down: NDArray[np.int64],
     illegal: NDArray[np.int64],
     levels: NDArray[np.int64],
-) -> RunData:
+) -> Recording:
     time = index / float(capture.rate_hz or rate_hz)
     count = up - down
     names = [capture.probes[bit] for bit in wired.bits]
@@ -236,7 +217,7 @@ def _captured(
     roles = ("step", "direction") if wired.decoder == decode.TWO_COUNTER else ("a", "b")
     settings = f'[replay]\nsource = "{capture.path.name}"\nrate_hz = {float(rate_hz)!r}\n'
     settings += "".join(f'{role} = "{name}"\n' for role, name in zip(roles, names, strict=True))
-    return RunData(
+    return Recording(
         title=f"{capture.path.name}, probes {names[0]} and {names[1]}",
         started=started.isoformat(),
         ended=(started + timedelta(seconds=float(time[-1]))).isoformat(),
@@ -273,11 +254,11 @@ def _flags(
     return flags
 
 
-def _events(flags: NDArray[np.uint16]) -> tuple[NDArray[np.uint32], NDArray[np.uint8]]:
+def _events(flags: NDArray[np.uint16]) -> tuple[NDArray[np.uint32], tuple[str, ...]]:
     """Return one event where each check begins to fail."""
     found = []
     for kind, flag in HOST_FLAGS.items():
         on = (flags & flag) != 0
-        found += [(int(i), EVENTS[kind]) for i in np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))]
+        found += [(int(i), EVENTS[kind], kind) for i in np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))]
     found.sort()
-    return np.array([i for i, _ in found], np.uint32), np.array([kind for _, kind in found], np.uint8)
+    return np.array([i for i, _, _ in found], np.uint32), tuple(kind for _, _, kind in found)

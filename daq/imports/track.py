@@ -16,7 +16,7 @@ from daq.imports import table
 from daq.imports.columns import find, unit
 from daq.imports.frame_rate import check_half_period
 from daq.output import provenance
-from daq.runfile.recording import RunData
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
 
 FRAME_RATE_TOLERANCE = 1.01
@@ -60,7 +60,7 @@ class Wishes:
 class Imported:
     """A run made of a table, how its columns were read, and what looks wrong with it."""
 
-    run: RunData
+    run: Recording
     columns: dict[str, str]
     delimiter: str
     decimal: str
@@ -113,7 +113,7 @@ def read(path: Path, wishes: Wishes) -> Imported:
         "time": "frame rate" if t_column is None else f"{cells.label(t_column)} in {t_unit}",
         "position": f"{cells.label(x_column)} in {x_unit}",
     }
-    run = _run(path, wishes, RunData("", "", "", rate, rig, time, position), cells, columns)
+    run = _run(path, wishes, Recording("", "", "", rate, rig, time, position), cells, columns)
     even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
     return Imported(run, columns, cells.delimiter_name, cells.decimal, even, tuple(warnings))
 
@@ -167,7 +167,7 @@ def _retimed(time: NDArray[np.float64], rate_hz: float, warnings: list[str]) -> 
     return time * ratio
 
 
-def _run(path: Path, wishes: Wishes, run: RunData, cells: table.Table, columns: dict[str, str]) -> RunData:
+def _run(path: Path, wishes: Wishes, run: Recording, cells: table.Table, columns: dict[str, str]) -> Recording:
     data = path.read_bytes()
     if wishes.started is None:
         start = datetime.fromtimestamp(path.stat().st_mtime, UTC).replace(microsecond=0)

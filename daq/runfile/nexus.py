@@ -1,18 +1,26 @@
-"""NeXus by hand: groups with a class, fields with units, tables whose axis is a true HDF5 dimension scale.
+"""NeXus on h5py: groups with a class, fields with units, tables over a true HDF5 dimension scale; typed reads.
 
-Rules the validators taught: free columns belong in NXdata or NXcollection; every float has ``units`` ("" when it is
+Rules of the validators: free columns belong in NXdata or NXcollection; every float has ``units`` ("" when it is
 dimensionless); ``NAME_errors`` draws error bars everywhere; no compression plugin, so that files open anywhere.
 No object stores its creation time, so equal data give equal bytes.
+
+The ``read_`` functions expect nothing of a file: every surprise is one InputError that names the field.  Their paths
+are relative to /entry; ``where`` is the file, for the message.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
+from daq.errors import InputError
+
 CHUNK = 16384
+EVERY = slice(None)  # rows
+AGAIN = "the file was damaged or made by another program; record or import it again"
 
 
 def group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5py.Group:
@@ -140,3 +148,55 @@ def scale(parent: h5py.Group, axis: str) -> None:
 def link(parent: h5py.Group, name: str, target: h5py.Dataset) -> None:
     """Give ``target`` a second name: a hard link, no copy."""
     parent[name] = target
+
+
+def check_length(found: int, n: int, name: str, where: Path) -> None:
+    """Refuse a column of ``found`` values where ``n`` belong."""
+    if found != n:
+        raise InputError(f"/entry/{name} has {found} values where {n} belong", str(where), AGAIN)
+
+
+def read_group(parent: h5py.Group, name: str, where: Path) -> h5py.Group:
+    """Return the group ``name``."""
+    item = parent.get(name)
+    if not isinstance(item, h5py.Group):
+        raise InputError(f"has no group /{name}", str(where), AGAIN)
+    return item
+
+
+def read_dataset(entry: h5py.Group, name: str, where: Path) -> h5py.Dataset:
+    """Return the dataset ``name``."""
+    item = entry.get(name)
+    if not isinstance(item, h5py.Dataset):
+        raise InputError(f"has no /entry/{name}", str(where), AGAIN)
+    return item
+
+
+def read_array(entry: h5py.Group, name: str, dtype: Any, where: Path, own: slice = EVERY) -> Any:
+    """Return a column of numbers, or ``own`` rows of it, as ``dtype``; integers are never read out of floats."""
+    item = read_dataset(entry, name, where)
+    if item.ndim != 1 or item.dtype.kind not in "iuf" or not np.can_cast(item.dtype, dtype, "same_kind"):
+        found = f"{item.ndim}-dimensional {item.dtype}"
+        raise InputError(f"/entry/{name} is {found}, not one column of {np.dtype(dtype)}", str(where), AGAIN)
+    return item[own].astype(dtype, copy=False)
+
+
+def read_number(entry: h5py.Group, name: str, where: Path) -> float:
+    """Return a single number."""
+    item = read_dataset(entry, name, where)
+    if item.shape != () or item.dtype.kind not in "iuf":
+        raise InputError(f"/entry/{name} is no number", str(where), AGAIN)
+    return float(item[()])
+
+
+def read_text(entry: h5py.Group, name: str, where: Path) -> str:
+    """Return a single text."""
+    item = read_dataset(entry, name, where)
+    if item.shape != () or h5py.check_string_dtype(item.dtype) is None:
+        raise InputError(f"/entry/{name} is no text", str(where), AGAIN)
+    return text(item[()])
+
+
+def text(value: Any) -> str:
+    """Return an HDF5 string, however h5py delivered it."""
+    return value.decode() if isinstance(value, bytes) else str(value)

@@ -1,13 +1,9 @@
-"""What a run is: the samples as sent, the motion made of them, and everything known about both.
+"""What a run is: the samples as sent, the motion made of them, and everything known about both."""
 
-`RunData` is what a recorder, an import or a replay hands to `daq.runfile.store.write`; `Recording` is what
-`daq.runfile.store.load` gives to processing and fitting.  The truth of a simulated rig is not part of a `Recording`,
-so that nobody reads it by accident.
-"""
-
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,42 +70,32 @@ class Truth:
     scene: str = ""
 
 
+def _none(dtype: type[np.generic]) -> Callable[[], NDArray[Any]]:
+    return lambda: np.empty(0, dtype)
+
+
 @dataclass(frozen=True)
 class Recording:
-    """A run as read from its file.
+    """A run: what a recorder, an import or a replay hands to `daq.runfile.store.write`, and `store.load` returns.
 
     Attributes
     ----------
-    source : Path
-        The file.
     title, started, ended : str
         Title; first and last sample in ISO 8601 with zone.
-    time : (n,) f8
-        Seconds since the first sample by the device's clock, increasing.
-    position : (n,) f8
-        Metres from the spring's rest, positive towards +x; counts when `unit` is "count".
-    unit : str
-        "m", or "count" for a rig whose metres per count nobody measured.
-    count : (n,) i8 or None
-        Unwrapped count; None for an import.
-    segment : (n,) u2
-        A new one after every unplug.
     rate_hz : float
         Nominal sample rate.
     rig : Rig
         Calibration.
+    time : (n,) f8
+        Seconds since the first sample by the device's clock, increasing.
+    position : (n,) f8
+        Metres from the spring's rest position, positive towards +x; counts when `unit` is "count".
+    count : (n,) i8 or None
+        Unwrapped count; None for an import.
     raw : Raw or None
         The samples as sent; None for an import.
-    event_sample, event_kind, event_note
-        Index into the run (e,), name of the kind, and words where there are any.
-    belt_velocity : (n,) f8 or None
-        m/s, signed, only with a belt channel: differences of its counts (`daq.finalise.belt_counter`), not smoothed.
-    belt_count : (n,) i8 or None
-        Unwrapped count of the belt's encoder, only with a belt channel; metres of it are in `rig`.
-    default : str
-        Last stage: "data", "smooth" or "fit".
-    digest : str
-        sha256 of the raw data (of time and position for an import).
+    segment : (n,) u2
+        A new one after every unplug; not given: 0 throughout.
     config_toml : str
         The configuration the run was made with, verbatim.
     clock_sample, clock_offset : (c,) u4, (c,) f8
@@ -117,47 +103,24 @@ class Recording:
     clock_ppm : float or None
         Drift of the device's clock, positive when fast; None where it could not be known.
     clock_ppm_error, clock_offset_error : float or None, (c,) f8
-        How far off the drift (ppm) and each of the offsets (s) may be; None, or empty, where that is not known.
+        Standard deviations of the drift (ppm) and of each offset (s); None, or empty, where they are not known.
+    event_sample, event_kind, event_note
+        Index into the run, (e,) u4; name of the kind (a key of `EVENTS`); words where there are any.
+    belt_velocity : (n,) f8 or None
+        m/s, signed, only with a belt channel: differences of its counts (`daq.finalise.belt_counter`), not smoothed.
+    belt_count : (n,) i8 or None
+        Unwrapped count of the belt's encoder, only with a belt channel; metres of it are in `rig`.
+    truth : Truth or None
+        The exact motion, on the way into a file only: `store.load` leaves it out, so that nobody reads it by accident
+        (`store.truth` reads it).
+    operator : str
+        Who recorded.
     provenance : mapping
         Software, versions, command line.
+    source, default, digest
+        Of a run that was loaded: its file; its last stage, "data", "smooth" or "fit"; the sha256 of its raw data (of
+        time and position for an import).
     """
-
-    source: Path
-    title: str
-    started: str
-    ended: str
-    time: NDArray[np.float64]
-    position: NDArray[np.float64]
-    unit: str
-    count: NDArray[np.int64] | None
-    segment: NDArray[np.uint16]
-    rate_hz: float
-    rig: Rig
-    raw: Raw | None
-    event_sample: NDArray[np.uint32]
-    event_kind: tuple[str, ...]
-    event_note: tuple[str, ...]
-    belt_velocity: NDArray[np.float64] | None
-    default: str
-    digest: str
-    config_toml: str
-    clock_sample: NDArray[np.uint32]
-    clock_offset: NDArray[np.float64]
-    operator: str
-    provenance: Mapping[str, str | int]
-    clock_ppm: float | None = None
-    clock_ppm_error: float | None = None
-    clock_offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
-    belt_count: NDArray[np.int64] | None = None
-
-
-def _no_samples() -> NDArray[np.uint32]:
-    return np.empty(0, np.uint32)
-
-
-@dataclass(frozen=True)
-class RunData:
-    """A run on its way into a file; arrays as in `Recording`, events by their code in `EVENTS`."""
 
     title: str
     started: str
@@ -168,21 +131,35 @@ class RunData:
     position: NDArray[np.float64]
     count: NDArray[np.int64] | None = None
     raw: Raw | None = None
-    segment: NDArray[np.uint16] | None = None
+    segment: NDArray[np.uint16] = field(default_factory=_none(np.uint16))
     config_toml: str = ""
-    clock_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
-    clock_offset: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
+    clock_sample: NDArray[np.uint32] = field(default_factory=_none(np.uint32))
+    clock_offset: NDArray[np.float64] = field(default_factory=_none(np.float64))
     clock_ppm: float | None = None
     clock_ppm_error: float | None = None
-    clock_offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0, np.float64))
-    event_sample: NDArray[np.uint32] = field(default_factory=_no_samples)
-    event_kind: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
+    clock_offset_error: NDArray[np.float64] = field(default_factory=_none(np.float64))
+    event_sample: NDArray[np.uint32] = field(default_factory=_none(np.uint32))
+    event_kind: tuple[str, ...] = ()
     event_note: tuple[str, ...] = ()
     belt_velocity: NDArray[np.float64] | None = None
     belt_count: NDArray[np.int64] | None = None
     truth: Truth | None = None
     operator: str = ""
     provenance: Mapping[str, str | int] = field(default_factory=dict)
+    source: Path = Path()
+    default: str = "data"
+    digest: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.segment.size:
+            object.__setattr__(self, "segment", np.zeros(self.time.size, np.uint16))
+        if not self.event_note:
+            object.__setattr__(self, "event_note", ("",) * self.event_sample.size)
+
+    @property
+    def unit(self) -> str:
+        """Of `position`: "m", or "count" for counts of a rig whose metres per count nobody measured."""
+        return "count" if self.count is not None and self.rig.metres_per_count is None else "m"
 
 
 def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:

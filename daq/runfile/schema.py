@@ -1,201 +1,389 @@
-"""The tree of a run file, group by group, in NeXus base classes.
+"""The tree of a run file: one table that writes it, reads it and documents it.
 
-::
+`TREE` lists the groups of /entry, in NeXus base classes, and the fields of each.  A field names the attribute of
+`Recording` it holds (``rig.mass``), and how it is computed where that is not simply the attribute.  `write` and `read`
+go through the table; docs/run-file.md is generated from it (`documentation`).
 
-    entry                NXentry       title, times, program
-      operator           NXuser        when known
-      sample             NXsample      the mass
-      instrument         NXinstrument
-        encoder          NXsensor      value_log (time, position, count), calibration
-        belt             NXpositioner  velocity; with a channel its value_log (time, velocity, count) and calibration
-      raw                NXdata        the samples as sent; absent in an import
-      clock_sync         NXdata        host minus device
-      events             NXcollection  sample, kind, note
-      configuration      NXnote        TOML, verbatim
-      provenance         NXcollection  software, versions, sha256 of the raw data
-      truth              NXcollection  only of a simulated rig that was asked to tell
-      data               NXdata        hard links to value_log
+Types: ``f8`` and the like are numpy's; ``[n]`` is a column over the samples, ``[c]`` over the clock readings, ``[e]``
+over the events, ``[m]`` over the samples of the truth.  A measured quantity is a number and, beside it,
+``NAME_errors``, its standard deviation.
 """
 
 import hashlib
 import uuid
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from datetime import datetime
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.runfile.nexus import field, group, link, scale
-from daq.runfile.recording import EVENTS, Raw, RunData
+from daq.runfile import nexus
+from daq.runfile.recording import EVENT_NAMES, EVENTS, Recording
 from daq.runfile.rig import Measured
 from daq.version import VERSION
 
-RAW_COLUMNS = ("count_up", "count_down", "device_time", "levels", "flags", "illegal", "belt_count", "edge_time")
-RAW_UNITS = {"device_time": "us", "edge_time": "us"}
+SCHEMA = 1
 KIND = h5py.enum_dtype(EVENTS, basetype="u1")
 
 
-def digest(data: RunData) -> str:
+@dataclass(frozen=True)
+class Field:
+    """One field of a group.
+
+    Attributes
+    ----------
+    path : str
+        Within /entry.
+    kind : str
+        "text", "measured", "link", or a numpy type; with the letter of its axis when it is a column ("f8[n]").  Text
+        columns are "text[e]", the codes of `EVENTS` "enum[e]"; "u2 or u4" is stored as it is; "text or i8" are as many
+        fields as the mapping has keys.
+    unit : str
+        SI unit; "" when dimensionless, "m or count" for the run's own unit of position.
+    text : str
+        What it is, for the documentation; the target of a link.
+    of : str
+        The attribute of `Recording` that it is read into; "" for a field that is only written.
+    value : callable, optional
+        The value to write, None to leave the field out; by default the attribute ``of``.
+    optional : bool
+        Whether a file without it is read; an empty value of an optional field is not written.
+    """
+
+    path: str
+    kind: str
+    unit: str
+    text: str
+    of: str = ""
+    value: Callable[[Recording], Any] | None = None
+    optional: bool = False
+
+    @property
+    def dtype(self) -> str:
+        """The kind without its axis."""
+        return self.kind.split("[")[0]
+
+    @property
+    def axis(self) -> str:
+        """The letter of the column's axis, "" for a single value."""
+        return self.kind.partition("[")[2].rstrip("]")
+
+    def of_run(self, run: Recording) -> Any:
+        """Return the value to write, None where the run has none."""
+        if self.value is not None:
+            found = self.value(run)
+        else:
+            part = self.of.rpartition(".")[0]
+            found = None if part and getattr(run, part) is None else attrgetter(self.of)(run)
+        if found is None or not self.optional:
+            return found
+        empty = not any(found) if self.dtype == "text" else np.size(found) == 0
+        return None if empty else found
+
+
+@dataclass(frozen=True)
+class Group:
+    """One group: its path in /entry, its NeXus class, and its attributes; an optional one is there with its fields."""
+
+    path: str
+    nx_class: str
+    optional: bool = False
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+
+def _counted(of: str) -> Callable[[Recording], Any]:
+    """Return what gives an attribute of a run with counts, None of an import."""
+    return lambda run: None if run.count is None else attrgetter(of)(run)
+
+
+def _sensor(counted: str, imported: str) -> Callable[[Recording], str]:
+    return lambda run: imported if run.count is None else counted
+
+
+def _duration(run: Recording) -> int:
+    span = datetime.fromisoformat(run.ended) - datetime.fromisoformat(run.started)
+    return round(span.total_seconds())
+
+
+def _identity(run: Recording) -> str:
+    return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{run.started} {run.title} {run.digest}"))
+
+
+def _segment(run: Recording) -> NDArray[np.uint16] | None:
+    return None if run.raw is None else run.segment
+
+
+def _belt(run: Recording) -> str | None:
+    known = (run.rig.belt_speed, run.rig.belt_metres_per_count, run.belt_velocity)
+    return "belt" if any(item is not None for item in known) else None
+
+
+DATA = {"signal": "value", "axes": "time", "time_indices": np.int64(0)}
+RAW = {"signal": "count_up", "axes": "sample", "auxiliary_signals": ["count_down"], "sample_indices": np.int64(0)}
+SYNC = {"signal": "host_minus_device", "axes": "sample"}
+CALIBRATION = "instrument/encoder/calibration"
+ENCODER_LOG = "instrument/encoder/value_log"
+BELT_LOG = "instrument/belt/value_log"
+
+TREE: tuple[Group | Field, ...] = (
+    Group("", "NXentry", attributes={"default": "data"}),
+    Field("title", "text", "", "title of the run", "title"),
+    Field("start_time", "text", "", "first sample, ISO 8601 with zone", "started"),
+    Field("end_time", "text", "", "last sample, ISO 8601 with zone", "ended"),
+    Field("duration", "i8", "s", "end minus start, rounded", value=_duration),
+    Field("entry_identifier_uuid", "text", "", "derived from start, title and raw data", value=_identity),
+    Field("program_name", "text", "", "`daq`; @version, @configuration", value=lambda run: "daq"),
+    Group("operator", "NXuser", optional=True),
+    Field("operator/name", "text", "", "who recorded", "operator", optional=True),
+    Group("sample", "NXsample"),
+    Field("sample/name", "text", "", "name of the rig, or `mass`", value=lambda run: run.rig.name or "mass"),
+    Field("sample/mass", "measured", "kg", "moving mass", "rig.mass", optional=True),
+    Group("instrument", "NXinstrument"),
+    Group("instrument/encoder", "NXsensor"),
+    Field("instrument/encoder/name", "text", "", "of the sensor", value=_sensor("encoder", "position track")),
+    Field(
+        "instrument/encoder/model",
+        "text",
+        "",
+        "decoder, or `imported`",
+        value=lambda run: "imported" if run.count is None else run.rig.decoder,
+    ),
+    Field(
+        "instrument/encoder/type",
+        "text",
+        "",
+        "of sensor",
+        value=_sensor("incremental encoder", "position against time"),
+    ),
+    Group(ENCODER_LOG, "NXlog"),
+    Field(f"{ENCODER_LOG}/time", "f8[n]", "s", "since the first sample by the device's clock; @start", "time"),
+    Field(f"{ENCODER_LOG}/value", "f8[n]", "m or count", "position from the spring's rest position", "position"),
+    Field(f"{ENCODER_LOG}/raw_value", "i8[n]", "count", "unwrapped count", "count", optional=True),
+    Group(CALIBRATION, "NXcollection"),
+    Field(f"{CALIBRATION}/rig", "text", "", "name of the rig", "rig.name", optional=True),
+    Field(f"{CALIBRATION}/rate", "f8", "Hz", "nominal sample rate", "rate_hz"),
+    Field(f"{CALIBRATION}/metres_per_count", "measured", "m", "pitch", "rig.metres_per_count", optional=True),
+    Field(f"{CALIBRATION}/datum", "measured", "m", "position of count zero", "rig.datum", optional=True),
+    Field(f"{CALIBRATION}/stiffness", "measured", "N/m", "of the spring", "rig.stiffness", optional=True),
+    Field(f"{CALIBRATION}/damping", "measured", "N*s/m", "viscous damping", "rig.damping", optional=True),
+    Field(f"{CALIBRATION}/counts_per_revolution", "i8", "", "one turn", "rig.counts_per_revolution", optional=True),
+    Field(f"{CALIBRATION}/counter_bits", "i8", "", "width", "rig.counter_bits", _counted("rig.counter_bits"), True),
+    Field(f"{CALIBRATION}/decoder", "text", "", "how edges count", "rig.decoder", _counted("rig.decoder"), True),
+    Group("instrument/belt", "NXpositioner", optional=True),
+    Field("instrument/belt/name", "text", "", "`belt`", value=_belt),
+    Field("instrument/belt/velocity", "measured", "m/s", "positive towards +x", "rig.belt_speed", optional=True),
+    Group(BELT_LOG, "NXlog", optional=True),
+    Field(f"{BELT_LOG}/time", "link", "s", f"{ENCODER_LOG}/time", value=lambda run: run.belt_velocity),
+    Field(f"{BELT_LOG}/value", "f8[n]", "m/s", "belt velocity: differences of its counts over 20 ms", "belt_velocity"),
+    Field(f"{BELT_LOG}/raw_value", "i8[n]", "count", "unwrapped count of the belt", "belt_count", optional=True),
+    Group("instrument/belt/calibration", "NXcollection", optional=True),
+    Field("instrument/belt/calibration/metres_per_count", "measured", "m", "pitch", "rig.belt_metres_per_count"),
+    Group("raw", "NXdata", optional=True, attributes=RAW),
+    Field("raw/sample", "u4[n]", "", "sequence number: skips lost samples, restarts in each segment", "raw.sample"),
+    Field("raw/segment", "u2[n]", "", "a new one after every unplug", "segment", _segment),
+    Field("raw/count_up", "u2 or u4[n]", "", "counter of steps up, rolling over at its width", "raw.count_up"),
+    Field("raw/count_down", "u2 or u4[n]", "", "counter of steps down", "raw.count_down"),
+    Field("raw/device_time", "u4[n]", "us", "device time, rolling over at 2^32", "raw.device_time"),
+    Field("raw/levels", "u1[n]", "", "channel levels, A = 1, B = 2", "raw.levels"),
+    Field("raw/flags", "u2[n]", "", "status bits of the sample", "raw.flags"),
+    Field("raw/illegal", "u2[n]", "", "illegal transitions so far, rolling over", "raw.illegal"),
+    Field("raw/belt_count", "u2[n]", "", "the belt encoder's counter", "raw.belt_count", optional=True),
+    Field("raw/edge_time", "u2[n]", "us", "from the last edge to the sample", "raw.edge_time", optional=True),
+    Group("clock_sync", "NXdata", attributes=SYNC),
+    Field("clock_sync/sample", "u4[c]", "", "index of the sample", "clock_sample"),
+    Field("clock_sync/host_minus_device", "f8[c]", "s", "host clock minus device clock", "clock_offset"),
+    Field("clock_sync/drift", "f8", "ppm", "of the device's clock, positive when fast", "clock_ppm", optional=True),
+    Field("clock_sync/drift_errors", "f8", "ppm", "standard deviation", "clock_ppm_error", optional=True),
+    Field("clock_sync/host_minus_device_errors", "f8[c]", "s", "same", "clock_offset_error", optional=True),
+    Group("events", "NXcollection"),
+    Field("events/sample", "u4[e]", "", "index of the sample", "event_sample"),
+    Field("events/kind", "enum[e]", "", f"u1: {', '.join(EVENTS)}", "event_kind"),
+    Field("events/note", "text[e]", "", "words about it", "event_note", optional=True),
+    Group("configuration", "NXnote"),
+    Field("configuration/type", "text", "", "`application/toml`", value=lambda run: "application/toml"),
+    Field("configuration/data", "text", "", "the configuration of the run, verbatim", "config_toml"),
+    # Not on the root: nxcheck warns of any attribute there that NeXus does not define, and allows all of them here.
+    Group("provenance", "NXcollection", attributes={"stickslip_schema": np.int64(SCHEMA)}),
+    Field("provenance/*", "text or i8", "", "software, versions, host, command line", "provenance"),
+    Field("provenance/sha256_raw", "text", "", "of the raw columns; of time and position in an import", "digest"),
+    Group("truth", "NXcollection", optional=True),
+    Field("truth/scene", "text", "", "URL of the simulated rig", "truth.scene", optional=True),
+    Field("truth/time", "f8[m]", "s", "sample times", "truth.time"),
+    Field("truth/x", "f8[m]", "m", "exact position", "truth.x"),
+    Field("truth/v", "f8[m]", "m/s", "exact velocity", "truth.v"),
+    Field("truth/F", "f8[m]", "N", "exact friction force", "truth.F"),
+    Group("data", "NXdata", attributes=DATA),
+    Field("data/time", "link", "s", f"{ENCODER_LOG}/time", value=lambda run: run.time),
+    Field("data/value", "link", "m or count", f"{ENCODER_LOG}/value", value=lambda run: run.position),
+)
+FIELDS = tuple(row for row in TREE if isinstance(row, Field))
+OPTIONAL_GROUPS = tuple(row.path for row in TREE if isinstance(row, Group) and row.optional)
+
+
+def digest(run: Recording) -> str:
     """Return the sha256 of the raw columns, or of time and position when there are none."""
-    columns: dict[str, NDArray[np.generic]]
-    if data.raw is None:
-        columns = {"time": data.time, "position": data.position}
-    else:
-        columns = raw_columns(data.raw, segments(data))
+    columns: dict[str, Any] = {"time": run.time, "position": run.position}
+    if run.raw is not None:
+        columns = {row.path.removeprefix("raw/"): row.of_run(run) for row in FIELDS if row.path.startswith("raw/")}
     sha = hashlib.sha256()
     for name, values in columns.items():
-        sha.update(f"{name} {values.dtype.str} {values.size}\n".encode())
-        sha.update(np.ascontiguousarray(values).tobytes())
+        if values is not None:
+            sha.update(f"{name} {values.dtype.str} {values.size}\n".encode())
+            sha.update(np.ascontiguousarray(values).tobytes())
     return sha.hexdigest()
 
 
-def segments(data: RunData) -> NDArray[np.uint16]:
-    """Return the segment of each sample; a run that was never interrupted is segment 0 throughout."""
-    return np.zeros(data.time.size, np.uint16) if data.segment is None else data.segment
-
-
-def raw_columns(raw: Raw, segment: NDArray[np.uint16]) -> dict[str, NDArray[np.generic]]:
-    """Return the raw columns that this board sent, in the order of the file."""
-    columns: dict[str, NDArray[np.generic]] = {"sample": raw.sample, "segment": segment}
-    for name in RAW_COLUMNS:
-        values = getattr(raw, name)
-        if values is not None:
-            columns[name] = values
-    return columns
-
-
-def build(file: h5py.File, data: RunData, file_name: str, schema: int) -> None:
-    """Write the whole tree of ``data`` into the empty ``file``.
+def write(file: h5py.File, run: Recording, file_name: str) -> None:
+    """Write the whole tree of ``run`` into the empty ``file``.
 
     No clock is read: ``@file_time`` is the end of the run, the entry's identifier is derived from the raw data.
     """
-    sha256 = digest(data)
     file.attrs["NX_class"] = "NXroot"
     file.attrs["default"] = "entry"
     file.attrs["creator"] = f"stickslip {VERSION}"
     file.attrs["file_name"] = file_name
-    file.attrs["file_time"] = data.ended
+    file.attrs["file_time"] = run.ended
     file.attrs["HDF5_Version"] = h5py.version.hdf5_version
     file.attrs["h5py_version"] = h5py.version.version
     file.attrs["NeXus_version"] = "2024.02"
-    entry = group(file, "entry", "NXentry", default="data")
-    _entry(entry, data, sha256)
-    if data.operator:
-        field(group(entry, "operator", "NXuser"), "name", data.operator)
-    sample = group(entry, "sample", "NXsample")
-    field(sample, "name", data.rig.name or "mass")
-    _measured(sample, "mass", data.rig.mass, "kg")
-    log = _instrument(entry, data)
-    if data.raw is not None:
-        _raw(entry, data.raw, segments(data))
-    sync = group(entry, "clock_sync", "NXdata", signal="host_minus_device", axes="sample")
-    field(sync, "sample", data.clock_sample)
-    field(sync, "host_minus_device", data.clock_offset, "s")
-    if data.clock_ppm is not None:
-        field(sync, "drift", np.float64(data.clock_ppm), "ppm")
-    if data.clock_ppm_error is not None:
-        field(sync, "drift_errors", np.float64(data.clock_ppm_error), "ppm")
-    if data.clock_offset_error.size:
-        field(sync, "host_minus_device_errors", data.clock_offset_error, "s")
-    _events(entry, data)
-    note = group(entry, "configuration", "NXnote")
-    field(note, "type", "application/toml")
-    field(note, "data", data.config_toml)
-    provenance = group(entry, "provenance", "NXcollection")
-    # Not on the root: nxcheck warns of any attribute there that NeXus does not define, and allows all of them here.
-    provenance.attrs["stickslip_schema"] = np.int64(schema)
-    for key, value in data.provenance.items():
-        field(provenance, key, value if isinstance(value, str) else np.int64(value))
-    field(provenance, "sha256_raw", sha256)
-    if data.truth is not None:
-        truth = group(entry, "truth", "NXcollection")
-        if data.truth.scene:
-            field(truth, "scene", data.truth.scene)
-        for name, units in (("time", "s"), ("x", "m"), ("v", "m/s"), ("F", "N")):
-            field(truth, name, np.asarray(getattr(data.truth, name), np.float64), units)
-    plot = group(entry, "data", "NXdata", signal="value", axes="time", title=data.title)
-    plot.attrs["time_indices"] = np.int64(0)
-    link(plot, "time", log["time"])
-    link(plot, "value", log["value"])
+    filled = [row for row in FIELDS if row.of_run(run) is not None]
+    for group in TREE:
+        if isinstance(group, Group) and not (group.optional and not any(parent(row) == group.path for row in filled)):
+            nexus.group(file, f"entry/{group.path}".rstrip("/"), group.nx_class, **group.attributes)
+    entry = file["entry"]
+    for row in filled:
+        _write_field(entry, row, row.of_run(run), run)
+    nexus.scale(entry[ENCODER_LOG], "time")
+    entry["program_name"].attrs.update({"version": VERSION, "configuration": "configuration/data"})
+    entry[f"{ENCODER_LOG}/time"].attrs["start"] = run.started
+    entry[f"{ENCODER_LOG}/value"].attrs["long_name"] = f"position ({run.unit})"
+    entry["data"].attrs["title"] = run.title
 
 
-def _entry(entry: h5py.Group, data: RunData, sha256: str) -> None:
-    field(entry, "title", data.title)
-    field(entry, "start_time", data.started)
-    field(entry, "end_time", data.ended)
-    span = datetime.fromisoformat(data.ended) - datetime.fromisoformat(data.started)
-    field(entry, "duration", np.int64(round(span.total_seconds())), "s")
-    identity = uuid.uuid5(uuid.NAMESPACE_OID, f"{data.started} {data.title} {sha256}")
-    field(entry, "entry_identifier_uuid", str(identity))
-    field(entry, "program_name", "daq", version=VERSION, configuration="configuration/data")
+def parent(row: Field) -> str:
+    """Return the path of the group a field stands in."""
+    return row.path.rpartition("/")[0]
 
 
-def _instrument(entry: h5py.Group, data: RunData) -> h5py.Group:
-    instrument = group(entry, "instrument", "NXinstrument")
-    encoder = group(instrument, "encoder", "NXsensor")
-    counts = data.count is not None
-    field(encoder, "name", "encoder" if counts else "position track")
-    field(encoder, "model", data.rig.decoder if counts else "imported")
-    field(encoder, "type", "incremental encoder" if counts else "position against time")
-    unit = "m" if data.rig.metres_per_count is not None or not counts else "count"
-    log = group(encoder, "value_log", "NXlog")
-    field(log, "time", np.asarray(data.time, np.float64), "s", start=data.started)
-    field(log, "value", np.asarray(data.position, np.float64), unit, long_name=f"position ({unit})")
-    if data.count is not None:
-        field(log, "raw_value", np.asarray(data.count, np.int64), "count")
-    scale(log, "time")
-    calibration = group(encoder, "calibration", "NXcollection")
-    if data.rig.name:
-        field(calibration, "rig", data.rig.name)
-    field(calibration, "rate", np.float64(data.rate_hz), "Hz")
-    for name, units in (
-        ("metres_per_count", "m"),
-        ("datum", "m"),
-        ("stiffness", "N/m"),
-        ("damping", "N*s/m"),
-    ):
-        _measured(calibration, name, getattr(data.rig, name), units)
-    if data.rig.counts_per_revolution is not None:
-        field(calibration, "counts_per_revolution", np.int64(data.rig.counts_per_revolution), "")
-    if counts:
-        field(calibration, "counter_bits", np.int64(data.rig.counter_bits), "")
-        field(calibration, "decoder", data.rig.decoder)
-    known = (data.rig.belt_speed, data.rig.belt_metres_per_count, data.belt_velocity)
-    if any(item is not None for item in known):
-        belt = group(instrument, "belt", "NXpositioner")
-        field(belt, "name", "belt")
-        _measured(belt, "velocity", data.rig.belt_speed, "m/s")
-        if data.belt_velocity is not None:
-            belt_log = group(belt, "value_log", "NXlog")
-            link(belt_log, "time", log["time"])
-            field(belt_log, "value", np.asarray(data.belt_velocity, np.float64), "m/s")
-            if data.belt_count is not None:
-                field(belt_log, "raw_value", np.asarray(data.belt_count, np.int64), "count")
-        if data.rig.belt_metres_per_count is not None:
-            own = group(belt, "calibration", "NXcollection")
-            _measured(own, "metres_per_count", data.rig.belt_metres_per_count, "m")
-    return log
+def _write_field(entry: h5py.Group, row: Field, value: Any, run: Recording) -> None:
+    unit = run.unit if row.unit == "m or count" else row.unit
+    match row.dtype:
+        case "link":
+            nexus.link(entry, row.path, entry[row.text])
+        case "text":
+            nexus.field(entry, row.path, value if isinstance(value, str) else list(value))
+        case "text or i8":
+            for name, item in value.items():
+                nexus.field(entry, f"{parent(row)}/{name}", item if isinstance(item, str) else np.int64(item))
+        case "enum":
+            codes = np.array([EVENTS[kind] for kind in value], np.uint8)
+            entry.create_dataset(row.path, data=codes, dtype=KIND, track_times=False)
+        case "measured":
+            # Number and error both in f8: a scalar's error in f4 would save nothing and not read back exactly.
+            nexus.field(entry, row.path, np.float64(value.value), unit)
+            if value.sd:
+                nexus.field(entry, f"{row.path}_errors", np.float64(value.sd), unit)
+        case dtype:
+            stored = np.asarray(value, None if dtype == "u2 or u4" else dtype)
+            nexus.field(entry, row.path, stored, unit if unit or not row.axis else None)
 
 
-def _raw(entry: h5py.Group, raw: Raw, segment: NDArray[np.uint16]) -> None:
-    made = group(entry, "raw", "NXdata", signal="count_up", axes="sample")
-    made.attrs["auxiliary_signals"] = ["count_down"]
-    made.attrs["sample_indices"] = np.int64(0)
-    for name, values in raw_columns(raw, segment).items():
-        field(made, name, values, RAW_UNITS.get(name))
+def read(entry: h5py.Group, rows: Iterable[Field], where: Path, own: slice = nexus.EVERY) -> dict[str, Any]:
+    """Read fields into a mapping from attribute of `Recording` (``rig.mass``) to value.
+
+    ``own`` are the samples to read of columns over the samples.  An absent optional field is absent in the mapping.
+
+    Raises
+    ------
+    InputError
+        For a field that is missing, of another type, or not as long as the others of its axis.
+    """
+    found: dict[str, Any] = {}
+    lengths: dict[str, int] = {}
+    for row in rows:
+        absent_group = parent(row) in OPTIONAL_GROUPS and parent(row) not in entry
+        if not row.of or absent_group or (row.optional and row.path not in entry):
+            continue
+        value = _read_field(entry, row, where, own)
+        if row.axis:
+            nexus.check_length(len(value), lengths.setdefault(row.axis, len(value)), row.path, where)
+        found[row.of] = value
+    return found
 
 
-def _events(entry: h5py.Group, data: RunData) -> None:
-    events = group(entry, "events", "NXcollection")
-    field(events, "sample", data.event_sample)
-    events.create_dataset("kind", data=np.asarray(data.event_kind, np.uint8), dtype=KIND, track_times=False)
-    if any(data.event_note):
-        field(events, "note", list(data.event_note))
+def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
+    match row.kind:
+        case "text":
+            return nexus.read_text(entry, row.path, where)
+        case "text[e]":
+            return tuple(nexus.text(item) for item in nexus.read_dataset(entry, row.path, where)[()])
+        case "text or i8":
+            values = {name: item[()] for name, item in entry[parent(row)].items() if name != "sha256_raw"}
+            return {name: int(it) if isinstance(it, np.integer) else nexus.text(it) for name, it in values.items()}
+        case "enum[e]":
+            codes = nexus.read_array(entry, row.path, np.uint8, where)
+            return tuple(EVENT_NAMES.get(int(code), f"kind {code}") for code in codes)
+        case "measured":
+            errors = f"{row.path}_errors"
+            sd = nexus.read_number(entry, errors, where) if errors in entry else 0.0
+            return Measured(nexus.read_number(entry, row.path, where), sd)
+        case "f8":
+            return nexus.read_number(entry, row.path, where)
+        case "i8":
+            return int(nexus.read_number(entry, row.path, where))
+        case "u2 or u4[n]":
+            wide = nexus.read_dataset(entry, row.path, where).dtype.itemsize > 2
+            return nexus.read_array(entry, row.path, np.uint32 if wide else np.uint16, where, own)
+    return nexus.read_array(entry, row.path, row.dtype, where, own if row.axis == "n" else nexus.EVERY)
 
 
-def _measured(parent: h5py.Group, name: str, measured: Measured | None, units: str) -> None:
-    # One number and its error, both in f8: a scalar's error in f4 would save nothing and not read back exactly.
-    if measured is not None:
-        field(parent, name, np.float64(measured.value), units)
-        if measured.sd:
-            field(parent, f"{name}_errors", np.float64(measured.sd), units)
+def check(run: Recording) -> None:
+    """Raise ValueError when the parts of ``run`` do not belong together."""
+    n = run.time.size
+    if n == 0:
+        raise ValueError("a run needs at least one sample")
+    if run.raw is not None and run.count is None:
+        raise ValueError("count is None; a run with raw samples needs its count")
+    first: dict[str, tuple[str, int]] = {"n": ("time", n)}
+    for row in FIELDS:
+        value = row.of_run(run) if row.axis else None
+        if value is not None:
+            name, length = first.setdefault(row.axis, (row.of, len(value)))
+            if np.shape(value) != (length,):
+                raise ValueError(f"{row.of} has shape {np.shape(value)}; {name} has {length} values")
+    if not (np.isfinite(run.time).all() and np.isfinite(run.position).all()):
+        raise ValueError("times and positions must be finite")
+    if (at := first_disorder(run.time)) is not None:
+        raise ValueError(f"time does not increase at sample {at}")
+    if unknown := sorted(set(run.event_kind) - set(EVENTS)):
+        raise ValueError(f"event kinds {unknown} are unknown")
+    if run.belt_count is not None and run.belt_velocity is None:
+        raise ValueError("belt_count without belt_velocity")
+    for name in ("started", "ended"):
+        if datetime.fromisoformat(getattr(run, name)).tzinfo is None:
+            raise ValueError(f"{name} is {getattr(run, name)!r}; it needs its zone")
+
+
+def first_disorder(time: NDArray[np.float64]) -> int | None:
+    """Return the first sample whose time is not finite or not after the one before; None when there is none."""
+    wrong = ~np.isfinite(time)
+    wrong[1:] |= ~(np.diff(time) > 0)
+    return int(np.argmax(wrong)) if wrong.any() else None
+
+
+def documentation() -> str:
+    """Return the table of docs/run-file.md in Markdown: one row a group or field, in the order of writing."""
+    lines = ["| in /entry | type | unit | what it is |", "|---|---|---|---|"]
+    for row in TREE:
+        if isinstance(row, Group):
+            lines.append(f"| **{row.path or '/entry'}** | {row.nx_class} | | {'optional' if row.optional else ''} |")
+        else:
+            text = f"hard link to {row.text}" if row.kind == "link" else row.text
+            name = row.path.rpartition("/")[2]
+            lines.append(f"| {name} | {row.kind} | {row.unit} | {text}{', optional' if row.optional else ''} |")
+    return "\n".join(lines) + "\n"

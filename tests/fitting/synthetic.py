@@ -194,7 +194,6 @@ def recording(scene=None, **changes):
         ended="2026-01-01T00:00:20+00:00",
         time=time,
         position=position,
-        unit="m",
         count=None,
         segment=np.zeros(time.size, np.uint16),
         rate_hz=scene.rate,
@@ -216,7 +215,7 @@ def recording(scene=None, **changes):
 
 def written(path, recording):
     """Write a recording as a run file and return its path."""
-    data = store.RunData(
+    data = Recording(
         title="synthetic",
         started=recording.started,
         ended=recording.ended,

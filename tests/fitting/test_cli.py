@@ -12,6 +12,7 @@ import pytest
 from daq.console import application
 from daq.errors import InputError
 from daq.runfile import store
+from daq.runfile.recording import Recording
 from fitting import cli
 
 
@@ -83,7 +84,7 @@ def test_damping_without_a_mass_is_refused(run, tmp_path):
     data = store.load(run)
     store.write(
         path,
-        store.RunData(
+        Recording(
             title="",
             started=data.started,
             ended=data.ended,

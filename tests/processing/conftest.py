@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from daq.runfile.recording import Recording, RunData, Truth
+from daq.runfile.recording import Recording, Truth
 from daq.runfile.rig import Measured, Rig
 
 Array = NDArray[np.float64]
@@ -126,7 +126,6 @@ def _recording(name: str, time: Array, position: Array, rate: float, rig: Rig, *
         ended="2026-01-01T00:01:00+00:00",
         time=time,
         position=position,
-        unit="m",
         count=None,
         segment=np.zeros(time.size, np.uint16),
         rate_hz=rate,
@@ -160,11 +159,11 @@ def imported(time: Array, position: Array, rate: float = 1000.0) -> Recording:
     return _recording("track.h5", np.asarray(time, float), np.asarray(position, float), rate, Rig())
 
 
-def run_data(true: Motion, told: bool = False) -> RunData:
+def run_data(true: Motion, told: bool = False) -> Recording:
     """Return the recorded motion on its way into a run file, with its truth when it is to be told."""
     run = recorded(true)
     truth = Truth(run.time, true.x, true.v, np.zeros_like(true.x)) if told else None
-    return RunData(
+    return Recording(
         title="bench",
         started=run.started,
         ended=run.ended,
@@ -198,5 +197,5 @@ def _imported() -> Callable[..., Recording]:
 
 
 @pytest.fixture(name="run_data")
-def _run_data() -> Callable[..., RunData]:
+def _run_data() -> Callable[..., Recording]:
     return run_data

@@ -12,6 +12,7 @@ import pytest
 
 import daq
 from daq.runfile import store
+from daq.runfile.recording import Recording
 from processing import chunked, stage
 from processing.smoothing import smooth
 
@@ -127,7 +128,7 @@ print(json.dumps([told.samples, int(peak.split()[1]) / 1024]))
 """
     time = np.arange(n) * 1e-3
     count = np.floor(0.1 / 7.67e-6 * np.sin(2 * np.pi * time / 3)).astype(np.int64)
-    run = store.RunData(
+    run = Recording(
         title="long",
         started="2026-01-01T00:00:00+00:00",
         ended="2026-01-01T00:50:00+00:00",

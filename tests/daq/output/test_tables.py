@@ -10,7 +10,7 @@ import pytest
 from daq.cli import files
 from daq.console import application
 from daq.runfile import store
-from daq.runfile.recording import Raw, RunData, positions
+from daq.runfile.recording import Raw, Recording, positions
 from daq.runfile.rig import Measured, Rig
 
 N = 101
@@ -37,7 +37,7 @@ def run(tmp_path: Path) -> Path:
         illegal=np.zeros(N, np.uint16),
         edge_time=np.arange(N, dtype=np.uint16),
     )
-    data = RunData(
+    data = Recording(
         title="a run",
         started="2024-05-01T12:00:00+02:00",
         ended="2024-05-01T12:00:01+02:00",
@@ -115,7 +115,7 @@ def test_bad_requests_are_one_line_and_write_nothing(
 def test_an_uncalibrated_run_says_count(run: Path, app: cyclopts.App) -> None:
     recording = store.load(run)
     assert recording.count is not None
-    bare = RunData(
+    bare = Recording(
         title="bare",
         started=recording.started,
         ended=recording.ended,
