@@ -38,7 +38,7 @@ from daq.errors import DataError
 from daq.recorder import ports
 from daq.recorder.record import Request, record
 from daq.runfile import store
-from rig_sim.motion.play import Motion
+from rig_sim.motion.play import ScenePlayer
 
 RESULTS = Path(__file__).resolve().parent / "results"
 K, FS, GAMMA, G_SLIP, D, MASS = 35.184, 0.13068, 9.618, 0.6, 0.03, 0.3
@@ -77,7 +77,7 @@ def draw(scene: str, law: int, seed: int) -> dict[str, Any]:
 
 def levels(changes: dict[str, Any], duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Return when the mass broke away (s) and the friction then, over Fs."""
-    motion = Motion(rig_sim.scene("rig", **changes))
+    motion = ScenePlayer(rig_sim.scene("rig", **changes))
     motion.events = []
     path = motion.follow(np.arange(0.0, duration, 1e-3))
     begin = np.array([path.nodes.t[node] for node, _ in path.flows])

@@ -3,8 +3,8 @@
 ``python benchmarks/scene_cost.py [REPEATS]`` (default 25): CPU time of both over the same stretch, every cycle stepped,
 interleaved, the least of the repeats; the events are checked to be the same.  The kernels are those of
 `benchmarks/hand/kernels.py`.  Where a scene changes its friction or kicks the mass between events, the engine is called
-one phase at a time by a compiled loop that does what `rig_sim.motion.play.Motion` does.  Then a file of each scene is
-written in a fresh process, and modules and stored channels of terms that the scene does not have are looked for.
+one phase at a time by a compiled loop that does what `rig_sim.motion.play.ScenePlayer` does.  Then each scene writes a
+file in a process of its own, which must load no module and store no channel of a term that the scene does not have.
 """
 
 import json
@@ -26,19 +26,13 @@ from hand.kernels import KICK, LEAST_FACTOR, Constants, Terms, specialised
 from hand.polynomial import SIZE
 
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR
+from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.compiled import compile_entry, compiled
-from rig_sim.integrate.hybrid import next_event, run
-from rig_sim.integrate.modes import (
-    COMPLETED,
-    FORCE_REVERSAL,
-    RAMP,
-    STICK,
-    Flow,
-    displacement,
-    frame,
-    initial_mode,
-    new_work,
-)
+from rig_sim.integrate.contact_state import initial_mode
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.frame import displacement, frame
+from rig_sim.integrate.modes import COMPLETED, FORCE_REVERSAL, RAMP, STICK
+from rig_sim.integrate.phases import next_event, run
 from rig_sim.scenes.scene import Scene, scene
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -114,7 +108,7 @@ def terms(found: Scene) -> Terms:
 
 
 def phase_by_phase(flow, mode, x, w, t_max, factors, wear, kick, turn, levels, out_t, out_x, out_kind, work):
-    """List events as `rig_sim.motion.play.Motion` does, with the engine's kernel; return their number."""
+    """List events as `rig_sim.motion.play.ScenePlayer` does, with the engine's kernel; return their number."""
     t = 0.0
     count = drawn = kicks = 0
     while True:

@@ -40,7 +40,7 @@ from processing.polynomial import savgol
 from processing.polynomial.gram import coefficients
 from processing.record import series
 from processing.record.setting import Setting
-from rig_sim.motion.play import Motion
+from rig_sim.motion.play import ScenePlayer
 
 RESULTS = Path(__file__).resolve().parent / "results"
 CASES = {"7.67 um, no jitter": (7.67e-6, 0.0), "7.67 um + 30 us": (7.67e-6, 30e-6), "50 um + 30 us": (50e-6, 30e-6)}
@@ -62,7 +62,7 @@ class Bench:
         rng = np.random.default_rng(1000 + seed)
         n = int(duration * 1000)
         instants = np.arange(1, n + 1) * 1e-3 + jitter * rng.standard_normal(n)
-        motion = Motion(scene)
+        motion = ScenePlayer(scene)
         motion.events = []
         path = motion.follow(instants)
         self.x, self.v = path.nodes.x[path.samples], path.nodes.v[path.samples]

@@ -37,7 +37,9 @@ def camera(folder: Path, name: str) -> dict[str, object]:
     changes = {"friction.law": 5, "seed": CAMERA_SEED}
     exact = folder / "exact.csv"
     flags = [part for key, value in changes.items() for part in ("--set", f"{key}={value}")]
-    command(folder, "rig_sim.cli", "run", "rig", "--until", DURATION_S, "--rate", CAMERA_HZ, "-o", exact.name, *flags)
+    command(
+        folder, "rig_sim.cli.app", "run", "rig", "--until", DURATION_S, "--rate", CAMERA_HZ, "-o", exact.name, *flags
+    )
     with exact.open(newline="") as source, (folder / name).open("w", newline="") as target:
         rows = csv.DictReader(source)
         target.write("time (s);position (cm)\r\n")

@@ -10,7 +10,7 @@ MODULES = {
     "daq": "daq.cli.app",
     "process": "processing.cli",
     "fit-friction": "fitting.cli",
-    "rig-sim": "rig_sim.cli",
+    "rig-sim": "rig_sim.cli.app",
 }
 HELP = [
     ("daq", []),

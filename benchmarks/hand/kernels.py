@@ -29,11 +29,11 @@ from hand.polynomial import (
 from numba import njit
 from numba.extending import register_jitable
 
+from rig_sim.integrate.buffer import EXIT, EXIT_E, EXIT_S, LATE
 from rig_sim.integrate.compiled import register_kernels
-from rig_sim.integrate.hybrid import sum_of
 from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_lateness
-from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S, LATE
 from rig_sim.integrate.newton import EPS, newton_step
+from rig_sim.integrate.phases import sum_of
 
 STICK, NEGATIVE, POSITIVE, RAMP, KICK = 0, 1, 2, 3, 99
 LEAST_FACTOR = 0.05

@@ -3,7 +3,7 @@
 A belt that slows in proportion to the load it carries gives way by ``give`` metres a second per metre of spring
 stretch.  In stick the load is the spring's pull, so the belt's measured velocity against the mass's position is a
 straight line of slope -give, whatever the friction law: the calibration knows nothing of the fit and the fit takes it
-as a prior.  In the flow it is droop = give Fs/k (`rig_sim.integrate.modes.Flow`).
+as a prior.  In the flow it is droop = give Fs/k (`rig_sim.integrate.flow.Flow`).
 
 Samples within half a smoothing window of a stick's ends are left out, where slip is blurred into it.  The error of the
 line is the larger of two: of residuals that are alike within a smoothing window, and of residuals that are alike within

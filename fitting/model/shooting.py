@@ -13,20 +13,11 @@ from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.model import parameters
 from fitting.model.parameters import PER_CYCLE, PER_RUN
+from rig_sim.integrate.buffer import STEPS, Buffer, new_work
 from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry
-from rig_sim.integrate.hybrid import sample_phase
-from rig_sim.integrate.modes import (
-    FORCE_REVERSAL,
-    NEGATIVE,
-    NOT_FINITE,
-    POSITIVE,
-    RAMP,
-    STEPS,
-    STICK,
-    Buffer,
-    Flow,
-    new_work,
-)
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
+from rig_sim.integrate.phases import sample_phase
 
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
 STICK_LOCK = 10.0  # break-away level of a jump's stick inside a window: the break-away itself lies in no window

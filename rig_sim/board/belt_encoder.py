@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
-from rig_sim.integrate.modes import Flow
-from rig_sim.motion.play import Path
+from rig_sim.integrate.flow import Flow
+from rig_sim.motion.trajectory import Trajectory
 from rig_sim.scenes.scene import Scene
 from rig_sim.scenes.sections import Belt, Drive
 
@@ -56,7 +56,7 @@ class BeltEncoder:
         """Let the counter begin at 0 where the belt is now."""
         self._origin = math.floor(self.travel / self.delta)
 
-    def read(self, path: Path) -> NDArray[np.int64]:
+    def read(self, path: Trajectory) -> NDArray[np.int64]:
         """Follow the belt through a stretch of motion and return its counts (s,) at the samples, never wrapped."""
         nodes = path.nodes
         steps = np.zeros(len(nodes.t))

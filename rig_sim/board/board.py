@@ -26,7 +26,8 @@ from daq.errors import InputError
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
 from rig_sim.board.encoder import QuadratureEncoder
-from rig_sim.motion.play import Motion, Path
+from rig_sim.motion.play import ScenePlayer
+from rig_sim.motion.trajectory import Trajectory
 from rig_sim.scenes.scene import Scene
 from rig_sim.scenes.sections import Encoder
 
@@ -69,7 +70,7 @@ class Board:
         self.block = 8
         self.running = False
         self._section: Encoder = scene.encoder
-        self._motion = Motion(scene)
+        self._motion = ScenePlayer(scene)
         self._encoder = QuadratureEncoder(scene.encoder, scene.start.x)
         self._cog = self._silence = None
         if scene.slip_loss is not None:
@@ -312,7 +313,7 @@ def _measured(key: str, value: float, sd: float) -> list[str]:
     return [f"{key} = {float(value)!r}", f"{key}_sd = {float(sd)!r}"]
 
 
-def _truth_rows(path: Path) -> list[tuple[float, float, float, float]]:
+def _truth_rows(path: Trajectory) -> list[tuple[float, float, float, float]]:
     at = path.samples
     columns = (path.nodes.t[at], path.nodes.x[at], path.nodes.v[at], path.F)
     return list(zip(*(column.tolist() for column in columns), strict=True))

@@ -19,24 +19,13 @@ from numpy.typing import NDArray
 from daq.compute.arrays import Array, Integers
 from daq.errors import InputError
 from daq.wire.quadrature import Decoder, levels_of
+from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.sections import Encoder
 
 LARGEST_COUNT = 2**62
 MOST_EDGES = 50_000_000  # in one call, for decoders that need them one by one
 _PIECES_PER_VIBRATION = 16  # so that x' + vibration' crosses zero at most once in a piece
 _HALVINGS = 30  # of a piece: the position at a turning point is right to the square of the time's error
-
-
-@dataclass(frozen=True)
-class Nodes:
-    """Exact motion at increasing times t (s): x (m) and v (m/s), all (n,).
-
-    Where v jumps (a kick) the time stands twice, with the velocity before and after.
-    """
-
-    t: Array
-    x: Array
-    v: Array
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import random
 import numpy as np
 from numpy.typing import NDArray
 
-from rig_sim.board.encoder import Nodes
+from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.sections import SlipLoss
 
 

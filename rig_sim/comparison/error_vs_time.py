@@ -14,8 +14,8 @@ from typing import Any
 
 from daq.errors import InputError
 from rig_sim.integrate.events import EventList, list_events
-from rig_sim.integrate.hybrid import sample_phase
-from rig_sim.motion.play import Motion, flow_never_changes
+from rig_sim.integrate.phases import sample_phase
+from rig_sim.motion.play import ScenePlayer, flow_never_changes
 from rig_sim.scenes.scene import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853", "radau", "lsoda")
@@ -155,7 +155,7 @@ def _played(scene: Scene, until: float, methods: Sequence[str]) -> list[tuple[st
 
 
 def _drive(scene: Scene, until: float, phases: Callable[..., Any]) -> EventList:
-    motion = Motion(scene, max_steps=MOST_STEPS, phases=phases)
+    motion = ScenePlayer(scene, max_steps=MOST_STEPS, phases=phases)
     motion.events = []
     motion.advance(until)
     return EventList(

@@ -1,20 +1,17 @@
 """How a scene is played, by name: the exact method, the thesis's, and a general solver for comparison."""
 
 import math
-from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 from daq.errors import InputError
-from rig_sim.integrate.hybrid import sample_phase
+from rig_sim.integrate.phases import sample_phase
+from rig_sim.motion.play import SamplePhase
 from rig_sim.scenes.scene import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853")
 RK4_STEP = 0.01  # of sqrt(m/k)
 RK4_LONGEST = 1.0  # of sqrt(m/k): beyond, it follows no swing, and from 2.8 on it is unstable
 DOP853_RTOL = 2.3e-14  # 100 ulp: scipy does not go below, and above it misses touches of the edge in laws 1 and 2
-
-SamplePhase = Callable[..., Any]  # see `rig_sim.integrate.hybrid.sample_phase`
 
 
 def phases_by(

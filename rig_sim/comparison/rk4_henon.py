@@ -19,8 +19,11 @@ from functools import partial
 
 from rig_sim.comparison.stepping import Leg, Slopes, Way, right_hand_side
 from rig_sim.comparison.stepping import list_events as events_by
+from rig_sim.integrate import buffer, modes
+from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.events import EventList
-from rig_sim.integrate.modes import COMPLETED, STEP_LIMIT, STEPS, STEPS_ALLOWED, Buffer, Flow, Frame, edges
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.frame import Frame, mode_bounds
 
 HALVINGS = 60  # of a step whose end is outside while w' at its start points inwards
 
@@ -75,7 +78,7 @@ def slide(
 def through(step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Buffer) -> Leg:
     """Return the way through a slip or ramp by steps of ``step`` (s)."""
     slopes = right_hand_side(fr, mode)
-    lo, hi = edges(fr, mode)
+    lo, hi = mode_bounds(fr, mode)
     grid = [t]
     states = [(p, w)]
 
@@ -87,13 +90,13 @@ def through(step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_m
         h = t_max - t
         last = h <= step
         side, t, p, w = slide(slopes, lo, hi, t, p, w, h if last else step)
-        work[STEPS] += 1.0
+        work[buffer.STEPS] += 1.0
         if side == 0 and last and t >= t_max * (1.0 - 1e-15):
             t = t_max
         if side != 0 or t >= t_max or not math.isfinite(t + p + w):
-            return Leg(COMPLETED, side, t, p, w, at)
-        if work[STEPS] >= work[STEPS_ALLOWED]:
-            return Leg(STEP_LIMIT, 0, t, p, w, at)
+            return Leg(modes.COMPLETED, side, t, p, w, at)
+        if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
+            return Leg(modes.STEP_LIMIT, 0, t, p, w, at)
         grid.append(t)
         states.append((p, w))
 

@@ -13,8 +13,11 @@ from scipy.integrate import solve_ivp
 
 from rig_sim.comparison.stepping import Leg, Way, right_hand_side
 from rig_sim.comparison.stepping import list_events as events_by
+from rig_sim.integrate import buffer, modes
+from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.events import EventList
-from rig_sim.integrate.modes import COMPLETED, STEP_LIMIT, STEPS, STEPS_ALLOWED, Buffer, Flow, Frame, edges
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.frame import Frame, mode_bounds
 
 SOLVERS = {"dop853": "DOP853", "radau": "Radau", "lsoda": "LSODA"}
 
@@ -39,9 +42,9 @@ def through(
     slopes = right_hand_side(fr, mode)
 
     def rates(tau: float, y: Any) -> tuple[float, float]:
-        if work[STEPS] >= work[STEPS_ALLOWED]:
+        if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
             raise _TooManyEvaluations
-        work[STEPS] += 1.0
+        work[buffer.STEPS] += 1.0
         return slopes(t + tau, float(y[0]), float(y[1]))
 
     def distance(edge: float, direction: float) -> Any:
@@ -52,7 +55,7 @@ def through(
         event.direction = direction  # type: ignore[attr-defined]
         return event
 
-    lo, hi = edges(fr, mode)
+    lo, hi = mode_bounds(fr, mode)
     ends = [(side, edge) for side, edge in ((-1, lo), (1, hi)) if math.isfinite(edge)]
     try:
         found = solve_ivp(  # type: ignore[call-overload]  # the solver is named by a variable
@@ -66,7 +69,7 @@ def through(
             dense_output=dense,
         )
     except _TooManyEvaluations:
-        return Leg(STEP_LIMIT, 0, t, p, w, lambda _: (p, w))
+        return Leg(modes.STEP_LIMIT, 0, t, p, w, lambda _: (p, w))
 
     def at(t_at: float) -> tuple[float, float]:
         p_at, w_at = found.sol(t_at - t) if found.sol is not None else found.y[:, -1]  # without, the end alone is asked
@@ -74,10 +77,10 @@ def through(
 
     for (side, edge), times, states in zip(ends, found.t_events, found.y_events, strict=True):
         if len(times):
-            return Leg(COMPLETED, side, t + float(times[0]), float(states[0][0]), edge, at)
+            return Leg(modes.COMPLETED, side, t + float(times[0]), float(states[0][0]), edge, at)
     if found.status != 0:
-        return Leg(COMPLETED, 0, math.nan, math.nan, math.nan, at)
-    return Leg(COMPLETED, 0, t_max, float(found.y[0][-1]), float(found.y[1][-1]), at)
+        return Leg(modes.COMPLETED, 0, math.nan, math.nan, math.nan, at)
+    return Leg(modes.COMPLETED, 0, t_max, float(found.y[0][-1]), float(found.y[1][-1]), at)
 
 
 def by_solver(method: str, rtol: float, *, dense: bool) -> Way:

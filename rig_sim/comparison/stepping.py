@@ -1,7 +1,7 @@
 """The loop over phases for methods that step numerically: thesis's Runge-Kutta and scipy's solvers, for comparison.
 
 What ends a phase, which mode follows and how a run ends are the exact method's own rules (`rig_sim.integrate.modes`,
-and `rig_sim.integrate.hybrid.phase`, whose signature `sample_phase` has); stick is in closed form too.  A method adds
+and `rig_sim.integrate.phases.phase`, whose signature `sample_phase` has); stick is in closed form too.  A method adds
 its way through one slip or ramp: a `Way`.
 """
 
@@ -9,37 +9,15 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from rig_sim.integrate import buffer, modes
+from rig_sim.integrate.buffer import Buffer, new_work
+from rig_sim.integrate.contact_state import initial_mode, transition
 from rig_sim.integrate.driven import driven_stick_exit
 from rig_sim.integrate.events import EventList
-from rig_sim.integrate.hybrid import RAPID_ALLOWED, RAPID_TIME, seen
+from rig_sim.integrate.flow import Flow, validate
+from rig_sim.integrate.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored, position
 from rig_sim.integrate.linear import stick_exit
-from rig_sim.integrate.modes import (
-    COMPLETED,
-    EVENT_RATE,
-    FORCE_REVERSAL,
-    KINDS,
-    NOT_FINITE,
-    OUTCOMES,
-    RAPID,
-    STEP_LIMIT,
-    STEPS,
-    STEPS_ALLOWED,
-    STICK,
-    Buffer,
-    Flow,
-    Frame,
-    displacement,
-    drive,
-    drop,
-    frame,
-    initial_mode,
-    landing,
-    line,
-    mirrored,
-    new_work,
-    position,
-    validate,
-)
+from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME, unmirrored_kind
 
 Slopes = Callable[[float, float, float], tuple[float, float]]
 
@@ -64,21 +42,21 @@ Way = Callable[[Frame, int, float, float, float, float, Buffer], Leg]  # of fram
 
 def right_hand_side(fr: Frame, mode: int) -> Slopes:
     """Return dp/dt, dw/dt of a slip or ramp as a function of (t, p, w)."""
-    C, e = line(fr, mode)
+    C, e = linear_terms(fr, mode)
 
     def slopes(t: float, p: float, w: float) -> tuple[float, float]:
-        return w + fr.v, (-C * w - fr.k * p + e + drop(fr, mode, w) + drive(fr, t)) / fr.m
+        return w + fr.v, (-C * w - fr.k * p + e + curve_deficit(fr, mode, w) + drive(fr, t)) / fr.m
 
     return slopes
 
 
 def through_stick(fr: Frame, t: float, p: float, t_max: float, work: Buffer) -> Leg:
     """Return the way through a stick: closed form, as for the exact method."""
-    work[STEPS] += 1.0
+    work[buffer.STEPS] += 1.0
     rest = t_max - t
     side, tau = driven_stick_exit(fr, p, t, rest) if fr.u0 != 0.0 else stick_exit(fr, p, rest)
     t_end = t_max if side == 0 and tau >= rest else t + tau
-    return Leg(COMPLETED, side, t_end, p + fr.v * tau, 0.0, lambda t_at: (p + fr.v * (t_at - t), 0.0))
+    return Leg(modes.COMPLETED, side, t_end, p + fr.v * tau, 0.0, lambda t_at: (p + fr.v * (t_at - t), 0.0))
 
 
 def phase(
@@ -104,15 +82,15 @@ def phase(
     begun = t
     while True:
         if not math.isfinite(p + w + t_max - t):
-            return NOT_FINITE, mode, p, w, t, i
+            return modes.NOT_FINITE, mode, p, w, t, i
         if t < t_max:
-            if work[STEPS] >= work[STEPS_ALLOWED]:
-                return STEP_LIMIT, mode, p, w, t, i
-            go = through_stick(fr, t, p, t_max, work) if mode == STICK else way(fr, mode, t, p, w, t_max, work)
+            if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
+                return modes.STEP_LIMIT, mode, p, w, t, i
+            go = through_stick(fr, t, p, t_max, work) if mode == modes.STICK else way(fr, mode, t, p, w, t_max, work)
             if not math.isfinite(go.t + go.p + go.w):
-                return NOT_FINITE, mode, p, w, t, i
+                return modes.NOT_FINITE, mode, p, w, t, i
         else:
-            go = Leg(COMPLETED, 0, t, p, w, lambda _, here=(p, w): here)  # type: ignore[misc]
+            go = Leg(modes.COMPLETED, 0, t, p, w, lambda _, here=(p, w): here)  # type: ignore[misc]
         while i < n and times[i] <= go.t:
             p_at, w_at = (p, w) if times[i] <= t else go.at(times[i])
             out_x[i] = position(fr, p_at)
@@ -120,19 +98,19 @@ def phase(
             out_mode[i] = float(mirrored(fr, mode))
             i += 1
         p, w, t = go.p, go.w, go.t
-        if go.end != COMPLETED:
+        if go.end != modes.COMPLETED:
             return go.end, mode, p, w, t, i
         if go.side == 0:
             if t >= t_max:
-                work[RAPID] = 0.0
-                return COMPLETED, mode, p, w, t, i
+                work[buffer.RAPID] = 0.0
+                return modes.COMPLETED, mode, p, w, t, i
             continue
-        entered = landing(fr, mode, go.side, p, t)
-        if entered == FORCE_REVERSAL:
-            return FORCE_REVERSAL, mode, p, w, t, i
-        work[RAPID] = work[RAPID] + 1.0 if (t - begun) * fr.omega0 <= RAPID_TIME else 0.0
-        if work[RAPID] > RAPID_ALLOWED:
-            return EVENT_RATE, entered, p, w, t, i
+        entered = transition(fr, mode, go.side, p, t)
+        if entered == modes.FORCE_REVERSAL:
+            return modes.FORCE_REVERSAL, mode, p, w, t, i
+        work[buffer.RAPID] = work[buffer.RAPID] + 1.0 if (t - begun) * fr.omega0 <= RAPID_TIME else 0.0
+        if work[buffer.RAPID] > RAPID_ALLOWED:
+            return modes.EVENT_RATE, entered, p, w, t, i
         return 4 * mode + entered, entered, p, w, t, i
 
 
@@ -152,7 +130,7 @@ def sample_phase(
     out_mode: Buffer,
     work: Buffer,
 ) -> tuple[int, int, float, float, float, int]:
-    """Go to the next event, or to t_max, storing the motion at times[i:n]: as `rig_sim.integrate.hybrid.sample_phase`.
+    """Go to the next event, or to t_max, storing the motion at times[i:n]: as `rig_sim.integrate.phases.sample_phase`.
 
     Parameters
     ----------
@@ -183,7 +161,7 @@ def sample_phase(
         out_mode,
         work,
     )
-    return seen(fr, kind), mirrored(fr, own), position(fr, p), fr.mirror * w, t, i
+    return unmirrored_kind(fr, kind), mirrored(fr, own), position(fr, p), fr.mirror * w, t, i
 
 
 def list_events(
@@ -215,10 +193,10 @@ def list_events(
     outcome = LISTING = -1
     while outcome == LISTING:
         kind, mode, p, w, t, _ = phase(way, fr, mode, p, w, t, t_max, idle, 0, 0, idle, idle, idle, work)
-        if kind == COMPLETED or kind >= FORCE_REVERSAL:
+        if kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
             outcome = kind
         else:
-            found.append((t, position(fr, p), KINDS[seen(fr, kind)]))
-    name, advice = OUTCOMES[outcome]
+            found.append((t, position(fr, p), modes.KINDS[unmirrored_kind(fr, kind)]))
+    name, advice = modes.OUTCOMES[outcome]
     times, places, kinds = zip(*found, strict=True) if found else ((), (), ())
-    return EventList(times, places, kinds, name, advice, int(work[STEPS]))
+    return EventList(times, places, kinds, name, advice, int(work[buffer.STEPS]))

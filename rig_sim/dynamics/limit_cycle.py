@@ -10,40 +10,24 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate.hybrid import is_series, leave, moved
-from rig_sim.integrate.linear import first_extreme
-from rig_sim.integrate.modes import (
-    FORCE_REVERSAL,
-    LETTERS,
-    NEGATIVE,
-    NOT_FINITE,
-    ORDER,
-    OUTCOMES,
-    RAMP,
-    STEPS,
-    STEPS_ALLOWED,
-    STICK,
-    TIME_SCALE,
-    Buffer,
-    Flow,
+from rig_sim.integrate.buffer import ORDER, STEPS, STEPS_ALLOWED, TIME_SCALE, Buffer, U, W, new_work
+from rig_sim.integrate.contact_state import classify, force, transition
+from rig_sim.integrate.flow import Flow, validate
+from rig_sim.integrate.frame import (
     Frame,
-    U,
-    W,
     acceleration,
-    classify,
-    drop,
-    edges,
-    force,
+    curve_deficit,
     frame,
-    landing,
-    line,
+    linear_terms,
     mirrored,
-    new_work,
+    mode_bounds,
     position,
     slip_speed,
-    validate,
 )
+from rig_sim.integrate.linear import first_extreme
+from rig_sim.integrate.modes import FORCE_REVERSAL, LETTERS, NEGATIVE, NOT_FINITE, OUTCOMES, RAMP, STICK
 from rig_sim.integrate.newton import EPS
+from rig_sim.integrate.phases import increments, is_series, phase_exit
 from rig_sim.integrate.taylor import first_root, value
 
 STEPS_ALLOWED_HERE = 20_000  # in the whole search: some thousand turns without an event
@@ -124,7 +108,7 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
     Raises
     ------
     ValueError
-        For a flow that is not physical: see `rig_sim.integrate.modes.validate`.
+        For a flow that is not physical: see `rig_sim.integrate.flow.validate`.
 
     Notes
     -----
@@ -159,12 +143,12 @@ def is_grazing(fr: Frame) -> bool:
     """Tell whether slip is an undamped circle about its fixed point, touching the edge of stick."""
     if fr.curve == HYPERBOLIC or fr.B != fr.A or fr.v <= fr.d:
         return False
-    return line(fr, NEGATIVE)[0] == 0.0
+    return linear_terms(fr, NEGATIVE)[0] == 0.0
 
 
 def grazing(fr: Frame) -> Orbit:
     """Return the circle of radius v - d about the fixed point of slip (thesis 2.4, 2.5)."""
-    centre = line(fr, NEGATIVE)[1] / fr.k
+    centre = linear_terms(fr, NEGATIVE)[1] / fr.k
     speed = fr.v - fr.d
     period = 2.0 * math.pi / fr.omega0
     return Orbit(
@@ -229,7 +213,7 @@ def follow(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
         side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work)
         if side == 0:
             if math.isinf(tau):
-                if mode != STICK and line(fr, mode)[0] < 0.0:
+                if mode != STICK and linear_terms(fr, mode)[0] < 0.0:
                     return Turn("no cycle", "damping is negative: the motion grows without end", p)
                 advice = "the mass comes to rest: less damping or another speed may stick"
                 return Turn("fixed point", advice, rest(fr, mode, p), mode=mode)
@@ -237,7 +221,7 @@ def follow(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
                 return Turn(*OUTCOMES[NOT_FINITE], p)
             return Turn("no cycle", f"none found within {STEPS_ALLOWED_HERE} steps", p)
         phases.append((mode, tau, p_start))
-        entered = landing(fr, mode, side, p, 0.0)
+        entered = transition(fr, mode, side, p, 0.0)
         if entered == FORCE_REVERSAL:
             return Turn(*OUTCOMES[FORCE_REVERSAL], p)
         if mode in (STICK, RAMP) and entered == NEGATIVE:
@@ -255,18 +239,18 @@ def pass_phase(
 
     Positions and velocities at which an extreme of the phase may lie are appended to ``p_seen`` and ``w_seen``.
     """
-    lo, hi = edges(fr, mode)
+    lo, hi = mode_bounds(fr, mode)
     durations: list[float] = []
     while work[STEPS] < work[STEPS_ALLOWED]:
         work[STEPS] += 1.0
-        side, tau = leave(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
+        side, tau = phase_exit(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
         if math.isinf(tau):
             return 0, tau, p, w
         for at in turning_times(fr, mode, p, w, tau, work):
-            dp, dw = moved(fr, mode, p, w, 0.0, at, work)
+            dp, dw = increments(fr, mode, p, w, 0.0, at, work)
             p_seen.append(p + dp)
             w_seen.append(w + dw)
-        dp, dw = moved(fr, mode, p, w, 0.0, tau, work)
+        dp, dw = increments(fr, mode, p, w, 0.0, tau, work)
         p += dp
         w += dw
         durations.append(tau)
@@ -302,7 +286,7 @@ def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Bu
             if before * behind < 0.0:
                 found.append(scale * first_root(work, series, target, -1 if before > 0.0 else 1, tau / scale))
         return found
-    C, _ = line(fr, mode)
+    C, _ = linear_terms(fr, mode)
     zeta = 0.5 * C / fr.m
     disc = (zeta - fr.omega0) * (zeta + fr.omega0)
     a = acceleration(fr, mode, p, w, 0.0)
@@ -328,7 +312,7 @@ def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
     """
     if mode != NEGATIVE:
         return False
-    C, _ = line(fr, mode)
+    C, _ = linear_terms(fr, mode)
     room = fr.v - fr.d
     slope = steepest = 0.0
     if fr.curve == HYPERBOLIC:
@@ -361,10 +345,10 @@ def rest(fr: Frame, mode: int, p: float) -> float:
     """Return p of the fixed point (u = 0) a phase without end settles at; in stick, where the mass stands."""
     if mode == STICK:
         return p
-    C, e = line(fr, mode)
+    C, e = linear_terms(fr, mode)
     fall = 0.0
     if fr.curve == HYPERBOLIC and mode == NEGATIVE:
-        fall = drop(fr, mode, -fr.v)
+        fall = curve_deficit(fr, mode, -fr.v)
     return (C * fr.v + e + fall) / fr.k
 
 

@@ -2,14 +2,10 @@
 
 import math
 
-from rig_sim.scenes.sections import Belt
 
+def passing_time(turn: int, start: float, length: float, speed: float) -> float:
+    """Return when (s) the joint passes for the ``turn``-th time, from 1: one turn after the belt's ``start`` (s).
 
-def passing(belt: Belt, turn: int) -> float:
-    """Return when (s) the joint comes by for the ``turn``-th time, from 1; never (inf) on a belt that stands.
-
-    One turn after the belt's start is the first time; a ripple of the speed is left out.
+    ``length`` of one turn in m, ``speed`` in m/s, a ripple of the speed left out; infinite on a belt at rest.
     """
-    if belt.length is None or belt.speed == 0:
-        return math.inf
-    return belt.start + turn * belt.length / abs(belt.speed)
+    return start + turn * length / abs(speed) if speed != 0.0 else math.inf

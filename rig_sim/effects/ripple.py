@@ -15,8 +15,7 @@ Not modelled: more than one harmonic, so a drive of the mass beside the ripple.
 import cmath
 import math
 
-from rig_sim.integrate.modes import Flow
-from rig_sim.scenes.sections import Belt
+from rig_sim.integrate.flow import Flow
 
 
 class SwingingBelt:
@@ -24,14 +23,18 @@ class SwingingBelt:
 
     Parameters
     ----------
-    belt : Belt
-        A scene's belt section with a ripple and its frequency.
+    amplitude : float
+        Of the speed, m/s.
+    frequency_hz : float
+        Hz, above 0.
+    start : float
+        When the belt starts, with phase 0, s.
     """
 
-    def __init__(self, belt: Belt) -> None:
-        self._speed = belt.ripple or 0.0
-        self._omega = 2.0 * math.pi * (belt.ripple_hz or 0.0)
-        self._start = belt.start
+    def __init__(self, amplitude: float, frequency_hz: float, start: float) -> None:
+        self._speed = amplitude
+        self._omega = 2.0 * math.pi * frequency_hz
+        self._start = start
 
     def position(self, t: float) -> float:
         """Return b (m) at time t (s)."""

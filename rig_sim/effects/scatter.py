@@ -1,8 +1,6 @@
-"""Scatter: friction that is another each time the mass lands on the belt."""
+"""Scatter: a friction level that is drawn anew each time the mass lands on the belt."""
 
 import random
-
-from rig_sim.scenes.sections import Scatter
 
 
 class ScatteredLevel:
@@ -10,16 +8,16 @@ class ScatteredLevel:
 
     Parameters
     ----------
-    section : Scatter
-        The scene's scatter section.
+    sd : float
+        Standard deviation of the factor, a fraction of Fs.
     seed : int
         The scene's; scatter has a stream of random numbers of its own.
     """
 
-    def __init__(self, section: Scatter, seed: int) -> None:
-        self._sd = section.Fs
+    def __init__(self, sd: float, seed: int) -> None:
+        self._sd = sd
         self._draw = random.Random(f"{seed}/scatter")
 
     def factor(self) -> float:
-        """Return 1 + Fs g, g drawn from the normal distribution; it may be negative, the caller sets the floor."""
+        """Return 1 + sd g, g drawn from the normal distribution; may be negative: the caller sets a lower limit."""
         return 1.0 + self._draw.gauss(0.0, self._sd)

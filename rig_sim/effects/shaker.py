@@ -37,8 +37,8 @@ import cmath
 import math
 
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR, magnitude
-from rig_sim.integrate.modes import Flow, frame, slip_speed
-from rig_sim.scenes.sections import Shaker
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.frame import frame, slip_speed
 
 CREEP = 0.1  # of abs(delta): a slower oscillation is over, or grown e^63-fold, within one period
 NO_SHIFT = 1e-5  # rad
@@ -58,15 +58,14 @@ def phasor(m: float, k: float, S: float, a: float, phi: float) -> complex:
     return cmath.sqrt(k / m - P * P) + 1j * P
 
 
-def controlled(flow: Flow, section: Shaker) -> Flow:
-    """Return the flow with the shaker at work.
+def controlled(flow: Flow, a: float, phi: float) -> Flow:
+    """Return the flow with a shaker of amplification ``a`` (N s/m) and phase lead ``phi`` (rad) at work.
 
     Raises
     ------
     ValueError
         The belt is at rest under a jump law, where friction has no slope; or the mass would creep, not oscillate.
     """
-    a, phi = float(section.a), float(section.phi)
     if a == 0.0:  # nothing, whatever the belt does
         return flow
     F, gamma_lin = fixed_point_friction(flow)

@@ -15,10 +15,14 @@ KERNEL_MODULES = (
     "rig_sim.friction.curve",
     "rig_sim.integrate.newton",
     "rig_sim.integrate.modes",
+    "rig_sim.integrate.flow",
+    "rig_sim.integrate.frame",
+    "rig_sim.integrate.buffer",
+    "rig_sim.integrate.contact_state",
     "rig_sim.integrate.linear",
     "rig_sim.integrate.taylor",
     "rig_sim.integrate.driven",
-    "rig_sim.integrate.hybrid",
+    "rig_sim.integrate.phases",
 )
 
 # Division by zero gives an infinity, which ends a run as `not finite`.  No kernel makes an array, so numba need not
@@ -26,13 +30,13 @@ KERNEL_MODULES = (
 JIT_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 
 ENTRIES = {
-    "initial_mode": "rig_sim.integrate.modes",
-    "force": "rig_sim.integrate.modes",
-    "next_event": "rig_sim.integrate.hybrid",
-    "next_turn": "rig_sim.integrate.hybrid",
-    "sample_phase": "rig_sim.integrate.hybrid",
-    "sample": "rig_sim.integrate.hybrid",
-    "run": "rig_sim.integrate.hybrid",
+    "initial_mode": "rig_sim.integrate.contact_state",
+    "force": "rig_sim.integrate.contact_state",
+    "next_event": "rig_sim.integrate.phases",
+    "next_turn": "rig_sim.integrate.phases",
+    "sample_phase": "rig_sim.integrate.phases",
+    "sample": "rig_sim.integrate.phases",
+    "run": "rig_sim.integrate.phases",
 }
 
 

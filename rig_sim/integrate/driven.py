@@ -8,8 +8,9 @@ that falls as the fast root dies.
 
 import math
 
+from rig_sim.integrate.frame import Frame, acceleration, linear_terms
 from rig_sim.integrate.linear import LARGEST_EXPONENT, fundamental, roots
-from rig_sim.integrate.modes import RAMP, Frame, acceleration, line
+from rig_sim.integrate.modes import RAMP
 from rig_sim.integrate.newton import EPS, newton_step
 
 PIECES = 500  # searched in one step of a driven ramp; the caller goes on from there
@@ -20,7 +21,7 @@ def is_steep(fr: Frame, mode: int) -> bool:
     """Tell whether a driven ramp is taken in closed form."""
     if mode != RAMP:
         return False
-    C, _ = line(fr, mode)
+    C, _ = linear_terms(fr, mode)
     return C / fr.m > STEEP * (fr.omega0 + abs(fr.omega))
 
 
@@ -28,7 +29,7 @@ def ramp_parts(
     fr: Frame, p: float, w: float, t: float
 ) -> tuple[float, float, float, float, float, float, float, float]:
     """Return (zeta, disc, u_h, a_h, W_re, W_im, omega, theta): the undriven part's start and the driven part's size."""
-    C, _ = line(fr, RAMP)
+    C, _ = linear_terms(fr, RAMP)
     zeta = 0.5 * C / fr.m
     disc = zeta * zeta - fr.omega2
     a = acceleration(fr, RAMP, p, w, t)

@@ -1,4 +1,4 @@
-"""List the events of a flow: the Python face of `rig_sim.integrate.hybrid.run`, interpreted or compiled."""
+"""List the events of a flow: the Python face of `rig_sim.integrate.phases.run`, interpreted or compiled."""
 
 import math
 from bisect import bisect_left
@@ -8,20 +8,11 @@ from fractions import Fraction
 from functools import cache
 from typing import Any
 
-from rig_sim.integrate.hybrid import run
-from rig_sim.integrate.modes import (
-    COMPLETED,
-    EVENT_LIMIT,
-    KINDS,
-    LIST_FULL,
-    OUTCOMES,
-    RECURRED,
-    STEPS,
-    Flow,
-    initial_mode,
-    new_work,
-    validate,
-)
+from rig_sim.integrate import buffer, modes
+from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.contact_state import initial_mode
+from rig_sim.integrate.flow import Flow, validate
+from rig_sim.integrate.phases import run
 
 ROOM = 1024  # events per call of the kernel
 
@@ -99,8 +90,8 @@ def list_events(
     times: list[float] = []
     places: list[float] = []
     kinds: list[str] = []
-    outcome = LIST_FULL
-    while outcome == LIST_FULL:
+    outcome = modes.LIST_FULL
+    while outcome == modes.LIST_FULL:
         outcome, count, first, mode, x, w, t = step(
             flow, mode, x, w, t, t_max, ROOM, *buffers, 0 if every_cycle else 1, work
         )
@@ -109,8 +100,8 @@ def list_events(
         times += at[skipped:]
         places += where[skipped:]
         kinds += names[skipped:]
-        if outcome == RECURRED:
-            outcome = COMPLETED
+        if outcome == modes.RECURRED:
+            outcome = modes.COMPLETED
             rest = listed(buffers[1], count)
             for again, x_again, name in repeated(at[first:], rest[first:], where[first:], names[first:], since, t_max):
                 times.append(again)
@@ -119,10 +110,10 @@ def list_events(
                 if len(times) > max_events:
                     break
         if len(times) > max_events:
-            outcome = EVENT_LIMIT
+            outcome = modes.EVENT_LIMIT
             del times[max_events:], places[max_events:], kinds[max_events:]
-    name, advice = OUTCOMES[outcome]
-    return EventList(tuple(times), tuple(places), tuple(kinds), name, advice, int(work[STEPS]))
+    name, advice = modes.OUTCOMES[outcome]
+    return EventList(tuple(times), tuple(places), tuple(kinds), name, advice, int(work[buffer.STEPS]))
 
 
 def repeated(
@@ -160,7 +151,7 @@ def named(buffer: Any, count: int) -> list[str]:
     """Return the kinds whose codes are the first ``count`` numbers of a list or an array."""
     part = buffer[:count]
     if isinstance(part, list):
-        return [KINDS[int(code)] for code in part]
+        return [modes.KINDS[int(code)] for code in part]
     return kind_names()[part.astype(int)].tolist()  # type: ignore[no-any-return]
 
 
@@ -169,7 +160,7 @@ def kind_names() -> Any:
     """Return the names of the kinds as an array, each in its code's place."""
     import numpy
 
-    return numpy.array([KINDS.get(code, "") for code in range(max(KINDS) + 1)], dtype=object)
+    return numpy.array([modes.KINDS.get(code, "") for code in range(max(modes.KINDS) + 1)], dtype=object)
 
 
 def new_lists(length: int, number: int, *, compiled: bool) -> list[list[float]]:

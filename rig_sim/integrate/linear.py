@@ -13,7 +13,9 @@ taken to the right extreme by a logarithm: no loop depends on how long the phase
 
 import math
 
-from rig_sim.integrate.modes import EXIT, EXIT_E, EXIT_S, LATE, Buffer, Frame
+from rig_sim.integrate import buffer
+from rig_sim.integrate.buffer import Buffer
+from rig_sim.integrate.frame import Frame
 from rig_sim.integrate.newton import EPS, newton_step
 
 LARGEST_EXPONENT = 700.0  # exp stays finite; growth that far is beyond every edge
@@ -110,7 +112,7 @@ def root(
         moved = a * S - u * E
         error = (w - level) + moved
         if error == 0.0:
-            work[EXIT], work[EXIT_S], work[EXIT_E] = tau, S, E
+            work[buffer.EXIT], work[buffer.EXIT_S], work[buffer.EXIT_E] = tau, S, E
             return tau
         if side * error > 0.0:
             outside = tau
@@ -129,9 +131,9 @@ def root(
                 following = tau - step
                 left = (0.25 * bend * bend + (2.0 * abs(zeta * bend) + omega2) / 6.0) * abs(step * step * step)
                 if inside < following < outside and left <= 0.5 * EPS * following:
-                    work[EXIT] = following
-                    work[LATE] = (tau - following) - step
-                    work[EXIT_S], work[EXIT_E] = shifted(S, E, zeta, omega2, -step)
+                    work[buffer.EXIT] = following
+                    work[buffer.LATE] = (tau - following) - step
+                    work[buffer.EXIT_S], work[buffer.EXIT_E] = shifted(S, E, zeta, omega2, -step)
                     return following
                 slope *= shrink
         if math.isinf(outside) and tau - error / slope > 4.0 * tau:
@@ -160,7 +162,7 @@ def linear_exit(
 
     An extreme within ``touch`` x abs(u) (relative) of an edge counts as reaching it: grazing.
     """
-    work[EXIT] = -1.0
+    work[buffer.EXIT] = -1.0
     if w >= hi and (a > 0.0 or (a == 0.0 and u < 0.0)):
         return 1, 0.0
     if w <= lo and (a < 0.0 or (a == 0.0 and u > 0.0)):

@@ -17,24 +17,9 @@ one of the two holds.
 import math
 
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate.modes import (
-    NEGATIVE,
-    ORDER,
-    RAMP,
-    TIME_SCALE,
-    Buffer,
-    D,
-    Frame,
-    P,
-    Q,
-    U,
-    W,
-    drive,
-    drop,
-    kept_inside,
-    line,
-    slip_speed,
-)
+from rig_sim.integrate.buffer import ORDER, TIME_SCALE, Buffer, D, P, Q, U, W
+from rig_sim.integrate.frame import Frame, curve_deficit, drive, kept_inside, linear_terms, slip_speed
+from rig_sim.integrate.modes import NEGATIVE, RAMP
 from rig_sim.integrate.newton import EPS, newton_step
 
 INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))
@@ -52,8 +37,8 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
 
     The scale (s) is left in ``work[TIME_SCALE]``; coefficients are those of xi = tau/scale.
     """
-    C, e = line(fr, mode)
-    fall = drop(fr, mode, w)
+    C, e = linear_terms(fr, mode)
+    fall = curve_deficit(fr, mode, w)
     driven = fr.u0 != 0.0
     push = drive(fr, t) if driven else 0.0
     a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
@@ -167,7 +152,7 @@ def expand_drooping(
     """Fill in the coefficients of hyperbolic slip from the second on, for a belt that droops."""
     sign = 1.0 if mode == NEGATIVE else -1.0
     bend = -sign * fr.gamma / q0
-    work[D] = inertia * drop(fr, mode, w)
+    work[D] = inertia * curve_deficit(fr, mode, w)
     level = sign * inertia * fr.A + work[D]
     hold = fr.lag / (q0 * sign * inertia * fr.A)
     gain = 1.0 / (1.0 - hold * level)

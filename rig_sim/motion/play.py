@@ -23,36 +23,25 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import InputError
+from rig_sim.integrate import buffer, modes
+from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.contact_state import force, initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.hybrid import sample_phase
-from rig_sim.integrate.modes import (
-    COMPLETED,
-    FORCE_REVERSAL,
-    KINDS,
-    LETTERS,
-    OUTCOMES,
-    RAMP,
-    STEP_LIMIT,
-    STEPS,
-    STICK,
-    Flow,
-    Outcome,
-    force,
-    initial_mode,
-    new_work,
-)
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.phases import sample_phase
 from rig_sim.scenes.scene import Scene
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from rig_sim.board.encoder import Nodes
     from rig_sim.effects.ripple import SwingingBelt
+    from rig_sim.motion.trajectory import Trajectory
 
 DEFAULT_MAX_STEPS = 1_000_000
 INTERPRETED_STEPS = 50_000  # a second or two; a motion that needs more is played by compiled code, from its start
 MOST_EVENTS = 1_000_000  # in a list, which repeats without steps
+SamplePhase = Callable[..., Any]  # the signature of `rig_sim.integrate.phases.sample_phase`
 LEAST_FACTOR = 0.05  # of Fs: friction that wear and scatter never go below
 
 
@@ -83,30 +72,7 @@ class Events:
     steps: int
 
 
-@dataclass(frozen=True)
-class Path:
-    """The motion over a stretch of time.
-
-    Attributes
-    ----------
-    nodes : Nodes
-        t, x, v at the stretch's start, at the times asked for, at every event between them and, where these lie far
-        apart, at times in between.
-    samples : (s,) int64
-        Which nodes are the times asked for; fewer than asked for when the motion ended early.
-    F : (s,) float64
-        Friction force on the mass at these times, N; empty unless it was asked for.
-    flows : tuple of (int, Flow)
-        From which node on each flow held; the first from node 0.
-    """
-
-    nodes: "Nodes"
-    samples: "NDArray[np.int64]"
-    F: "NDArray[np.float64]"
-    flows: tuple[tuple[int, Flow], ...]
-
-
-class Motion:
+class ScenePlayer:
     """The mass on its belt, played forwards in time.
 
     Parameters
@@ -128,11 +94,11 @@ class Motion:
         Set to a list to collect the events in it; None collects nothing.
     """
 
-    def __init__(self, scene: Scene, *, max_steps: float = math.inf, phases: Callable[..., Any] = sample_phase) -> None:
+    def __init__(self, scene: Scene, *, max_steps: float = math.inf, phases: SamplePhase = sample_phase) -> None:
         self.scene = scene
         self._phases = phases
         self.t = 0.0
-        self.outcome: Outcome = OUTCOMES[COMPLETED]
+        self.outcome: modes.Outcome = modes.OUTCOMES[modes.COMPLETED]
         self.events: list[Event] | None = None
         self.flow: Flow = scene.flow(belt_running=not (scene.belt and scene.belt.start > 0))
         self._belt_waits = scene.belt is not None and scene.belt.start > 0
@@ -144,7 +110,7 @@ class Motion:
         if scene.scatter is not None:
             from rig_sim.effects.scatter import ScatteredLevel
 
-            self._scatter = ScatteredLevel(scene.scatter, scene.seed)
+            self._scatter = ScatteredLevel(scene.scatter.Fs, scene.seed)
         self._landings_matter = scene.wear is not None or scene.scatter is not None
         self._work = new_work(max_steps)  # type: ignore[arg-type]  # infinity is no int
         self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
@@ -167,23 +133,21 @@ class Motion:
         """
         belt = self.scene.belt
         if belt is not None and belt.ripple and not self._belt_waits:
-            from rig_sim.effects.ripple import SwingingBelt
-
-            self._swing = SwingingBelt(belt)
+            self._swing = belt.swing()
             x, v = x - self._swing.position(self.t), v - self._swing.speed(self.t)
         self._xi, self._w = x, v - self.flow.v_belt
 
     @property
     def steps(self) -> int:
         """Integrator steps taken so far."""
-        return int(self._work[STEPS])
+        return int(self._work[buffer.STEPS])
 
     def advance(self, until: float) -> bool:
         """Play up to a time (s) and return whether the motion still goes on there."""
         self._play([until], [])
-        return self.outcome.name == OUTCOMES[COMPLETED].name
+        return self.outcome.name == modes.OUTCOMES[modes.COMPLETED].name
 
-    def follow(self, instants: "NDArray[np.float64]", *, forces: bool = False) -> Path:
+    def follow(self, instants: "NDArray[np.float64]", *, forces: bool = False) -> "Trajectory":
         """Play through increasing times (s, none before ``t``) and return the motion.
 
         Parameters
@@ -195,7 +159,7 @@ class Motion:
         """
         import numpy as np
 
-        from rig_sim.board.encoder import Nodes
+        from rig_sim.motion.trajectory import Nodes, Trajectory
 
         times, asked = _refined(np.concatenate(([self.t], instants)), self._spacing())
         wanted: list[float] = times.tolist()
@@ -212,7 +176,7 @@ class Motion:
         at = asked[1:][asked[1:] < served]
         friction = np.array(F)[at] if forces else np.empty(0)
         flows = tuple((int(before[corner - 1]) + corner - 1 if corner else 0, flow) for corner, flow in self._flows)
-        return Path(nodes, at + np.searchsorted(before, at, side="right"), friction, flows)
+        return Trajectory(nodes, at + np.searchsorted(before, at, side="right"), friction, flows)
 
     def _play(
         self,
@@ -226,13 +190,13 @@ class Motion:
         Each event adds (how many times are before it, t, x, v) to ``corners``; a kick adds two.
         """
         n = len(times)
-        x, v, modes, F = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
+        x, v, out_mode, F = [0.0] * n, [0.0] * n, [0.0] * n, [0.0] * n
         served = 0
-        while self.outcome.name == OUTCOMES[COMPLETED].name:
+        while self.outcome.name == modes.OUTCOMES[modes.COMPLETED].name:
             end = min(times[-1], self._next_change())
             first, was = served, self._mode
             kind, self._mode, self._xi, self._w, self.t, served = self._phases(
-                self.flow, was, self._xi, self._w, self.t, times, served, n, end, x, v, modes, self._work
+                self.flow, was, self._xi, self._w, self.t, times, served, n, end, x, v, out_mode, self._work
             )
             if forces:
                 for i in range(first, served):
@@ -241,12 +205,12 @@ class Motion:
                 for i in range(first, served):
                     x[i] += self._swing.position(times[i])
                     v[i] += self._swing.speed(times[i])
-            if kind >= FORCE_REVERSAL:
-                self.outcome = OUTCOMES[kind]
-            elif kind != COMPLETED:
+            if kind >= modes.FORCE_REVERSAL:
+                self.outcome = modes.OUTCOMES[kind]
+            elif kind != modes.COMPLETED:
                 corners.append((served, self.t, self.x, self.v))
-                self._note(KINDS[kind])
-                if self._landings_matter and self._mode in (STICK, RAMP):
+                self._note(modes.KINDS[kind])
+                if self._landings_matter and self._mode in (modes.STICK, modes.RAMP):
                     self._set_factor(self._factor())
                     self._flows.append((len(corners), self.flow))
             elif self.t >= self._next_change():
@@ -262,11 +226,11 @@ class Motion:
             return math.inf
         if self._belt_waits:
             return belt.start
-        if self.scene.joint is None:
+        if self.scene.joint is None or belt.length is None:
             return math.inf
-        from rig_sim.effects.joint import passing
+        from rig_sim.effects.joint import passing_time
 
-        return passing(belt, self._kicks + 1)
+        return passing_time(self._kicks + 1, belt.start, belt.length, belt.speed)
 
     def _change(self, served: int, corners: list[tuple[int, float, float, float]]) -> None:
         """Start the belt, or kick the mass."""
@@ -284,8 +248,8 @@ class Motion:
             corners.append((served, self.t, self.x, self.v))
             self._note("kick")
         self._mode = initial_mode(self.flow, self._xi, self._w + self.flow.v_belt, self.t)
-        if LETTERS[self._mode] != LETTERS[was]:
-            self._note(f"{LETTERS[was]}>{LETTERS[self._mode]}")
+        if modes.LETTERS[self._mode] != modes.LETTERS[was]:
+            self._note(f"{modes.LETTERS[was]}>{modes.LETTERS[self._mode]}")
 
     def _set_factor(self, factor: float) -> None:
         """Put another factor on the friction curve; a shaker is tuned again to what is left."""
@@ -299,15 +263,15 @@ class Motion:
         try:
             self.flow = self.scene.flow(belt_running=not self._belt_waits, factor=factor)
         except ValueError as error:
-            self.outcome = Outcome("shaker out of tune", f"{error}: lower shaker.a, wear or scatter")
+            self.outcome = modes.Outcome("shaker out of tune", f"{error}: lower shaker.a, wear or scatter")
 
     def _factor(self) -> float:
         """Return the factor on the friction curve from this landing on."""
         factor = 1.0
         if self.scene.wear is not None:
-            from rig_sim.effects.wear import level_left
+            from rig_sim.effects.wear import remaining_level
 
-            factor = level_left(self.scene.wear, self.t)
+            factor = remaining_level(self.scene.wear.rate, self.t)
         if self._scatter is not None:
             factor *= self._scatter.factor()
         return max(LEAST_FACTOR, factor)
@@ -372,11 +336,11 @@ def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = D
         x, v = float(scene.start.x), float(scene.start.v)
         list_them = partial(list_events, scene.flow(), x, v, until, since=since, max_events=MOST_EVENTS)
         found = list_them(max_steps=min(max_steps, INTERPRETED_STEPS))
-        if found.outcome == OUTCOMES[STEP_LIMIT].name and max_steps > INTERPRETED_STEPS:
+        if found.outcome == modes.OUTCOMES[modes.STEP_LIMIT].name and max_steps > INTERPRETED_STEPS:
             found = list_them(max_steps=max_steps, compiled=True)  # the same list, from the same source
         listed = (Event(*event) for event in zip(found.t, found.x, found.kinds, strict=True))
         return Events(tuple(listed), found.outcome, found.advice, found.steps)
-    motion = Motion(scene, max_steps=max_steps)
+    motion = ScenePlayer(scene, max_steps=max_steps)
     motion.events = []
     motion.advance(until)
     late = tuple(event for event in motion.events if event.t >= since)

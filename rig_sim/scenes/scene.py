@@ -40,7 +40,7 @@ from pydantic import Field, ValidationError
 
 from daq.errors import InputError, nearest
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.modes import LARGEST, SMALLEST, Flow, steepest_fall, validate
+from rig_sim.integrate.flow import LARGEST, SMALLEST, Flow, steepest_fall, validate
 from rig_sim.scenes.sections import (
     Belt,
     Damper,
@@ -134,11 +134,9 @@ class Scene(Section):
         if self.shaker and belt_running:
             from rig_sim.effects.shaker import controlled
 
-            flow = controlled(flow, self.shaker)
+            flow = controlled(flow, float(self.shaker.a), float(self.shaker.phi))
         if self.belt and self.belt.ripple and belt_running:
-            from rig_sim.effects.ripple import SwingingBelt
-
-            return SwingingBelt(self.belt).driven(flow)
+            return self.belt.swing().driven(flow)
         return flow
 
 

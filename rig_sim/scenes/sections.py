@@ -1,11 +1,14 @@
 """The sections of a scene: one frozen model each, with the keys, units and ranges that `scene` checks."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from rig_sim.friction.law import LAWS
+
+if TYPE_CHECKING:
+    from rig_sim.effects.ripple import SwingingBelt
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -55,6 +58,12 @@ class Belt(Section):
     ripple: NotNegative | None = None
     ripple_hz: Positive | None = None
     channel: bool | None = None
+
+    def swing(self) -> "SwingingBelt":
+        """Return the swing of the belt; it must ripple."""
+        from rig_sim.effects.ripple import SwingingBelt
+
+        return SwingingBelt(self.ripple or 0.0, self.ripple_hz or 0.0, self.start)
 
 
 class Friction(Section):

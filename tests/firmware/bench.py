@@ -18,7 +18,7 @@ from daq.wire.decode import Stream, decode
 from daq.wire.frames import FrameReader
 from daq.wire.quadrature import levels_of
 from rig_sim.board.encoder import QuadratureEncoder
-from rig_sim.motion.play import Motion
+from rig_sim.motion.play import ScenePlayer
 
 HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parents[1] / "firmware"
@@ -54,7 +54,7 @@ def of_motion(scene, seconds, jitter=0.0, seed=0, grid_hz=20_000):
     """Return the x4 edges of a scene's encoder; ``jitter`` moves each by so much of its distance to the next."""
     encoder = QuadratureEncoder(scene.encoder, scene.start.x)
     first = encoder.n
-    motion = Motion(scene)
+    motion = ScenePlayer(scene)
     nodes = motion.follow(np.arange(1, int(seconds * grid_hz)) / grid_hz, forces=False).nodes
     t, y = nodes.t, nodes.x / encoder.delta
     n = np.floor(y).astype(np.int64)

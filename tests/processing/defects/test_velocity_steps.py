@@ -9,7 +9,7 @@ import rig_sim
 from processing import stage
 from processing.defects import velocity_steps
 from processing.record import series
-from rig_sim.motion.play import Motion
+from rig_sim.motion.play import ScenePlayer
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def kicked():
 def with_kicks(size, seed):
     scene = rig_sim.scene("rig", seed=seed, joint={"kick": size}, belt={"start": 0.0})
     time = np.arange(1, 60_001) * 1e-3 + 30e-6 * np.random.default_rng(1002).standard_normal(60_000)
-    motion = Motion(scene)
+    motion = ScenePlayer(scene)
     motion.events = []
     path = motion.follow(time)
     return time, path.nodes.x[path.samples], np.array([event.t for event in motion.events if event.kind == "kick"])

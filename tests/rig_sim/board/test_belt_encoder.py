@@ -11,7 +11,7 @@ from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, SampleBlock
 from rig_sim.board.belt_encoder import BeltEncoder
 from rig_sim.board.board import Board
-from rig_sim.motion.play import Motion
+from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import Scene, scene
 
 DELTA = 0.12566 / 4096 / 4
@@ -21,7 +21,7 @@ STEADY: dict[str, object] = {"scatter.Fs": 0, "jitter.rms": 0}
 
 def played(changed: Scene, t: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return belt travel to a hundred-thousandth of a count, and x, F of the mass, at times ``t``."""
-    motion, belt = Motion(changed), BeltEncoder(changed)
+    motion, belt = ScenePlayer(changed), BeltEncoder(changed)
     belt.delta *= 1e-5
     counts, x, F = [], [], []
     for first, last in zip((0, *cuts), (*cuts, len(t)), strict=True):
@@ -54,7 +54,7 @@ def test_a_rippling_belt_counts_its_swing() -> None:
 def test_in_stick_mass_and_drooping_belt_move_together_to_a_thousandth_of_a_count() -> None:
     t = np.arange(0.0, 6.0, 1e-3)
     drooping = scene("rig", **CHANNEL, **{"droop.fraction": 0.05, "scatter.Fs": 0.1, "joint.kick": 0.004})
-    found = Motion(drooping)
+    found = ScenePlayer(drooping)
     found.events = []
     found.advance(6.0)
     travel, x, _ = played(drooping, t, (800, 801, 4000))

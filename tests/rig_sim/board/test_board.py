@@ -16,7 +16,7 @@ from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
 from daq.wire.quadrature import PHASE
 from rig_sim.board.board import Board
-from rig_sim.motion.play import Motion
+from rig_sim.motion.play import ScenePlayer
 from rig_sim.protocol_rig import Serial, parse_url
 from rig_sim.scenes.scene import scene
 
@@ -101,7 +101,7 @@ def test_counters_levels_and_times_are_the_exact_motion() -> None:
     board = Board(rig)
     taken = record(board, 8000)
     assert len(taken.ticks) == 8000
-    exact = Motion(rig)
+    exact = ScenePlayer(rig)
     path = exact.follow(np.append(taken.ticks, taken.ticks[-1] + 2) / 1e6)
     x = path.nodes.x[path.samples][:-1]
     v = path.nodes.v[path.samples][:-1]
@@ -185,7 +185,7 @@ def test_the_datum_turns_counts_into_positions_from_the_spring(decoder: str, sta
     rig = Rig.from_toml(frames[1].toml, "CONFIG")
     assert rig.datum is not None
     assert rig.metres_per_count is not None
-    path = Motion(scene("rig", **{"start.x": start, "scatter.Fs": 0})).follow(Record.of(frames).ticks / 1e6)
+    path = ScenePlayer(scene("rig", **{"start.x": start, "scatter.Fs": 0})).follow(Record.of(frames).ticks / 1e6)
     error = Record.of(frames).net * rig.metres_per_count.value + rig.datum.value - path.nodes.x[path.samples]
     assert np.abs(error).max() < 5 * (rig.datum.sd + 0.3 * rig.metres_per_count.sd / DELTA / lines) + 4 * lines * DELTA
 

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from daq.errors import InputError
 from daq.wire.quadrature import PHASE, Decoder, levels_of
-from rig_sim.board.encoder import Nodes, QuadratureEncoder
+from rig_sim.board.encoder import QuadratureEncoder
+from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.sections import Encoder
 
 DELTA = 0.12566 / 4096 / 4

@@ -9,14 +9,14 @@ import pytest
 
 from daq.console import application
 from daq.errors import InputError
-from rig_sim.cli import app
+from rig_sim.cli.app import app
 from rig_sim.comparison.error_vs_time import compare, difference
 from rig_sim.comparison.reference import Uncovered, events
 from rig_sim.comparison.solve_ivp import SOLVERS
 from rig_sim.comparison.solve_ivp import list_events as peer_events
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.modes import Flow
+from rig_sim.integrate.flow import Flow
 from rig_sim.scenes.scene import scene
 
 SCENES = [

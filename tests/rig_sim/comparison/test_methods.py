@@ -11,9 +11,9 @@ import pytest
 
 from daq.console import application
 from daq.errors import InputError
-from rig_sim.cli import app
+from rig_sim.cli.app import app
 from rig_sim.comparison.methods import METHODS, phases_by
-from rig_sim.motion.play import Motion
+from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
 
 EFFECTS: dict[str, dict[str, object]] = {
@@ -32,7 +32,7 @@ EFFECTS: dict[str, dict[str, object]] = {
 
 def played(method: str, changes: dict[str, object], until: float = 30.0, **setting: float) -> tuple[np.ndarray, Any]:  # type: ignore[type-arg]
     found = scene("base", **changes)
-    motion = Motion(found, phases=phases_by(method, found, **setting)[0])
+    motion = ScenePlayer(found, phases=phases_by(method, found, **setting)[0])
     motion.events = []
     path = motion.follow(np.linspace(0.0, until, 301), forces=True)
     at = path.samples
@@ -124,7 +124,7 @@ def test_a_setting_the_method_does_not_have_is_refused(method: str, setting: dic
 @pytest.mark.parametrize("method", ["rk4-henon", "dop853"])
 def test_the_step_limit_ends_any_method_by_name(method: str) -> None:
     base = scene("base")
-    motion = Motion(base, max_steps=50, phases=phases_by(method, base)[0])
+    motion = ScenePlayer(base, max_steps=50, phases=phases_by(method, base)[0])
     assert not motion.advance(1000.0)
     assert motion.outcome.name == "step limit"
     assert motion.steps == 50

@@ -7,7 +7,7 @@ import pytest
 from rig_sim.comparison.rk4_henon import list_events as rk4_events
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.modes import Flow
+from rig_sim.integrate.flow import Flow
 
 
 def flow_of(law, **changes):

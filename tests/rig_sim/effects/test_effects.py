@@ -13,9 +13,9 @@ import pytest
 from daq.wire.frames import FrameReader, SampleBlock, Truth
 from daq.wire.quadrature import PHASE
 from rig_sim.board.board import Board
-from rig_sim.board.encoder import Nodes
 from rig_sim.board.gaps import SilentStretches
 from rig_sim.motion.file import write
+from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.scene import scene
 from rig_sim.scenes.sections import Gaps, SlipLoss
 

@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from daq.errors import InputError
 from rig_sim.dynamics.limit_cycle import cycle
-from rig_sim.motion.play import Motion, events
+from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
 
 HZ = 0.31
@@ -20,7 +20,7 @@ def test_in_stick_the_mass_goes_with_the_swinging_belt() -> None:
     start = 0.4
     rippling = scene("rig", **{"belt.start": start, "belt.ripple": 0.01, "belt.ripple_hz": 5.0, "scatter.Fs": 0})
     t = np.arange(0.45, 0.85, 0.01)
-    path = Motion(rippling).follow(np.concatenate(([0.0], t)), forces=True)
+    path = ScenePlayer(rippling).follow(np.concatenate(([0.0], t)), forces=True)
     x, v = path.nodes.x[path.samples][1:], path.nodes.v[path.samples][1:]
     theta = 10 * math.pi * (t - start)
     stuck = np.abs(v - 0.22 - 0.01 * np.sin(theta)) < 1e-13
@@ -47,7 +47,7 @@ def test_ramp_laws_on_a_rippling_belt_are_an_independent_solvers(law: int, belt:
 
     t = 0.1 * np.arange(401)
     expected = solve_ivp(motion, (0.0, 40.0), (0.0, 0.0), "LSODA", t_eval=t, rtol=1e-10, atol=1e-12, max_step=0.02)
-    path = Motion(rippling).follow(t)
+    path = ScenePlayer(rippling).follow(t)
     np.testing.assert_allclose(path.nodes.x[path.samples], expected.y[0], atol=1e-6)
     np.testing.assert_allclose(path.nodes.v[path.samples], expected.y[1], atol=1e-5)
 
@@ -85,8 +85,8 @@ def test_no_ripple_is_the_steady_belt_and_the_parts_give_the_same_motion() -> No
     assert events(scene("rig", **{"belt.ripple": 0.0, "belt.ripple_hz": 3.0}), 10.0) == events(scene("rig"), 10.0)
     rippling = scene("rig", **{"belt.ripple": 0.004, "belt.ripple_hz": 7.0, "droop.fraction": 0.01})
     t = np.arange(4001) / 1000
-    whole = Motion(rippling).follow(t)
-    motion = Motion(rippling)
+    whole = ScenePlayer(rippling).follow(t)
+    motion = ScenePlayer(rippling)
     parts = [motion.follow(t[first:last]) for first, last in ((0, 1), (1, 700), (700, 4001))]
     joined = np.concatenate([part.nodes.x[part.samples] for part in parts])
     np.testing.assert_allclose(joined, whole.nodes.x[whole.samples], atol=1e-12)

@@ -9,8 +9,8 @@ import pytest
 from daq.errors import InputError
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.effects.shaker import controlled, fixed_point_friction, phasor
-from rig_sim.integrate.modes import Flow
-from rig_sim.motion.play import Motion, events
+from rig_sim.integrate.flow import Flow
+from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import Scene, scene
 from rig_sim.scenes.sections import Start
 
@@ -38,7 +38,7 @@ def measured_omega(shaker: Scene, x_rest: float, span: float, size: float) -> co
             ends = []
             for sign in (1, -1):
                 start = Start(x=x_rest + sign * dx, v=sign * dv)
-                motion = Motion(shaker.model_copy(update={"start": start}))
+                motion = ScenePlayer(shaker.model_copy(update={"start": start}))
                 assert motion.advance(span)
                 ends.append(np.array([motion.x, motion.v]))
             columns.append((ends[0] - ends[1]) / (2 * reach))
@@ -110,7 +110,7 @@ def test_a_drooping_belt_makes_the_slope_steeper_and_the_shaker_knows(law: int, 
 @pytest.mark.parametrize("phi", [2.2, 3.14159, math.pi, 4.0])
 def test_the_fixed_point_does_not_move(phi: float) -> None:
     still = shaken(0.9, phi, **{"start.x": REST + 1e-3})
-    motion = Motion(still)
+    motion = ScenePlayer(still)
     motion.advance(3000.0)
     assert motion.x == pytest.approx(REST, abs=3e-14)
     assert motion.v == pytest.approx(0.0, abs=3e-14)
@@ -121,7 +121,7 @@ def test_thesis_a_phase_of_pi_quenches_where_a_exceeds_0_3_and_the_best_phase_is
     # S = 0.3: the base case's slope of 0.48 less a damper of 0.18.
     grows = {}
     for a in (0.29, 0.31):
-        motion = Motion(shaken(a, math.pi, **{"damper.c": SLOPE - 0.3, "start.x": REST + 1e-4}))
+        motion = ScenePlayer(shaken(a, math.pi, **{"damper.c": SLOPE - 0.3, "start.x": REST + 1e-4}))
         swings = []
         for end in (20.0, 320.0):
             motion.advance(end)
@@ -181,7 +181,7 @@ def test_the_slip_point_is_where_spring_damper_and_shaker_together_reach_fs() ->
 def test_the_shaker_waits_for_the_belt_and_follows_the_factor_on_friction() -> None:
     late = shaken(0.8, 2.4, "rig", **{"scatter.Fs": 0.2})
     assert late.flow(belt_running=False) == late.model_copy(update={"shaker": None}).flow(belt_running=False)
-    motion = Motion(late)
+    motion = ScenePlayer(late)
     motion.advance(0.4)
     assert motion.flow.k == 10.5552
     motion.advance(5.0)
@@ -214,7 +214,7 @@ def test_a_mass_without_friction_is_shaken_all_the_same() -> None:
     bare = Flow(Fs=0.0, c=0.1)
     assert fixed_point_friction(bare) == (0.0, 0.0)
     Omega = thesis_formula(1.0, 1.0, -0.1, 0.2, 1.0)
-    flow = controlled(bare, shaken(0.2, 1.0).shaker)  # type: ignore[arg-type]
+    flow = controlled(bare, 0.2, 1.0)
     assert (flow.c, flow.k, flow.x0) == pytest.approx((-2 * Omega.imag, abs(Omega) ** 2, 0.0), abs=1e-14)
 
 

@@ -10,7 +10,7 @@ import pytest
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.compiled import compiled
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.modes import Flow
+from rig_sim.integrate.flow import Flow
 
 CASES = [
     *({"law": law} for law in LAWS),
@@ -41,7 +41,7 @@ def test_unknown_kernel_is_refused():
 
 def test_first_use_says_that_it_compiles_and_the_second_does_not(tmp_path):
     code = (
-        "from rig_sim.integrate.compiled import compiled; from rig_sim.integrate.modes import Flow;"
+        "from rig_sim.integrate.compiled import compiled; from rig_sim.integrate.flow import Flow;"
         "print(compiled('initial_mode')(Flow(), 0.0, 0.0, 0.0))"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -12,10 +12,13 @@ from daq.errors import InputError
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.friction import contact
 from rig_sim.friction.law import LAWS
+from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.contact_state import force, initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.hybrid import next_event, sample
-from rig_sim.integrate.modes import COMPLETED, NEGATIVE, POSITIVE, RAMP, Flow, force, initial_mode, new_work, validate
-from rig_sim.motion.play import Motion, events
+from rig_sim.integrate.flow import Flow, validate
+from rig_sim.integrate.modes import COMPLETED, NEGATIVE, POSITIVE, RAMP
+from rig_sim.integrate.phases import next_event, sample
+from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene
 
 
@@ -104,7 +107,7 @@ def test_a_long_run_is_that_of_an_independent_solver(law: int) -> None:
 
 def test_in_stick_the_belt_carries_the_mass_at_the_speed_its_load_leaves() -> None:
     rig = scene("rig", **{"droop.fraction": 0.05, "scatter.Fs": 0})
-    motion = Motion(rig)
+    motion = ScenePlayer(rig)
     path = motion.follow(np.arange(4000) / 1000, forces=True)
     v = path.nodes.v[path.samples]
     assert rig.friction is not None

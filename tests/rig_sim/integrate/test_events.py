@@ -8,21 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rig_sim.friction.law import LAWS
+from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.hybrid import next_event
-from rig_sim.integrate.modes import (
-    COMPLETED,
-    KINDS,
-    NEGATIVE,
-    NOT_FINITE,
-    OUTCOMES,
-    POSITIVE,
-    RAMP,
-    STICK,
-    Flow,
-    initial_mode,
-    new_work,
-)
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.modes import COMPLETED, KINDS, NEGATIVE, NOT_FINITE, OUTCOMES, POSITIVE, RAMP, STICK
+from rig_sim.integrate.phases import next_event
 
 
 def flow_of(law, **changes):

@@ -14,9 +14,12 @@ from rig_sim.comparison import reference
 from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.friction.law import LAWS
+from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.hybrid import next_event, sample
-from rig_sim.integrate.modes import COMPLETED, OUTCOMES, Flow, initial_mode, new_work
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.modes import COMPLETED, OUTCOMES
+from rig_sim.integrate.phases import next_event, sample
 from rig_sim.scenes.scene import scene
 
 
@@ -300,7 +303,7 @@ def test_the_last_turn_of_a_thousand_million_time_units_is_whole_periods_after_t
 
 
 def told(capsys, *line, code=0):
-    from rig_sim.cli import app
+    from rig_sim.cli.app import app
 
     assert application.run(app, [*line, "--json"]) == code
     return json.loads(capsys.readouterr().out)

@@ -10,17 +10,12 @@ from scipy.integrate import solve_ivp
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
+from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.hybrid import next_event, next_turn, sample, sample_phase
-from rig_sim.integrate.modes import (
-    COMPLETED,
-    NEGATIVE,
-    RAMP,
-    STICK,
-    Flow,
-    initial_mode,
-    new_work,
-)
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.modes import COMPLETED, NEGATIVE, RAMP, STICK
+from rig_sim.integrate.phases import next_event, next_turn, sample, sample_phase
 
 
 def flow_of(law, **changes):

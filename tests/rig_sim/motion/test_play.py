@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
-from rig_sim.motion.play import LEAST_FACTOR, Event, Motion, events
+from rig_sim.motion.play import LEAST_FACTOR, Event, ScenePlayer, events
 from rig_sim.scenes.scene import parse_changes, scene
 
 SHARED = FilePath(os.environ.get("STICKSLIP_SHARED", FilePath(__file__).parents[4] / "shared"))
@@ -53,7 +53,7 @@ def test_first_stick_of_law_1_is_the_closed_form() -> None:
 
 
 def test_events_and_one_phase_at_a_time_agree() -> None:
-    motion = Motion(scene("forced"))
+    motion = ScenePlayer(scene("forced"))
     motion.events = []
     motion.advance(50.0)
     listed = events(scene("forced"), 50.0)
@@ -65,7 +65,7 @@ def test_without_friction_and_belt_the_mass_is_a_harmonic_oscillator(tmp_path: F
     path = tmp_path / "free.toml"
     path.write_text("[mass]\nm = 2.0\n[spring]\nk = 8.0\nx0 = 0.25\n[start]\nx = 1.25\n")
     t = np.linspace(0, 30, 301)
-    motion = Motion(scene(path))
+    motion = ScenePlayer(scene(path))
     followed = motion.follow(t, forces=True)
     at = followed.samples
     np.testing.assert_allclose(followed.nodes.x[at], 0.25 + np.cos(2 * t), atol=1e-12)
@@ -77,7 +77,7 @@ def test_a_mass_at_rest_within_the_cone_stays_put_until_the_belt_starts() -> Non
     parked = scene("rig", start={"x": 0.1}, belt={"start": 3.0}, scatter={"Fs": 0.0})
     found = events(parked, 5.0)
     assert found.events[0] == Event(3.0, 0.1, "S>N")
-    motion = Motion(parked)
+    motion = ScenePlayer(parked)
     followed = motion.follow(np.array([0.0, 1.0, 2.9]), forces=True)
     np.testing.assert_array_equal(followed.nodes.x[followed.samples], 0.1)
     np.testing.assert_allclose(followed.F, parked.spring.k * 0.1, rtol=1e-14)
@@ -93,7 +93,7 @@ def test_a_mass_outside_the_cone_slides_back_on_the_resting_belt() -> None:
 @pytest.mark.parametrize("law", range(1, 7))
 def test_sampled_motion_obeys_the_equation_of_motion(law: int) -> None:
     rig = scene("rig", **{"friction.law": law, "damper.c": 0.05, "drive.u0": 0.1, "drive.omega": 3.0})
-    motion = Motion(rig)
+    motion = ScenePlayer(rig)
     h = 1e-4
     t = np.arange(h, 4.0, h, dtype=np.float64)
     followed = motion.follow(t, forces=True)
@@ -109,8 +109,8 @@ def test_sampled_motion_obeys_the_equation_of_motion(law: int) -> None:
 def test_stretches_of_any_length_give_the_same_motion() -> None:
     rig = scene("rig", seed=5)
     t = np.arange(8001) / 1000
-    whole = Motion(rig).follow(t)
-    motion, xs = Motion(rig), []
+    whole = ScenePlayer(rig).follow(t)
+    motion, xs = ScenePlayer(rig), []
     cuts = [0, 1, 2, 700, 701, 3333, 3334, 8001]
     for first, last in itertools.pairwise(cuts):
         piece = motion.follow(t[first:last])
@@ -122,7 +122,7 @@ def test_stretches_of_any_length_give_the_same_motion() -> None:
 
 def test_nodes_lie_close_enough_for_the_encoder_between_rare_samples() -> None:
     rig = scene("rig")
-    rare = Motion(rig).follow(np.array([0.7, 4.0]))
+    rare = ScenePlayer(rig).follow(np.array([0.7, 4.0]))
     assert len(rare.samples) == 2
     assert np.diff(rare.nodes.t).max() <= 2e-3
     np.testing.assert_array_equal(rare.nodes.t[rare.samples], [0.7, 4.0])
@@ -156,7 +156,7 @@ def test_wear_lowers_the_level_at_each_landing_and_never_below_the_bound() -> No
     slips = [event.x for event in found if event.kind == "S>N" and event.t > landings[0]]
     for landing, x in zip(landings, slips, strict=False):
         assert x == pytest.approx(0.13068 * (1 - 0.02 * landing), rel=1e-12)
-    late = Motion(scene("rig", scatter={"Fs": 0.0}, wear={"rate": 1.0}))
+    late = ScenePlayer(scene("rig", scatter={"Fs": 0.0}, wear={"rate": 1.0}))
     late.advance(30.0)
     assert late.flow.factor == LEAST_FACTOR
 
@@ -164,7 +164,7 @@ def test_wear_lowers_the_level_at_each_landing_and_never_below_the_bound() -> No
 def test_a_zero_length_stick_draws_too() -> None:
     # The belt runs so fast that law 1 grazes: every landing at the slip point is a stick of zero length.
     grazing = scene("base", start={"x": 1.0, "v": 0.5}, **{"friction.law": 1, "wear.rate": 1e-3})
-    motion = Motion(grazing)
+    motion = ScenePlayer(grazing)
     motion.events = []
     motion.advance(30.0)
     assert motion.flow.factor < 1.0
@@ -175,7 +175,7 @@ def test_the_joint_kicks_once_per_turn_of_the_belt() -> None:
     found = events(kicked, 12.0).events
     kicks = [event.t for event in found if event.kind == "kick"]
     np.testing.assert_allclose(kicks, [0.5 + 3 * (turn + 1) for turn in range(3)])
-    motion = Motion(kicked)
+    motion = ScenePlayer(kicked)
     path = motion.follow(np.array([3.4, 3.6]))
     twice = np.flatnonzero(np.diff(path.nodes.t) == 0)
     assert len(twice) == 1
@@ -205,7 +205,7 @@ def test_the_step_limit_is_a_named_outcome() -> None:
     found = events(scene("forced"), 1000.0, max_steps=50)
     assert (found.outcome, found.steps) == ("step limit", 50)
     assert found.advice
-    motion = Motion(scene("rig"), max_steps=20)
+    motion = ScenePlayer(scene("rig"), max_steps=20)
     path = motion.follow(np.arange(20_000) / 1000)
     assert motion.outcome.name == "step limit"
     assert 0 < len(path.samples) < 20_000
@@ -214,7 +214,7 @@ def test_the_step_limit_is_a_named_outcome() -> None:
 
 
 def test_linear_friction_ends_where_it_would_change_its_sign() -> None:
-    motion = Motion(scene("base", **{"friction.law": 3, "friction.G_slip": 0.5, "start.v": -4.0}))
+    motion = ScenePlayer(scene("base", **{"friction.law": 3, "friction.G_slip": 0.5, "start.v": -4.0}))
     assert not motion.advance(10.0)
     assert motion.outcome.name == "force reversal"
 

@@ -21,45 +21,23 @@ A driver that changes the Flow between events (belt start, wear, scatter, kicks)
 import math
 
 from rig_sim.friction.curve import HYPERBOLIC
+from rig_sim.integrate import buffer, modes
+from rig_sim.integrate.buffer import Buffer
+from rig_sim.integrate.contact_state import transition
 from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ramp_state
-from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_exit, stick_lateness
-from rig_sim.integrate.modes import (
-    CARRY,
-    COMPLETED,
-    EVENT_RATE,
-    EXIT,
-    EXIT_E,
-    EXIT_S,
-    FORCE_REVERSAL,
-    LATE,
-    LIST_FULL,
-    NEGATIVE,
-    NOT_FINITE,
-    P_REST,
-    RAMP,
-    RAPID,
-    RECURRED,
-    START,
-    STEP_LIMIT,
-    STEPS,
-    STEPS_ALLOWED,
-    STICK,
-    TIME_SCALE,
-    W_REST,
-    ZETA,
-    Buffer,
-    Flow,
+from rig_sim.integrate.flow import Flow
+from rig_sim.integrate.frame import (
     Frame,
     acceleration,
     displacement,
-    edges,
     frame,
     kept_inside,
-    landing,
-    line,
+    linear_terms,
     mirrored,
+    mode_bounds,
     position,
 )
+from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_exit, stick_lateness
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.taylor import changes, series_exit
 
@@ -69,57 +47,57 @@ RAPID_TIME = 1e-12  # x sqrt(m/k)
 
 def is_series(fr: Frame, mode: int) -> bool:
     """Tell whether a mode is stepped by Taylor series: hyperbolic slip, and driven phases but stick and steep ramps."""
-    if mode == STICK:
+    if mode == modes.STICK:
         return False
     if fr.u0 != 0.0:
         return not is_steep(fr, mode)
-    return fr.curve == HYPERBOLIC and mode != RAMP
+    return fr.curve == HYPERBOLIC and mode != modes.RAMP
 
 
-def leave(
+def phase_exit(
     fr: Frame, mode: int, p: float, w: float, t: float, lo: float, hi: float, tau_max: float, work: Buffer
 ) -> tuple[int, float]:
     """Return (side, tau): w leaves [lo, hi] after tau at its lower (-1) or upper (+1) end, or (0, tau) passed inside.
 
     Without an exit, tau is ``tau_max`` but in phases stepped by series, where it may be less: call again from there.
     """
-    work[LATE] = 0.0
-    if mode == STICK:
+    work[buffer.LATE] = 0.0
+    if mode == modes.STICK:
         if fr.u0 != 0.0:
             return driven_stick_exit(fr, p, t, tau_max)
         side, tau = stick_exit(fr, p, tau_max)
         if side > 0 and tau > 0.0:
-            work[LATE] = stick_lateness(fr, p, work[P_REST], tau)
+            work[buffer.LATE] = stick_lateness(fr, p, work[buffer.P_REST], tau)
         return side, tau
     if is_series(fr, mode):
         return series_exit(fr, mode, p, w, t, lo, hi, tau_max, work)
     if fr.u0 != 0.0:
         return ramp_exit(fr, p, w, t, lo, hi, tau_max)
-    C, e = line(fr, mode)
+    C, e = linear_terms(fr, mode)
     zeta = 0.5 * C / fr.m
     disc = (zeta - fr.omega0) * (zeta + fr.omega0)
     a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e) / fr.m)
-    work[ZETA] = zeta
-    work[START] = a
+    work[buffer.ZETA] = zeta
+    work[buffer.START] = a
     touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
     return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch, work)
 
 
-def moved(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> tuple[float, float]:
-    """Return by how much (p, w) change within tau of the phase, whose own `leave` must have filled ``work`` last."""
-    if mode == STICK:
+def increments(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> tuple[float, float]:
+    """Return the changes of (p, w) within tau of the phase; its own `phase_exit` must have filled ``work`` last."""
+    if mode == modes.STICK:
         return fr.v * tau, 0.0
     if is_series(fr, mode):
-        return changes(work, tau / work[TIME_SCALE])
+        return changes(work, tau / work[buffer.TIME_SCALE])
     if fr.u0 != 0.0:
         p_end, w_end, _ = ramp_state(fr, p, w, t, tau)
         return p_end - p, w_end - w
-    zeta = work[ZETA]
-    if tau == work[EXIT]:
-        S, E = work[EXIT_S], work[EXIT_E]
+    zeta = work[buffer.ZETA]
+    if tau == work[buffer.EXIT]:
+        S, E = work[buffer.EXIT_S], work[buffer.EXIT_E]
     else:
         S, E, _ = fundamental(zeta, fr.omega2, (zeta - fr.omega0) * (zeta + fr.omega0), tau)
-    return change(work[START], w + fr.v, zeta, fr.omega2, S, E)
+    return change(work[buffer.START], w + fr.v, zeta, fr.omega2, S, E)
 
 
 def sum_of(value: float, rest: float, increase: float) -> tuple[float, float]:
@@ -150,69 +128,69 @@ def phase(
     Results are stored for times[i], times[i + 1] ... up to there.  Time is t + carry, summed by Neumaier's rule, as are
     p and w with what ``work`` holds: many steps then lose no more than one.
     """
-    lo, hi = edges(fr, mode)
+    lo, hi = mode_bounds(fr, mode)
     begun = t
     if not math.isfinite(p + w + (t_max - t)):
-        return NOT_FINITE, mode, p, w, t, carry, i
+        return modes.NOT_FINITE, mode, p, w, t, carry, i
     while True:
         rest = (t_max - t) - carry
         side = 0
         tau = 0.0
         if rest > 0.0:
-            if work[STEPS] >= work[STEPS_ALLOWED]:
-                return STEP_LIMIT, mode, p, w, t, carry, i
-            work[STEPS] += 1.0
-            side, tau = leave(fr, mode, p, w, t, lo, hi, rest, work)
+            if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
+                return modes.STEP_LIMIT, mode, p, w, t, carry, i
+            work[buffer.STEPS] += 1.0
+            side, tau = phase_exit(fr, mode, p, w, t, lo, hi, rest, work)
         if not math.isfinite(rest + tau):
-            return NOT_FINITE, mode, p, w, t, carry, i
+            return modes.NOT_FINITE, mode, p, w, t, carry, i
         while i < n:
             dt = (times[i] - t) - carry
             if dt > tau:
                 break
-            dp, dw = (0.0, 0.0) if dt <= 0.0 else moved(fr, mode, p, w, t, dt, work)
+            dp, dw = (0.0, 0.0) if dt <= 0.0 else increments(fr, mode, p, w, t, dt, work)
             out_x[i] = position(fr, p + dp)
             out_v[i] = fr.mirror * (w + dw + fr.v)
             out_mode[i] = float(mirrored(fr, mode))
             i += 1
         if tau > 0.0:
-            dp, dw = moved(fr, mode, p, w, t, tau, work)
-            p, work[P_REST] = sum_of(p, work[P_REST], dp)
-            w, work[W_REST] = sum_of(w, work[W_REST], dw)
+            dp, dw = increments(fr, mode, p, w, t, tau, work)
+            p, work[buffer.P_REST] = sum_of(p, work[buffer.P_REST], dp)
+            w, work[buffer.W_REST] = sum_of(w, work[buffer.W_REST], dw)
             if not math.isfinite(p + w):
-                return NOT_FINITE, mode, p, w, t, carry, i
+                return modes.NOT_FINITE, mode, p, w, t, carry, i
         if side == 0 and tau >= rest:
-            work[RAPID] = 0.0
-            return COMPLETED, mode, p, w, t_max, 0.0, i
+            work[buffer.RAPID] = 0.0
+            return modes.COMPLETED, mode, p, w, t_max, 0.0, i
         total = t + tau
         carry += (t - total) + tau if abs(t) >= abs(tau) else (tau - total) + t
         t = total
         if side == 0:
             continue
-        carry += work[LATE]
-        if mode == STICK:
+        carry += work[buffer.LATE]
+        if mode == modes.STICK:
             w = 0.0
             if side > 0 and fr.u0 == 0.0 and tau > 0.0:
                 p = 0.0
         else:
             w = hi if side > 0 else lo
-        work[W_REST] = 0.0
-        if mode == STICK or mode == RAMP:  # a slip begins in p alone, so that it can be told when it recurs
-            work[P_REST] = 0.0
-        entered = landing(fr, mode, side, p, t)
-        if entered == FORCE_REVERSAL:
-            return FORCE_REVERSAL, mode, p, w, t, carry, i
+        work[buffer.W_REST] = 0.0
+        if mode == modes.STICK or mode == modes.RAMP:  # a slip begins in p alone, so that it can be told when it recurs
+            work[buffer.P_REST] = 0.0
+        entered = transition(fr, mode, side, p, t)
+        if entered == modes.FORCE_REVERSAL:
+            return modes.FORCE_REVERSAL, mode, p, w, t, carry, i
         if (t - begun) * fr.omega0 <= RAPID_TIME:
-            work[RAPID] += 1.0
-            if work[RAPID] > RAPID_ALLOWED:
-                return EVENT_RATE, entered, p, w, t, carry, i
+            work[buffer.RAPID] += 1.0
+            if work[buffer.RAPID] > RAPID_ALLOWED:
+                return modes.EVENT_RATE, entered, p, w, t, carry, i
         else:
-            work[RAPID] = 0.0
+            work[buffer.RAPID] = 0.0
         return 4 * mode + entered, entered, p, w, t, carry, i
 
 
-def seen(fr: Frame, kind: int) -> int:
+def unmirrored_kind(fr: Frame, kind: int) -> int:
     """Return a kind found in the frame as it is outside: transitions of a mirrored frame are mirrored."""
-    if fr.mirror > 0.0 or kind == COMPLETED or kind >= FORCE_REVERSAL:
+    if fr.mirror > 0.0 or kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
         return kind
     return 4 * mirrored(fr, kind // 4) + mirrored(fr, kind % 4)
 
@@ -253,8 +231,8 @@ def sample_phase(
         ``mode`` is the one entered; ``i`` the first time not yet served (those at the event itself are).
     """
     fr = frame(flow)
-    work[P_REST] = 0.0
-    work[W_REST] = 0.0
+    work[buffer.P_REST] = 0.0
+    work[buffer.W_REST] = 0.0
     kind, own, p, w, t, carry, i = phase(
         fr,
         mirrored(fr, mode),
@@ -271,7 +249,7 @@ def sample_phase(
         out_mode,
         work,
     )
-    return seen(fr, kind), mirrored(fr, own), position(fr, p), fr.mirror * w, t + carry, i
+    return unmirrored_kind(fr, kind), mirrored(fr, own), position(fr, p), fr.mirror * w, t + carry, i
 
 
 def next_event(
@@ -307,17 +285,17 @@ def sample(
     w = fr.mirror * w
     t = t0
     carry = 0.0
-    work[P_REST] = 0.0
-    work[W_REST] = 0.0
-    kind = COMPLETED
+    work[buffer.P_REST] = 0.0
+    work[buffer.W_REST] = 0.0
+    kind = modes.COMPLETED
     i = 0
     while i < n:
         kind, own, p, w, t, carry, i = phase(
             fr, own, p, w, t, carry, times[n - 1], times, i, n, out_x, out_v, out_mode, work
         )
-        if kind >= FORCE_REVERSAL:
+        if kind >= modes.FORCE_REVERSAL:
             break
-        kind = COMPLETED
+        kind = modes.COMPLETED
     return kind, mirrored(fr, own), position(fr, p), fr.mirror * w, t + carry
 
 
@@ -333,13 +311,13 @@ def next_turn(
     own = mirrored(fr, mode)
     p = displacement(fr, x)
     w = fr.mirror * w
-    if own == STICK:
+    if own == modes.STICK:
         return False, position(fr, p + fr.v * (t_max - t)), 0.0, t_max
     while True:
         rest = t_max - t
-        if rest <= 0.0 or work[STEPS] >= work[STEPS_ALLOWED]:
+        if rest <= 0.0 or work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
             return False, position(fr, p), fr.mirror * w, t
-        work[STEPS] += 1.0
+        work[buffer.STEPS] += 1.0
         lo = -math.inf
         hi = math.inf
         level = -fr.v
@@ -347,9 +325,9 @@ def next_turn(
             hi = level
         else:
             lo = level
-        side, tau = leave(fr, own, p, w, t, lo, hi, rest, work)
+        side, tau = phase_exit(fr, own, p, w, t, lo, hi, rest, work)
         if tau > 0.0:
-            dp, dw = moved(fr, own, p, w, t, tau, work)
+            dp, dw = increments(fr, own, p, w, t, tau, work)
             p += dp
             w += dw
         t = t + tau
@@ -407,32 +385,32 @@ def run(
     own = mirrored(fr, mode)
     p = displacement(fr, x)
     w = fr.mirror * w
-    carry = float(work[CARRY])
-    work[P_REST] = 0.0
-    work[W_REST] = 0.0
+    carry = float(work[buffer.CARRY])
+    work[buffer.P_REST] = 0.0
+    work[buffer.W_REST] = 0.0
     idle = work
     count = 0
     first = -1
     p_first = 0.0
     turns = 0
     patience = 1
-    outcome = LIST_FULL
+    outcome = modes.LIST_FULL
     while count < room:
         kind, own, p, w, t, carry, _ = phase(fr, own, p, w, t, carry, t_max, idle, 0, 0, idle, idle, idle, work)
-        if kind == COMPLETED or kind >= FORCE_REVERSAL:
+        if kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
             outcome = kind
             break
         total = t + carry
         out_t[count] = total
         out_carry[count] = (t - total) + carry
         out_x[count] = position(fr, p)
-        out_kind[count] = float(seen(fr, kind))
+        out_kind[count] = float(unmirrored_kind(fr, kind))
         count += 1
-        if recur == 0 or fr.u0 != 0.0 or (kind != 4 * STICK + NEGATIVE and kind != 4 * RAMP + NEGATIVE):
+        if recur == 0 or fr.u0 != 0.0 or (kind != modes.STICK_TO_NEGATIVE and kind != modes.RAMP_TO_NEGATIVE):
             continue
         # w is the edge of stick or ramp, exactly: p alone is the state
         if first >= 0 and p == p_first and (total - out_t[first]) * fr.omega0 > RAPID_ALLOWED * RAPID_TIME:
-            outcome = RECURRED
+            outcome = modes.RECURRED
             break
         turns += 1
         if first < 0 or turns == patience:
@@ -440,5 +418,5 @@ def run(
             p_first = p
             turns = 0
             patience *= 2
-    work[CARRY] = carry
+    work[buffer.CARRY] = carry
     return outcome, count, first, mirrored(fr, own), position(fr, p), fr.mirror * w, t

@@ -8,7 +8,6 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
-from daq.errors import InputError
 
 if TYPE_CHECKING:
     from rig_sim.scenes.scene import Scene
@@ -119,12 +118,13 @@ def run(
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
+    from rig_sim.comparison.methods import phases_by
     from rig_sim.motion.file import write
 
-    if output.exists() and not force:
-        raise InputError("exists", str(output), "give another -o, or --force to replace it")
     played = _scene(scene, set_)
-    found = write(played, output, until=until, rate=rate, method=method, step=step, rtol=rtol, max_steps=max_steps)
+    phases, setting = phases_by(method, played, step=step, rtol=rtol)
+    used = f"{method} {setting}".strip()
+    found = write(played, output, until=until, rate=rate, phases=phases, method=used, max_steps=max_steps, force=force)
     data = {
         "file": output,
         "samples": found.samples,

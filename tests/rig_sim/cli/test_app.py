@@ -15,13 +15,13 @@ import pytest
 
 import rig_sim
 from daq.console import application
-from rig_sim.cli import app
+from rig_sim.cli.app import app
 from rig_sim.motion import play as motion_module
-from rig_sim.motion.play import Motion
+from rig_sim.motion.play import ScenePlayer
 
-SHARED = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).parents[3] / "shared"))
+SHARED = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).parents[4] / "shared"))
 REFERENCE = [
-    Path(__file__).parents[1] / "reference" / "limit_cycles.json",
+    Path(__file__).parents[2] / "reference" / "limit_cycles.json",
     SHARED / "reference" / "limit_cycles.json",
 ]
 KEYS = {
@@ -105,7 +105,7 @@ def test_run_writes_the_exact_motion(capsys: pytest.CaptureFixture[str], tmp_pat
             table = {name: entry["motion"][name][()] for name in "txvF"}
             assert json.loads(entry["simulation/scene"][()])["seed"] == 8
             assert entry["motion/v"].attrs["units"] == "m/s"
-    path_exact = Motion(rig_sim.scene("rig", seed=8)).follow(np.arange(751) / 250, forces=True)
+    path_exact = ScenePlayer(rig_sim.scene("rig", seed=8)).follow(np.arange(751) / 250, forces=True)
     np.testing.assert_array_equal(table["t"], np.arange(751) / 250)
     np.testing.assert_array_equal(table["x"], path_exact.nodes.x[path_exact.samples])
     np.testing.assert_array_equal(table["v"], path_exact.nodes.v[path_exact.samples])
@@ -174,7 +174,7 @@ def test_bad_input_is_one_line_and_exit_2(
 @pytest.mark.parametrize("command", [["cycle", "base"], ["events", "rig", "--until", "20"], ["scenes"], ["--help"]])
 def test_light_commands_import_no_array_package(command: list[str]) -> None:
     code = (
-        "import sys; from daq import terminal; from rig_sim.cli import app;"
+        "import sys; from daq import terminal; from rig_sim.cli.app import app;"
         f"code = terminal.run(app, {command!r});"
         "heavy = ('numpy', 'scipy', 'numba', 'matplotlib', 'pandas', 'h5py');"
         "print([m for m in heavy if m in sys.modules], file=sys.stderr); sys.exit(code)"
@@ -233,7 +233,7 @@ def test_a_long_list_of_events_is_the_same_by_compiled_code(monkeypatch: pytest.
 
 @pytest.mark.skipif(sys.platform == "win32", reason="an interrupt is sent as a signal")
 def test_an_interrupted_run_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
-    line = [sys.executable, "-m", "rig_sim.cli", "run", "rig", "--until", "90000", "--rate", "1000", "-o", "m.csv"]
+    line = [sys.executable, "-m", "rig_sim.cli.app", "run", "rig", "--until", "90000", "--rate", "1000", "-o", "m.csv"]
     with subprocess.Popen(line, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None and not (tmp_path / "m.csv.part").exists():
             time.sleep(0.02)

@@ -1,0 +1,98 @@
+"""Flow: the numbers of the equation of motion between two events, and which of them are physical."""
+
+import math
+from typing import NamedTuple
+
+from rig_sim.friction.curve import HYPERBOLIC, LINEAR
+
+
+class Flow(NamedTuple):
+    """Everything the motion between events depends on; the defaults are the dimensionless base case, law 5.
+
+    Parameters
+    ----------
+    m, k, x0, c : float
+        Mass (kg, > 0), spring (N/m, > 0), the spring's rest position (m), viscous damping (N s/m).
+    v_belt : float
+        Belt velocity, m/s, either sign or 0.
+    curve, ramp : int
+        `rig_sim.friction.curve` code; 1 for a ramp contact, 0 for a jump.
+    Fs, static, factor : float
+        Level at rest (N, >= 0), break-away level / Fs (>= 1), scatter (multiplies the whole curve, d unchanged).
+    G_slip, gamma, d : float
+        N s/m, s/m, m/s; those the law does not use are ignored.
+    u0, omega, phase : float
+        Drive u0 cos(omega t + phase): N, rad/s, rad.
+    droop : float
+        How much slower the belt runs when it carries the load Fs, m/s (>= 0).
+
+    Notes
+    -----
+    Pass floats as floats and ints as ints: compiled kernels are specialised on the types.
+    With a ramp, static > 1 makes the ramp's peak static Fs, dropping to the curve at its edge.
+    Kernels trust their flow; `validate` checks one.
+    """
+
+    m: float = 1.0
+    k: float = 1.0
+    x0: float = 0.0
+    c: float = 0.0
+    v_belt: float = 0.5
+    curve: int = HYPERBOLIC
+    ramp: int = 0
+    Fs: float = 1.0
+    static: float = 1.0
+    factor: float = 1.0
+    G_slip: float = 0.05
+    gamma: float = 3.0
+    d: float = 0.2
+    u0: float = 0.0
+    omega: float = 0.0
+    phase: float = 0.0
+    droop: float = 0.0
+
+
+SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0: products of three stay finite
+POSITIVE_FIELDS = ("m", "k")
+NON_NEGATIVE_FIELDS = ("Fs", "factor", "gamma", "d", "droop")
+
+
+def validate(flow: Flow) -> None:
+    """Refuse a flow that is not physical.
+
+    Raises
+    ------
+    ValueError
+        Naming the field: not finite; above `LARGEST`; m or k not above 0, or below `SMALLEST`; Fs, factor, gamma, d or
+        droop below 0; static below 1; droop with static above 1, without friction, or with friction that falls faster
+        than the belt gives way.
+    """
+    for name, number in flow._asdict().items():
+        if not math.isfinite(number):
+            raise ValueError(f"{name} is {number}; need a finite number")
+        if abs(number) > LARGEST or (name in POSITIVE_FIELDS and 0.0 < number < SMALLEST):
+            raise ValueError(f"{name} is {number}; beyond {SMALLEST:g} to {LARGEST:g}: choose other units")
+        if name in POSITIVE_FIELDS and not number > 0.0:
+            raise ValueError(f"{name} is {number}; need a number above 0")
+        if name in NON_NEGATIVE_FIELDS and number < 0.0:
+            raise ValueError(f"{name} is {number}; need 0 or more")
+    if flow.static < 1.0:
+        raise ValueError(f"static is {flow.static}; friction at rest is not below friction in slip: need 1 or more")
+    if flow.droop > 0.0:
+        if flow.static != 1.0:
+            raise ValueError(f"droop with static {flow.static} is not modelled; need static 1")
+        if flow.Fs == 0.0:
+            raise ValueError("droop is a share of the load Fs, which is 0; need Fs above 0")
+        fall = steepest_fall(flow)
+        if flow.droop * fall >= 1.0:
+            raise ValueError(
+                f"droop is {flow.droop:g} m/s: friction falls faster than the belt gives way, so the force is not one; "
+                f"need less than {1.0 / fall:g}"
+            )
+
+
+def steepest_fall(flow: Flow) -> float:
+    """Return how fast friction falls with speed where it does so fastest, over Fs (s/m)."""
+    if flow.curve == HYPERBOLIC:
+        return flow.gamma
+    return flow.G_slip / flow.Fs if flow.curve == LINEAR and flow.Fs > 0.0 else 0.0

@@ -1,0 +1,168 @@
+"""Frame: the coordinates the kernels work in, and the equation of motion written in them."""
+
+import math
+from typing import NamedTuple
+
+from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, reversal_speed
+from rig_sim.integrate import modes
+from rig_sim.integrate.flow import Flow
+
+
+class Frame(NamedTuple):
+    """A Flow as the kernels use it: belt forwards, slip point and levels worked out, the curve reduced.
+
+    ``mirror`` is -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1; ``A`` and ``B``
+    are the kinetic and the break-away level; ``d`` is 0 for a jump; ``G`` the linear curve's slope with the scatter;
+    ``s_max`` the relative speed of force reversal; ``omega2`` = k/m = omega0^2; ``slip`` = x_slip - x0 (mirrored);
+    ``lag`` = droop gamma on the hyperbola, else 0.
+    """
+
+    mirror: float
+    x0: float
+    slip: float
+    m: float
+    k: float
+    c: float
+    v: float
+    curve: int
+    A: float
+    B: float
+    G: float
+    gamma: float
+    d: float
+    s_max: float
+    u0: float
+    omega: float
+    phase: float
+    omega2: float
+    omega0: float
+    lag: float
+
+
+def frame(flow: Flow) -> Frame:
+    """Return the flow as the kernels use it."""
+    mirror = -1.0 if flow.v_belt < 0.0 else 1.0
+    v = abs(flow.v_belt)
+    A = flow.factor * flow.Fs
+    B = flow.static * A
+    G = flow.factor * flow.G_slip
+    d = flow.d if flow.ramp == 1 else 0.0
+    curve = flow.curve
+    if curve == LINEAR and G == 0.0:
+        curve = CONSTANT
+    elif curve == HYPERBOLIC and (A == 0.0 or flow.gamma == 0.0):
+        curve = CONSTANT
+    lag = 0.0
+    if flow.droop > 0.0:
+        d += flow.droop
+        if curve == LINEAR:
+            G /= 1.0 - flow.droop * flow.G_slip / flow.Fs
+        elif curve == HYPERBOLIC:
+            lag = flow.droop * flow.gamma
+    return Frame(
+        mirror,
+        flow.x0,
+        (B - flow.c * v) / flow.k,
+        flow.m,
+        flow.k,
+        flow.c,
+        v,
+        curve,
+        A,
+        B,
+        G,
+        flow.gamma,
+        d,
+        d + reversal_speed(curve, A, G),
+        mirror * flow.u0,
+        flow.omega,
+        flow.phase,
+        flow.k / flow.m,
+        math.sqrt(flow.k / flow.m),
+        lag,
+    )
+
+
+def displacement(fr: Frame, x: float) -> float:
+    """Return p, the mirrored displacement from the slip point (m)."""
+    return fr.mirror * (x - fr.x0) - fr.slip
+
+
+def position(fr: Frame, p: float) -> float:
+    """Return x (m) from the displacement p."""
+    return fr.x0 + fr.mirror * (fr.slip + p)
+
+
+def mirrored(fr: Frame, mode: int) -> int:
+    """Exchange NEGATIVE and POSITIVE when the frame is mirrored; its own inverse."""
+    if fr.mirror < 0.0 and (mode == modes.NEGATIVE or mode == modes.POSITIVE):
+        return modes.NEGATIVE + modes.POSITIVE - mode
+    return mode
+
+
+def drive(fr: Frame, t: float) -> float:
+    """Return the driving force at time t (N, mirrored)."""
+    if fr.u0 == 0.0:
+        return 0.0
+    return fr.u0 * math.cos(fr.omega * t + fr.phase)
+
+
+def linear_terms(fr: Frame, mode: int) -> tuple[float, float]:
+    """Return (C, e) of m w' = -C w - k p + e + D + drive in a slip or ramp; D = 0 except on the hyperbola.
+
+    The linear curve and the ramp are part of C; e is what remains at w = 0, relative to the slip point.
+    """
+    if mode == modes.RAMP:
+        return fr.c + fr.B / fr.d, -fr.B
+    sign = 1.0 if mode == modes.NEGATIVE else -1.0
+    e = sign * fr.A - fr.B
+    if fr.curve == LINEAR:
+        return fr.c - fr.G, e + sign * fr.G * fr.d
+    return fr.c, e
+
+
+def slip_speed(fr: Frame, r: float) -> float:
+    """Return the slip speed s on a drooping belt from r = s - lag s/(1 + gamma s), the speed beyond the edge (m/s)."""
+    # gamma s^2 + (1 - lag - gamma r) s - r = 0, by the root formula that does not cancel
+    linear = 1.0 - fr.lag - fr.gamma * r
+    # below 0 only far before the edge, where a general solver's trial step may stray
+    root = math.sqrt(max(0.0, linear * linear + 4.0 * fr.gamma * r))
+    return 2.0 * r / (root + linear) if linear > 0.0 else (root - linear) / (2.0 * fr.gamma)
+
+
+def curve_deficit(fr: Frame, mode: int, w: float) -> float:
+    """Return D, how far the hyperbola has fallen below its level at rest, signed as a force in slip (N)."""
+    if fr.curve != HYPERBOLIC or mode == modes.RAMP:
+        return 0.0
+    s = -w - fr.d if mode == modes.NEGATIVE else w - fr.d
+    if fr.lag != 0.0:
+        s = slip_speed(fr, s)
+    fall = -fr.A * fr.gamma * s / (1.0 + fr.gamma * s)
+    return fall if mode == modes.NEGATIVE else -fall
+
+
+def mode_bounds(fr: Frame, mode: int) -> tuple[float, float]:
+    """Return the interval of w a slip or ramp mode lives in."""
+    if mode == modes.NEGATIVE:
+        return -fr.s_max, -fr.d
+    if mode == modes.POSITIVE:
+        return fr.d, fr.s_max
+    return -fr.d, fr.d
+
+
+def acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
+    """Return w' (m/s^2) in the given mode; on the mode's edge never pointing out of it by a rounding error."""
+    if mode == modes.STICK:
+        return 0.0
+    C, e = linear_terms(fr, mode)
+    return kept_inside(fr, mode, w, (-C * w - fr.k * p + e + curve_deficit(fr, mode, w) + drive(fr, t)) / fr.m)
+
+
+def kept_inside(fr: Frame, mode: int, w: float, a: float) -> float:
+    """Return the acceleration ``a``, or 0 where it would leave the mode from the mode's own edge."""
+    lo, hi = mode_bounds(fr, mode)
+    if w == hi and mode != modes.POSITIVE:
+        return min(a, 0.0)
+    if w == lo and mode != modes.NEGATIVE:
+        return max(a, 0.0)
+    return a
