@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
+from daq.compute.least_squares import least_squares
 from daq.runfile.rig import Measured
 from processing.record.kinematics import Kinematics
 
@@ -87,8 +88,7 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
     x, v = kinematics.position[index], velocity[index]
     middle = float(x.mean())
     columns = np.c_[np.ones_like(x), x - middle]
-    found = np.linalg.lstsq(columns, v, rcond=None)[0]
-    rest = v - columns @ found
+    found, rest = least_squares(columns, v)
     spread = np.maximum(_alike_in_windows(columns, rest, kinematics.window), _alike_in_sticks(columns, rest, parts))
     noise = float(np.sqrt(np.mean(errors[index] ** 2)))
     seen = float(np.sqrt(np.mean(rest**2)))
@@ -100,15 +100,14 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
 
 
 def _alike_in_windows(columns: Array, rest: Array, window: int) -> Array:
-    """Return the standard errors of a line whose residuals are alike over ``window`` samples."""
-    square = float(rest @ rest) / max(rest.size / window - 2, 1)
-    return np.asarray(np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * square))
+    """Return the standard errors of a line whose residuals are alike over ``window`` samples; orthogonal columns."""
+    square = float(np.sum(rest**2)) / max(rest.size / window - 2, 1)
+    return np.asarray(np.sqrt(square / np.sum(columns**2, axis=0)))
 
 
 def _alike_in_sticks(columns: Array, rest: Array, parts: list[NDArray[np.int64]]) -> Array:
-    """Return the standard errors of a line whose residuals are alike within a stick."""
+    """Return the standard errors of a line whose residuals are alike within a stick; orthogonal columns."""
     ends = np.cumsum([part.size for part in parts])[:-1]
-    pushes = np.array([c.T @ r for c, r in zip(np.split(columns, ends), np.split(rest, ends), strict=True)])
-    bread = np.linalg.inv(columns.T @ columns)
+    pushes = np.array([np.sum(part, axis=0) for part in np.split(columns * rest[:, None], ends)])
     few = len(parts) / max(len(parts) - 1, 1)
-    return np.asarray(np.sqrt(np.diag(bread @ (few * pushes.T @ pushes) @ bread)))
+    return np.asarray(np.sqrt(few * np.sum(pushes**2, axis=0)) / np.sum(columns**2, axis=0))

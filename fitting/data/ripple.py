@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
+from daq.compute.least_squares import least_squares
 from fitting.data.cycles import BEFORE_ONSET_S, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 
@@ -73,7 +74,7 @@ def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None
     middle = np.median(v)
     kept = np.abs(v - middle) < 0.5 * motion.belt_speed
     for _ in range(3):
-        rest = v - columns @ np.linalg.lstsq(columns[kept], v[kept], rcond=None)[0]
+        rest = v - np.sum(columns * least_squares(columns[kept], v[kept])[0], axis=1)
         kept = np.abs(rest) <= OUTLYING * 1.4826 * np.median(np.abs(rest[kept]))
     time, columns, v, rest = time[kept], columns[kept], v[kept], rest[kept]
     peaks = _peaks(time, rest)
@@ -81,15 +82,14 @@ def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None
         return None
     thin = slice(None, None, max(1, int(motion.time.size / motion.span / GRID_HZ)))
     time, columns, v, rest = time[thin], columns[thin], v[thin], rest[thin]
-    before = float(rest @ rest)
+    before = float(np.sum(rest**2))
     origin = 0.5 * (time[0] + time[-1])  # far from it phase and frequency would trade against each other
 
     def harmonic(hertz: float) -> tuple[float, Array]:
         omega = 2 * math.pi * hertz
         matrix = np.c_[columns, np.cos(omega * (time - origin)), np.sin(omega * (time - origin))]
-        found = np.linalg.lstsq(matrix, v, rcond=None)[0]
-        left = v - matrix @ found
-        return float(left @ left), np.asarray(found[2:], np.float64)
+        found, left = least_squares(matrix, v)
+        return float(np.sum(left**2)), found[2:]
 
     best = min(peaks, key=lambda hertz: harmonic(hertz)[0])
     width = 0.5 / (time[-1] - time[0])

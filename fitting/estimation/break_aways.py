@@ -166,7 +166,7 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
     for k, j, first, after, last, at in owner:
         before = _riding(fit, motion, k, motion.time[first:after]) - motion.measured[first:after]
         slipping = model[at + 1 : at + 1 + last - after] - motion.measured[after:last]
-        errors[k, j] = float(before @ before + slipping @ slipping)
+        errors[k, j] = float(np.sum(before**2) + np.sum(slipping**2))
     return errors
 
 

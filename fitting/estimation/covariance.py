@@ -13,7 +13,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.levenberg_marquardt import SchurComplement
+from fitting.estimation.levenberg_marquardt import SchurComplement, eigen
 from fitting.estimation.result import Parameter
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import (
@@ -34,6 +34,7 @@ from fitting.model.parameters import (
 from fitting.model.problem import datum_calibration
 from rig_sim.friction.law import LAWS
 
+ROUNDING = 1e-14  # of a curvature: as little left of it after elimination is rounding; sums of 1e4 terms err by less
 LITTLE = 0.01  # of a guess's variance: where more is left of it after the fit, the guess still says how much
 SIGNED = ("v_dr", "x0", "x0 + Fs/k", "(G_slip - c)/m")
 HIDDEN = {  # what is known only together with a datum or a damping that nothing shows
@@ -58,19 +59,21 @@ def covariance(fit: Fit, precision: Array) -> Array:
     H = reduced.H
     own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.local_step(blocks.gl))
     cycles = own.shape[0]
-    # A weak direction must neither make the inverse fail nor pass for a known one: in units of the curvatures, a
-    # direction that only rounding holds gets the variance of a guess that is all there is to it.
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-100))  # its square must not overflow
-    size, axes = np.linalg.eigh(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
-    half = scale[:, None] * axes / np.sqrt(np.maximum(size, 1e-15))
-    bread = half @ half.T
-    meat = own.T @ own * (cycles / max(cycles - 1, 1)) + np.diag(precision)
-    sandwich = bread @ meat @ bread
+    # All in units of the curvatures: nothing overflows where a record shows next to nothing of an unknown.  A weak
+    # direction must neither make the inverse fail nor pass for a known one: one that only rounding holds gets the
+    # variance of a guess that is all there is to it.
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * np.diag(blocks.H), 1e-100)))
+    size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
+    half = axes / np.sqrt(np.maximum(size, 1e-15))
+    bread = np.einsum("ik,jk->ij", half, half)
+    own = own * scale
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(precision * scale**2)
+    sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
     least, found = np.diag(bread), np.diag(sandwich)
     floor = np.sqrt(np.maximum(least / np.maximum(found, 1e-20 * least), 1.0))
     spread = sandwich * floor[:, None] * floor
     np.fill_diagonal(spread, np.maximum(np.diag(spread), least))
-    return np.asarray(spread)
+    return np.asarray(spread * scale[:, None] * scale)
 
 
 def parameters(
@@ -127,7 +130,7 @@ def parameters(
         """Add one parameter; ``lengths`` is the power of the metre in it, for the error of the metres per count."""
         value = formula(own)
         slope = np.array([_slope(formula, own, index) for index in active])
-        variance = float(slope @ spread @ slope) + (lengths * value * motion.length_error) ** 2
+        variance = float(np.einsum("i,ij,j", slope, spread, slope)) + (lengths * value * motion.length_error) ** 2
         if scale is not None:
             variance = variance * scale.value**2 + (value * scale.sd) ** 2
             value *= scale.value

@@ -18,18 +18,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
+from daq.compute.compile import compiled
+from fitting.estimation import elimination
 
-FIRST_DAMPING, DAMPING_CUT, CAUTIOUS_CUT, DAMPING_RISE = (
-    1e-4,
-    30.0,
-    3.0,
-    10.0,
-)  # CAUTIOUS_CUT: how far a step is eased that was first refused
+FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0
+CAUTIOUS_CUT = 3.0  # how far a step is eased that was first refused
 PROBE_STEP = 0.1  # of the step: where the second derivative along it is measured
 OUTLIER_SHARE = 0.1  # of what all cycles lost: a cycle that lost as much is an outlier
 FEW = 0.35  # of the cycles: where more lost as much, the shared unknowns are at fault
 LARGEST_CYCLE_DAMPING = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
+ROUNDED = 1e-13  # of the largest eigenvalue: weaker directions are rounding; not swept
 LARGEST_ACCELERATION = (
     0.75  # of the step: twice the acceleration may be as long, else the step is too far for a second order
 )
@@ -72,6 +71,11 @@ class LeastSquaresProblem:
     def starts(self) -> NDArray[np.int64]:
         """First residual of each cycle; the cycles' rows follow one another without a gap."""
         return np.array([rows.start for rows in self.rows], np.int64)
+
+    @cached_property
+    def first(self) -> Integers:
+        """First residual of each cycle, and how many there are, shape (cycles + 1,)."""
+        return np.append(self.starts, self.rows[-1].stop)
 
     @cached_property
     def owner(self) -> NDArray[np.int64]:
@@ -136,22 +140,15 @@ def normal_equations(
 ) -> NormalEquations:
     """Return gradient and Gauss-Newton Hessian, cycle by cycle."""
     p, (c, q) = u.size, local.shape
-    cycle_g = np.zeros((c, p))
-    H = np.diag(problem.precision)
-    gl = problem.local_precision * (local - problem.local_prior)
-    Hl = np.zeros((c, q, q))
-    cross = np.zeros((c, p, q))
-    for k, (weight, rows) in enumerate(zip(problem.weights, problem.rows, strict=True)):
-        J = jacobian[rows]
-        square = weight * (J.T @ J)
-        push = weight * (J.T @ residual[rows])
-        cycle_g[k] = push[:p]
-        H += square[:p, :p]
-        gl[k] += push[p:]
-        Hl[k] = square[p:, p:] + np.diag(problem.local_precision[k])
-        cross[k] = square[:p, p:]
-    g = cycle_g.sum(axis=0) + problem.precision * (u - problem.prior)
-    return NormalEquations(g, H, gl, Hl, cross, cycle_g)
+    square, gradient = np.zeros((c, p + q, p + q)), np.zeros((c, p + q))
+    _kernel(elimination.sum_products)(jacobian, residual, problem.first, square, gradient)
+    square *= problem.weights[:, None, None]
+    gradient *= problem.weights[:, None]
+    H = square[:, :p, :p].sum(axis=0) + np.diag(problem.precision)
+    Hl = square[:, p:, p:] + problem.local_precision[:, :, None] * np.eye(q)
+    g = gradient[:, :p].sum(axis=0) + problem.precision * (u - problem.prior)
+    gl = gradient[:, p:] + problem.local_precision * (local - problem.local_prior)
+    return NormalEquations(g, H, gl, Hl, np.ascontiguousarray(square[:, :p, p:]), gradient[:, :p])
 
 
 class SchurComplement:
@@ -171,19 +168,20 @@ class SchurComplement:
 
     def __init__(self, blocks: NormalEquations, damping: Array | None = None) -> None:
         c, q = blocks.gl.shape
-        least = 0.0 if damping is None else float(damping.min())
-        Hl = blocks.Hl
+        p = blocks.g.size
+        least, Hl = 0.0, blocks.Hl
         if damping is not None:
+            least = float(damping.min())
             Hl = Hl + (damping[:, None] * np.einsum("cii->ci", Hl))[:, :, None] * np.eye(q)
         self._cross = blocks.cross
-        self._inverse = np.linalg.inv(Hl)
-        self._spread = self._inverse @ np.swapaxes(blocks.cross, 1, 2)
-        lost = np.swapaxes(blocks.cross, 0, 1).reshape(-1, c * q) @ self._spread.reshape(c * q, -1)
-        self.H = blocks.H + least * np.diag(np.diag(blocks.H)) - lost
+        self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))
+        self.H = blocks.H + least * np.diag(np.diag(blocks.H))
+        _kernel(elimination.invert)(Hl, self._inverse)
+        _kernel(elimination.eliminate)(self._cross, self._inverse, self.H, self._spread)
 
     def local_step(self, gl: Array) -> Array:
         """Return inv(Hl) gl, shape (cycles, q)."""
-        return np.asarray((self._inverse @ gl[:, :, None])[:, :, 0])
+        return np.asarray(np.einsum("cij,cj->ci", self._inverse, gl))
 
     def reduced_gradient(self, g: Array, pull: Array) -> Array:
         """Return the gradient (p,) with the cycles' unknowns fitted along."""
@@ -191,7 +189,7 @@ class SchurComplement:
 
     def back_substitute(self, step: Array, pull: Array) -> Array:
         """Return the cycles' own step (cycles, q) beside a shared one."""
-        return np.asarray(-pull - self._spread @ step)
+        return np.asarray(-pull - np.einsum("cqp,p->cq", self._spread, step))
 
 
 def minimise(
@@ -269,6 +267,17 @@ def minimise(
     return Solution(u, local, value, residual, blocks, outcome, steps)
 
 
+def eigen(matrix: Array) -> tuple[Array, Array]:
+    """Return the eigenvalues (n,) of a symmetric matrix (n, n), in no order, and its eigenvectors as columns (n, n)."""
+    turned, vectors = matrix.copy(), np.empty_like(matrix)
+    _kernel(elimination.eigen)(turned, vectors)
+    return np.diag(turned).copy(), vectors
+
+
+def _kernel(function: Callable[..., None]) -> Callable[..., None]:
+    return compiled(function, (elimination.__name__,))
+
+
 def _cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -> Array:
     """Return each cycle's share of the objective, shape (cycles,)."""
     own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
@@ -298,15 +307,18 @@ def _accelerated_step(
     near = problem.evaluate(u + PROBE_STEP * step.u, local + PROBE_STEP * step.local, False)
     if near is None:
         return np.zeros(damping.size)
-    shared, own = jacobian[:, :p], jacobian[:, p:]
-    straight = shared @ step.u + np.einsum("nq,nq->n", own, step.local[problem.owner])
+    both = np.hstack([np.tile(step.u, (damping.size, 1)), step.local])
+    straight = np.empty(residual.size)
+    _kernel(elimination.along)(jacobian, problem.first, both, straight)
     bend = ((near[0] - residual) / PROBE_STEP - straight) * (2 / PROBE_STEP)
     push = bend * problem.weights[problem.owner]
-    turn = _step(problem, u, damped, push @ shared, np.add.reduceat(own * push[:, None], problem.starts))
+    gradient = np.zeros_like(both)
+    _kernel(elimination.sum_gradients)(jacobian, push, problem.first, gradient)
+    turn = _step(problem, u, damped, gradient[:, :p].sum(axis=0), gradient[:, p:])
     scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
     with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long
-        length = float(scale @ step.u**2 + np.sum(local_scale * step.local**2))
-        turned = float(scale @ turn.u**2 + np.sum(local_scale * turn.local**2))
+        length = float(np.sum(scale * step.u**2) + np.sum(local_scale * step.local**2))
+        turned = float(np.sum(scale * turn.u**2) + np.sum(local_scale * turn.local**2))
         strain = np.add.reduceat(bend * push, problem.starts)
     if not turned <= LARGEST_ACCELERATION**2 * length < math.inf:
         return np.asarray(strain) if np.isfinite(strain).all() else np.zeros(damping.size)
@@ -322,6 +334,10 @@ def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Ar
     if index.size:
         H = damped.H[np.ix_(index, index)]
         scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        step[index] = -scale * np.linalg.lstsq(H * scale[:, None] * scale, scale * g[index], rcond=1e-13)[0]
+        size, axes = eigen(H * scale[:, None] * scale)
+        # A direction that only rounding holds is not followed; where that begins must be no cliff.
+        size = np.maximum(size, 0.0)
+        along = np.einsum("ij,i->j", axes, scale * g[index]) * size / (size**2 + (ROUNDED * size.max()) ** 2)
+        step[index] = -scale * np.einsum("ij,j->i", axes, along)
     step = np.clip(u + step, problem.lower, problem.upper) - u
     return Step(step, damped.back_substitute(step, pull))

@@ -416,5 +416,5 @@ def _fade_sd(fit: Fit) -> tuple[float, ...]:
 def effective_sigma(residual: Array, rows: list[slice]) -> float:
     """Return rms x sqrt(tau), tau their integrated autocorrelation time in samples, pooled over the cycles."""
     parts = [residual[own] for own in rows]
-    square, count = sum(float(r @ r) for r in parts), sum(r.size for r in parts)
+    square, count = sum(float(np.sum(r**2)) for r in parts), sum(r.size for r in parts)
     return math.sqrt(square / count * autocorrelation_time(parts)) if square > 0 else 0.0

@@ -65,9 +65,9 @@ def level_trend(time: Array, level: Array) -> Wear | None:
     level = level / level.mean()
     middle = float(time.mean())
     t = time - middle
-    square = float(t @ t)
-    slope = float(t @ level) / square
+    square = float(np.sum(t**2))
+    slope = float(np.sum(t * level)) / square
     rest = level - 1 - slope * t
     freedom = level.size - 2
-    found = Wear(Measured(-slope, float(np.sqrt(rest @ rest / freedom / square))), middle, freedom)
+    found = Wear(Measured(-slope, float(np.sqrt(np.sum(rest**2) / freedom / square))), middle, freedom)
     return found if found.first.value > 0 else None

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.least_squares import least_squares
 from daq.runfile.rig import Measured
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
@@ -87,7 +88,7 @@ def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple
     x, v = np.concatenate(rows).T
     middle = np.median(v)
     calm = np.abs(v - middle) < 0.5 * motion.belt_speed
-    slope, level = np.polyfit(x[calm], v[calm], 1)
+    (level, slope), _ = least_squares(np.c_[np.ones_like(x[calm]), x[calm]], v[calm])
     return float(level), float(slope)
 
 
@@ -174,5 +175,5 @@ def _rest_by_scatter(motion: MeasuredMotion, cut: CycleSegmentation, otherwise: 
 
 
 def _solve(matrix: Array, target: Array) -> tuple[Array, float]:
-    found = np.asarray(np.linalg.lstsq(matrix, target, rcond=None)[0], np.float64)
-    return found, float(np.sum((matrix @ found - target) ** 2))
+    found, residual = least_squares(matrix, target)
+    return found, float(np.sum(residual**2))

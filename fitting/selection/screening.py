@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.least_squares import least_squares
 from fitting.data.cycles import SLIPPING, CycleSegmentation
 from fitting.data.frame import REST_FRACTION, MeasuredMotion
 from fitting.estimation.trajectory import Fit
@@ -128,7 +129,7 @@ def _is_sine(motion: MeasuredMotion) -> bool:
         return False
     turns = 2 * np.pi * (up.size - 1) / (motion.time[up[-1]] - motion.time[up[0]]) * motion.time
     shapes = np.stack([np.sin(turns), np.cos(turns), np.ones(turns.size)], axis=1)
-    rest = x - shapes @ np.linalg.lstsq(shapes, x, rcond=None)[0]
+    _, rest = least_squares(shapes, x)
     return float(np.std(rest)) < SINE * float(np.std(x))
 
 

@@ -1,0 +1,165 @@
+"""Kernels: sums over the residuals of each cycle, elimination of a cycle's own unknowns, and a symmetric eigenproblem.
+
+BLAS and LAPACK add in another order on every processor, and where a search takes decisions, the last bit of a sum can
+lead to another minimum.  These matrices are tiny: plain loops cost next to nothing and add in one order everywhere.
+
+Every function runs as written or compiled (`daq.compute.compile`).
+Source: G. Golub, C. Van Loan, Matrix Computations, 4th ed., 4.2 (Cholesky) and 8.5 (cyclic Jacobi).
+"""
+
+import math
+
+from daq.compute.arrays import Array, Integers
+
+LEAST_PIVOT = 1e-14  # of a unit diagonal, where rounding alone leaves about 1e-16 times the size
+MOST_SWEEPS = 40  # of Jacobi rotations; matrices of 12 rows take 6 to 9
+TINY = 1e-200  # least curvature: its inverse stays a number
+
+
+def sum_products(jacobian: Array, residual: Array, first: Integers, square: Array, gradient: Array) -> None:
+    """Add J'J to ``square`` (c, m, m) and J'r to ``gradient`` (c, m), cycle by cycle.
+
+    Parameters
+    ----------
+    jacobian : (N, m) f8
+    residual : (N,) f8
+    first : (c + 1,) i8
+        First row of each cycle, and the number of rows.
+    square, gradient : f8
+        Zero at first.
+    """
+    cycles, m = gradient.shape
+    for k in range(cycles):
+        for row in range(first[k], first[k + 1]):
+            for i in range(m):
+                slope = jacobian[row, i]
+                gradient[k, i] += slope * residual[row]
+                for j in range(i + 1):
+                    square[k, i, j] += slope * jacobian[row, j]
+        for i in range(m):
+            for j in range(i):
+                square[k, j, i] = square[k, i, j]
+
+
+def sum_gradients(jacobian: Array, residual: Array, first: Integers, gradient: Array) -> None:
+    """Add J'r to ``gradient`` (c, m), cycle by cycle; shapes as for `sum_products`."""
+    cycles, m = gradient.shape
+    for k in range(cycles):
+        for row in range(first[k], first[k + 1]):
+            for i in range(m):
+                gradient[k, i] += jacobian[row, i] * residual[row]
+
+
+def along(jacobian: Array, first: Integers, step: Array, out: Array) -> None:
+    """Store J step in ``out`` (N,); ``step`` (c, m) is each cycle's own."""
+    cycles, m = step.shape
+    for k in range(cycles):
+        for row in range(first[k], first[k + 1]):
+            total = 0.0
+            for i in range(m):
+                total += jacobian[row, i] * step[k, i]
+            out[row] = total
+
+
+def invert(matrices: Array, inverse: Array) -> None:
+    """Store the inverses of positive definite matrices (c, q, q); only the lower triangle is read.
+
+    By Cholesky in units of the diagonal.  A pivot that rounding has used up counts as `LEAST_PIVOT`.
+    """
+    cycles, q, _ = matrices.shape
+    for k in range(cycles):
+        a = inverse[k]
+        for i in range(q):
+            for j in range(i + 1):
+                size = math.sqrt(max(matrices[k, i, i], TINY)) * math.sqrt(max(matrices[k, j, j], TINY))
+                a[i, j] = matrices[k, i, j] / size
+        for j in range(q):
+            for n in range(j):
+                a[j, j] -= a[j, n] * a[j, n]
+            a[j, j] = math.sqrt(max(a[j, j], LEAST_PIVOT))
+            for i in range(j + 1, q):
+                for n in range(j):
+                    a[i, j] -= a[i, n] * a[j, n]
+                a[i, j] /= a[j, j]
+        # the inverse of the lower factor, in its place
+        for j in range(q):
+            a[j, j] = 1 / a[j, j]
+            for i in range(j + 1, q):
+                total = 0.0
+                for n in range(j, i):
+                    total -= a[i, n] * a[n, j]
+                a[i, j] = total / a[i, i]
+        for i in range(q):
+            for j in range(i + 1):
+                total = 0.0
+                for n in range(i, q):
+                    total += a[n, i] * a[n, j]
+                size = math.sqrt(max(matrices[k, i, i], TINY)) * math.sqrt(max(matrices[k, j, j], TINY))
+                a[j, i] = total / size  # above the factor, whose column j is still needed
+        for i in range(q):
+            for j in range(i):
+                a[i, j] = a[j, i]
+
+
+def eliminate(cross: Array, inverse: Array, reduced: Array, follow: Array) -> None:
+    """Take the cycles' own unknowns out of the shared curvatures.
+
+    Parameters
+    ----------
+    cross : (c, p, q) f8
+    inverse : (c, q, q) f8
+        Of the cycles' own curvatures.
+    reduced : (p, p) f8
+        The shared curvatures; sum cross inverse cross' is taken off.
+    follow : (c, q, p) f8
+        Filled with inverse cross': how a cycle's own unknowns follow the shared ones.
+    """
+    cycles, p, q = cross.shape
+    for k in range(cycles):
+        for i in range(q):
+            for j in range(p):
+                total = 0.0
+                for n in range(q):
+                    total += inverse[k, i, n] * cross[k, j, n]
+                follow[k, i, j] = total
+        for i in range(p):
+            for j in range(i + 1):
+                for n in range(q):
+                    reduced[i, j] -= cross[k, i, n] * follow[k, n, j]
+    for i in range(p):
+        for j in range(i):
+            reduced[j, i] = reduced[i, j]
+
+
+def eigen(matrix: Array, vectors: Array) -> None:
+    """Turn a symmetric ``matrix`` (n, n) diagonal, its eigenvalues there, and store its eigenvectors as columns."""
+    n = matrix.shape[0]
+    vectors[:] = 0.0
+    for i in range(n):
+        vectors[i, i] = 1.0
+    for _ in range(MOST_SWEEPS):
+        off, size = 0.0, 0.0
+        for i in range(n):
+            size += matrix[i, i] * matrix[i, i]
+            for j in range(i):
+                off += matrix[i, j] * matrix[i, j]
+        if off <= 1e-40 * size:
+            return
+        for i in range(n - 1):
+            for j in range(i + 1, n):
+                if matrix[i, j] == 0.0:
+                    continue
+                theta = (matrix[j, j] - matrix[i, i]) / (2 * matrix[i, j])
+                t = math.copysign(1.0, theta) / (abs(theta) + math.hypot(1.0, theta))
+                c = 1 / math.sqrt(1 + t * t)
+                s = t * c
+                for k in range(n):
+                    left, right = matrix[k, i], matrix[k, j]
+                    matrix[k, i], matrix[k, j] = c * left - s * right, s * left + c * right
+                for k in range(n):
+                    left, right = matrix[i, k], matrix[j, k]
+                    matrix[i, k], matrix[j, k] = c * left - s * right, s * left + c * right
+                matrix[i, j] = matrix[j, i] = 0.0
+                for k in range(n):
+                    left, right = vectors[k, i], vectors[k, j]
+                    vectors[k, i], vectors[k, j] = c * left - s * right, s * left + c * right
