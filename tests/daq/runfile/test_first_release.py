@@ -1,0 +1,107 @@
+"""Run files and journals of the first release load, recover, smooth and fit with the numbers it gave itself."""
+
+import gzip
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import daq
+import fitting
+import processing
+from daq.runfile import store
+from processing import stage
+
+FIXTURES = Path(__file__).with_name("fixtures")
+NUMBERS = json.loads((FIXTURES / "numbers.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the run files, those of the journals recovered."""
+    folder = tmp_path_factory.mktemp("first-release")
+    for name in ("simulated", "imported"):
+        (folder / f"{name}.h5").write_bytes(gzip.decompress((FIXTURES / f"{name}.h5.gz").read_bytes()))
+    for name in ("clean.h5.part", "damaged.h5.part", "damaged.h5.markers"):
+        shutil.copy(FIXTURES / name, folder / name)
+    for name in ("clean", "damaged"):
+        command = [sys.executable, "-m", "daq.cli.app", "recover", f"{name}.h5.part", "--json"]
+        done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+        (folder / f"{name}.json").write_text(done.stdout)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["clean", "damaged"])
+def test_a_journal_recovers_with_the_same_counts(files: Path, name: str) -> None:
+    found, wanted = json.loads((files / f"{name}.json").read_text()), NUMBERS[name]["recover"]
+    assert len(found.pop("warnings")) == len(wanted["warnings"])
+    for key in wanted.keys() - {"warnings"}:
+        assert found[key] == pytest.approx(wanted[key], rel=1e-9), key
+
+
+@pytest.mark.parametrize("name", list(NUMBERS))
+def test_a_run_loads_with_the_same_content(files: Path, name: str) -> None:
+    run, wanted = daq.load(files / f"{name}.h5"), NUMBERS[name]["load"]
+    assert run.digest == wanted["digest"]
+    assert (run.title, run.started, run.unit) == (wanted["title"], wanted["started"], wanted["unit"])
+    assert (run.time.size, len(set(run.segment.tolist()))) == (wanted["samples"], wanted["segments"])
+    assert run.time[-1] == pytest.approx(wanted["duration"], abs=1e-12)
+    assert run.position[-1] == wanted["last"]
+    assert float(run.position.sum()) == pytest.approx(wanted["sum"], rel=1e-12)
+    assert (run.rig.to_toml(), run.config_toml) == (wanted["rig"], wanted["config"])
+    assert run.clock_ppm == pytest.approx(wanted["ppm"])
+    assert set(wanted["provenance"]) <= set(run.provenance)
+    events = sorted(zip(run.event_sample.tolist(), run.event_kind, run.event_note, strict=True))
+    assert [event[:2] for event in events] == [tuple(event[:2]) for event in wanted["events"]]
+    if wanted["belt"] is None:
+        assert run.belt_count is None
+    else:
+        assert run.belt_count is not None
+        assert run.belt_velocity is not None
+        assert run.belt_count[-1] == wanted["belt"][0]
+        assert float(run.belt_velocity.sum()) == pytest.approx(wanted["belt"][1], rel=1e-9)
+
+
+def test_the_truth_of_a_simulated_run_is_read(files: Path) -> None:
+    truth, wanted = store.truth(files / "simulated.h5"), NUMBERS["simulated"]["truth"]
+    assert truth is not None
+    assert (truth.time.size, truth.scene) == (wanted["samples"], wanted["scene"])
+    for name in ("x", "v", "F"):
+        assert float(getattr(truth, name).sum()) == pytest.approx(wanted[name], rel=1e-12)
+    assert store.truth(files / "imported.h5") is None
+
+
+def test_the_stored_smoothing_is_read(files: Path) -> None:
+    motion, wanted = stage.load(files / "simulated.h5"), NUMBERS["simulated"]["smooth"]
+    assert motion is not None
+    assert (motion.method, motion.window, motion.order) == (wanted["method"], wanted["window"], wanted["order"])
+    assert motion.belt_speed == wanted["belt_speed"]
+    assert [[phase.kind, phase.start, phase.end] for phase in motion.phases] == wanted["phases"]
+    assert daq.load(files / "simulated.h5").default == "fit"
+
+
+@pytest.mark.parametrize("name", list(NUMBERS))
+def test_a_run_smooths_to_the_same_motion(files: Path, name: str) -> None:
+    motion, wanted = processing.smooth(daq.load(files / f"{name}.h5")), NUMBERS[name]["motion"]
+    assert motion.method == wanted["method"]
+    assert sum(phase.kind == "stick" for phase in motion.phases) == wanted["sticks"]
+    assert motion.belt_speed == pytest.approx(wanted["belt_speed"], rel=1e-6)
+    assert float(np.sqrt(np.mean(motion.velocity**2))) == pytest.approx(wanted["rms_velocity"], rel=1e-6)
+    assert float(np.sqrt(np.mean(motion.acceleration**2))) == pytest.approx(wanted["rms_acceleration"], rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["simulated", "imported"])
+def test_a_run_fits_with_the_same_parameters(files: Path, name: str) -> None:
+    wanted: Any = NUMBERS[name]["fit"]
+    found = fitting.rank(processing.smooth(daq.load(files / f"{name}.h5")), laws=wanted["laws"])
+    assert list(found.laws_in_set) == wanted["set"]
+    rows = {str(row.law): row for row in found.rows}
+    for law, parameters in wanted["parameters"].items():
+        for key, (value, stderr) in parameters.items():
+            assert rows[law].parameters[key].value == pytest.approx(value, abs=stderr / 10), key
+            assert rows[law].parameters[key].stderr == pytest.approx(stderr, rel=0.1), key
