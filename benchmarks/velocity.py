@@ -31,7 +31,7 @@ from daq.compute.compile import compiled
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
-from processing import chunked, stage
+from processing import smoothing, stage
 from processing.defects import lost_counts
 from processing.kalman import jerk_kernel, white_jerk
 from processing.methods import registry
@@ -349,16 +349,16 @@ def long_record(n: int) -> dict[str, float]:
         del long
         for method, setting in (("sg", (41, 4)), ("rts", ()), ("auto", ())):
             begun = clock.process_time()
-            chunked.smooth(path, method, *setting)
+            smoothing.smooth_file(path, method, *setting)
             found[f"{method}, CPU s"] = clock.process_time() - begun
             begun = clock.process_time()
             with h5py.File(path) as file, h5py.File(Path(folder) / "copy.h5", "w") as copy:
                 table = stage.empty(stage.begin(copy.create_group("entry")), n, "m")
                 made = file["entry/smooth/kinematics"]
-                for at in range(0, n, chunked.CHUNK):
-                    store.load(path, slice(at, at + chunked.CHUNK))
+                for at in range(0, n, smoothing.BLOCK):
+                    store.load(path, slice(at, at + smoothing.BLOCK))
                     for name in table:
-                        table[name][at : at + chunked.CHUNK] = made[name][at : at + chunked.CHUNK]
+                        table[name][at : at + smoothing.BLOCK] = made[name][at : at + smoothing.BLOCK]
             found[f"{method}, read + write alone, CPU s"] = clock.process_time() - begun
             alone, whole = found[f"{method}, read + write alone, CPU s"], found[f"{method}, CPU s"]
             found[f"{method}, share of the speed of read + write"] = alone / whole

@@ -57,17 +57,16 @@ def smooth(
     Example: process smooth run.h5 --window 20ms
     """
     from daq.runfile import store
-    from processing import chunked, stage
-    from processing.smoothing import smooth as rebuild
+    from processing import smoothing, stage
 
     asked = (method, window, order, times, belt_speed, repair_counts)
     motion: Kinematics | SmoothingSummary
     n = store.samples(file)
-    if n > chunked.LARGE:
+    if n > smoothing.LARGE:
         with application.progress("smoothing", n, "samples") as tell:
-            motion = chunked.smooth(file, *asked, progress=tell)
+            motion = smoothing.smooth_file(file, *asked, progress=tell)
     else:
-        made = rebuild(store.load(file), *asked)
+        made = smoothing.smooth(store.load(file), *asked)
         stage.save(made, file)
         motion = made
     chosen = window == "auto" and motion.method == "sg"

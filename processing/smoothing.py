@@ -1,26 +1,37 @@
 """From a recording to its motion: estimate, then find what is lost, where it stuck and how fast the belt ran.
 
-The rig's scene and its truth are never looked at here.
+`smooth` does so in memory; `smooth_file` reads, smooths and writes a run block by block, whatever its length.  Both run
+`processing.blocks`.  The rig's scene and its truth are never looked at here.
 """
 
 import time as clock
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.errors import InputError, nearest
-from processing import belt_motion as belts
-from processing.defects import lost_counts, velocity_steps
-from processing.methods import registry
-from processing.record import series
-from processing.record.kinematics import Kinematics
-from processing.record.lost_counts import counts_missing, restore_counts
-from processing.record.setting import parse_belt_speed, parse_window
-from processing.segmentation import plateaus
+import h5py
+import numpy as np
 
-REPAIRS = ("off", "flag", "fix")
+from daq.errors import InputError, nearest
+from daq.runfile import store
+from processing import belt_motion, stage
+from processing.blocks import BlockSmoother
+from processing.methods import registry, window_choice
+from processing.record import import_grid, series
+from processing.record.kinematics import Kinematics, SmoothingSummary
+from processing.record.series import Series
+from processing.record.setting import Setting, parse_belt_speed, parse_window
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
+
+REPAIRS = ("off", "flag", "fix")
+
+BLOCK = 2**16  # samples kept at a time: memory grows with it (200 to 250 MB), and with less the margins cost more CPU
+MARGIN = 2**12  # samples smoothed too on either side of a block; a stick cut shorter than this is found as in the whole
+LARGE = 2**20  # samples: the command smooths longer records block by block
+SPREAD, SPREAD_SIZE = 8, 2**14  # stretches, and samples of each, from which the window of a long record is chosen
 
 
 def smooth(
@@ -71,40 +82,141 @@ def smooth(
     Gaps and segments are never smoothed across: each piece ends in one-sided fits, with their larger errors.
     """
     begun = clock.process_time()
+    _check(method, repair_counts)
+    data = series.from_recording(recording, times)
+    blocks = BlockSmoother(method, _setting(window, order, belt_speed, data), repair_counts)
+    n = data.time.size
+    columns = blocks.smooth(recording, data, slice(0, n))
+    return Kinematics(
+        recording=recording,
+        times=times,
+        **columns,
+        **blocks.header(),
+        cpu_s=clock.process_time() - begun,
+    )
+
+
+def smooth_file(
+    path: Path,
+    method: str = "auto",
+    window: int | str = "auto",
+    order: int | None = None,
+    times: str = "recorded",
+    belt_speed: float | str = "auto",
+    repair_counts: str = "flag",
+    progress: Callable[[float], None] = lambda done: None,
+) -> SmoothingSummary:
+    """Smooth a run block by block and write the stage into its file.
+
+    Savitzky-Golay takes one window throughout, chosen from stretches spread over the record.
+
+    Parameters
+    ----------
+    path : Path
+        The run file.
+    progress : callable
+        Called with the number of samples done.
+
+    The others are those of `smooth`.
+
+    Raises
+    ------
+    InputError
+        As `smooth`.
+    """
+    begun = clock.process_time()
+    _check(method, repair_counts)
+    n = store.samples(path)
+    some = _spread(path, n, times)
+    setting = _setting(window, order, belt_speed, some)
+    if registry.resolve(method, setting) == "sg" and setting.window is None:
+        chosen = window_choice.choose(some, setting.order)
+        setting = replace(setting, window=chosen.window, order=chosen.order)
+    reader = _Reader(path, n, times, max(MARGIN, 2 * (setting.window or 0)))
+    blocks = BlockSmoother(method, setting, repair_counts)
+    first = store.load(path, slice(0, 1))
+    belt = belt_motion.has_belt_encoder(first)
+    made: list[SmoothingSummary] = []
+
+    def write(entry: h5py.Group) -> None:
+        smoothed = stage.begin(entry)
+        table = stage.empty(smoothed, n, first.unit, belt=belt)
+        ends = []
+        for begin in range(0, n, BLOCK):
+            end = min(begin + BLOCK, n)
+            recording, data, low = reader.read(begin, end)
+            columns = blocks.smooth(recording, data, slice(begin - low, end - low), low)
+            stage.fill(table, begin, columns)
+            ends += [float(columns["time"][0]), float(columns["time"][-1])]
+            progress(end)
+        summary = SmoothingSummary(
+            **blocks.header(),
+            times=times,
+            samples=n,
+            span=ends[-1] - ends[0],
+            unit=first.unit,
+            plateau_fraction=sum(stick.last - stick.first + 1 for stick in blocks.sticks) / n,
+            belt_counted=belt,
+            cpu_s=clock.process_time() - begun,
+        )
+        made.append(summary)
+        stage.finish(smoothed, summary, first.digest)
+
+    store.extend(path, "smooth", write, default="smooth")
+    return made[0]
+
+
+def _check(method: str, repair_counts: str) -> None:
     registry.check(method)
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
-    data = series.from_recording(recording, times)
-    losses = lost_counts.losses(data) if repair_counts != "off" else ()
-    behind = counts_missing(recording.segment, losses)
-    data = restore_counts(data, behind)
-    setting = parse_window(window, order, data)
-    setting = replace(setting, belt_speed=parse_belt_speed(belt_speed))
-    motion = registry.estimate(method, data, setting)
-    belt = belts.smooth_belt(recording, data, motion)
-    kicked = velocity_steps.kicks(data)
-    found = plateaus.segment(data, motion, recording.rig.belt_speed, belt_speed, belt)
-    return Kinematics(
-        recording=recording,
-        time=data.time,
-        position=motion.position if repair_counts == "fix" else motion.position + data.pitch * behind,
-        velocity=motion.velocity,
-        acceleration=motion.acceleration,
-        position_errors=motion.position_errors,
-        velocity_errors=motion.velocity_errors,
-        acceleration_errors=motion.acceleration_errors,
-        method=motion.method,
-        window=motion.window,
-        order=motion.order,
-        times=times,
-        belt_speed=found.belt_speed,
-        stick=found.stick,
-        phases=found.phases,
-        losses=losses,
-        repaired=repair_counts == "fix" and bool(losses),
-        cpu_s=clock.process_time() - begun,
-        plateau_speed=found.plateau_speed,
-        belt_velocity=None if belt is None else belt.velocity,
-        belt_velocity_errors=None if belt is None else belt.velocity_errors,
-        kicks=kicked,
+
+
+def _setting(window: int | str, order: int | None, belt_speed: float | str, data: Series) -> Setting:
+    return replace(parse_window(window, order, data), belt_speed=parse_belt_speed(belt_speed))
+
+
+def _spread(path: Path, n: int, times: str) -> Series:
+    """Return stretches spread over the record, as one series of as many pieces."""
+    size = min(SPREAD_SIZE, n)
+    starts = np.unique(np.linspace(0, n - size, SPREAD).astype(int)).tolist()
+    parts = [series.from_recording(store.load(path, slice(at, at + size)), times) for at in starts]
+    pieces, at, end = [], 0, 0.0
+    time, position = [], []
+    for part in parts:
+        pieces += [slice(own.start + at, own.stop + at) for own in part.pieces]
+        time.append(part.time - part.time[0] + end)
+        position.append(part.position)
+        at += part.time.size
+        end = float(time[-1][-1]) + 10 * part.interval
+    return replace(
+        parts[0], time=np.concatenate(time), position=np.concatenate(position), pieces=tuple(pieces), count=None
     )
+
+
+class _Reader:
+    """Reads blocks of a run with ``margin`` samples on either side, on one time axis throughout."""
+
+    def __init__(self, path: Path, n: int, times: str, margin: int) -> None:
+        self._path, self._n, self._times, self._margin = path, n, times, margin
+        self._anchors: dict[int, tuple[float, int]] = {}
+        self._grid = None
+        if times == "nominal" and store.load(path, slice(0, 1)).raw is None:
+            # An import has no sample numbers: only the whole record tells its even grid.
+            self._grid = import_grid.learn(path, n, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
+
+    def read(self, begin: int, end: int) -> "tuple[Recording, Series, int]":
+        """Return samples begin..end-1 with their neighbours, and the number of the first of these."""
+        low, high = max(begin - self._margin, 0), min(end + self._margin, self._n)
+        recording = store.load(self._path, slice(low, high))
+        grid = None if self._grid is None else self._grid.times(low, recording.time)
+        return recording, series.from_recording(recording, self._times, self._anchor(recording), grid), low
+
+    def _anchor(self, recording: "Recording") -> tuple[float, int] | None:
+        """Return time and number of the first sample of the segment that the samples begin in."""
+        if self._times != "nominal" or recording.raw is None:
+            return None
+        for segment in np.unique(recording.segment).tolist():
+            first = int(np.argmax(recording.segment == segment))
+            self._anchors.setdefault(segment, (float(recording.time[first]), int(recording.raw.sample[first])))
+        return self._anchors[int(recording.segment[0])]

@@ -12,41 +12,34 @@
       kicks           NXdata      one row a step of the velocity: sample, step (absent without any)
 """
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 
+from daq.compute.arrays import Array
 from daq.errors import InputError
 from daq.runfile import nexus, store
 from daq.version import VERSION
-from processing.record.kinematics import Kinematics, SmoothingHeader
+from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.lost_counts import LostCounts
 from processing.record.motion import Phase, VelocityStep
 
-KINEMATICS: dict[str, Any] = {"auxiliary": ("position", "acceleration"), "title": "kinematics"}
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 
 
 def save(kinematics: Kinematics, path: Path) -> None:
     """Write the stage into the run file, replacing an earlier one (and dropping what was fitted to that)."""
-    store.extend(path, "smooth", lambda entry: _write(entry, kinematics), default="smooth")
 
+    def write(entry: h5py.Group) -> None:
+        smooth = begin(entry)
+        table = empty(smooth, kinematics.samples, kinematics.unit, belt=kinematics.belt_counted)
+        fill(table, 0, {name: getattr(kinematics, name) for name in table})
+        finish(smooth, kinematics, kinematics.recording.digest)
 
-def _write(entry: h5py.Group, motion: Kinematics) -> None:
-    smooth = begin(entry)
-    unit = motion.recording.unit
-    columns: dict[str, tuple[np.ndarray, str]] = {"time": (motion.time, "s")}
-    for name, per in DERIVATIVES.items():
-        columns[name] = (getattr(motion, name), unit + per)
-        columns[f"{name}_errors"] = (getattr(motion, f"{name}_errors").astype(np.float32), unit + per)
-    if motion.belt_velocity is not None and motion.belt_velocity_errors is not None:
-        columns["belt_velocity"] = (motion.belt_velocity, f"{unit}/s")
-        columns["belt_velocity_errors"] = (motion.belt_velocity_errors.astype(np.float32), f"{unit}/s")
-    nexus.table(smooth, "kinematics", columns, axis="time", signal="velocity", **KINEMATICS)
-    finish(smooth, motion, unit, motion.recording.digest)
+    store.extend(path, "smooth", write, default="smooth")
 
 
 def begin(entry: h5py.Group) -> h5py.Group:
@@ -63,7 +56,7 @@ def empty(smooth: h5py.Group, n: int, unit: str, *, belt: bool = False) -> h5py.
     """Make the table of the kinematics for ``n`` samples yet to be written, with columns for a counted ``belt``."""
     made = nexus.group(smooth, "kinematics", "NXdata", signal="velocity", axes="time", title="kinematics")
     made.attrs["time_indices"] = np.int64(0)
-    made.attrs["auxiliary_signals"] = list(KINEMATICS["auxiliary"])
+    made.attrs["auxiliary_signals"] = ["position", "acceleration"]
     nexus.column(made, "time", n, "f8", "s")
     for name, per in DERIVATIVES.items():
         nexus.column(made, name, n, "f8", unit + per)
@@ -75,8 +68,15 @@ def empty(smooth: h5py.Group, n: int, unit: str, *, belt: bool = False) -> h5py.
     return made
 
 
-def finish(smooth: h5py.Group, motion: SmoothingHeader, unit: str, digest: str) -> None:
+def fill(table: h5py.Group, begin: int, columns: Mapping[str, Array]) -> None:
+    """Write columns of shape (k,) into the table from sample ``begin`` on."""
+    for name, values in columns.items():
+        table[name][begin : begin + values.size] = values
+
+
+def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: str) -> None:
     """Write how the motion was made, its portrait, and its phases, beside the kinematics."""
+    unit = motion.unit
     parameters = nexus.group(smooth, "parameters", "NXparameters")
     nexus.field(parameters, "method", motion.method)
     nexus.field(parameters, "window", np.int64(motion.window))
@@ -160,11 +160,6 @@ def load(path: Path) -> Kinematics | None:
         for name in ("time", *(key for base in DERIVATIVES for key in (base, f"{base}_errors")), *belt):
             columns[name] = nexus.read_array(entry, f"smooth/kinematics/{name}", np.float64, path)
             nexus.check_length(columns[name].size, recording.time.size, f"smooth/kinematics/{name}", path)
-        phases = _phases(entry, path)
-        stick = np.zeros(recording.time.size, bool)
-        for phase in phases:
-            if phase.kind == "stick":
-                stick[phase.first : phase.last + 1] = True
         parameters = "smooth/parameters"
         return Kinematics(
             recording=recording,
@@ -174,8 +169,7 @@ def load(path: Path) -> Kinematics | None:
             order=int(nexus.read_number(entry, f"{parameters}/order", path)),
             times=nexus.read_text(entry, f"{parameters}/times", path),
             belt_speed=nexus.read_number(entry, f"{parameters}/belt_speed", path),
-            stick=stick,
-            phases=phases,
+            phases=_phases(entry, path),
             losses=_losses(entry, path),
             kicks=_kicks(entry, path),
             repaired="repaired" in entry[parameters] and bool(nexus.read_number(entry, f"{parameters}/repaired", path)),

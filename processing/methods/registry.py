@@ -36,13 +36,13 @@ def check(name: str) -> None:
         raise InputError(f"method is {name!r}", "--method", nearest(name, tuple(METHODS)))
 
 
-def estimate(name: str, series: Series, setting: Setting) -> Motion:
-    """Run the method ``name`` on the record; the result's ``method`` is the one that was chosen by "auto".
+def resolve(name: str, setting: Setting) -> str:
+    """Return the method that runs: a window or an order applies to Savitzky-Golay alone, so "auto" with one is "sg"."""
+    return "sg" if name == "auto" and (setting.window is not None or setting.order is not None) else name
 
-    A window or an order applies to Savitzky-Golay alone, so "auto" with one of them is "sg".
-    """
+
+def estimate(name: str, series: Series, setting: Setting) -> Motion:
+    """Run the method ``name`` on the record; the result's ``method`` is the one that was chosen by "auto"."""
     check(name)
-    if name == "auto" and (setting.window is not None or setting.order is not None):
-        name = "sg"
-    module = cast(Method, import_module(METHODS[name]))
+    module = cast(Method, import_module(METHODS[resolve(name, setting)]))
     return module.estimate(series, setting)

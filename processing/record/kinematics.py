@@ -6,11 +6,12 @@ made is a `SmoothingHeader`; a record too long for memory yields a `SmoothingSum
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from daq.compute.arrays import Array, Mask
 from processing.record.lost_counts import LostCounts, counts_missing
-from processing.record.motion import Phase, VelocityStep
+from processing.record.motion import Phase, VelocityStep, mask_of
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -114,8 +115,6 @@ class Kinematics(SmoothingHeader):
         m, m/s, m/s^2; positive towards +x.  In counts instead of metres for a rig without a calibration.
     position_errors, velocity_errors, acceleration_errors : array
         One standard error each; infinite where a derivative cannot be known (a lone sample between two gaps).
-    stick : array of bool
-        True in sticks.
     belt_velocity, belt_velocity_errors : array or None
         m/s, signed, and one standard error, only with a belt channel: the belt's counts through the same filter.
     """
@@ -128,9 +127,13 @@ class Kinematics(SmoothingHeader):
     position_errors: Array
     velocity_errors: Array
     acceleration_errors: Array
-    stick: Mask
     belt_velocity: Array | None = None
     belt_velocity_errors: Array | None = None
+
+    @cached_property
+    def stick(self) -> Mask:
+        """True in sticks, (n,)."""
+        return mask_of(self.sticks, self.samples)
 
     @property
     def belt_counted(self) -> bool:

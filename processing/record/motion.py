@@ -1,6 +1,7 @@
 """Values made from a record: its motion, switching times, phases, the belt's motion, and steps of the velocity."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -79,6 +80,14 @@ class Phase:
         return self.end - self.start
 
 
+def mask_of(phases: Iterable[Phase], n: int) -> Mask:
+    """Return a mask of n samples, True inside the phases."""
+    mask = np.zeros(n, bool)
+    for phase in phases:
+        mask[phase.first : phase.last + 1] = True
+    return mask
+
+
 @dataclass(frozen=True, eq=False)
 class PhaseSegmentation:
     """The record divided into sticks and slips.
@@ -87,8 +96,6 @@ class PhaseSegmentation:
     ----------
     belt_speed : float
         m/s, signed; NaN when unknown.
-    stick : array of bool, shape (n,)
-        True in sticks.
     phases : tuple of Phase
         In order of time.
     plateau_speed : float
@@ -96,7 +103,6 @@ class PhaseSegmentation:
     """
 
     belt_speed: float
-    stick: Mask
     phases: tuple[Phase, ...]
     plateau_speed: float
 

@@ -54,8 +54,8 @@ def segment_at_corners(
     level = math.nan
     if held.size:
         level = float(held[np.abs(held - np.median(held)) <= SAME_SPEED * abs(np.median(held))].mean())
-    phases, stick = phases_from_sticks(series, moving, sticks)
-    return PhaseSegmentation(reported_speed(stated, measured, level, bool(sticks)), stick, phases, level)
+    phases = phases_from_sticks(series, moving, sticks)
+    return PhaseSegmentation(reported_speed(stated, measured, level, bool(sticks)), phases, level)
 
 
 def corners_of_plateau(
@@ -89,9 +89,8 @@ def _crossing(time: Array, size: Array, at: int, level: float) -> float:
     return float(time[at - 1] + min(max(share, 0.0), 1.0) * (time[at] - time[at - 1]))
 
 
-def phases_from_sticks(series: Series, moving: Mask, sticks: list[Stick]) -> tuple[tuple[Phase, ...], Mask]:
+def phases_from_sticks(series: Series, moving: Mask, sticks: list[Stick]) -> tuple[Phase, ...]:
     """Lay out sticks, and slips between them, over the pieces of the record that are in motion."""
-    stick = np.zeros(series.time.size, bool)
     phases: list[Phase] = []
     for first, last in runs_in_pieces(moving, series.pieces):
         time = series.time[first : last + 1]
@@ -103,10 +102,7 @@ def phases_from_sticks(series: Series, moving: Mask, sticks: list[Stick]) -> tup
             phases += _phase("slip", (before[1], own[0], before[3], own[2]), series.time, first, last)
             if own is not bounds[-1]:
                 phases += _phase("stick", own, series.time, first, last)
-    for phase in phases:
-        if phase.kind == "stick":
-            stick[phase.first : phase.last + 1] = True
-    return tuple(phases), stick
+    return tuple(phases)
 
 
 def _phase(kind: str, span: Stick, time: Array, first: int, last: int) -> list[Phase]:

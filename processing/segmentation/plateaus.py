@@ -26,7 +26,6 @@ from processing.kalman import white_jerk
 from processing.record.motion import BeltMotion, Motion, PhaseSegmentation
 from processing.record.reading_error import reading_error
 from processing.record.series import Series
-from processing.record.setting import parse_belt_speed
 from processing.segmentation.belt_speed import SAME_SPEED, common_speed, median_value, reported_speed
 from processing.segmentation.phase_layout import (
     Runs,
@@ -49,7 +48,7 @@ def segment(
     series: Series,
     motion: Motion,
     measured: Measured | None = None,
-    belt_speed: float | str = "auto",
+    stated: float | None = None,
     belt: BeltMotion | None = None,
 ) -> PhaseSegmentation:
     """Find sticks, slips and belt speed.
@@ -60,17 +59,11 @@ def segment(
         The record and the motion made from it.
     measured : Measured, optional
         The belt speed as the rig's calibration has it.
-    belt_speed : float or "auto"
-        m/s, signed: a number settles it, and sticks are looked for at that speed alone.
+    stated : float, optional
+        Belt speed that a person stated, m/s, signed: sticks are looked for at that speed alone.
     belt : BeltMotion, optional
-        The belt's own motion, where it was counted; a number in ``belt_speed`` goes before it.
-
-    Raises
-    ------
-    InputError
-        When ``belt_speed`` is neither "auto" nor a finite number.
+        The belt's own motion, where it has an encoder; ``stated`` takes precedence over it.
     """
-    stated = parse_belt_speed(belt_speed)
     if stated is not None:
         belt = None
     moving = in_motion(series)
@@ -98,9 +91,9 @@ def segment(
         if abs(speed - aim) <= SAME_SPEED * abs(slack):
             start, end = corners_of_plateau(run, series, size, seen.window, tolerance, moving)
             sticks.append((start, end, math.inf, math.inf))
-    phases, stick = phases_from_sticks(series, moving, sticks)
+    phases = phases_from_sticks(series, moving, sticks)
     speed = reported_speed(stated, measured, level, bool(sticks)) if belt is None else belt.speed(moving)
-    return PhaseSegmentation(speed, stick, phases, common)
+    return PhaseSegmentation(speed, phases, common)
 
 
 def in_motion(series: Series) -> Mask:

@@ -46,7 +46,7 @@ def segmented(
     series: Series, noise: white_jerk.Noise, pilot: Motion, setting: Setting, *, gated: bool
 ) -> Motion | None:
     """Return the motion by segments, or None when there is no stick (or none that passes the gate)."""
-    found = plateaus.segment(series, pilot, None, "auto" if setting.belt_speed is None else setting.belt_speed)
+    found = plateaus.segment(series, pilot, None, setting.belt_speed)
     layout = laid_out(series, found)
     if not layout.at.size:
         return None

@@ -1,4 +1,4 @@
-"""A record smoothed in chunks is the record smoothed in one go, in memory that does not grow with it."""
+"""A record smoothed in blocks is the record smoothed in one go, in memory that does not grow with it."""
 
 import json
 import subprocess
@@ -13,14 +13,14 @@ import pytest
 import daq
 from daq.runfile import store
 from daq.runfile.recording import Recording
-from processing import chunked, stage
+from processing import smoothing, stage
 from processing.smoothing import smooth
 
 
 @pytest.fixture
-def small_chunks(monkeypatch):
-    monkeypatch.setattr(chunked, "CHUNK", 7000)
-    monkeypatch.setattr(chunked, "MARGIN", 2500)
+def small_blocks(monkeypatch):
+    monkeypatch.setattr(smoothing, "BLOCK", 7000)
+    monkeypatch.setattr(smoothing, "MARGIN", 2500)
 
 
 @pytest.fixture
@@ -30,84 +30,84 @@ def path(tmp_path, motion, run_data):
     return target
 
 
-def test_savitzky_golay_in_chunks_is_that_of_the_whole(path, small_chunks):
+def test_savitzky_golay_in_blocks_is_that_of_the_whole(path, small_blocks):
     whole = smooth(daq.load(path), "sg", 41, 4)
-    told = chunked.smooth(path, "sg", 41, 4)
+    summary = smoothing.smooth_file(path, "sg", 41, 4)
     found = stage.load(path)
-    assert (told.method, told.window, told.samples) == ("sg", 41, 20_000)
+    assert (summary.method, summary.window, summary.samples) == ("sg", 41, 20_000)
     assert np.array_equal(found.time, whole.time)
     assert found.velocity == pytest.approx(whole.velocity, abs=1e-11)
     assert found.position == pytest.approx(whole.position, abs=1e-13)
     assert found.velocity_errors == pytest.approx(whole.velocity_errors, rel=0.02)
 
 
-def test_the_smoothers_agree_within_their_errors_and_find_the_same_sticks(path, small_chunks):
+def test_the_smoothers_agree_within_their_errors_and_find_the_same_sticks(path, small_blocks):
     whole = smooth(daq.load(path))
-    told = chunked.smooth(path)
+    summary = smoothing.smooth_file(path)
     found = stage.load(path)
-    assert told.method == whole.method == "segment"
-    assert (len(told.sticks), len(told.slips)) == (len(whole.sticks), len(whole.slips))
-    assert np.abs([a.start - b.start for a, b in zip(told.sticks, whole.sticks, strict=True)]).max() < 2e-3
+    assert summary.method == whole.method == "segment"
+    assert (len(summary.sticks), len(summary.slips)) == (len(whole.sticks), len(whole.slips))
+    assert np.abs([a.start - b.start for a, b in zip(summary.sticks, whole.sticks, strict=True)]).max() < 2e-3
     apart = np.abs(found.velocity - whole.velocity) / (found.velocity_errors + whole.velocity_errors)
     assert np.mean(apart < 2) > 0.99
-    assert told.belt_speed == pytest.approx(0.22, abs=1e-4)
+    assert summary.belt_speed == pytest.approx(0.22, abs=1e-4)
 
 
 @pytest.mark.parametrize("repair", ["flag", "fix"])
-def test_lost_counts_are_carried_from_chunk_to_chunk(tmp_path, motion, run_data, small_chunks, repair):
+def test_lost_counts_are_carried_from_block_to_block(tmp_path, motion, run_data, small_blocks, repair):
     data = run_data(motion(5, 20.0, start=0.5))
     count = data.count.copy()
     for at, size in ((3000, 40), (6950, -25), (15_000, 60)):
         count[at:] += size
     target = tmp_path / "run.h5"
     store.write(target, replace(data, count=count, position=count * 7.67e-6 + 7.67e-6 / 2))
-    told = chunked.smooth(target, "rts", repair_counts=repair)
+    summary = smoothing.smooth_file(target, "rts", repair_counts=repair)
     found = stage.load(target)
-    assert [(loss.first, loss.counts) for loss in told.losses] == [(3000, 40), (6950, -25), (15_000, 60)]
+    assert [(loss.first, loss.counts) for loss in summary.losses] == [(3000, 40), (6950, -25), (15_000, 60)]
     assert found.repaired == (repair == "fix")
     right = data.position if repair == "fix" else daq.load(target).position
     assert np.abs(found.position - right).max() < 5e-5
     assert np.abs(found.measured - right).max() < 1e-9
 
 
-def test_nominal_times_go_on_over_the_chunks(tmp_path, small_chunks):
+def test_nominal_times_go_on_over_the_blocks(tmp_path, small_blocks):
     line = [sys.executable, "-m", "daq.cli.app", "record", "--duration", "20", "-o", "run.h5", "--json"]
     subprocess.run(line, cwd=tmp_path, check=True, capture_output=True)
     target = tmp_path / "run.h5"
     whole = smooth(daq.load(target), "sg", 41, 4, "nominal")
-    chunked.smooth(target, "sg", 41, 4, "nominal")
+    smoothing.smooth_file(target, "sg", 41, 4, "nominal")
     assert stage.load(target).time == pytest.approx(whole.time, abs=1e-12)
     assert stage.load(target).velocity == pytest.approx(whole.velocity, abs=1e-9)
 
 
 @pytest.mark.parametrize("method", ["sg", "auto"])
-def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_chunks, method):
+def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_blocks, method):
     asked = (method, 41 if method == "sg" else "auto", None, "nominal")
     whole = smooth(daq.load(path), *asked)
-    told = chunked.smooth(path, *asked)
+    summary = smoothing.smooth_file(path, *asked)
     found = stage.load(path)
     assert daq.load(path).raw is None
     assert found.time == pytest.approx(whole.time, abs=1e-9)
     assert np.abs(whole.time - daq.load(path).time).max() > 3e-5
-    assert len(told.sticks) == len(whole.sticks)
+    assert len(summary.sticks) == len(whole.sticks)
     apart = np.abs(found.velocity - whole.velocity) / (found.velocity_errors + whole.velocity_errors)
     assert np.mean(apart < 2) > 0.99
 
 
 @pytest.mark.parametrize("method", ["sg", "auto"])
-def test_a_counted_belt_is_smoothed_in_chunks_too(tmp_path, small_chunks, method):
+def test_a_counted_belt_is_smoothed_in_blocks_too(tmp_path, small_blocks, method):
     listed = ["--set", "belt.channel=true", "--set", "belt.ripple=0.02", "--set", "belt.ripple_hz=2"]
     line = [sys.executable, "-m", "daq.cli.app", "record", "--duration", "20", *listed, "-o", "run.h5", "--json"]
     subprocess.run(line, cwd=tmp_path, check=True, capture_output=True)
     target = tmp_path / "run.h5"
     asked = (method, 41 if method == "sg" else "auto")
     whole = smooth(daq.load(target), *asked)
-    told = chunked.smooth(target, *asked)
+    summary = smoothing.smooth_file(target, *asked)
     found = stage.load(target)
     assert whole.belt_counted
-    assert told.belt_counted
-    assert told.belt_speed == pytest.approx(whole.belt_speed, rel=1e-3)
-    assert (len(told.sticks), len(told.slips)) == (len(whole.sticks), len(whole.slips))
+    assert summary.belt_counted
+    assert summary.belt_speed == pytest.approx(whole.belt_speed, rel=1e-3)
+    assert (len(summary.sticks), len(summary.slips)) == (len(whole.sticks), len(whole.slips))
     apart = np.abs(found.belt_velocity - whole.belt_velocity)
     assert np.mean(apart < 2 * (found.belt_velocity_errors + whole.belt_velocity_errors)) > 0.99
     with h5py.File(target) as file:
@@ -121,10 +121,10 @@ def test_memory_stays_below_300_mb_however_long_the_record(tmp_path):
     script = """
 import json
 from pathlib import Path
-from processing import chunked
-told = chunked.smooth(Path("long.h5"), "sg", 41, 4, "recorded")
+from processing import smoothing
+summary = smoothing.smooth_file(Path("long.h5"), "sg", 41, 4, "recorded")
 peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
-print(json.dumps([told.samples, int(peak.split()[1]) / 1024]))
+print(json.dumps([summary.samples, int(peak.split()[1]) / 1024]))
 """
     time = np.arange(n) * 1e-3
     count = np.floor(0.1 / 7.67e-6 * np.sin(2 * np.pi * time / 3)).astype(np.int64)

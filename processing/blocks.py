@@ -1,0 +1,160 @@
+"""One block of a record smoothed, and what is found in the blocks joined over the record.
+
+A record in memory is one block.  A longer one is smoothed block by block, each as a record of its own together with
+some samples on either side, of which only the block itself is kept: the smoothers estimate noise levels and find sticks
+in every block anew.  Lost counts, phases that cross a boundary, and the belt speed are carried from block to block.
+That takes a few numbers for each stick and slip; otherwise memory does not grow with the record.
+"""
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from processing import belt_motion
+from processing.defects import lost_counts, velocity_steps
+from processing.methods import registry
+from processing.record.lost_counts import LostCounts, counts_missing, restore_counts
+from processing.record.motion import Phase, VelocityStep
+from processing.record.series import Series
+from processing.record.setting import Setting
+from processing.segmentation import plateaus
+
+if TYPE_CHECKING:
+    from daq.runfile.recording import Recording
+
+
+class BlockSmoother:
+    """Smooths the blocks of a record, in order.
+
+    Parameters
+    ----------
+    method : str
+        Name in `processing.methods.registry`.
+    setting : Setting
+        Window, order and stated belt speed, for all blocks alike.
+    repair : {"off", "flag", "fix"}
+        What to do about lost counts.
+    """
+
+    def __init__(self, method: str, setting: Setting, repair: str) -> None:
+        self.method, self.setting, self.repair = method, setting, repair
+        self._phases: list[Phase] = []
+        self._losses: list[LostCounts] = []
+        self._steps: list[VelocityStep] = []
+        self._methods: dict[str, int] = {}
+        self._windows: list[tuple[int, int]] = []
+        self._belt_speeds: list[float] = []
+        self._plateau_speeds: list[float] = []
+        self._behind = 0  # counts lost so far in this segment
+
+    def smooth(self, recording: "Recording", data: Series, own: slice, low: int = 0) -> dict[str, Any]:
+        """Smooth one block.
+
+        Parameters
+        ----------
+        recording, data : Recording, Series
+            The block with its neighbouring samples, m in all.
+        own : slice
+            The k samples of the block among them.
+        low : int
+            Number of the first of the m samples in the record.
+
+        Returns
+        -------
+        dict of arrays of shape (k,)
+            time, position, velocity, acceleration, their errors, and the belt's velocity where it has an encoder.
+        """
+        losses = lost_counts.losses(data) if self.repair != "off" else ()
+        behind = counts_missing(recording.segment, losses)
+        data = restore_counts(data, behind)
+        motion = registry.estimate(self.method, data, self.setting)
+        belt = belt_motion.smooth_belt(recording, data, motion)
+        found = plateaus.segment(data, motion, recording.rig.belt_speed, self.setting.belt_speed, belt)
+        if self.repair == "fix":
+            shift = -data.pitch * self._lost_before(recording, own, losses)
+        else:
+            shift = data.pitch * behind[own]
+        columns = {
+            "time": data.time[own],
+            "position": motion.position[own] + shift,
+            "velocity": motion.velocity[own],
+            "acceleration": motion.acceleration[own],
+            "position_errors": motion.position_errors[own],
+            "velocity_errors": motion.velocity_errors[own],
+            "acceleration_errors": motion.acceleration_errors[own],
+        }
+        if belt is not None:
+            columns |= {"belt_velocity": belt.velocity[own], "belt_velocity_errors": belt.velocity_errors[own]}
+        for loss in losses:
+            if own.start <= loss.first < own.stop:
+                self._losses.append(LostCounts(loss.first + low, loss.last + low, loss.counts))
+        for step in velocity_steps.kicks(data):
+            if own.start <= step.sample < own.stop:
+                self._steps.append(VelocityStep(step.sample + low, step.step))
+        self._join(found.phases, data, low, own.start + low, own.stop + low)
+        self._methods[motion.method] = self._methods.get(motion.method, 0) + own.stop - own.start
+        self._windows.append((motion.window, motion.order))
+        self._belt_speeds.append(found.belt_speed)
+        self._plateau_speeds.append(found.plateau_speed)
+        return columns
+
+    @property
+    def sticks(self) -> list[Phase]:
+        """The sticks found so far."""
+        return [phase for phase in self._phases if phase.kind == "stick"]
+
+    def header(self) -> dict[str, Any]:
+        """Return what `SmoothingHeader` states: the method and window of most samples, the median belt speed."""
+        window, order = max(set(self._windows), key=self._windows.count)
+        return {
+            "method": max(self._methods, key=lambda name: self._methods[name]),
+            "window": window,
+            "order": order,
+            "belt_speed": _median(self._belt_speeds),
+            "plateau_speed": _median(self._plateau_speeds),
+            "phases": tuple(self._phases),
+            "losses": tuple(self._losses),
+            "kicks": tuple(self._steps),
+            "repaired": self.repair == "fix" and bool(self._losses),
+        }
+
+    def _lost_before(self, recording: "Recording", own: slice, losses: tuple[LostCounts, ...]) -> Array:
+        """Return the counts lost in the segment before the first sample read, for every sample of the block."""
+        segment = recording.segment[own]
+        earlier = sum(loss.counts for loss in losses if loss.first < own.start)
+        before = np.where(segment == segment[0], self._behind - earlier, 0.0)
+        if segment[-1] != segment[0]:
+            self._behind = 0
+        inside = [loss for loss in losses if own.start <= loss.first < own.stop]
+        self._behind += sum(loss.counts for loss in inside if recording.segment[loss.first] == segment[-1])
+        return np.asarray(before)
+
+    def _join(self, phases: tuple[Phase, ...], data: Series, low: int, begin: int, end: int) -> None:
+        """Take the block's share of its phases; one that continues the block before is merged with it."""
+        for phase in phases:
+            first, last = max(phase.first + low, begin), min(phase.last + low, end - 1)
+            if last < first:
+                continue
+            cut_before, cut_behind = first > phase.first + low, last < phase.last + low
+            own = Phase(
+                phase.kind,
+                float(data.time[first - low]) if cut_before else phase.start,
+                float(data.time[last - low]) if cut_behind else phase.end,
+                first,
+                last,
+                math.inf if cut_before else phase.start_sd,
+                math.inf if cut_behind else phase.end_sd,
+            )
+            before = self._phases[-1] if self._phases else None
+            if before is not None and cut_before and before.kind == own.kind and before.last + 1 == own.first:
+                self._phases[-1] = replace(own, start=before.start, first=before.first, start_sd=before.start_sd)
+            else:
+                self._phases.append(own)
+
+
+def _median(speeds: list[float]) -> float:
+    finite = [speed for speed in speeds if math.isfinite(speed)]
+    return float(np.median(finite)) if finite else math.nan
