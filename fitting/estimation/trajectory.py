@@ -158,7 +158,9 @@ class Fit:
         )
 
 
-def coarse_fit(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False) -> Fit | None:
+def coarse_fit(
+    law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False, max_steps: int | None = None
+) -> Fit | None:
     """Fit one law roughly to the thinned record, or to those of several runs of one contact.
 
     Parameters
@@ -172,6 +174,8 @@ def coarse_fit(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone:
         narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
     alone : bool
         Start from ``near`` alone.
+    max_steps : int, optional
+        Fewer than the search's own limit, where only a rough misfit is wanted.
 
     Returns
     -------
@@ -191,7 +195,11 @@ def coarse_fit(law: int, runs: Sequence[Run], near: Fit | None = None, *, alone:
         slowest = min(motion.belt_speed for motion in problem.motions)
         u[D::PER_RUN] = NARROW_RAMP * slowest if problem.ramp else starts[0].u[D]
         starts = [*([] if alone else starts), replace(starts[0], u=u, local=near.local)]
-    found = [state for state in (_search_pass(problem, windows, first, 0) for first in starts) if state is not None]
+    found = [
+        state
+        for state in (_search_pass(problem, windows, first, 0, max_steps) for first in starts)
+        if state is not None
+    ]
     if not found:
         return None
     best, *others = sorted(found, key=lambda state: state.geometric_mean_rms)
@@ -331,11 +339,12 @@ def _starting_state(problem: EstimationProblem, windows: ShootingWindows, cycles
 
 
 def _search_pass(
-    problem: EstimationProblem, windows: ShootingWindows, state: PassState, number: int
+    problem: EstimationProblem, windows: ShootingWindows, state: PassState, number: int, max_steps: int | None = None
 ) -> PassState | None:
     """Make one of the search's passes, then settle noise level, weights and scatter by it."""
     passes = LONG_PASSES if any(motion.datum_prior is None for motion in problem.motions) else PASSES
-    found = _minimise(problem, windows, state, *passes[number])
+    limit, tolerance = passes[number]
+    found = _minimise(problem, windows, state, limit if max_steps is None else max_steps, tolerance)
     return None if found is None else _reestimate_noise(found, windows, problem.motions, first=number == 0)
 
 

@@ -112,6 +112,7 @@ def rank(
     sources = [str(record.recording.source) for record in records]
     sustained = _check(runs, sources)
     seen = sustained  # as the record itself shows, before any law is fitted
+    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), sources)
     fits = search.fit_laws(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
     if not sustained and evidence.rules_out_constant_friction(fits, runs):
         sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
@@ -123,15 +124,9 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
-    if what := screening.reject_by_misfit(fits, runs, sustained=seen):
-        do = "check the calibration and the belt speed, or look at it with 'process inspect'"
-        raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
+    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), sources)
     if not sustained and not any(run.cut.starts_at_rest for run in runs):
-        raise DataError(
-            f"no belt stick-slip in this record: {screening.SINE_ALONE}",
-            ", ".join(sources),
-            "record again from before the belt starts: the first drag tells law 1 from law 2",
-        )
+        _refuse(screening.SINE_ALONE, sources)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
     rows = tuple(_row(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered)
@@ -248,6 +243,15 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
             "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
         )
     return sustained
+
+
+def _refuse(what: str, sources: Sequence[str]) -> None:
+    """Raise DataError where ``what`` says why the record is no belt stick-slip."""
+    do = "check the calibration and the belt speed, or look at it with 'process inspect'"
+    if what == screening.SINE_ALONE:
+        do = "record again from before the belt starts: the first drag distinguishes law 1 from law 2"
+    if what:
+        raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
 
 
 def _row(fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:

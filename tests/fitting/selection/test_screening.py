@@ -12,6 +12,7 @@ from daq.console import application
 from daq.errors import DataError
 from daq.runfile.rig import Measured, Rig
 from fitting import cli
+from fitting.estimation import search
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -53,7 +54,7 @@ def standing(recording, seconds):
     return replace(recording, position=x)
 
 
-@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))])
 @pytest.mark.parametrize("known", KNOWN)
 @pytest.mark.parametrize("name", NAMES)
 def test_no_stick_slip_is_never_ranked(strangers, synthetic, name, known, seed):
@@ -61,6 +62,17 @@ def test_no_stick_slip_is_never_ranked(strangers, synthetic, name, known, seed):
     blank = synthetic.recording(law=5, duration=1.0)
     recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=KNOWN[known])
     with pytest.raises(DataError, match="no belt stick-slip in this record: " + WHY.get(name, "")):
+        rank(smooth(recording))
+
+
+@pytest.mark.parametrize("name", ["smooth_noise", "two_sines", "sine"])
+def test_what_no_law_comes_near_is_refused_before_six_laws_are_fitted(strangers, synthetic, name, monkeypatch):
+    # Fitting six laws to noise took 20 to 40 CPU s, only to refuse it.
+    monkeypatch.setattr(search, "fit_laws", None)
+    time, position = strangers.ALL[name](np.random.default_rng(12))
+    blank = synthetic.recording(law=5, duration=1.0)
+    recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=Rig())
+    with pytest.raises(DataError, match=r"no belt stick-slip in this record: (no law comes near it|a sine)"):
         rank(smooth(recording))
 
 
