@@ -27,7 +27,7 @@ from hand.polynomial import SIZE
 
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.compiled import compile_entry, compiled
+from rig_sim.integrate.compiled import compiled
 from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.frame import displacement, frame
@@ -174,10 +174,10 @@ class Race:
         t_out, carry, x_out, kinds = self.engines
         start = (flow, mode, x, v - flow.v_belt)
         if self.whole:
-            self.engine = compiled("run") if machine else run
+            self.engine = compiled(run) if machine else run
             self.engine_call = (*start, 0.0, until, ROOM, t_out, carry, x_out, kinds, 0)
         else:
-            self.engine = compile_entry(phase_by_phase) if machine else phase_by_phase
+            self.engine = compiled(phase_by_phase) if machine else phase_by_phase
             levels = 1 if terms(self.scene).levels else 0
             self.engine_call = (
                 *start, until, factors, con.wear, con.kick, con.turn, levels, t_out, x_out, kinds,

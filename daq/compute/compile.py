@@ -1,8 +1,8 @@
-"""Kernels compiled by numba from the very source that runs interpreted; numba loads on the first request.
+"""Kernels compiled by numba from the source that also runs interpreted; numba is imported on the first request.
 
-A kernel module holds plain functions on scalars and arrays.  `compiled` registers every function of the modules named
-as callable from machine code and compiles the entry: no second source, no fast-math (it breaks NaN tests).  Machine
-code is kept in a folder named by a hash of the sources, so a changed installation never meets a stale cache.
+A kernel module holds plain functions of scalars and arrays.  `compiled` makes every function of the modules named
+callable from machine code and compiles the entry: no second source, no fast-math (it breaks NaN tests).  Machine code
+is kept in a folder named by a hash of the sources, so that a changed installation never loads stale code.
 """
 
 import hashlib
@@ -15,12 +15,14 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+ANNOUNCEMENT = "compiling numerical kernels, once per installation"
+
 
 @cache
-def compiled(function: Callable[..., Any], modules: tuple[str, ...]) -> Callable[..., Any]:
+def compiled(function: Callable[..., Any], modules: tuple[str, ...], **options: Any) -> Callable[..., Any]:
     """Return ``function`` compiled; called like the plain one.
 
-    The first call of a function whose machine code is not yet cached says on stderr that it compiles.
+    Where its machine code is not yet kept, the first call compiles it, and stderr says so once per process.
 
     Parameters
     ----------
@@ -28,10 +30,12 @@ def compiled(function: Callable[..., Any], modules: tuple[str, ...]) -> Callable
         A plain function; numba's nopython subset.
     modules : tuple of str
         Names of the modules whose functions it may call, its own included.
+    **options
+        Passed to numba, for the entry and for every function of the modules.
     """
     for name in modules:
-        register(name)
-    return build(function, cache_folder((*modules, function.__module__)))
+        register(name, **options)
+    return build(function, cache_folder((*modules, function.__module__), repr(sorted(options.items()))), **options)
 
 
 def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> Callable[..., Any]:
@@ -39,6 +43,7 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
     import numba
     from numba import config
 
+    _announce_compilation()
     settings = vars(config)  # numba reads the folder when a cache is enabled
     before = settings["CACHE_DIR"]
     try:
@@ -48,21 +53,41 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
         settings["CACHE_DIR"] = before
     if folder is not None:
         _keep_if_possible(entry, folder)
-    if folder is None or not any(folder.rglob(f"*.{function.__name__}-*.nbi")):
-        sys.stderr.write(f"compiling {function.__name__}: once per installation, some seconds\n")
     return entry  # type: ignore[no-any-return]
 
 
+@cache
+def _announce_compilation() -> None:
+    """Report on stderr that numba compiles: one line per process, and on a terminal how many functions are done."""
+    from numba.core import event
+
+    class Announcer(event.Listener):
+        depth = done = 0
+
+        def on_start(self, _: Any) -> None:
+            if self.depth == self.done == 0:
+                sys.stderr.write(ANNOUNCEMENT + ("" if sys.stderr.isatty() else "\n"))
+            self.depth += 1
+
+        def on_end(self, _: Any) -> None:
+            self.depth -= 1
+            self.done += 1
+            if sys.stderr.isatty():
+                sys.stderr.write(f"\r{ANNOUNCEMENT}: {self.done} functions" + ("\r\x1b[K" if self.depth == 0 else ""))
+                sys.stderr.flush()
+
+    event.register("numba:compile", Announcer())  # type: ignore[no-untyped-call]
+
+
 def _keep_if_possible(entry: Any, folder: Path) -> None:
-    """Let a disk that refuses machine code cost the next call some seconds, and not this one its result."""
+    """Make a failed write of machine code cost the next call some seconds, and not this one its result."""
     save = entry._cache.save_overload  # noqa: SLF001 - numba has no public way to say that a cache is optional
 
     def attempt(*what: Any) -> None:
         try:
             save(*what)
         except OSError as error:
-            said = f"machine code is not kept: {folder}: {error.strerror or error}\n"
-            sys.stderr.write(said)
+            sys.stderr.write(f"machine code is not kept: {folder}: {error.strerror or error}\n")
 
     entry._cache.save_overload = attempt  # noqa: SLF001
 
@@ -78,9 +103,9 @@ def register(module: str, **options: Any) -> None:
             make(function)
 
 
-def cache_folder(modules: tuple[str, ...]) -> Path | None:
-    """Return the writable folder for the machine code of these modules, or None when there is none to be had."""
-    digest = hashlib.sha256()
+def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
+    """Return the folder for the machine code of these modules, compiled so; None where none can be written."""
+    digest = hashlib.sha256(options.encode())
     for name in modules:
         digest.update(Path(str(import_module(name).__file__)).read_bytes())
     folder = cache_root() / f"kernels-{digest.hexdigest()[:16]}"

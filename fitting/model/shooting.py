@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from fitting.data.frame import MeasuredMotion
 from fitting.model import parameters
 from fitting.model.parameters import PER_CYCLE, PER_RUN
 from rig_sim.integrate.buffer import STEPS, Buffer, new_work
-from rig_sim.integrate.compiled import JIT_OPTIONS, compile_entry
+from rig_sim.integrate.compiled import compiled
 from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
 from rig_sim.integrate.phases import sample_phase
@@ -141,7 +140,7 @@ def evaluator(
     known = columns >= 0
     run, place = np.nonzero(known)
     slot = columns[known]
-    compiled = _compiled()
+    predict = compiled(window_positions, __name__, inline=False)
     room = np.empty((3, n))
     work = new_work(WORK_STEPS, compiled=True)
 
@@ -149,7 +148,7 @@ def evaluator(
         whole[run, slot] = u[place]
         model = np.empty(n)
         jacobian = np.zeros((n if derivatives else 0, columns.shape[1] + PER_CYCLE))
-        status = compiled(
+        status = predict(
             curve,
             int(ramp),
             whole,
@@ -367,12 +366,3 @@ def integrate_window(
         for j in range(n):
             out[j] += (u[9] * math.sin(omega * times[j]) - u[10] * math.cos(omega * times[j])) / omega
     return 0
-
-
-@cache
-def _compiled() -> Callable[..., int]:
-    """Compile `window_positions` on first use."""
-    from numba.extending import register_jitable
-
-    register_jitable(**JIT_OPTIONS)(integrate_window)
-    return compile_entry(window_positions)

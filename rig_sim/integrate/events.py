@@ -82,7 +82,7 @@ def list_events(
     if compiled:
         from rig_sim.integrate.compiled import compiled as compile_kernel
 
-        step = compile_kernel("run")
+        step = compile_kernel(run)
     work = new_work(max_steps, compiled=compiled)
     buffers = new_lists(ROOM, 4, compiled=compiled)
     mode = initial_mode(flow, x, v, t)
