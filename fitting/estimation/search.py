@@ -11,7 +11,7 @@ from daq.compute.workers import workers
 from fitting.estimation import trajectory
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import D
-from fitting.model.problem import Run
+from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
 LOCAL_MINIMUM = 0.98  # of a law's error: where its jump or ramp law errs less than that, it found a better place
@@ -59,43 +59,42 @@ def fit_laws(
                 progress(float(done))
         nearest = min((fit.geometric_mean_rms for fit in found), default=0.0)
         chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
-        found = [
-            fit for own in each(partial(_refined, runs=runs, limit=GIVE_UP_FACTOR * nearest), chains) for fit in own
-        ]
+        found = [fit for own in each(partial(_refined, limit=GIVE_UP_FACTOR * nearest), chains) for fit in own]
         nearest = min((fit.geometric_mean_rms for fit in found), default=0.0)
-        polished = list(each(partial(_final, runs=runs, limit=FULL_RECORD_FACTOR * nearest), found))
-    return sorted((fit for own in polished for fit in own), key=lambda fit: (LAWS[fit.law].ramp, fit.law))
+        found = list(each(partial(_final, limit=FULL_RECORD_FACTOR * nearest), found))
+    return sorted(found, key=lambda fit: (LAWS[fit.law].ramp, fit.law))
 
 
 def _coarse_fits(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
     """Fit the laws of one curve roughly, the jump law first."""
     found: dict[int, Fit] = {}
     for law in laws:
-        fit = trajectory.coarse_fit(law, runs, found.get(law - 1) if LAWS[law].ramp else None)
+        near = found.get(law - 1) if LAWS[law].ramp else None
+        fit = trajectory.coarse_fit(EstimationProblem.build(law, runs), near)
         if fit is not None:
             found[law] = fit
     return list(found.values())
 
 
-def _refined(chain: Sequence[Fit], runs: Sequence[Run], limit: float) -> list[Fit]:
-    """Settle the laws of one curve whose error is below ``limit``; the others stay as they are."""
+def _refined(chain: Sequence[Fit], limit: float) -> list[Fit]:
+    """Refine the laws of one curve whose error is below ``limit``; the others stay as they are."""
     found = {fit.law: fit for fit in chain}
     for law, fit in list(found.items()):
-        again = trajectory.refine(fit, runs) if fit.geometric_mean_rms < limit else None
+        again = trajectory.refine(fit) if fit.geometric_mean_rms < limit else None
         found[law] = fit if again is None else again
-    slowest = min(run.motion.belt_speed for run in runs)
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
         # One of the two can get stuck where the other finds a way: from there it tries again.
+        slowest = min(motion.belt_speed for motion in found[ramp].problem.motions)
         narrow = found[ramp].u[D] < trajectory.NARROW_RAMP * slowest
         for law, other in ((ramp, ramp - 1), (ramp - 1, ramp)):
             behind = found[other].geometric_mean_rms < LOCAL_MINIMUM * found[law].geometric_mean_rms
             if behind and found[other].geometric_mean_rms < limit and (law == ramp or narrow):
-                again = trajectory.fit_from(law, runs, found[other])
+                again = trajectory.fit_from(found[law].problem, found[other])
                 if again is not None and again.geometric_mean_rms < found[law].geometric_mean_rms:
                     found[law] = again
     return list(found.values())
 
 
-def _final(fit: Fit, runs: Sequence[Run], limit: float) -> list[Fit]:
+def _final(fit: Fit, limit: float) -> Fit:
     """Return the fit on every sample where its error is below ``limit``."""
-    return [trajectory.final_fit(fit, runs) if fit.geometric_mean_rms < limit else fit]
+    return trajectory.final_fit(fit) if fit.geometric_mean_rms < limit else fit

@@ -25,7 +25,7 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation import levenberg_marquardt, wear
 from fitting.model import parameters
 from fitting.model.parameters import DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, NUISANCE, PER_RUN, RIPPLE, D, K
-from fitting.model.problem import EstimationProblem, Run
+from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows, evaluator
 
 FIRST_SCATTER = 0.1  # standard deviation of the levels before the fit has seen them
@@ -54,7 +54,8 @@ class Fit:
 
     Attributes
     ----------
-    law : int
+    problem : EstimationProblem
+        The law and the runs.
     u : (12 runs,) f8
         Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
         datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), give (belt speed lost per metre of
@@ -65,8 +66,6 @@ class Fit:
     local : (cycles, 6) f8
     residual : (N,) f8
         Model minus measurement, m, cycle by cycle.
-    rows : tuple of slice
-        The residuals of each cycle.
     cycle_rms : (cycles,) f8
         m.
     inlier_cycles : (cycles,) bool
@@ -83,18 +82,16 @@ class Fit:
     cycles : tuple of Cycle
     state : PassState
         Where the last pass ended.
-    outcome : str
     cpu_s : float
     alternatives : tuple of PassState
         Where other starts led after the first pass, if not much worse.
     """
 
-    law: int
+    problem: EstimationProblem
     u: Array
     active: tuple[int, ...]
     local: Array
     residual: Array
-    rows: tuple[slice, ...]
     cycle_rms: Array
     inlier_cycles: NDArray[np.bool_]
     sigma: Array
@@ -104,9 +101,23 @@ class Fit:
     windows: ShootingWindows
     cycles: tuple[Cycle, ...]
     state: "PassState"
-    outcome: str
     cpu_s: float
     alternatives: "tuple[PassState, ...]" = ()
+
+    @property
+    def law(self) -> int:
+        """The law's number."""
+        return self.problem.law
+
+    @property
+    def rows(self) -> tuple[slice, ...]:
+        """The residuals of each cycle."""
+        return self.windows.rows
+
+    @property
+    def outcome(self) -> str:
+        """How the last minimisation ended (`levenberg_marquardt.Solution`)."""
+        return self.solution.outcome
 
     @property
     def rms(self) -> float:
@@ -147,7 +158,6 @@ class Fit:
             active=tuple(int(slot) for slot in slots if slot >= 0),
             local=self.local[own],
             residual=np.concatenate([self.residual[self.rows[k]] for k in own]),
-            rows=windows.rows,
             cycle_rms=self.cycle_rms[own],
             inlier_cycles=self.inlier_cycles[own],
             sigma=self.sigma[[run]],
@@ -159,16 +169,14 @@ class Fit:
 
 
 def coarse_fit(
-    law: int, runs: Sequence[Run], near: Fit | None = None, *, alone: bool = False, max_steps: int | None = None
+    problem: EstimationProblem, near: Fit | None = None, *, alone: bool = False, max_steps: int | None = None
 ) -> Fit | None:
-    """Fit one law roughly to the thinned record, or to those of several runs of one contact.
+    """Fit one law roughly to the thinned records.
 
     Parameters
     ----------
-    law : int
-        1 to 6.
-    runs : sequence of Run
-        Each with one used cycle or more.
+    problem : EstimationProblem
+        Its runs have one used cycle or more each.
     near : Fit, optional
         The law of the same curve with the other contact, fitted before: a second start.  A ramp law takes it with a
         narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
@@ -184,103 +192,85 @@ def coarse_fit(
         flow cannot be followed from any of them: the law then has no place in the ranking.
     """
     begun = clock.process_time()
-    problem = EstimationProblem.build(law, runs)
-    windows = ShootingWindows.join(
-        [ShootingWindows.from_cycles(run.motion, run.cut.used, _stride(run.motion)) for run in runs]
-    )
-    cycles = [cycle for run in runs for cycle in run.cut.used]
-    starts = [_starting_state(problem, windows, cycles)]
+    windows = _windows(problem, thinned=True)
+    starts = [_starting_state(problem, windows)]
     if near is not None:
         u = near.u.copy()
         slowest = min(motion.belt_speed for motion in problem.motions)
         u[D::PER_RUN] = NARROW_RAMP * slowest if problem.ramp else starts[0].u[D]
         starts = [*([] if alone else starts), replace(starts[0], u=u, local=near.local)]
-    found = [
-        state
-        for state in (_search_pass(problem, windows, first, 0, max_steps) for first in starts)
-        if state is not None
-    ]
+    ended = [_search_pass(problem, windows, first, 0, max_steps) for first in starts]
+    found = sorted((state for state in ended if state is not None), key=lambda state: state.geometric_mean_rms)
     if not found:
         return None
-    best, *others = sorted(found, key=lambda state: state.geometric_mean_rms)
-    fit = _fit(law, problem, windows, best, runs, clock.process_time() - begun)
-    return replace(
-        fit,
-        alternatives=tuple(
-            state for state in others if state.geometric_mean_rms < ALTERNATIVE_FACTOR * best.geometric_mean_rms
-        ),
-    )
+    limit = ALTERNATIVE_FACTOR * found[0].geometric_mean_rms
+    fit = _fit(problem, windows, found[0], clock.process_time() - begun)
+    return replace(fit, alternatives=tuple(state for state in found[1:] if state.geometric_mean_rms < limit))
 
 
-def refine(fit: Fit, runs: Sequence[Run]) -> Fit | None:
+def refine(fit: Fit) -> Fit | None:
     """Fit again with noise level, weights and scatter as the passes before show them; None where that leads nowhere."""
     begun = clock.process_time()
-    problem = EstimationProblem.build(fit.law, runs)
     ended = []
     for first in (fit.state, *fit.alternatives):
         state: PassState | None = first
         for number in range(1, len(PASSES)):
             if state is not None:
-                state = _search_pass(problem, fit.windows, state, number)
+                state = _search_pass(fit.problem, fit.windows, state, number)
         if state is not None:
             ended.append(state)
     if not ended:
         return None
     best = min(ended, key=lambda state: state.geometric_mean_rms)
-    return _fit(fit.law, problem, fit.windows, best, runs, fit.cpu_s + clock.process_time() - begun)
+    return _fit(fit.problem, fit.windows, best, fit.cpu_s + clock.process_time() - begun)
 
 
-def fit_from(law: int, runs: Sequence[Run], near: Fit) -> Fit | None:
-    """Fit one law from another's fit alone, settled; None where that leads nowhere."""
-    first = coarse_fit(law, runs, near, alone=True)
-    return None if first is None else refine(first, runs)
+def fit_from(problem: EstimationProblem, near: Fit) -> Fit | None:
+    """Fit one law from another's fit alone, refined; None where that leads nowhere."""
+    first = coarse_fit(problem, near, alone=True)
+    return None if first is None else refine(first)
 
 
-def _stride(motion: MeasuredMotion) -> int:
-    return max(1, round(motion.time.size / motion.span / COARSE_HZ))
-
-
-def final_fit(fit: Fit, runs: Sequence[Run]) -> Fit:
+def final_fit(fit: Fit) -> Fit:
     """Fit the whole record, fading included, from where the search on the thinned one ended.
 
     The search's own fit is returned when that leads nowhere.
     """
     begun = clock.process_time()
-    problem = EstimationProblem.build(fit.law, runs)
-    first = replace(fit.state, fade_sd=_fade_sd(fit))
-    last = _minimise(problem, fit.windows, first, *FADE_PASS)
-    windows = ShootingWindows.join([ShootingWindows.from_cycles(run.motion, run.cut.used) for run in runs])
+    problem = fit.problem
+    last = _minimise(problem, fit.windows, replace(fit.state, fade_sd=_fade_sd(fit)), *FADE_PASS)
+    windows = _windows(problem, thinned=False)
     if last is not None and windows.time.size > fit.windows.time.size:
-        last = _minimise(
-            problem, windows, _reestimate_noise(last, fit.windows, problem.motions, first=False), *FINE_PASS
-        )
+        noise = _reestimate_noise(last, fit.windows, problem.motions, first=False)
+        last = _minimise(problem, windows, noise, *FINE_PASS)
     else:
         windows = fit.windows
     if last is None:
         return fit
-    return _fit(fit.law, problem, windows, last, runs, fit.cpu_s + clock.process_time() - begun)
+    return _fit(problem, windows, last, fit.cpu_s + clock.process_time() - begun)
 
 
-def _fit(
-    law: int,
-    problem: EstimationProblem,
-    windows: ShootingWindows,
-    state: "PassState",
-    runs: Sequence[Run],
-    cpu_s: float,
-) -> Fit:
+def _windows(problem: EstimationProblem, *, thinned: bool) -> ShootingWindows:
+    """Return the windows of all runs, of every sample or thinned to `COARSE_HZ`."""
+    parts = []
+    for run in problem.runs:
+        stride = max(1, round(run.motion.time.size / run.motion.span / COARSE_HZ)) if thinned else 1
+        parts.append(ShootingWindows.from_cycles(run.motion, run.cut.used, stride))
+    return ShootingWindows.join(parts)
+
+
+def _fit(problem: EstimationProblem, windows: ShootingWindows, state: "PassState", cpu_s: float) -> Fit:
     active = _active(problem, state)
     index = list(active)
     solution = state.solution
     if solution is None or state.precision is None:
         raise RuntimeError("a state without a solution is a start, not a fit")
     return Fit(
-        law=law,
+        problem=problem,
         u=state.u,
         active=active,
         local=state.local,
         residual=solution.residual,
-        rows=windows.rows,
         cycle_rms=state.cycle_rms,
         inlier_cycles=state.weights > INLIER_WEIGHT,
         sigma=state.sigma,
@@ -288,9 +278,8 @@ def _fit(
         solution=solution,
         precision=state.precision[index],
         windows=windows,
-        cycles=tuple(cycle for run in runs for cycle in run.cut.used),
+        cycles=problem.cycles,
         state=state,
-        outcome=solution.outcome,
         cpu_s=cpu_s,
     )
 
@@ -316,13 +305,13 @@ class PassState:
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
 
 
-def _starting_state(problem: EstimationProblem, windows: ShootingWindows, cycles: Sequence[Cycle]) -> PassState:
+def _starting_state(problem: EstimationProblem, windows: ShootingWindows) -> PassState:
     """Return the regression's start, with no noise known yet.
 
     Where the mass overtakes the belt, the new level must be below the load it landed with, or it would not.
     """
     local = windows.starting_values(problem.motions)
-    for k, (cycle, run) in enumerate(zip(cycles, windows.run, strict=True)):
+    for k, (cycle, run) in enumerate(zip(problem.cycles, windows.run, strict=True)):
         if cycle.overtakes:
             motion, u = problem.motions[run], problem.start[PER_RUN * run :]
             load = u[K] * (u[DATUM] - float(np.interp(cycle.landing, motion.time, motion.position)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
-from fitting.data.cycles import CycleSegmentation
+from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters, starts
@@ -36,9 +36,8 @@ class Run:
 class EstimationProblem:
     """What stays the same through a law's passes; arrays over the unknowns of all runs unless said otherwise."""
 
-    motions: tuple[MeasuredMotion, ...]
-    curve: int
-    ramp: bool
+    law: int
+    runs: tuple[Run, ...]
     active: tuple[int, ...]
     start: Array
     scale: Array
@@ -118,9 +117,8 @@ class EstimationProblem:
         prior[:, DAMPING], precision[:, DAMPING] = damping.value, _precision(damping.sd, 1e-6 * omega)
         fastest = max(motion.belt_speed for motion in motions)
         return cls(
-            motions=motions,
-            curve=kind.curve_code,
-            ramp=bool(kind.ramp),
+            law=law,
+            runs=tuple(runs),
             active=parameters.active_places(
                 law, [motion.give is not None for motion in motions], [run.ripple is not None for run in runs]
             ),
@@ -132,6 +130,26 @@ class EstimationProblem:
             precision=precision.ravel(),
             local_scale=np.array([travel, fastest, 1.0, 1.0, travel, fastest]),
         )
+
+    @property
+    def curve(self) -> int:
+        """Code of the law's curve, as the flow wants it."""
+        return LAWS[self.law].curve_code
+
+    @property
+    def ramp(self) -> bool:
+        """Whether the law's contact has a ramp."""
+        return bool(LAWS[self.law].ramp)
+
+    @property
+    def motions(self) -> tuple[MeasuredMotion, ...]:
+        """The motion of each run."""
+        return tuple(run.motion for run in self.runs)
+
+    @property
+    def cycles(self) -> tuple[Cycle, ...]:
+        """The cycles that are fitted, run by run."""
+        return tuple(cycle for run in self.runs for cycle in run.cut.used)
 
 
 def datum_calibration(motion: MeasuredMotion) -> Measured:

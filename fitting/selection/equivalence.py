@@ -18,7 +18,7 @@ from daq.runfile.rig import Measured
 from fitting.estimation import trajectory
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import GIVE, LOG_F, PER_RUN, D, K
-from fitting.model.problem import Run
+from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
 WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
@@ -57,8 +57,8 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     start = near.u.copy()
     start[GIVE::PER_RUN] = give
     giving = [replace(run, motion=replace(run.motion, give=Measured(give, give))) for run in runs]
-    fit = trajectory.fit_from(ramp - 1, giving, replace(near, u=start))
-    return None if fit is None else trajectory.final_fit(fit, giving)
+    fit = trajectory.fit_from(EstimationProblem.build(ramp - 1, giving), replace(near, u=start))
+    return None if fit is None else trajectory.final_fit(fit)
 
 
 def mean_excess(twin: Array, ramp: Array) -> float:

@@ -17,7 +17,7 @@ from fitting.data.frame import REST_FRACTION, MeasuredMotion
 from fitting.estimation import trajectory
 from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import LOG_F, V_DR, D, K
-from fitting.model.problem import Run
+from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
 COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
@@ -109,7 +109,7 @@ def reject_by_coarse_fits(laws: Sequence[int], runs: Sequence[Run], *, sustained
     longest = max(_slip_length(run.motion, run.cut) for run in few)
     for law in SCREENING_ORDER:
         if law in laws or (law in (1, 2) and not sustained):
-            fit = trajectory.coarse_fit(law, few, max_steps=SCREENING_STEPS)
+            fit = trajectory.coarse_fit(EstimationProblem.build(law, few), max_steps=SCREENING_STEPS)
             if fit is not None and fit.geometric_mean_rms < SCREENED_MISFIT * longest:
                 return ""
     return _sine_or("no law comes near it", runs, sustained=sustained)
