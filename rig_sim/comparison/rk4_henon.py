@@ -17,12 +17,9 @@ import math
 from bisect import bisect_right
 from functools import partial
 
-from rig_sim.comparison.stepping import Leg, Slopes, Way, right_hand_side
-from rig_sim.comparison.stepping import list_events as events_by
+from rig_sim.comparison.stepping import PhaseResult, PhaseSolver, Slopes, right_hand_side
 from rig_sim.integrate import buffer, modes
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.events import EventList
-from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.frame import Frame, mode_bounds
 
 HALVINGS = 60  # of a step whose end is outside while w' at its start points inwards
@@ -75,8 +72,10 @@ def slide(
     return side, t_edge, p_edge, edge
 
 
-def through(step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Buffer) -> Leg:
-    """Return the way through a slip or ramp by steps of ``step`` (s)."""
+def solve_phase(
+    step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_max: float, work: Buffer
+) -> PhaseResult:
+    """Go through a slip or ramp by steps of ``step`` (s)."""
     slopes = right_hand_side(fr, mode)
     lo, hi = mode_bounds(fr, mode)
     grid = [t]
@@ -94,14 +93,14 @@ def through(step: float, fr: Frame, mode: int, t: float, p: float, w: float, t_m
         if side == 0 and last and t >= t_max * (1.0 - 1e-15):
             t = t_max
         if side != 0 or t >= t_max or not math.isfinite(t + p + w):
-            return Leg(modes.COMPLETED, side, t, p, w, at)
+            return PhaseResult(modes.COMPLETED, side, t, p, w, at)
         if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
-            return Leg(modes.STEP_LIMIT, 0, t, p, w, at)
+            return PhaseResult(modes.STEP_LIMIT, 0, t, p, w, at)
         grid.append(t)
         states.append((p, w))
 
 
-def by_steps(step: float) -> Way:
+def by_steps(step: float) -> PhaseSolver:
     """Return the method with steps of ``step`` (s).
 
     Raises
@@ -111,26 +110,4 @@ def by_steps(step: float) -> Way:
     """
     if not (math.isfinite(step) and step > 0.0):
         raise ValueError(f"step is {step}; need a positive number")
-    return partial(through, step)
-
-
-def list_events(
-    flow: Flow, x: float, v: float, t_max: float, *, step: float, t: float = 0.0, max_steps: int = 10_000_000
-) -> EventList:
-    """Return the events between t and t_max (s) of a motion that starts at x (m) with velocity v (m/s).
-
-    Parameters
-    ----------
-    flow, x, v, t_max, t
-        As for `rig_sim.integrate.events.list_events`.
-    step : float
-        h, s.
-    max_steps : int
-        Steps after which the run ends with the outcome 'step limit'.
-
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical, or a step that is not positive.
-    """
-    return events_by(by_steps(step), flow, x, v, t_max, t=t, max_steps=max_steps)
+    return partial(solve_phase, step)

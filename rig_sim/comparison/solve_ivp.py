@@ -11,12 +11,9 @@ from typing import Any
 
 from scipy.integrate import solve_ivp
 
-from rig_sim.comparison.stepping import Leg, Way, right_hand_side
-from rig_sim.comparison.stepping import list_events as events_by
+from rig_sim.comparison.stepping import PhaseResult, PhaseSolver, right_hand_side
 from rig_sim.integrate import buffer, modes
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.events import EventList
-from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.frame import Frame, mode_bounds
 
 SOLVERS = {"dop853": "DOP853", "radau": "Radau", "lsoda": "LSODA"}
@@ -26,7 +23,7 @@ class _TooManyEvaluations(Exception):  # noqa: N818  # becomes the outcome `step
     pass
 
 
-def through(
+def solve_phase(
     solver: str,
     rtol: float,
     dense: bool,
@@ -37,8 +34,8 @@ def through(
     w: float,
     t_max: float,
     work: Buffer,
-) -> Leg:
-    """Return the way through a slip or ramp: one call of the solver; STEPS counts evaluations."""
+) -> PhaseResult:
+    """Go through a slip or ramp: one call of the solver; STEPS counts evaluations."""
     slopes = right_hand_side(fr, mode)
 
     def rates(tau: float, y: Any) -> tuple[float, float]:
@@ -69,7 +66,7 @@ def through(
             dense_output=dense,
         )
     except _TooManyEvaluations:
-        return Leg(modes.STEP_LIMIT, 0, t, p, w, lambda _: (p, w))
+        return PhaseResult(modes.STEP_LIMIT, 0, t, p, w, lambda _: (p, w))
 
     def at(t_at: float) -> tuple[float, float]:
         p_at, w_at = found.sol(t_at - t) if found.sol is not None else found.y[:, -1]  # without, the end alone is asked
@@ -77,13 +74,13 @@ def through(
 
     for (side, edge), times, states in zip(ends, found.t_events, found.y_events, strict=True):
         if len(times):
-            return Leg(modes.COMPLETED, side, t + float(times[0]), float(states[0][0]), edge, at)
+            return PhaseResult(modes.COMPLETED, side, t + float(times[0]), float(states[0][0]), edge, at)
     if found.status != 0:
-        return Leg(modes.COMPLETED, 0, math.nan, math.nan, math.nan, at)
-    return Leg(modes.COMPLETED, 0, t_max, float(found.y[0][-1]), float(found.y[1][-1]), at)
+        return PhaseResult(modes.COMPLETED, 0, math.nan, math.nan, math.nan, at)
+    return PhaseResult(modes.COMPLETED, 0, t_max, float(found.y[0][-1]), float(found.y[1][-1]), at)
 
 
-def by_solver(method: str, rtol: float, *, dense: bool) -> Way:
+def by_solver(method: str, rtol: float, *, dense: bool) -> PhaseSolver:
     """Return the method: a key of `SOLVERS` at relative tolerance ``rtol``; ``dense`` where times between are wanted.
 
     Raises
@@ -95,34 +92,4 @@ def by_solver(method: str, rtol: float, *, dense: bool) -> Way:
         raise ValueError(f"method is {method!r}; need one of {', '.join(SOLVERS)}")
     if not (math.isfinite(rtol) and rtol > 0.0):
         raise ValueError(f"rtol is {rtol}; need a positive number")
-    return partial(through, SOLVERS[method], rtol, dense)
-
-
-def list_events(
-    flow: Flow, x: float, v: float, t_max: float, *, method: str, rtol: float, max_evaluations: int = 2_000_000
-) -> EventList:
-    """Return the events between 0 and t_max (s) of a motion that starts at x (m) with velocity v (m/s).
-
-    Parameters
-    ----------
-    flow, x, v, t_max
-        As for `rig_sim.integrate.events.list_events`.
-    method : str
-        A key of `SOLVERS`.
-    rtol : float
-        Relative tolerance; the absolute one is the same number, in the scene's units.
-    max_evaluations : int
-        Of the right-hand side, after which the run ends with the outcome 'step limit'.  An explicit method in a steep
-        ramp gets there: its steps shrink with the ramp.
-
-    Returns
-    -------
-    EventList
-        ``steps`` counts evaluations of the right-hand side.
-
-    Raises
-    ------
-    ValueError
-        For a flow that is not physical, or an unknown method.
-    """
-    return events_by(by_solver(method, rtol, dense=False), flow, x, v, t_max, max_steps=max_evaluations)
+    return partial(solve_phase, SOLVERS[method], rtol, dense)

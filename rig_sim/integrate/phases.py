@@ -1,10 +1,8 @@
-"""The loop over phases: next event, motion at given times, turning points, and lists of events.
+"""The loop over phases: the next event, the motion at given times on the way there, and lists of events.
 
 All kernels take and return the state as (mode, x, w, t): x in m, w = x' - v_belt in m/s, t in s.  They run as they
 stand, with ``work = new_work()``, or compiled (`rig_sim.integrate.compiled`) with ``new_work(compiled=True)``; arrays
 of times and results are then float64 (modes too), one-dimensional and contiguous.
-
-Longer than 400 lines because the four loops share one dispatch on the mode and must stay alike.
 
 A driver that changes the Flow between events (belt start, wear, scatter, kicks) asks for one phase at a time with
 `next_event` or `sample_phase`, and classifies anew with `initial_mode` only when it moved the state or the load:
@@ -28,7 +26,6 @@ from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ram
 from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.frame import (
     Frame,
-    acceleration,
     displacement,
     frame,
     kept_inside,
@@ -259,82 +256,6 @@ def next_event(
     idle = work
     kind, mode, x, w, t, _ = sample_phase(flow, mode, x, w, t, idle, 0, 0, t_max, idle, idle, idle, work)
     return kind, mode, x, w, t
-
-
-def sample(
-    flow: Flow,
-    mode: int,
-    x: float,
-    w: float,
-    t0: float,
-    times: Buffer,
-    n: int,
-    out_x: Buffer,
-    out_v: Buffer,
-    out_mode: Buffer,
-    work: Buffer,
-) -> tuple[int, int, float, float, float]:
-    """Run through all events from t0 to times[n - 1] and store the motion at times[0:n]; the flow stays the same.
-
-    Returns (status, mode, x, w, t): status COMPLETED, or the outcome that ended the run before the last time (results
-    from there on are untouched).  Buffers as in `sample_phase`.
-    """
-    fr = frame(flow)
-    own = mirrored(fr, mode)
-    p = displacement(fr, x)
-    w = fr.mirror * w
-    t = t0
-    carry = 0.0
-    work[buffer.P_REST] = 0.0
-    work[buffer.W_REST] = 0.0
-    kind = modes.COMPLETED
-    i = 0
-    while i < n:
-        kind, own, p, w, t, carry, i = phase(
-            fr, own, p, w, t, carry, times[n - 1], times, i, n, out_x, out_v, out_mode, work
-        )
-        if kind >= modes.FORCE_REVERSAL:
-            break
-        kind = modes.COMPLETED
-    return kind, mirrored(fr, own), position(fr, p), fr.mirror * w, t + carry
-
-
-def next_turn(
-    flow: Flow, mode: int, x: float, w: float, t: float, t_max: float, work: Buffer
-) -> tuple[bool, float, float, float]:
-    """Return (found, x, w, t) at the next turning point of x (w = -v_belt) after t, staying in the given mode.
-
-    Ask with t_max no later than the phase's event: the mode's edges are not looked at.  A start on a turning point is
-    not found again.  Without one before t_max the state there is returned.
-    """
-    fr = frame(flow)
-    own = mirrored(fr, mode)
-    p = displacement(fr, x)
-    w = fr.mirror * w
-    if own == modes.STICK:
-        return False, position(fr, p + fr.v * (t_max - t)), 0.0, t_max
-    while True:
-        rest = t_max - t
-        if rest <= 0.0 or work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
-            return False, position(fr, p), fr.mirror * w, t
-        work[buffer.STEPS] += 1.0
-        lo = -math.inf
-        hi = math.inf
-        level = -fr.v
-        if w < level or (w == level and acceleration(fr, own, p, w, t) < 0.0):
-            hi = level
-        else:
-            lo = level
-        side, tau = phase_exit(fr, own, p, w, t, lo, hi, rest, work)
-        if tau > 0.0:
-            dp, dw = increments(fr, own, p, w, t, tau, work)
-            p += dp
-            w += dw
-        t = t + tau
-        if side != 0:
-            return True, position(fr, p), fr.mirror * level, t
-        if tau >= rest:
-            return False, position(fr, p), fr.mirror * w, t_max
 
 
 def run(

@@ -26,7 +26,7 @@ from daq.errors import InputError
 from rig_sim.integrate import buffer, modes
 from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.contact_state import force, initial_mode
-from rig_sim.integrate.events import list_events
+from rig_sim.integrate.events import EventList, list_events
 from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.scenes.scene import Scene
@@ -338,13 +338,26 @@ def events(scene: Scene, until: float, *, since: float = 0.0, max_steps: int = D
         found = list_them(max_steps=min(max_steps, INTERPRETED_STEPS))
         if found.outcome == modes.OUTCOMES[modes.STEP_LIMIT].name and max_steps > INTERPRETED_STEPS:
             found = list_them(max_steps=max_steps, compiled=True)  # the same list, from the same source
-        listed = (Event(*event) for event in zip(found.t, found.x, found.kinds, strict=True))
-        return Events(tuple(listed), found.outcome, found.advice, found.steps)
-    motion = ScenePlayer(scene, max_steps=max_steps)
-    motion.events = []
-    motion.advance(until)
-    late = tuple(event for event in motion.events if event.t >= since)
-    return Events(late, motion.outcome.name, motion.outcome.advice, motion.steps)
+    else:
+        found = play_events(scene, until, max_steps=max_steps)
+    listed = (Event(t, x, kind) for t, x, kind in zip(found.t, found.x, found.kinds, strict=True) if t >= since)
+    return Events(tuple(listed), found.outcome, found.advice, found.steps)
+
+
+def play_events(scene: Scene, until: float, phases: SamplePhase = sample_phase, *, max_steps: float) -> EventList:
+    """Return the events from t = 0 to ``until`` (s), phase by phase, by any method; ``phases`` as for `ScenePlayer`."""
+    player = ScenePlayer(scene, max_steps=max_steps, phases=phases)
+    player.events = []
+    player.advance(until)
+    events = player.events
+    return EventList(
+        tuple(event.t for event in events),
+        tuple(event.x for event in events),
+        tuple(event.kind for event in events),
+        player.outcome.name,
+        player.outcome.advice,
+        player.steps,
+    )
 
 
 def flow_never_changes(scene: Scene) -> bool:

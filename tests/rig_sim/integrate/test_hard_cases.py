@@ -18,8 +18,8 @@ from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.modes import COMPLETED, OUTCOMES
-from rig_sim.integrate.phases import next_event, sample
+from rig_sim.integrate.modes import COMPLETED, FORCE_REVERSAL, OUTCOMES
+from rig_sim.integrate.phases import next_event
 from rig_sim.scenes.scene import scene
 
 
@@ -29,10 +29,12 @@ def flow_of(law, **changes):
 
 def at_the_end(flow, x, v, t):
     """Return (x, v) at time t."""
-    out = [[0.0] for _ in range(3)]
-    status, *_ = sample(flow, initial_mode(flow, x, v, 0.0), x, v - flow.v_belt, 0.0, [t], 1, *out, new_work())
-    assert status == COMPLETED
-    return out[0][0], out[1][0]
+    begun, w, mode, work = 0.0, v - flow.v_belt, initial_mode(flow, x, v, 0.0), new_work()
+    kind = None
+    while kind != COMPLETED:
+        kind, mode, x, w, begun = next_event(flow, mode, x, w, begun, t, work)
+        assert kind < FORCE_REVERSAL
+    return x, w + flow.v_belt
 
 
 def meets_the_reference(flow, x, v, t_max, tolerance, *, least=1):

@@ -14,26 +14,17 @@ from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.modes import COMPLETED, NEGATIVE, RAMP, STICK
-from rig_sim.integrate.phases import next_event, next_turn, sample, sample_phase
+from rig_sim.integrate.modes import NEGATIVE, RAMP, STICK
+from rig_sim.integrate.phases import next_event, sample_phase
 
 
 def flow_of(law, **changes):
     return Flow(curve=LAWS[law].curve_code, ramp=LAWS[law].ramp, **changes)
 
 
-def sampled(flow, x, v, times):
-    n = len(times)
-    outs = [[0.0] * n for _ in range(3)]
-    mode = initial_mode(flow, x, v, times[0])
-    status, *_ = sample(flow, mode, x, v - flow.v_belt, times[0], list(times), n, *outs, new_work())
-    assert status == COMPLETED
-    return (np.array(out) for out in outs)
-
-
 @pytest.mark.parametrize("drive", [{}, {"u0": 0.2, "omega": 1.1, "phase": 0.4}])
 @pytest.mark.parametrize("law", [2, 4, 6])
-def test_samples_solve_the_equation_of_motion(law, drive):
+def test_samples_solve_the_equation_of_motion(law, drive, sampled):
     # ramp laws have a continuous right-hand side: a plain integrator can be the witness, up to its kinks
     flow = flow_of(law, m=1.3, k=0.8, x0=0.2, c=0.03, **drive)
     settings = {name: getattr(flow, name) for name in ("Fs", "G_slip", "gamma", "d")}
@@ -51,7 +42,7 @@ def test_samples_solve_the_equation_of_motion(law, drive):
     assert np.max(np.abs(v - expected.y[1])) < 1e-7
 
 
-def test_stick_samples_ride_on_the_belt():
+def test_stick_samples_ride_on_the_belt(sampled):
     times = np.linspace(0.0, 30.0, 301)
     x, v, mode = sampled(flow_of(5), 0.0, 0.0, times.tolist())
     stuck = mode == STICK
@@ -61,7 +52,7 @@ def test_stick_samples_ride_on_the_belt():
     assert np.allclose(np.diff(x)[both], 0.05, atol=1e-14)
 
 
-def test_sampling_in_pieces_equals_sampling_at_once():
+def test_sampling_in_pieces_equals_sampling_at_once(sampled):
     flow = flow_of(6, u0=0.1, omega=0.7)
     times = np.linspace(0.0, 20.0, 201).tolist()
     x, v, _ = sampled(flow, 0.0, 0.0, times)
@@ -91,28 +82,6 @@ def test_flow_may_change_between_events():
         slip_points.append(x)
         assert mode == NEGATIVE
     assert slip_points == pytest.approx([1.0, 1.1, 1.05], abs=1e-15)
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_turning_points_are_where_the_velocity_vanishes(law):
-    flow = flow_of(law, static=1.2)
-    work = new_work()
-    orbit = cycle(flow)
-    x, w, t = 1.2, -0.0, 0.0
-    mode = initial_mode(flow, x, 0.5, t)
-    turns = []
-    while t < 30.0:
-        _, following, x_end, w_end, t_end = next_event(flow, mode, x, w, t, 30.0, work)
-        found, x_turn, w_turn, t_turn = next_turn(flow, mode, x, w, t, t_end, work)
-        while found:
-            assert w_turn == -0.5
-            turns.append(x_turn)
-            found, x_turn, w_turn, t_turn = next_turn(flow, mode, x_turn, w_turn, t_turn, t_end, work)
-        assert t_turn == t_end
-        mode, x, w, t = following, x_end, w_end, t_end
-    assert turns[-2:] == pytest.approx([orbit.x_max, orbit.x_min], abs=1e-9) or turns[-2:] == pytest.approx(
-        [orbit.x_min, orbit.x_max], abs=1e-9
-    )
 
 
 @pytest.mark.parametrize(("law", "c"), [(3, 0.0), (4, 0.01), (5, 0.1), (6, 0.0)])
