@@ -235,7 +235,7 @@ def test_a_long_list_of_events_is_the_same_by_compiled_code(monkeypatch: pytest.
 def test_an_interrupted_run_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     line = [sys.executable, "-m", "rig_sim.cli.app", "run", "rig", "--until", "90000", "--rate", "1000", "-o", "m.csv"]
     with subprocess.Popen(line, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        while process.poll() is None and not (tmp_path / "m.csv.part").exists():
+        while process.poll() is None and not list(tmp_path.glob(".m.csv.*")):
             time.sleep(0.02)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)

@@ -10,7 +10,6 @@ import mpmath
 import pytest
 
 from daq.console import application
-from rig_sim.comparison import reference
 from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.friction.law import LAWS
@@ -20,6 +19,7 @@ from rig_sim.integrate.events import list_events
 from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.modes import COMPLETED, FORCE_REVERSAL, OUTCOMES
 from rig_sim.integrate.phases import next_event
+from rig_sim.motion import play
 from rig_sim.scenes.scene import scene
 
 
@@ -37,9 +37,9 @@ def at_the_end(flow, x, v, t):
     return x, w + flow.v_belt
 
 
-def meets_the_reference(flow, x, v, t_max, tolerance, *, least=1):
+def meets_the_reference(reference_events, flow, x, v, t_max, tolerance, *, least=1):
     found = list_events(flow, x, v, t_max, every_cycle=True)
-    expected = reference.events(flow, x, v, t_max)
+    expected = reference_events(flow, x, v, t_max)
     error, note = difference(found, [(t, kind) for t, kind, _ in expected], t_max)
     assert note == ""
     assert error <= tolerance
@@ -58,15 +58,15 @@ def test_on_a_resting_belt_constant_friction_takes_twice_its_cone_off_each_swing
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_mass_outside_the_cone_of_a_resting_belt_meets_the_reference(law):
-    found = meets_the_reference(flow_of(law, v_belt=0.0), 3.3, 0.0, 40.0, 1e-14, least=2)
+def test_a_mass_outside_the_cone_of_a_resting_belt_meets_the_reference(law, reference_events):
+    found = meets_the_reference(reference_events, flow_of(law, v_belt=0.0), 3.3, 0.0, 40.0, 1e-14, least=2)
     assert found.kinds[-1] in ("P>S", "N>S")
     assert abs(found.x[-1]) <= 1.0
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_belt_that_runs_backwards_meets_the_reference(law):
-    meets_the_reference(flow_of(law, v_belt=-0.6, c=0.02, x0=0.1), 0.2, 0.1, 40.0, 2e-14, least=2)
+def test_a_belt_that_runs_backwards_meets_the_reference(law, reference_events):
+    meets_the_reference(reference_events, flow_of(law, v_belt=-0.6, c=0.02, x0=0.1), 0.2, 0.1, 40.0, 2e-14, least=2)
 
 
 # Wide ramps, steep slip, no friction ----------------------------------------------------------------------------------
@@ -83,8 +83,8 @@ def test_a_ramp_as_wide_as_the_belt_speed_rests_where_spring_and_ramp_balance(la
 
 @pytest.mark.parametrize("law", [4, 6])
 @pytest.mark.parametrize("d", [1.0, 0.5], ids=["G_stick -1: complex roots", "G_stick -2: double root"])
-def test_a_wide_ramp_on_a_fast_belt_meets_the_reference(law, d):
-    meets_the_reference(flow_of(law, d=d, v_belt=1.5), 0.0, 0.0, 40.0, 2e-14, least=8)
+def test_a_wide_ramp_on_a_fast_belt_meets_the_reference(law, d, reference_events):
+    meets_the_reference(reference_events, flow_of(law, d=d, v_belt=1.5), 0.0, 0.0, 40.0, 2e-14, least=8)
 
 
 @pytest.mark.parametrize("G_slip", [2.0, 1.0], ids=["double root", "complex roots"])
@@ -114,9 +114,11 @@ def test_without_friction_nothing_is_lost_in_a_million_time_units():
     assert math.hypot(x, v) == pytest.approx(0.3, abs=1e-9)
 
 
-def test_resonant_forcing_with_the_friction_s_fall_damped_away_meets_the_reference_and_reverses_the_force():
+def test_resonant_forcing_with_the_friction_s_fall_damped_away_meets_the_reference_and_reverses_the_force(
+    reference_events,
+):
     flow = flow_of(3, c=0.05, u0=0.3, omega=1.0)
-    meets_the_reference(flow, 0.0, 0.0, 30.0, 1e-14, least=8)
+    meets_the_reference(reference_events, flow, 0.0, 0.0, 30.0, 1e-14, least=8)
     # without stick the swing grows by u0/2 a unit of time: x = 1 - G v/k + (u0/2) t sin t - ... , so the force reverses
     free = flow_of(3, c=0.05, u0=2.0, omega=1.0, v_belt=8.0, G_slip=0.05)
     found = list_events(free, 0.6, 0.0, 1000.0)
@@ -147,12 +149,12 @@ def test_law_1_an_ulp_outside_its_grazing_cycle_stays_there():
     assert math.hypot(x - 1.0, v_end) == pytest.approx(0.5, abs=1e-15)
 
 
-def test_law_1_driven_may_touch_the_belt_within_less_than_an_ulp():
+def test_law_1_driven_may_touch_the_belt_within_less_than_an_ulp(reference_events):
     # omega = 3/10 exactly brings the mass back to the belt's speed at t = 78.026; the nearest float falls short
     # by 7e-18, less than rounding of w, and the next float passes: a stick of zero length, none, or one of 1e-8
     flow = flow_of(1, u0=0.2, omega=0.3)
-    expected = reference.events(flow, 0.0, 0.0, 100.0)
-    beyond = reference.events(flow._replace(omega=math.nextafter(0.3, 1.0)), 0.0, 0.0, 100.0)
+    expected = reference_events(flow, 0.0, 0.0, 100.0)
+    beyond = reference_events(flow._replace(omega=math.nextafter(0.3, 1.0)), 0.0, 0.0, 100.0)
     assert (len(expected), len(beyond)) == (6, 8)
     assert float(beyond[-1][0] - beyond[-2][0]) == pytest.approx(1.1e-8, rel=0.05)
     found = list_events(flow, 0.0, 0.0, 100.0)
@@ -162,21 +164,21 @@ def test_law_1_driven_may_touch_the_belt_within_less_than_an_ulp():
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_a_start_on_the_slip_point_meets_the_reference(law):
+def test_a_start_on_the_slip_point_meets_the_reference(law, reference_events):
     if law in (1, 2):  # these touch at the end of every turn: the first slip
         found = list_events(flow_of(law), 1.0, 0.5, 6.0)
         assert found.kinds[0] == "S>N"
         return
-    meets_the_reference(flow_of(law), 1.0, 0.5, 30.0, 2e-14, least=5)
+    meets_the_reference(reference_events, flow_of(law), 1.0, 0.5, 30.0, 2e-14, least=5)
 
 
 @pytest.mark.parametrize("law", [2, 4, 6])
 @pytest.mark.parametrize("x", [-2.5, 0.0, 0.5, 1.0, 2.5])
 @pytest.mark.parametrize("v", [0.0, 1.0])
-def test_a_start_on_the_edge_of_the_ramp_goes_where_the_force_pushes(law, x, v):
+def test_a_start_on_the_edge_of_the_ramp_goes_where_the_force_pushes(law, x, v, reference_events):
     flow = flow_of(law, d=0.5, c=0.1)
     found = list_events(flow, x, v, 12.0)
-    expected = reference.events(flow, x, v, 12.0)
+    expected = reference_events(flow, x, v, 12.0)
     assert difference(found, [(t, kind) for t, kind, _ in expected], 12.0) == (pytest.approx(0.0, abs=1e-14), "")
 
 
@@ -185,10 +187,10 @@ def test_a_start_on_the_edge_of_the_ramp_goes_where_the_force_pushes(law, x, v):
 FOLD = 0.556168088639876
 
 
-def test_just_below_the_fold_the_mass_sticks_and_just_above_it_comes_to_rest():
+def test_just_below_the_fold_the_mass_sticks_and_just_above_it_comes_to_rest(reference_events):
     below, above = (flow_of(5, v_belt=0.6, c=FOLD + side) for side in (-1e-9, 1e-9))
     # w comes back at 9e-5 per unit of time: 2e-16 of it are 2e-12 of time, and the landings add up
-    found = meets_the_reference(below, 1.0 - FOLD * 0.6, 0.6, 60.0, 3e-11, least=18)
+    found = meets_the_reference(reference_events, below, 1.0 - FOLD * 0.6, 0.6, 60.0, 3e-11, least=18)
     assert found.kinds.count("N>S") >= 9
     orbit = cycle(below)
     assert (orbit.outcome, orbit.period) == ("cycle", pytest.approx(6.48057626545, abs=5e-9))
@@ -218,15 +220,17 @@ def test_law_6_on_a_slow_belt_rests_inside_its_ramp():
 
 
 @pytest.mark.parametrize("law", [3, 5])
-def test_driven_hard_the_stick_ends_at_its_lower_edge_and_slip_turns_over_without_stick(law):
-    found = meets_the_reference(flow_of(law, v_belt=0.1, u0=2.5, omega=0.3), 0.0, 0.0, 40.0, 1e-12, least=8)
+def test_driven_hard_the_stick_ends_at_its_lower_edge_and_slip_turns_over_without_stick(law, reference_events):
+    found = meets_the_reference(
+        reference_events, flow_of(law, v_belt=0.1, u0=2.5, omega=0.3), 0.0, 0.0, 40.0, 1e-12, least=8
+    )
     assert {"S>P", "N>P"} <= set(found.kinds)
 
 
 @pytest.mark.parametrize("law", [1, 3, 5])
-def test_slips_far_shorter_than_a_step_are_all_seen(law):
+def test_slips_far_shorter_than_a_step_are_all_seen(law, reference_events):
     flow = flow_of(law, u0=0.02, omega=87.3, v_belt=0.085)
-    found = meets_the_reference(flow, 0.0, 0.0, 11.9, 2e-13, least=4)
+    found = meets_the_reference(reference_events, flow, 0.0, 0.0, 11.9, 2e-13, least=4)
     slips = [b - a for a, b, kind in zip(found.t, found.t[1:], found.kinds, strict=False) if kind == "S>N"]
     if law == 1:
         assert min(slips) < 4.0 / (1.0 + 87.3)  # the longest step
@@ -236,16 +240,16 @@ def test_slips_far_shorter_than_a_step_are_all_seen(law):
 
 
 @pytest.mark.parametrize("law", [1, 5, 6])
-def test_a_start_a_million_lengths_away_meets_the_reference(law):
-    meets_the_reference(flow_of(law), 1e6, 0.0, 30.0, 1e-14, least=9)
+def test_a_start_a_million_lengths_away_meets_the_reference(law, reference_events):
+    meets_the_reference(reference_events, flow_of(law), 1e6, 0.0, 30.0, 1e-14, least=9)
 
 
 @pytest.mark.parametrize(
     ("law", "gamma"), [(5, 1e-8), *((law, gamma) for law in (5, 6) for gamma in (1.0, 1e2, 1e4, 1e8))]
 )
-def test_any_gamma_meets_the_reference(law, gamma):
+def test_any_gamma_meets_the_reference(law, gamma, reference_events):
     tolerance = 1e-11 if gamma < 1.0 else 2e-14  # gamma -> 0 is law 1, which grazes
-    meets_the_reference(flow_of(law, gamma=gamma), 1.0, 0.5, 40.0, tolerance, least=1)
+    meets_the_reference(reference_events, flow_of(law, gamma=gamma), 1.0, 0.5, 40.0, tolerance, least=1)
 
 
 def test_a_ramp_of_slope_1e16_is_a_jump():
@@ -329,7 +333,9 @@ def told(capsys, *line, code=0):
     ],
     ids=lambda value: "+".join(value) if isinstance(value, list) else str(value),
 )
-def test_every_run_ends_by_name(capsys, changes, until, outcome):
+def test_every_run_ends_by_name(capsys, monkeypatch, changes, until, outcome):
+    if outcome == "event limit":
+        monkeypatch.setattr(play, "MOST_EVENTS", 10_000)
     sets = [word for change in changes for word in ("--set", change)]
     steps = [] if outcome == "event limit" else ["--max-steps", "20000"]
     found = told(capsys, "events", "base", "--until", until, *sets, *steps)
@@ -337,6 +343,12 @@ def test_every_run_ends_by_name(capsys, changes, until, outcome):
     assert found["steps"] <= 20_000
     if outcome:
         assert found["outcome"] == outcome
+
+
+@pytest.mark.slow
+def test_an_endless_list_of_events_ends_at_a_million(capsys):
+    found = told(capsys, "events", "base", "--until", "1e300")
+    assert (found["outcome"], len(found["events"])) == ("event limit", 1_000_000)
 
 
 def test_law_6_to_a_million_time_units_costs_its_transient():

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from rig_sim.comparison import reference
 from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.friction.contact import force as force_of_law
@@ -203,10 +202,10 @@ SETS = [
 
 
 @pytest.mark.parametrize(("law", "changes"), SETS, ids=str)
-def test_event_times_are_right_to_two_ulp_after_a_thousand_time_units(law, changes):
+def test_event_times_are_right_to_two_ulp_after_a_thousand_time_units(law, changes, reference_events):
     flow = flow_of(law, **changes)
     until = 1000.0
-    expected = [(t, kind) for t, kind, _ in reference.events(flow, 0.0, 0.0, until)]
+    expected = [(t, kind) for t, kind, _ in reference_events(flow, 0.0, 0.0, until)]
     assert len(expected) > 60
     for every_cycle in (True, False):
         found = list_events(flow, 0.0, 0.0, until, every_cycle=every_cycle)
@@ -216,11 +215,11 @@ def test_event_times_are_right_to_two_ulp_after_a_thousand_time_units(law, chang
 
 
 @pytest.mark.parametrize(("law", "changes"), SETS, ids=str)
-def test_period_stick_time_and_sticking_point_are_right_to_1e_14(law, changes):
+def test_period_stick_time_and_sticking_point_are_right_to_1e_14(law, changes, reference_events):
     flow = flow_of(law, **changes)
     orbit = cycle(flow)
     assert orbit.outcome == "cycle"
-    expected = reference.events(flow, 0.0, 0.0, 120.0)
+    expected = reference_events(flow, 0.0, 0.0, 120.0)
     slips = [i for i, (_, kind, _) in enumerate(expected) if kind[0] == "S"]
     begin, end = slips[-2], slips[-1]
     before = end - 1  # the landing that stays
@@ -244,10 +243,10 @@ def test_period_stick_time_and_sticking_point_are_right_to_1e_14(law, changes):
     ],
     ids=str,
 )
-def test_driven_event_lists_meet_the_reference_to_1e_12(law, changes):
+def test_driven_event_lists_meet_the_reference_to_1e_12(law, changes, reference_events):
     flow = flow_of(law, **changes)
     found = list_events(flow, 0.0, 0.0, 100.0)
-    expected = reference.events(flow, 0.0, 0.0, 100.0)
+    expected = reference_events(flow, 0.0, 0.0, 100.0)
     error, note = difference(found, [(t, kind) for t, kind, _ in expected], 100.0)
     assert note == ""
     assert len(found.t) >= 10
