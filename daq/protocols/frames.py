@@ -164,14 +164,6 @@ class FrameTally:
 
     def feed(self, data: bytes) -> None:
         """Take bytes as they came."""
-        if self._next is not None and (found := self._frames.sample_run(data)) is not None:
-            payload, count = found
-            seq, n = payload[3] | payload[4] << 8, payload[2]
-            if seq - self._next & 0xFFFF == (count - 1) * n:  # nothing is missing, late or damaged among them
-                self._frames.skip(data)
-                self.reached += count * n
-                self._next = seq + n & 0xFFFF
-                return
         for payload in self._frames.payloads(data):
             if payload[0] == frames.SAMPLES and len(payload) > frames.SAMPLES_HEADER:
                 seq = payload[3] | payload[4] << 8

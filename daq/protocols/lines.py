@@ -12,16 +12,18 @@ period a number, and a net count is split into what went up and what went down, 
 the same as for frames.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from array import array
+from collections.abc import Callable, Iterable, Sequence
+from enum import IntFlag
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.wire import frames
 from daq.wire.counters import LATE_FRAMES, increments
-from daq.wire.cut import Cut
 from daq.wire.decode import Stream
+from daq.wire.splitter import Splitter
 
 LEAP_COUNTS = 32
 LEAP_MOTIONS = 8  # how much farther than the motion about it a line must leap to be damaged
@@ -31,68 +33,105 @@ SPIKE_AMONG = 16  # lines on either side that tell what is usual, but for the ne
 LOOK_AHEAD = 8  # lines among which the one must be that follows the last good one, where times disagree
 
 
-@dataclass
-class Rows:
-    """Lines as read, m of them, in order of arrival; those that say nothing are among them.
+class Other(IntFlag):
+    """What a line is that holds no sample."""
+
+    REMARK = 0
+    DAMAGED = 1
+    START = 2  # the board says that it has started; behind a line that its reset cut short, with `DAMAGED`
+
+
+# What a sample's line holds, as far as the protocol has it: ticks, up, down, status, illegal, each modulo its width.  A
+# net count stands for up.
+Row = tuple[int, ...]
+
+
+class LineReader:
+    """Read samples from a stream of lines; never raises on garbage, back in step at the next delimiter.
+
+    Parameters
+    ----------
+    delimiter, longest : bytes, int
+        What ends a line, and bytes beyond which a line is damaged.
+    parse : callable
+        Returns what a line holds.
+    trusts_first : bool
+        A first line that has lost its beginning is seen as damaged by its form.  It is no error then; where it could
+        not be seen, the first line is no sample either.
 
     Attributes
     ----------
-    lines : Cut
-        Where they come from.
-    good, bad : (m,) bool
-        Which are samples, and which are damaged; a remark is neither.
-    ticks, up, down, status, illegal : (m,) int64
-        What a good line said, modulo its width.  A net count stands in ``up``, and ``net`` is true.
-    net : bool
-        Whether there is but one counter.
-    starts : list of int
-        Lines that said that the board has started.
-    endless : bool
-        What stands after the last line is longer than any line: damage, too.
-    discarded_bytes : int
-        Bytes of all damage.
+    example : bytes
+        The first line that was damaged.
     """
 
-    lines: Cut
-    good: NDArray[np.bool_]
-    bad: NDArray[np.bool_]
-    ticks: NDArray[np.int64]
-    up: NDArray[np.int64]
-    down: NDArray[np.int64]
-    status: NDArray[np.int64]
-    illegal: NDArray[np.int64]
-    net: bool
-    starts: list[int] = field(default_factory=list)
-    endless: bool = False
-    discarded_bytes: int = 0
+    def __init__(
+        self, delimiter: bytes, longest: int, parse: Callable[[bytes], Row | Other], *, trusts_first: bool
+    ) -> None:
+        self.example = b""
+        self._splitter = Splitter(delimiter, longest)
+        self._longest = longest
+        self._parse = parse
+        self._trusts_first = trusts_first
+        self._first = True
+        self._damaged_bytes = 0
 
-    @classmethod
-    def of(cls, lines: Cut, net: bool) -> "Rows":
-        """Return rows to be filled in: no line is good yet, nor bad."""
-        m = len(lines)
-        good, bad = np.zeros((2, m), dtype=np.bool_)
-        ticks, up, down, status, illegal = np.zeros((5, m), dtype=np.int64)
-        return cls(lines, good, bad, ticks, up, down, status, illegal, net)
+    @property
+    def discarded_bytes(self) -> int:
+        """Bytes of all damaged lines, delimiters not included."""
+        return self._damaged_bytes + self._splitter.dropped_bytes
 
-    def close(self, longest: int) -> None:
-        """Count the bytes of what is damaged; the first line, whose beginning may be missing, is no error."""
-        self.endless = self.lines.rest > longest and len(self.lines) > 0
-        self.discarded_bytes = int(self.lines.length[self.bad].sum()) + self.lines.rest * (self.lines.rest > longest)
-        self.bad[:1] = False
+    def feed(self, data: bytes) -> tuple[list[Row], list[tuple[int, Other]]]:
+        """Take bytes as they came; return the samples in order, and damage and starts: each behind how many of them."""
+        rows: list[Row] = []
+        others: list[tuple[int, Other]] = []
+        for line in self._splitter.feed(data):
+            item = self._parse(line) if len(line) <= self._longest else Other.DAMAGED
+            if isinstance(item, tuple):
+                if self._trusts_first or not self._first:
+                    rows.append(item)
+            elif item:
+                if Other.DAMAGED in item:
+                    self.example = self.example or line
+                    self._damaged_bytes += len(line)
+                if self._first:
+                    item &= ~Other.DAMAGED
+                others.append((len(rows), item))
+            self._first = False
+        return rows, others
 
 
 class LineTally:
     """How far a stream of lines has come, by their times; see `daq.protocols.session.Tally`."""
 
-    def __init__(self, period_ticks: float) -> None:
+    def __init__(self, make_reader: Callable[[], LineReader], period_ticks: float) -> None:
         self.reached = 0
         self.resets = 0
         self.notice = ""
+        self._make_reader = make_reader
+        self._reader = make_reader()
         self._period = period_ticks
         self._last: int | None = None
         self._odd = 0  # lines in a row whose times do not follow the last good one
 
-    def step(self, ticks: int) -> None:
+    def feed(self, data: bytes) -> None:
+        """Take bytes as they came."""
+        rows, others = self._reader.feed(data)
+        starts = [behind for behind, other in others if Other.START in other]
+        for behind in range(len(rows) + 1):
+            if behind in starts and self._last is not None:
+                self.resets += 1
+                self._last = None
+            if behind < len(rows):
+                self._step(rows[behind][0])
+
+    def begin_again(self, reached: int) -> None:
+        """Begin anew, ``reached`` periods after the start."""
+        self._reader = self._make_reader()
+        self._last, self._odd = None, 0
+        self.reached = max(self.reached, reached)
+
+    def _step(self, ticks: int) -> None:
         """Take the time of a line."""
         if self._last is None:
             self.reached += 1
@@ -112,35 +151,37 @@ class LineTally:
                 self.resets += 1
             self._last = ticks
 
-    def stride(self, ticks: int, lines: int) -> bool:
-        """Take the time of the last of so many lines, if it is as many periods on; False, and nothing taken, if not."""
-        if self._last is None or lines == 0:
-            return False
-        periods = ((ticks - self._last + 0x80000000 & 0xFFFFFFFF) - 0x80000000) / self._period
-        if not lines - 0.5 <= periods <= lines + 0.5:
-            return False
-        self.reached += lines
-        self._last, self._odd = ticks, 0
-        return True
 
-    def restarted(self) -> None:
-        """Note that the board said it has started."""
-        if self._last is not None:
-            self.resets += 1
-            self._last = None
+def decode(
+    reads: Iterable[tuple[int, bytes]], reader: LineReader, ident: frames.Ident, period_ticks: float, *, net: bool
+) -> Stream:
+    """Decode the reads of one connection into frames of one sample each.
 
-    def begin_again(self, reached: int) -> None:
-        """Begin anew, ``reached`` periods after the start."""
-        self._last, self._odd = None, 0
-        self.reached = max(self.reached, reached)
+    Lines that cannot be true are counted as damaged.
 
-
-def to_stream(rows: Rows, ident: frames.Ident, period_ticks: float) -> Stream:
-    """Return lines as a stream of frames of one sample each; lines that cannot be true are counted as damaged."""
-    before = np.concatenate(([0], np.cumsum(rows.good)))  # good lines before each line
-    line = np.flatnonzero(rows.good)
-    ticks, up, down = rows.ticks[line], rows.up[line], rows.down[line]
-    keep = _in_time(ticks, period_ticks, before[rows.starts].tolist())
+    Parameters
+    ----------
+    reads : iterable of (int, bytes)
+        Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
+    reader, ident, period_ticks
+        Reader of this protocol's lines, what is known of the board, and the nominal sample interval.
+    net : bool
+        There is but one counter, a signed net count.
+    """
+    values = array("q")
+    stamps: list[int] = []  # of each good line
+    found: list[tuple[int, Other]] = []  # behind how many good lines
+    for stamp, data in reads:
+        rows, others = reader.feed(data)
+        found += [(len(stamps) + behind, other) for behind, other in others]
+        values.extend(chain.from_iterable(rows))
+        stamps += [stamp] * len(rows)
+    bad, begun = ([behind for behind, other in found if what in other] for what in (Other.DAMAGED, Other.START))
+    columns = np.zeros((5, len(stamps)), dtype=np.int64)
+    sent = np.frombuffer(values, dtype=np.int64).reshape(len(stamps), -1).T if stamps else columns
+    columns[: len(sent)] = sent
+    ticks, up, down, status, illegal = columns
+    keep = _in_time(ticks, period_ticks, begun)
     keep[keep] = ~_leaps(up[keep] - down[keep], ident.counter_bits)
     periods = _elapsed(ticks[keep][1:], ticks[keep][:-1]) / period_ticks
     keep[keep] = ~_spikes(period_ticks * (periods - np.round(periods)))  # lines that are missing are none
@@ -149,14 +190,12 @@ def to_stream(rows: Rows, ident: frames.Ident, period_ticks: float) -> Stream:
     together = np.convolve(np.append(np.abs(periods - 1) < 0.5, False), np.ones(4)) == 4
     moved = _signed(np.diff(up[keep] - down[keep]), ident.counter_bits)
     keep[keep] = ~(_spikes(moved) & together[1 : len(moved) + 2])
-    damaged = rows.bad.copy()
-    damaged[line[~keep]] = True
+    damaged = np.sort(np.concatenate((np.array(bad, dtype=np.int64), np.flatnonzero(~keep))))
     kept = np.concatenate(([0], np.cumsum(keep)))  # lines kept before each good one
-    starts = kept[before[rows.starts]] if rows.starts else np.empty(0, dtype=np.int64)
-    line, ticks, up, down = line[keep], ticks[keep], up[keep], down[keep]
-    if rows.net:
+    ticks, up, down = ticks[keep], up[keep], down[keep]
+    if net:
         up, down = _two_counters(up, ident.counter_bits)
-    sequence, starts = _sequence(ticks, period_ticks, starts)
+    sequence, starts = _sequence(ticks, period_ticks, kept[np.array(begun, dtype=np.int64)])
     n = len(ticks)
     nothing = np.empty(0, dtype=np.int64)
     return Stream(
@@ -164,12 +203,12 @@ def to_stream(rows: Rows, ident: frames.Ident, period_ticks: float) -> Stream:
         n=np.ones(n, dtype=np.int64),
         seq=sequence,
         ticks=ticks,
-        illegal=rows.illegal[line],
-        stamp_ns=rows.lines.stamp_ns[line],
+        illegal=illegal[keep],
+        stamp_ns=np.array(stamps, dtype=np.int64)[keep],
         dt=np.zeros(n, dtype=np.uint16),
         up=_as_wide_as(ident.counter_bits, up),
         down=_as_wide_as(ident.counter_bits, down),
-        status=rows.status[line].astype(np.uint8),
+        status=status[keep].astype(np.uint8),
         belt=None,
         edge=None,
         ident=ident,
@@ -179,10 +218,10 @@ def to_stream(rows: Rows, ident: frames.Ident, period_ticks: float) -> Stream:
         truth_seq=nothing,
         truth_frame=nothing,
         truth=np.empty((0, 4)),
-        crc_frame=kept[before[np.append(np.flatnonzero(damaged), [len(damaged)] * rows.endless).astype(np.int64)]],
-        crc_errors=int(np.count_nonzero(damaged)) + rows.endless,
+        crc_frame=kept[damaged],
+        crc_errors=len(damaged),
         unknown=0,
-        discarded_bytes=rows.discarded_bytes,
+        discarded_bytes=reader.discarded_bytes,
         length=np.zeros(n, dtype=np.int64),
         part_stamp_ns=nothing,
         part_frame=nothing,

@@ -20,13 +20,13 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from daq.errors import DeviceError, InputError
+from daq.protocols import lines
 from daq.protocols import session as sessions
-from daq.protocols.lines import LineTally, Rows, to_stream
+from daq.protocols.lines import LineReader, LineTally, Other, Row
 from daq.protocols.session import Identity, Line, Plan, Port, Wish
-from daq.wire import cut, frames
+from daq.wire import frames
+from daq.wire.splitter import Splitter
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream
@@ -38,14 +38,11 @@ RECORD_BYTES = 21
 LONGEST_RECORD = 64  # bytes; what is longer without a "!" is damage
 MODES = {"x1": "1", "x4": "3"}
 REPLY_S = 1.0
-_RECORD = re.compile(rb"([rwse])([0-9A-Fa-f]{2})([0-9A-Fa-f]{8})([0-9A-Fa-f]{8})?")
-_BANNER = re.compile(rb"QSB-[A-Z0-9]{1,8}$")
+_SAMPLE = re.compile(rb"s[0-9A-Fa-f]{18}")
+_RECORD = re.compile(rb"[rwse][0-9A-Fa-f]{10}(?:[0-9A-Fa-f]{8})?")
 _ERROR = re.compile(rb"e[0-9A-Fa-f]{0,18}")
+_BANNER = re.compile(rb"QSB-[A-Z0-9]{1,8}$")
 _SPACE = b" \r\n"
-_NIBBLE = np.full(256, 255, dtype=np.uint8)  # the value of a hex digit
-for _digits in (b"0123456789abcdef", b"0123456789ABCDEF"):
-    _NIBBLE[list(_digits)] = range(16)
-_KINDS = np.where(_NIBBLE < 16, ord("0"), np.arange(256)).astype(np.uint8)
 
 
 def check(wish: Wish) -> None:
@@ -80,102 +77,27 @@ def ident(decoder: str | None, interval: int = 1) -> frames.Ident:
     )
 
 
-def _holds(record: bytes) -> bool:
-    return any(pattern.fullmatch(record) for pattern in (_RECORD, _BANNER, _ERROR))
+def _parse(line: bytes) -> Row | Other:
+    """Return what a record holds; spaces in it mean nothing."""
+    record = line.translate(None, _SPACE)
+    if _SAMPLE.fullmatch(record):
+        return int(record[11:], 16), int(record[3:11], 16)
+    if _BANNER.fullmatch(record):
+        return Other.START
+    if _RECORD.fullmatch(record) or _ERROR.fullmatch(record):
+        return Other.REMARK
+    return Other.DAMAGED | Other.START if _BANNER.search(record) else Other.DAMAGED
 
 
-def _is_sample(record: bytes) -> bool:
-    return record.startswith(b"s") and len(record) == 19
-
-
-class Records:
-    """Cut a byte stream into records; never raises on garbage, back in step at the next ``!``."""
-
-    def __init__(self) -> None:
-        self._tail = b""
-        self._skipping = False
-
-    def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes as they came and return the records that hold, stripped of spaces and of their ``!``."""
-        *lines, self._tail = (self._tail + data).split(b"!")
-        found = []
-        for line in lines:
-            record = line.translate(None, _SPACE)
-            if self._skipping:
-                self._skipping = False
-            elif _holds(record):
-                found.append(record)
-            elif cut_short := _BANNER.search(record):  # a reset cut a record short and announced itself behind it
-                found.append(cut_short[0])
-        if len(self._tail) > LONGEST_RECORD:
-            self._skipping = True
-            self._tail = b""
-        return found
-
-    def last(self, data: bytes) -> tuple[bytes, int]:
-        """Look ahead: return the last record that ``data`` completes, held or not, and how many; nothing is taken."""
-        if self._skipping:
-            return b"", 0
-        whole = self._tail + data
-        end = whole.rfind(b"!")
-        begin = whole.rfind(b"!", 0, max(end, 0)) + 1
-        return whole[begin : max(end, 0)].translate(None, _SPACE), whole.count(b"!")
-
-    def skip(self, data: bytes) -> None:
-        """Take bytes without reading the records that they complete."""
-        self._tail = (self._tail + data).rpartition(b"!")[2]
-
-
-class Tally(LineTally):
-    """How far a stream of records has come."""
-
-    def __init__(self, interval: int) -> None:
-        super().__init__(interval)
-        self._records = Records()
-
-    def feed(self, data: bytes) -> None:
-        """Take bytes as they came."""
-        record, count = self._records.last(data)
-        if _is_sample(record) and _holds(record) and self.stride(int(record[11:], 16), count):
-            self._records.skip(data)
-            return
-        for record in self._records.feed(data):
-            if record.startswith(b"QSB"):
-                self.restarted()
-            elif _is_sample(record):
-                self.step(int(record[11:], 16))
-
-    def begin_again(self, reached: int) -> None:
-        """Begin anew, ``reached`` periods after the start."""
-        super().begin_again(reached)
-        self._records = Records()
+def reader() -> LineReader:
+    """Return a reader of records."""
+    return LineReader(b"!", LONGEST_RECORD, _parse, trusts_first=True)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
     """Decode the reads of one connection."""
-    rows = Rows.of(cut.cut(reads, b"!"), net=True)
-    lines = rows.lines
-    singly = np.ones(len(lines), dtype=np.bool_)
-    for where, together in lines.by_length(19, LONGEST_RECORD):
-        for same in cut.alike(together, _KINDS):
-            first = together[same[0]]
-            place = np.flatnonzero(~np.isin(first, list(_SPACE)))
-            record = first[place].tobytes()
-            if _is_sample(record) and _holds(record):  # then each of this shape does
-                line = where[same]
-                digits = _NIBBLE[together[same[:, np.newaxis], place[3:]].T]
-                rows.up[line], rows.ticks[line] = cut.number(digits[:8], 16), cut.number(digits[8:], 16)
-                rows.good[line], singly[line] = True, False
-    for k in np.flatnonzero(singly).tolist():
-        record = lines.line(k).translate(None, _SPACE)
-        held = _holds(record)
-        rows.bad[k] = not held
-        if held and _is_sample(record):
-            rows.good[k], rows.up[k], rows.ticks[k] = True, int(record[3:11], 16), int(record[11:], 16)
-        elif record.startswith(b"QSB") if held else _BANNER.search(record):  # of a reset, behind a record cut short
-            rows.starts.append(k)
-    rows.close(LONGEST_RECORD)
-    return to_stream(rows, ident(header.get("decoder")), TICK_HZ / float(header["rate_hz"]))
+    period_ticks = TICK_HZ / float(header["rate_hz"])
+    return lines.decode(reads, reader(), ident(header.get("decoder")), period_ticks, net=True)
 
 
 class Qsb(Line):
@@ -233,7 +155,7 @@ class Qsb(Line):
         self._settings = ("W155", f"W03{mode}", "W0B0", f"W0C{self._interval:X}", "W0D1")
         for command in self._settings:
             self.send(command)
-            reply, _ = self._reply(b"w" + command[1:3].encode(), REPLY_S)
+            reply, _ = self._reply(b"w" + command[1:3].lower().encode(), REPLY_S)
             if reply is None and not command.startswith("W0B"):
                 raise DeviceError(f"the QSB does not acknowledge {command}", self.url, "plug it in again")
         return Identity(ident(self.wish.decoder))
@@ -250,21 +172,23 @@ class Qsb(Line):
         """Stop the stream."""
         self.send("W160", "R0E")
 
-    def tally(self) -> Tally:
+    def tally(self) -> LineTally:
         """Return a new tally."""
-        return Tally(self._interval)
+        return LineTally(reader, self._interval)
 
     def _reply(self, begins: bytes, within_s: float) -> tuple[bytes | None, int]:
         """Return the record that answers a command, None when none or an error comes; and the bytes read."""
-        records = Records()
+        splitter = Splitter(b"!", LONGEST_RECORD)
         until = time.monotonic() + within_s
         heard = 0
         while time.monotonic() < until:
             data = self.read()
             heard += len(data)
-            for record in records.feed(data):
-                if record[:3].lower() == begins.lower():
-                    return record, heard
-                if _ERROR.fullmatch(record) and not _RECORD.fullmatch(record):
+            for line in splitter.feed(data):
+                record = line.translate(None, _SPACE)
+                if _RECORD.fullmatch(record):
+                    if record[:3].lower() == begins:
+                        return record, heard
+                elif _ERROR.fullmatch(record):
                     return None, heard
         return None, heard

@@ -19,20 +19,22 @@ xor                 two hex digits: XOR of the bytes before the separator in fro
 The rate is the sketch's own: it is measured before the recording starts.  Nothing is sent to the board.
 """
 
+import re
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial, reduce
 from itertools import pairwise
+from operator import xor
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from daq.errors import DeviceError, InputError, nearest
+from daq.protocols import lines
 from daq.protocols import session as sessions
-from daq.protocols.lines import LineTally, Rows, to_stream
+from daq.protocols.lines import LineReader, LineTally, Other, Row
 from daq.protocols.session import Identity, Line, Plan, Port, Wish
-from daq.protocols.text_columns import KINDS, Columns, columns
-from daq.wire import cut, frames
+from daq.wire import frames
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream
@@ -43,6 +45,20 @@ LISTEN_S = 1.0  # of good lines, by their own times, before the rate is believed
 FEWEST_LINES = 20
 RATE_WITHIN = 0.1  # of the wished rate
 LONGEST_LINE = 256
+
+
+_TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
+_COUNTS = ("up", "down", "count", "ticks")
+_PATTERNS = {
+    **dict.fromkeys(_TIMES, r"(\d{1,12}+)(?:\.(\d{0,9}+))?+"),
+    **dict.fromkeys(("up", "down"), r"(\d{1,10}+)"),
+    **dict.fromkeys(("count", "ticks"), r"([+-]?+\d{1,10}+)"),
+    **dict.fromkeys(("a", "b"), "([01])"),
+    "illegal": r"(\d{1,5}+)",
+    "xor": r"\*?+([0-9A-Fa-f]{2})",
+    "-": r"[^,;\s]*",
+}
+_SEPARATOR = r"(?:[,;]|[ \t]+[,;]?)[ \t]*"
 
 
 def check(wish: Wish) -> None:
@@ -57,14 +73,122 @@ def session(port: Port, url: str, wish: Wish) -> "Text":
     return Text(port, url, wish)
 
 
+@dataclass(frozen=True)
+class Columns:
+    """How to read a line of the declared columns.
+
+    Attributes
+    ----------
+    pattern : re.Pattern
+        Of a whole line; its last group is empty and stands for what is not declared.
+    counts : tuple of int
+        Groups that hold the time's whole part and fraction, up (or the net count) and down.
+    checks : tuple of int
+        Groups that hold a, b, illegal and xor; empty when none of them is declared.
+    us_per_unit : int
+        Unit of the time, us.
+    net : bool
+        There is but one count, signed.
+    bits : int
+        Width of the counters.
+    capabilities : Capability
+        What the columns hold beside counts.
+    """
+
+    pattern: re.Pattern[bytes]
+    counts: tuple[int, ...]
+    checks: tuple[int, ...]
+    us_per_unit: int
+    net: bool
+    bits: int
+    capabilities: frames.Capability
+
+    def read(self, line: bytes) -> Row | Other:
+        """Return what a line holds: 1.1 us for time, up and down."""
+        found = self.pattern.fullmatch(line)
+        if found is None:
+            return Other.REMARK if line.startswith(b"#") or not line.rstrip(b"\r") else Other.DAMAGED
+        whole, fraction, up_text, down_text = found.group(*self.counts)
+        ticks = int(whole) * self.us_per_unit
+        if fraction:  # digits beyond the microsecond are cut off
+            ticks += int(fraction.ljust(6, b"0")[:6]) * self.us_per_unit // 1_000_000
+        limit = 1 << self.bits
+        up, down = int(up_text), int(down_text or 0)
+        if not (-limit <= 2 * up < 2 * limit if self.net else up < limit and down < limit):
+            return Other.DAMAGED
+        if not self.checks:
+            return ticks & 0xFFFFFFFF, up & limit - 1, down
+        a, b, illegal, check = found.group(*self.checks)
+        if check and reduce(xor, self._guarded(found), 0) != int(check, 16):
+            return Other.DAMAGED
+        levels = int(a or 0) | int(b or 0) << 1
+        return ticks & 0xFFFFFFFF, up & limit - 1, down, levels, int(illegal or 0) & 0xFFFF
+
+    def _guarded(self, found: re.Match[bytes]) -> bytes:
+        """Return the part of a line that its xor is of: what stands before the separator in front of it."""
+        return found.string[: found.start(self.checks[-1])].rstrip(b" \t*")[:-1].rstrip(b" \t")
+
+
+def columns(declared: str | None) -> Columns:
+    """Return how to read lines of the declared columns.
+
+    Raises
+    ------
+    InputError
+        None are declared, one is unknown or twice there, or time or counts are missing.
+    """
+    where = "--columns"
+    if not declared:
+        raise InputError("text lines need their columns declared", where, "give for example --columns t_us,up,down")
+    names, widths = [], set()
+    for part in declared.split(","):
+        name, _, width = part.strip().partition(":")
+        if name not in _PATTERNS:
+            raise InputError(f"unknown column {name!r}", where, nearest(name, list(_PATTERNS)))
+        if name in names and name != "-":
+            raise InputError(f"column {name!r} is there twice", where, "call what you do not need '-'")
+        if width and (width not in ("16", "32") or name not in _COUNTS):
+            raise InputError(f"{part.strip()!r} is no width of a counter", where, "write up:16 or up:32")
+        names.append(name)
+        if name in _COUNTS:
+            widths.add(int(width or 32))
+    times = [name for name in names if name in _TIMES]
+    if len(times) != 1:
+        what = "which column is the time?" if times else "there is no time column, and sample times matter"
+        raise InputError(what, where, "declare one of t_us, t_ms, t_s; a sketch prints it by micros()")
+    counts = sorted(name for name in names if name in _COUNTS)
+    if counts not in (["down", "up"], ["count"], ["ticks"]):
+        raise InputError("which columns are the counts?", where, "declare up and down, or count (or ticks)")
+    if len(widths) > 1:
+        raise InputError("up and down differ in width", where, "give both the same, as in up:16,down:16")
+    if ("a" in names) != ("b" in names):
+        raise InputError("one level of two", where, "declare a and b, or none of them")
+    group = {"": 1}  # of each column; of the time, a second one behind it holds the fraction
+    for name in names:
+        if name != "-":
+            group[name] = group[""]
+            group[""] += 2 if name in _TIMES else 1
+    fields = _SEPARATOR.join(_PATTERNS[name] for name in names)
+    up, down = ("up", "down") if len(counts) == 2 else (counts[0], "")
+    checks = ("a", "b", "illegal", "xor")
+    has = frames.Capability
+    return Columns(
+        pattern=re.compile(rf"[ \t]*{fields}[ \t]*\r*()".encode()),
+        counts=(group[times[0]], group[times[0]] + 1, group[up], group[down]),
+        checks=tuple(group.get(name, group[""]) for name in checks) if group.keys() & checks else (),
+        us_per_unit=_TIMES[times[0]],
+        net=len(counts) == 1,
+        bits=widths.pop(),
+        capabilities=has(has.LEVELS * ("a" in names) | has.ILLEGAL * ("illegal" in names)),
+    )
+
+
 def ident(form: Columns, decoder: str | None) -> frames.Ident:
     """Return what the declared columns say of the board."""
-    has = frames.Capability
-    told = has.LEVELS * (form.levels is not None) | has.ILLEGAL * (form.illegal is not None)
     return frames.Ident(
         firmware=(0, 0, 0),
         decoder=decoder or "x4",
-        capabilities=has(told),
+        capabilities=form.capabilities,
         counter_bits=form.bits,
         tick_ns=TICK_NS,
         block_size=1,
@@ -74,106 +198,16 @@ def ident(form: Columns, decoder: str | None) -> frames.Ident:
     )
 
 
-class Lines:
-    """Cut a byte stream into lines and read them; never raises on garbage, back in step at the next line feed."""
-
-    def __init__(self, form: Columns) -> None:
-        self._form = form
-        self._tail = b""
-        self._first = True
-        self._skipping = False
-        self.bad = 0
-        self.example = b""  # a line that did not hold
-
-    def feed(self, data: bytes) -> list[tuple[int, int, int, int, int]]:
-        """Take bytes as they came and return what the lines they complete say."""
-        *lines, self._tail = (self._tail + data).split(b"\n")
-        found = []
-        for line in lines:
-            stripped = line.rstrip(b"\r")
-            if self._skipping:
-                self._skipping = False
-            elif stripped and not stripped.startswith(b"#"):
-                row = self._form.read(stripped)
-                # A first line may have lost its beginning, which digits do not show.
-                if row is None:
-                    self.example = self.example or stripped
-                    self.bad += not self._first
-                elif not self._first:
-                    found.append(row)
-            self._first = False
-        if len(self._tail) > LONGEST_LINE:
-            self.bad += not self._skipping and not self._first
-            self._first, self._skipping = False, True
-            self._tail = b""
-        return found
-
-    def last(self, data: bytes) -> tuple[int | None, int]:
-        """Look ahead: return the time of the last line that ``data`` completes, and how many; nothing is taken.
-
-        The time is None when that line does not hold.
-        """
-        if self._first or self._skipping:
-            return None, 0
-        whole = self._tail + data
-        end = whole.rfind(b"\n")
-        begin = whole.rfind(b"\n", 0, max(end, 0)) + 1
-        row = self._form.read(whole[begin : max(end, 0)].rstrip(b"\r"))
-        return None if row is None else row[0], whole.count(b"\n")
-
-    def skip(self, data: bytes) -> None:
-        """Take bytes without reading the lines that they complete."""
-        self._tail = (self._tail + data).rpartition(b"\n")[2]
-
-
-class Tally(LineTally):
-    """How far a stream of lines has come."""
-
-    def __init__(self, form: Columns, rate_hz: float) -> None:
-        super().__init__(1e9 / (TICK_NS * rate_hz))
-        self._form = form
-        self._lines = Lines(form)
-
-    def feed(self, data: bytes) -> None:
-        """Take bytes as they came."""
-        ticks, count = self._lines.last(data)
-        if ticks is not None and self.stride(ticks, count):
-            self._lines.skip(data)
-            return
-        for row in self._lines.feed(data):
-            self.step(row[0])
-
-    def begin_again(self, reached: int) -> None:
-        """Begin anew, ``reached`` periods after the start."""
-        super().begin_again(reached)
-        self._lines = Lines(self._form)
+def reader(form: Columns) -> LineReader:
+    """Return a reader of lines; of a first one that has lost its beginning, the digits do not show it."""
+    return LineReader(b"\n", LONGEST_LINE, form.read, trusts_first=False)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
     """Decode the reads of one connection."""
     form = columns(header["columns"])
-    rows = Rows.of(cut.cut(reads, b"\n"), net=form.down is None)
-    lines = rows.lines
-    told = rows.ticks, rows.up, rows.down, rows.status, rows.illegal
-    singly = lines.length > 0
-    for where, together in lines.by_length(3, LONGEST_LINE):
-        for same in cut.alike(together, KINDS):
-            found = form.read_alike(together[same])
-            if found is not None:
-                line, held = where[same], found[0]
-                rows.good[line], rows.bad[line], singly[line] = held, ~held, False
-                for column, values in zip(told, found[1], strict=True):
-                    column[line] = values
-    for k in np.flatnonzero(singly).tolist():
-        stripped = lines.line(k).rstrip(b"\r")
-        if stripped and not stripped.startswith(b"#"):
-            row = form.read(stripped)
-            rows.good[k], rows.bad[k] = row is not None, row is None
-            for column, value in zip(told, row or (0,) * 5, strict=True):
-                column[k] = value
-    rows.good[:1] = False  # a first line may have lost its beginning, which digits do not show
-    rows.close(LONGEST_LINE)
-    return to_stream(rows, ident(form, header.get("decoder")), 1e9 / (TICK_NS * float(header["rate_hz"])))
+    period_ticks = 1e9 / (TICK_NS * float(header["rate_hz"]))
+    return lines.decode(reads, reader(form), ident(form, header.get("decoder")), period_ticks, net=form.net)
 
 
 class Text(Line):
@@ -194,19 +228,21 @@ class Text(Line):
         DeviceError
             Nothing comes, or nothing of the declared columns.
         """
-        lines = Lines(self._form)
+        listener = reader(self._form)
         times: list[int] = []
-        heard = 0
+        heard = bad = 0
         until = time.monotonic() + sessions.ANSWER_S
         while time.monotonic() < until:
             data = self.read()
             heard += len(data)
-            times += [row[0] for row in lines.feed(data)]
+            rows, others = listener.feed(data)
+            times += [row[0] for row in rows]
+            bad += len(others)
             steps = [later - earlier & 0xFFFFFFFF for earlier, later in pairwise(times)]
             if len(times) > FEWEST_LINES and median(steps) * len(steps) >= LISTEN_S * 1e9 / TICK_NS:
                 break
         if len(times) <= FEWEST_LINES:
-            raise DeviceError(*self._silent(heard, lines, len(times)))
+            raise DeviceError(*self._silent(heard, len(times), bad, listener.example))
         typical = median(steps)
         if typical == 0:
             raise DeviceError("the time in the lines stands still", self.url, "print micros() with each sample")
@@ -215,7 +251,7 @@ class Text(Line):
             raise DeviceError(what, self.url, "check which of --columns is the time; print micros() with each sample")
         usual = [step for step in steps if 0.5 * typical <= step <= 1.5 * typical]
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
-        self._line_bytes = heard / max(1, len(times) + lines.bad)
+        self._line_bytes = heard / max(1, len(times) + bad)
         self._coarse = all(ticks % 1000 == 0 for ticks in times)
         return Identity(ident(self._form, self.wish.decoder))
 
@@ -262,16 +298,16 @@ class Text(Line):
         waiting = self.port.in_waiting
         return self.port.read(waiting) if waiting else b""
 
-    def tally(self) -> Tally:
+    def tally(self) -> LineTally:
         """Return a new tally."""
-        return Tally(self._form, self._rate_hz)
+        return LineTally(partial(reader, self._form), 1e9 / (TICK_NS * self._rate_hz))
 
-    def _silent(self, heard: int, lines: Lines, good: int) -> tuple[str, str, str]:
+    def _silent(self, heard: int, good: int, bad: int, example: bytes) -> tuple[str, str, str]:
         if heard == 0:
             do = "check the port ('daq ports'), the cable, and that the sketch prints by itself"
             return f"nothing came within {sessions.ANSWER_S:g} s", self.url, do
-        if lines.bad > good:
-            seen = lines.example[:60].decode("ascii", "backslashreplace")
+        if bad > good:
+            seen = example.rstrip(b"\r")[:60].decode("ascii", "backslashreplace")
             what = f"the lines are not of the columns {self.wish.columns}; one is {seen!r}"
             return what, self.url, "declare them by --columns as they are, and check --baud"
         what = f"only {good} lines came within {sessions.ANSWER_S:g} s"

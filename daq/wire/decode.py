@@ -1,8 +1,7 @@
-"""A finished byte stream, frame by frame, into arrays of samples: the vectorised reader behind every run file.
+"""The reads of one connection, decoded into arrays of samples: what stands behind every run file.
 
-Lines of one length are deframed together (`daq.wire.deframe`), and sample frames of one length read as one array;
-what is rare or long is taken one line at a time.  Same rules as `daq.wire.frames.FrameReader`, and where the reads
-ended makes no difference.
+`daq.wire.frames.FrameReader` splits and checks the frames; the payloads of sample frames of one length are then read as
+one array.  Where the reads ended makes no difference but for the stamps.
 """
 
 from collections.abc import Iterable
@@ -11,13 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.wire import cut, deframe
 from daq.wire import frames as wire
 
 
 @dataclass(frozen=True)
 class Stream:
-    """What f SAMPLES frames with n samples in all, and the frames beside them, said.
+    """What one connection sent: f SAMPLES frames with n samples in all, and the frames between them.
 
     Attributes
     ----------
@@ -40,7 +38,7 @@ class Stream:
     truth : (m, 4) float64
         Time, x, v, F.
     crc_frame : (c,) int64
-        Before which frame each damaged line came (as near as its read tells).
+        Before which frame each damaged line came.
     crc_errors, unknown, discarded_bytes : int
         See `daq.wire.frames.FrameReader`.
     length : (f,) int64
@@ -78,6 +76,11 @@ class Stream:
     part_bytes: NDArray[np.int64]
 
 
+# SAMPLES frames by bytes of payload and declared samples: their lines (k,) and payloads (k, size).
+Groups = dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.uint8]]]
+_HEAD = np.dtype([("kind", "u1"), ("version", "u1"), ("n", "u1"), ("seq", "<u2"), ("time", "<u4"), ("illegal", "<u2")])
+
+
 def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     """Decode the reads of one connection.
 
@@ -86,118 +89,118 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     reads : iterable of (int, bytes)
         Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
     """
-    lines = cut.cut(reads, wire.DELIMITER)
-    found = deframe.payloads(lines)
-    told = [(line, payload, wire.decode_payload(payload, False, False)) for line, payload in found.others]
-    idents = [(line, said) for line, _, said in told if isinstance(said, wire.Ident)]
-    ident = _governing(idents, found.samples)
-    belt = ident is not None and wire.Capability.BELT in ident.capabilities
-    edge = ident is not None and wire.Capability.EDGE_TIME in ident.capabilities
-    ours = [group for group in found.samples if _fits(group, belt, edge)]
-    counts = np.zeros(len(lines), dtype=np.int64)  # samples in each line
-    for group in ours:
-        counts[group.lines] = group.payloads[0, 2]
-    before = np.concatenate(([0], np.cumsum(counts > 0)))  # frames before each line
-    frames = np.flatnonzero(counts)
-    columns, heads, first = _columns(ours, before, counts[frames], belt, edge)
-    truths = [(line, payload) for line, payload, said in told if isinstance(said, wire.Truth)]
-    truth_seq, truth_frame, truth = _truth([t for _, t in truths], [int(before[line]) for line, _ in truths])
-    unknown = [len(payload) for _, payload, said in told if said is None]
-    for group in found.samples:
-        if not _fits(group, belt, edge):
-            unknown += [group.payloads.shape[1]] * len(group.lines)
-    part_ns, part_line, part_bytes = _parts(lines, counts > 0)
+    reader = wire.FrameReader()
+    payloads: list[bytes | None] = []  # of every line; a line is known by its place here
+    length: list[int] = []
+    stamp_ns: list[int] = []
+    parts: list[tuple[int, int, int]] = []
+    for stamp, data in reads:
+        lines, found = reader.lines(data)
+        payloads += found
+        length += map(len, lines)
+        stamp_ns += [stamp] * len(lines)
+        if reader.pending_bytes:
+            parts.append((stamp, len(payloads), reader.pending_bytes))
+
+    size = np.array([0 if payload is None else len(payload) for payload in payloads], dtype=np.int64)
+    samples, rest = _groups(payloads, size)
+    others = [(line, frame) for line in rest if (frame := wire.decode_payload(payloads[line] or b"", False, False))]
+    ident = _governing(others, samples)
+    row = _row(ident)
+    names = row.names or ()
+    ours = {key: group for key, group in samples.items() if _fits(*key, row)}
+    count = np.zeros(len(size), dtype=np.int64)  # samples in each line
+    for (_, each), (where, _) in ours.items():
+        count[where] = each
+    before = np.concatenate(([0], np.cumsum(count > 0)))  # sample frames before each line
+    frame_line = np.flatnonzero(count)
+    n = count[frame_line]
+    first = np.cumsum(n) - n
+    rows = np.empty(int(n.sum()), dtype=row)
+    heads = np.empty(len(n), dtype=_HEAD)
+    for (_, each), (where, together) in ours.items():
+        sent = together.view(np.dtype([("head", _HEAD), ("rows", row, (each,))]))[:, 0]
+        heads[before[where]] = sent["head"]
+        rows[(first[before[where], np.newaxis] + np.arange(each)).ravel()] = sent["rows"].ravel()
+    known = np.zeros(len(size), dtype=np.bool_)
+    known[frame_line] = True
+    known[[line for line, _ in others]] = True
+    unknown = size[~known & (size > 0)]
+    damaged = np.flatnonzero(size == 0)
+
+    truths = [(line, frame) for line, frame in others if isinstance(frame, wire.Truth)]
+    truth_n = [len(frame.rows) for _, frame in truths]
+    truth_seq = [seq & 0xFFFF for _, frame in truths for seq in range(frame.seq, frame.seq + len(frame.rows))]
+    part_ns, part_line, part_bytes = np.array(parts, dtype=np.int64).reshape(-1, 3).T
+    inside = np.isin(part_line, frame_line)
     return Stream(
         first=first,
-        n=counts[frames],
+        n=n,
         seq=heads["seq"].astype(np.int64),
         ticks=heads["time"].astype(np.int64),
         illegal=heads["illegal"].astype(np.int64),
-        stamp_ns=lines.stamp_ns[frames],
-        dt=columns["dt"].copy(),
-        up=columns["up"].copy(),
-        down=columns["down"].copy(),
-        status=columns["status"].copy(),
-        belt=columns["belt"].copy() if belt else None,
-        edge=columns["edge"].copy() if edge else None,
+        stamp_ns=np.array(stamp_ns, dtype=np.int64)[frame_line],
+        dt=rows["dt"].copy(),
+        up=rows["up"].copy(),
+        down=rows["down"].copy(),
+        status=rows["status"].copy(),
+        belt=rows["belt"].copy() if "belt" in names else None,
+        edge=rows["edge"].copy() if "edge" in names else None,
         ident=ident,
-        idents=before[[line for line, _ in idents]] if idents else np.empty(0, dtype=np.int64),
-        configs=tuple((int(before[line]), said.toml) for line, _, said in told if isinstance(said, wire.Config)),
-        notices=tuple((int(before[line]), said.text) for line, _, said in told if isinstance(said, wire.Notice)),
-        truth_seq=truth_seq,
-        truth_frame=truth_frame,
-        truth=truth,
-        crc_frame=before[found.wrong],
-        crc_errors=len(found.wrong),
+        idents=before[np.array([line for line, frame in others if isinstance(frame, wire.Ident)], dtype=np.int64)],
+        configs=tuple((int(before[line]), frame.toml) for line, frame in others if isinstance(frame, wire.Config)),
+        notices=tuple((int(before[line]), frame.text) for line, frame in others if isinstance(frame, wire.Notice)),
+        truth_seq=np.array(truth_seq, dtype=np.int64),
+        truth_frame=np.repeat(before[np.array([line for line, _ in truths], dtype=np.int64)], truth_n),
+        truth=np.array([row for _, frame in truths for row in frame.rows], dtype=np.float64).reshape(-1, 4),
+        crc_frame=before[damaged[damaged > 0]],  # the first line's beginning may be missing
+        crc_errors=reader.crc_errors,
         unknown=len(unknown),
-        discarded_bytes=found.wrong_bytes + sum(unknown),
-        length=lines.length[frames] + 1,
-        part_stamp_ns=part_ns,
-        part_frame=before[part_line],
-        part_bytes=part_bytes,
+        discarded_bytes=reader.discarded_bytes + int(unknown.sum()),
+        length=np.array(length, dtype=np.int64)[frame_line] + 1,
+        part_stamp_ns=part_ns[inside],
+        part_frame=before[part_line[inside]],
+        part_bytes=part_bytes[inside],
     )
 
 
-def _fits(group: deframe.Group, belt: bool, edge: bool) -> bool:
-    """Return whether frames are as long as the samples they say they hold."""
-    size, n = group.payloads.shape[1], int(group.payloads[0, 2])
-    return n > 0 and size == wire.SAMPLES_HEADER + n * _row(belt, edge).itemsize
+def _groups(payloads: list[bytes | None], size: NDArray[np.int64]) -> tuple[Groups, list[int]]:
+    """Return the lines of SAMPLES frames and their payloads, by bytes and declared samples; and the other lines."""
+    samples: Groups = {}
+    others: list[int] = []
+    for each in np.unique(size[size > 0]).tolist():
+        lines = np.flatnonzero(size == each)
+        rows = np.frombuffer(b"".join([payloads[line] or b"" for line in lines.tolist()]), np.uint8).reshape(-1, each)
+        sample = np.all(rows[:, :2] == (wire.SAMPLES, wire.VERSION), axis=1) & (each >= wire.SAMPLES_HEADER)
+        others += lines[~sample].tolist()
+        for n in np.unique(rows[sample, 2]).tolist() if sample.any() else ():
+            chosen = sample & (rows[:, 2] == n)
+            samples[each, n] = lines[chosen], rows[chosen]
+    return samples, sorted(others)
 
 
-def _governing(idents: list[tuple[int, wire.Ident]], samples: list[deframe.Group]) -> wire.Ident | None:
-    """Return the last identification before the first sample frame: the decoder may have been set in between."""
-    chosen: wire.Ident | None = None
-    begun = False
-    for line, ident in idents:
-        if chosen is not None:
-            has = wire.Capability.BELT in chosen.capabilities, wire.Capability.EDGE_TIME in chosen.capabilities
-            begun = begun or any(_fits(group, *has) and group.lines.min() < line for group in samples)
-        if not begun:
-            chosen = ident
-    return chosen
-
-
-def _parts(lines: cut.Cut, is_frame: NDArray[np.bool_]) -> tuple[NDArray[np.int64], ...]:
-    """Return the reads that ended inside a sample frame: stamp, line, and bytes of it that were there."""
-    line = np.searchsorted(lines.start, lines.read_end, side="left") - 1
-    inside = (line >= 0) & (lines.read_end <= lines.stop[line]) if len(lines) else np.zeros(len(line), dtype=np.bool_)
-    inside[inside] = is_frame[line[inside]]
-    return lines.read_ns[inside], line[inside], lines.read_end[inside] - lines.start[line[inside]]
-
-
-_HEAD = np.dtype([("kind", "u1"), ("version", "u1"), ("n", "u1"), ("seq", "<u2"), ("time", "<u4"), ("illegal", "<u2")])
-
-
-def _row(belt: bool, edge: bool) -> np.dtype[np.void]:
-    names = ["dt", "up", "down", "status", *["belt"] * belt, *["edge"] * edge]
+def _row(ident: wire.Ident | None) -> np.dtype[np.void]:
+    """Return the layout of one sample from a board that identified itself so."""
+    has = wire.Capability(0) if ident is None else ident.capabilities
+    names = ["dt", "up", "down", "status"]
+    names += ["belt"] * (wire.Capability.BELT in has) + ["edge"] * (wire.Capability.EDGE_TIME in has)
     return np.dtype([(name, "u1" if name == "status" else "<u2") for name in names])
 
 
-def _columns(
-    ours: list[deframe.Group], before: NDArray[np.int64], n: NDArray[np.int64], belt: bool, edge: bool
-) -> tuple[NDArray[np.void], NDArray[np.void], NDArray[np.int64]]:
-    """Return the samples of all frames as one structured array, the frames' heads, and where each frame begins."""
-    row = _row(belt, edge)
-    first = np.concatenate(([0], np.cumsum(n)))
-    samples = np.empty(int(first[-1]), dtype=row)
-    heads = np.empty(len(n), dtype=_HEAD)
-    for group in ours:
-        size = int(group.payloads[0, 2])
-        shape = np.dtype([("head", _HEAD), ("rows", row, (size,))])
-        together = group.payloads.view(shape)[:, 0]
-        frames = before[group.lines]
-        heads[frames] = together["head"]
-        samples[(first[frames, np.newaxis] + np.arange(size)).ravel()] = together["rows"].ravel()
-    return samples, heads, first[:-1]
+def _fits(size: int, n: int, row: np.dtype[np.void]) -> bool:
+    """Return whether a payload is as long as the n samples it declares."""
+    return n > 0 and size == wire.SAMPLES_HEADER + n * row.itemsize
 
 
-def _truth(
-    payloads: list[bytes], frames: list[int]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    n = np.fromiter((payload[2] for payload in payloads), dtype=np.int64, count=len(payloads))
-    seq = [payload[3] | payload[4] << 8 for payload in payloads]
-    rows = np.frombuffer(b"".join(payload[wire.TRUTH_HEADER :] for payload in payloads), dtype="<f8")
-    first = np.repeat(np.cumsum(n) - n, n)
-    within = np.arange(int(n.sum())) - first
-    truth_seq = (np.repeat(np.array(seq, dtype=np.int64), n) + within) & 0xFFFF
-    return truth_seq, np.repeat(np.array(frames, dtype=np.int64), n), rows.reshape(-1, 4).copy()
+def _governing(others: list[tuple[int, wire.Frame]], samples: Groups) -> wire.Ident | None:
+    """Return the last identification before the first sample frame: the decoder may have been set in between."""
+    chosen: wire.Ident | None = None
+    for line, frame in others:
+        if not isinstance(frame, wire.Ident):
+            continue
+        if chosen is not None and any(
+            _fits(*key, _row(chosen)) and lines[0] < line for key, (lines, _) in samples.items()
+        ):
+            break
+        chosen = frame
+    return chosen

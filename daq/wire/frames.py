@@ -19,6 +19,8 @@ from typing import NamedTuple
 
 from cobs import cobs
 
+from daq.wire.splitter import Splitter
+
 VERSION = 1
 DELIMITER = b"\x00"
 CRC_SEED = 0xFFFF
@@ -158,13 +160,16 @@ def enframe(payload: bytes) -> bytes:
 
 def deframe(line: bytes) -> bytes | None:
     """Return the payload of the bytes between two delimiters, or None when COBS or the CRC does not hold."""
+    if len(line) > LONGEST_LINE:
+        return None
     try:
         body: bytes = cobs.decode(line)
     except cobs.DecodeError:
         return None
-    if len(body) < 4 or crc_hqx(body[:-2], CRC_SEED) != body[-2] | body[-1] << 8:
+    payload = body[:-2]
+    if len(body) < 4 or crc_hqx(payload, CRC_SEED) != body[-2] | body[-1] << 8:
         return None
-    return body[:-2]
+    return payload
 
 
 def encode_ident(ident: Ident) -> bytes:
@@ -305,7 +310,7 @@ def _decode_truth(payload: bytes) -> Truth | None:
 
 
 class FrameReader:
-    """Cut a byte stream into frames; never raises on garbage, back in step at the next 0x00.
+    """Read frames from a byte stream; never raises on garbage, back in step at the next 0x00.
 
     Attributes
     ----------
@@ -314,89 +319,56 @@ class FrameReader:
         anywhere inside a frame.
     unknown : int
         Frames whose CRC holds but whose kind, version or length is not ours (a newer board, another layout).
-    discarded_bytes : int
-        Bytes of all of these (of an unknown frame: its payload), delimiters not included.
     """
 
     def __init__(self) -> None:
         self.crc_errors = 0
         self.unknown = 0
-        self.discarded_bytes = 0
+        self._discarded_bytes = 0
         self._belt = False
         self._edge = False
-        self._tail = b""
-        self._skipping = False  # inside a run longer than any frame, until its delimiter
+        self._splitter = Splitter(DELIMITER, LONGEST_LINE)
         self._first = True
+
+    @property
+    def discarded_bytes(self) -> int:
+        """Bytes of damaged and unknown frames, delimiters not included (of an unknown frame: its payload)."""
+        return self._discarded_bytes + self._splitter.dropped_bytes
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes of the line that has begun and not ended."""
+        return self._splitter.pending_bytes
 
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes as they came and return the frames they complete, in order."""
         frames: list[Frame] = []
-        belt, edge = self._belt, self._edge
         for payload in self.payloads(data):
-            if payload[0] == SAMPLES and payload[1] == VERSION:
-                frame: Frame | None = _decode_samples(payload, belt, edge)
-            else:
-                frame = decode_payload(payload, belt, edge)
+            frame = decode_payload(payload, self._belt, self._edge)
             if frame is None:
                 self.unknown += 1
-                self.discarded_bytes += len(payload)
+                self._discarded_bytes += len(payload)
                 continue
-            if type(frame) is Ident:
-                belt = self._belt = Capability.BELT in frame.capabilities
-                edge = self._edge = Capability.EDGE_TIME in frame.capabilities
+            if isinstance(frame, Ident):
+                self._belt = Capability.BELT in frame.capabilities
+                self._edge = Capability.EDGE_TIME in frame.capabilities
             frames.append(frame)
         return frames
 
     def payloads(self, data: bytes) -> list[bytes]:
         """Take bytes as they came and return the payloads they complete whose CRC holds, in order."""
-        *lines, self._tail = (self._tail + data).split(DELIMITER)
-        found: list[bytes] = []
-        for line in lines:
-            if self._skipping:
-                self.discarded_bytes += len(line)
-                self._skipping = False
-            elif line:
-                payload = deframe(line)
-                if payload is None:
-                    self._refuse(len(line))
-                else:
-                    found.append(payload)
-                self._first = False
-        if len(self._tail) > LONGEST_LINE and not self._skipping:
-            self._refuse(0)
-            self._first = False
-            self._skipping = True
-        if self._skipping:
-            self.discarded_bytes += len(self._tail)
-            self._tail = b""
-        return found
+        return [payload for payload in self.lines(data)[1] if payload is not None]
 
-    def sample_run(self, data: bytes) -> tuple[bytes, int] | None:
-        """Look ahead: return the last payload that ``data`` completes, and how many, when all look like one kind.
+    def lines(self, data: bytes) -> tuple[list[bytes], list[bytes | None]]:
+        """Take bytes as they came; return the lines they complete, and of each its payload, None where it is damaged.
 
-        That is: all lines that it completes have the length of the first and begin as SAMPLES frames of as many
-        samples, and the last one holds.  Nothing is taken; None when it is not so.
+        Empty lines are left out.
         """
-        if self._first or self._skipping:
-            return None
-        line = self._tail + data
-        size = line.find(DELIMITER) + 1
-        if size <= SAMPLES_HEADER:
-            return None
-        count = line.count(DELIMITER)
-        end = size * count
-        # Every size-th byte, and none else, is a delimiter; then kind, version and number of samples of each.
-        if end > len(line) or line[size - 1 : end : size].count(DELIMITER) != count:
-            return None
-        if any(line[at:end:size].count(line[at]) != count for at in (1, 2, 3)):
-            return None
-        payload = deframe(line[end - size : end - 1])
-        return None if payload is None or payload[:2] != bytes((SAMPLES, VERSION)) else (payload, count)
-
-    def skip(self, data: bytes) -> None:
-        """Take bytes without reading the frames they complete; one must be completed, by `sample_run`'s account."""
-        self._tail = (self._tail + data)[(self._tail + data).rfind(DELIMITER) + 1 :]
-
-    def _refuse(self, length: int) -> None:
-        self.crc_errors += not self._first
-        self.discarded_bytes += length
+        lines = [line for line in self._splitter.feed(data) if line]
+        payloads = [deframe(line) for line in lines]
+        if None in payloads:
+            damaged = [len(line) for line, payload in zip(lines, payloads, strict=True) if payload is None]
+            self.crc_errors += len(damaged) - (self._first and payloads[0] is None)
+            self._discarded_bytes += sum(damaged)
+        self._first = self._first and not lines
+        return lines, payloads

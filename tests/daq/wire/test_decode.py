@@ -1,14 +1,13 @@
-"""A whole stream decoded at once says what the frame reader says line by line, damaged or not, however it was cut."""
+"""The arrays of a whole stream hold what the frame reader returns, damaged or not, however it was cut."""
 
 import random
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.protocols.frames import FrameTally
-from daq.wire import cut, decode, deframe
+from daq.wire import decode
 from daq.wire import frames as wire
 from daq.wire.frames import Capability, FrameReader, Ident, SampleBlock, Truth
 
@@ -69,7 +68,7 @@ def in_reads(line, cuts):
 
 @settings(max_examples=30)
 @given(st.integers(0, 2**32), st.lists(st.integers(4, 400), min_size=1, max_size=8))
-def test_a_stream_says_what_the_frame_reader_says(seed, cuts):
+def test_a_stream_holds_what_the_frame_reader_returns(seed, cuts):
     line = sent_line(seed)
     found = decode.decode(in_reads(line, cuts))
     reader = FrameReader()
@@ -117,24 +116,6 @@ def test_a_frame_has_the_stamp_of_the_read_that_ended_it_and_a_part_that_of_the_
         assert FrameReader().feed(whole)[0].seq == found.seq[frame]
 
 
-@pytest.mark.parametrize("size", [5, 22, 71, 253, 254])
-def test_deframing_together_judges_each_line_as_deframing_one_does(size):
-    draw = random.Random(size)
-    lines = []
-    while len(lines) < 1000:
-        body = bytes(draw.choice((0, draw.randrange(256))) for _ in range(size - 3))
-        line = bytearray(wire.enframe(body)[:-1])
-        if draw.random() < 0.7:
-            for _ in range(draw.choice((1, 1, 2))):
-                line[draw.randrange(size)] = draw.randrange(1, 256)
-        lines.append(bytes(line))
-    found, held = deframe.deframe(np.frombuffer(b"".join(lines), dtype=np.uint8).reshape(-1, size))
-    for k, line in enumerate(lines):
-        payload = wire.deframe(line)
-        assert held[k] == (payload is not None)
-        assert not held[k] or found[k].tobytes() == payload
-
-
 def test_an_endless_line_is_one_damaged_frame_and_a_first_one_none():
     good = wire.encode_notice("good")
     for endless, errors in ((good + b"\x07" * 20_000, 1), (b"\x07" * 20_000, 0), (b"\x07" * 20_000 + b"\0" + good, 0)):
@@ -159,7 +140,6 @@ def test_the_layout_is_that_of_the_identification_before_the_samples():
 @settings(max_examples=30)
 @given(st.integers(0, 2**32), st.lists(st.integers(10, 600), min_size=1, max_size=8))
 def test_a_tally_reaches_the_same_however_the_bytes_were_cut(seed, cuts):
-    """By whole runs of frames at a time, or line by line."""
     draw = random.Random(seed)
     parts, seq = [wire.encode_ident(IDENT)], 0
     n = draw.choice((1, 8))
@@ -186,13 +166,3 @@ def test_a_tally_reaches_the_same_however_the_bytes_were_cut(seed, cuts):
         for byte in range(0, len(line), 5):
             slow.feed(line[byte : byte + 5])
     assert (tally.reached, tally.resets, tally.notice) == (slow.reached, slow.resets, slow.notice)
-
-
-def test_lines_of_one_length_are_laid_side_by_side():
-    lines = cut.cut([(5, b"ab\ncde\n"), (6, b"fg\n\nx")], b"\n")
-    assert [(where.tolist(), rows.tobytes()) for where, rows in lines.by_length(1, 9)] == [
-        ([0, 2], b"abfg"),
-        ([1], b"cde"),
-    ]
-    assert (lines.stamp_ns.tolist(), lines.rest) == ([5, 5, 6, 6], 1)
-    assert lines.line(3) == b""
