@@ -61,8 +61,6 @@ def rows(recording: Recording, truth: Truth | None) -> list[Row]:
     list of Row
         Finite differences, Savitzky-Golay and both smoothers, on nominal and on recorded times.
     """
-    from processing.polynomial import white_jerk_bands  # noqa: F401  (loads scipy now, not while the clock runs)
-
     for method in ("sg", "segment"):  # compiles what it needs now
         registry.estimate(method, series.from_recording(recording), Setting())
     true = velocity_at(recording, truth) if truth is not None else None
