@@ -142,7 +142,7 @@ def kicked(seed: int) -> tuple[Row, Limits]:
     for kick in KICKS:
         bench = Bench(seed, 7.67e-6, 30e-6, 60.0, **{"joint.kick": kick})
         data = bench.series()
-        seen = np.array([bench.time[own.sample] for own in velocity_steps.kicks(data)])
+        seen = np.array([bench.time[own.sample] for own in velocity_steps.velocity_steps(data)])
         hit = [bool(seen.size) and np.abs(seen - at).min() < 4e-3 for at in bench.kicks]
         true = [np.abs(bench.kicks - at).min() < 4e-3 for at in seen] if bench.kicks.size else []
         row[f"{1e3 * kick:g} mm/s: recall"] = float(np.mean(hit))

@@ -91,7 +91,7 @@ class BlockSmoother:
         for loss in losses:
             if own.start <= loss.first < own.stop:
                 self._losses.append(LostCounts(loss.first + low, loss.last + low, loss.counts))
-        for step in velocity_steps.kicks(data):
+        for step in velocity_steps.velocity_steps(data):
             if own.start <= step.sample < own.stop:
                 self._steps.append(VelocityStep(step.sample + low, step.step))
         self._join(found.phases, data, low, own.start + low, own.stop + low)

@@ -1,35 +1,39 @@
 """Lost counts: places where ten or more counts went missing, at once or over up to five samples.
 
-When the mass bounces or a coupling slips, the count falls behind and stays behind.  Around every place two polynomials
-are set, one on the samples before and one on those behind; where they miss each other by enough, the record around is
-held against models of what may have happened there: a step of the count, spread over one to five samples, or a corner
-or a kick of the motion and no step.  It is a loss where only a step explains the record.
+When the mass bounces or a coupling slips, the count falls behind and stays behind.  Where two parabolas, before and
+after a place, miss each other by enough, the record around it is tested (`processing.defects.change_point`): it is a
+loss where only a step of the count, over one to five samples, explains it, and no corner or step of the velocity does.
 
 Losses are marked and counted.  Motion is made from the record with them restored (`processing.record.lost_counts`), and
-its position falls behind again with the count unless repair was asked for.  Not seen: smaller losses, and slower ones.
+its position falls behind again with the count unless repair was asked for.  Not found: smaller losses, and slower ones.
 """
 
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from daq.compute.arrays import Array
+from processing.defects.change_point import ChangeModels, change_models, jump_weights
 from processing.record.lost_counts import LostCounts, loss_profile
 from processing.record.series import Series
 
+# Chosen together on benchmarks/velocity_seeds.py, section losses (95 % of the losses of 10 counts found, none in ten
+# clean minutes); not swept one by one.
 LEAST = 10.0  # counts
-SUSPECT = 4.5  # counts: what the polynomials must miss each other by to be looked at closely
+SUSPECT = 4.5  # counts: what the parabolas must miss each other by for a suspect
 ROUNDING = 1.6  # counts that a size may come out too small
 SPREAD = 5  # samples
-SIDE = 8  # samples of a polynomial to either side
-AROUND = 20  # samples to either side that the models are fitted to
-SCATTER = 4.5  # times the usual miss nearby
+SIDE = 8  # samples of a parabola on either side
+AROUND = 20  # samples on either side that the models are fitted to
+SCATTER = 4.5  # times the median miss nearby
 BETTER = 2.0  # times smaller squares that a step must leave
-CLEAR = 1.3 / 12  # counts^2: mean square of what a model leaves that explains all
-CORNERS = np.arange(-12, 13, 2)  # samples from the suspect: where a corner or a kick may explain it
+CLEAR = 1.3 / 12  # counts^2: a mean square that leaves nothing to explain
+CORNERS = np.arange(-12.0, 13.0, 2)  # samples from the suspect: where a corner or a velocity step is tried
+DEGREE = 4  # of the polynomial beside the models
 
 
 def losses(series: Series) -> tuple[LostCounts, ...]:
@@ -50,21 +54,14 @@ def losses(series: Series) -> tuple[LostCounts, ...]:
     found: list[LostCounts] = []
     for piece, count in zip(series.pieces, series.even_counts, strict=True):
         if count.size > 2 * AROUND + SPREAD:
-            found += [
-                LostCounts(piece.start + loss.first, piece.start + loss.last, loss.counts) for loss in _in_piece(count)
-            ]
+            own = _in_piece(count)
+            found += [LostCounts(piece.start + loss.first, piece.start + loss.last, loss.counts) for loss in own]
     return tuple(found)
 
 
 @lru_cache(maxsize=8)
 def _miss(width: int) -> Array:
-    """Return weights of 2 SIDE + width - 1 samples: by how much the later parabola lies above the earlier one."""
-    middle = SIDE + (width - 2) / 2
-    j = np.arange(2 * SIDE + width - 1) - middle
-    weights = np.zeros(j.size)
-    for own, sign in ((slice(0, SIDE), -1.0), (slice(j.size - SIDE, None), 1.0)):
-        weights[own] = sign * np.linalg.pinv(np.vander(j[own], 3))[2]
-    return weights
+    return jump_weights(SIDE, width, 0)
 
 
 def _in_piece(count: Array) -> list[LostCounts]:
@@ -80,7 +77,7 @@ def _in_piece(count: Array) -> list[LostCounts]:
     places = sorted(set(suspects))
     for k, place in enumerate(places):
         if k + 1 == len(places) or places[k + 1] - place > 3:
-            loss = _judged(count, places[first], place)
+            loss = _tested(count, places[first], place)
             first = k + 1
             if loss is not None and not (found and loss.first <= found[-1].last):
                 found.append(loss)
@@ -88,60 +85,64 @@ def _in_piece(count: Array) -> list[LostCounts]:
 
 
 @dataclass(frozen=True, eq=False)
-class Models:
-    """What may have happened around a suspect, less what smooth polynomials follow; samples count from the first.
+class LossModels:
+    """What may have happened around a suspect, at ``times`` (n,) from the first sample.
 
-    ``bent`` are corners and kicks, ``stepped`` losses that begin at ``first`` and take ``width``.
+    ``corners`` (c, n) are corners and velocity steps, ``bent`` the models of one of them; ``stepped`` are losses that
+    begin at ``first`` and take ``width`` samples.
     """
 
-    smooth: Array
-    bent: Array
-    stepped: Array
+    times: Array
+    corners: Array
+    bent: ChangeModels
+    stepped: ChangeModels
     first: Array
     width: Array
 
 
 @lru_cache(maxsize=64)
-def _models(low: int, high: int, samples: int) -> Models:
+def _models(low: int, high: int, samples: int) -> LossModels:
     """Return the models of so many samples, the suspects low..high among them."""
-    j = np.arange(samples, dtype=float)
-    t = (j - 0.5 * (low + high)) / AROUND
-    smooth = np.linalg.qr(np.vander(t, 5))[0]
-    corners = np.maximum(t - (CORNERS / AROUND)[:, None], 0.0)
+    times = (np.arange(samples) - 0.5 * (low + high)) / AROUND
+    kinks = np.maximum(times - (CORNERS / AROUND)[:, None], 0.0)
+    corners = np.concatenate((kinks, kinks**2))
     starts = np.arange(max(low - SPREAD, 3), min(high + SPREAD, samples - 3 - SPREAD), dtype=float)
     first, width = (own.ravel() for own in np.meshgrid(starts, np.arange(1.0, SPREAD + 1)))
-    bent = _beside(smooth, np.concatenate((corners, corners**2)))
-    return Models(smooth, bent, _beside(smooth, _ramps(j, first, width)), first, width)
+    stepped = change_models(_steps(samples, first, width)[:, None], times, DEGREE)
+    return LossModels(times, corners, change_models(corners[:, None], times, DEGREE), stepped, first, width)
 
 
-def _judged(count: Array, low: int, high: int) -> LostCounts | None:
-    """Hold the record around the samples low..high against the models; None unless a step alone explains it."""
+@lru_cache(maxsize=64)
+def _two_corners(low: int, high: int, samples: int) -> ChangeModels:
+    models = _models(low, high, samples)
+    return change_models(np.array(list(combinations(models.corners, 2))), models.times, DEGREE)
+
+
+def _tested(count: Array, low: int, high: int) -> LostCounts | None:
+    """Test the record around the samples low..high; None unless a step alone explains it."""
     begin, end = max(low - AROUND, 0), min(high + AROUND + SPREAD, count.size)
-    models = _models(low - begin, high - begin, end - begin)
-    smooth, bent = models.smooth, models.bent
-    y = _beside(smooth, count[begin:end] - count[begin])
-    best_bent = float(_left(bent, y).min())
+    place = low - begin, high - begin, end - begin
+    models, own = _models(*place), count[begin:end] - count[begin]
+    best_bent = float(models.bent.fit(own)[1].min())
     if best_bent < CLEAR:
         return None
-    first, width = models.first, models.width
-    at = int(np.argmin(_left(models.stepped, y)))
-    step = models.stepped[at]
+    first, width, stepped = models.first, models.width, models.stepped
+    sizes, squares = stepped.fit(own)
+    at = int(np.argmin(squares))
     if width[at] > 1:  # it need not begin or end with a sample
-        own = first[at] + np.arange(-1.0, 1.01, 0.25), width[at] + np.arange(-1.0, 1.51, 0.5)
-        first, width = (part.ravel() for part in np.meshgrid(*own))
-        finer = _beside(smooth, _ramps(np.arange(end - begin, dtype=float), first, width))
-        at = int(np.argmin(_left(finer, y)))
-        step = finer[at]
-    if step @ step < 1e-9:
-        return None
-    squares = float(_left(step[None], y)[0])
-    size = float(step @ y / (step @ step))
-    if squares * BETTER > best_bent:
+        finer = first[at] + np.arange(-1.0, 1.01, 0.25), width[at] + np.arange(-1.0, 1.51, 0.5)
+        first, width = (part.ravel() for part in np.meshgrid(*finer))
+        stepped = change_models(_steps(own.size, first, width)[:, None], models.times, DEGREE)
+        sizes, squares = stepped.fit(own)
+        at = int(np.argmin(squares))
+    size, square = float(sizes[at, 0]), float(squares[at])
+    if square * BETTER > best_bent:
         # Perhaps a loss beside a corner: both together, against any two corners.
-        with_step, sizes = _pairs(step[None], bent, y)
-        both = int(np.argmin(with_step[0]))
-        squares, size = float(with_step[0, both]), float(sizes[0, both])
-        if squares * BETTER > best_bent or squares * BETTER > float(_pairs(bent, bent, y)[0].min()):
+        step = np.broadcast_to(_steps(own.size, first[at : at + 1], width[at : at + 1]), models.corners.shape)
+        sizes, squares = change_models(np.stack((step, models.corners), axis=1), models.times, DEGREE).fit(own)
+        both = int(np.argmin(squares))
+        size, square = float(sizes[both, 0]), float(squares[both])
+        if square * BETTER > min(best_bent, float(_two_corners(*place).fit(own)[1].min())):
             return None
     if abs(size) < LEAST - ROUNDING:
         return None
@@ -149,30 +150,6 @@ def _judged(count: Array, low: int, high: int) -> LostCounts | None:
     return LostCounts(math.ceil(start), max(math.ceil(start + width[at] - 1), math.ceil(start)), round(size))
 
 
-def _ramps(j: Array, first: Array, width: Array) -> Array:
-    return loss_profile(j - first[:, None] + 1, width[:, None])
-
-
-def _beside(smooth: Array, columns: Array) -> Array:
-    """Return what of the columns the smooth polynomials cannot follow."""
-    return np.asarray(columns - (columns @ smooth) @ smooth.T)
-
-
-def _left(columns: Array, y: Array) -> Array:
-    """Return the mean square that each column alone leaves of y; the rounding of a count at least."""
-    followed = (columns @ y) ** 2 / np.maximum(np.einsum("ij,ij->i", columns, columns), 1e-12)
-    return np.asarray(np.maximum((y @ y - followed) / y.size, 1 / 12))
-
-
-def _pairs(one: Array, other: Array, y: Array) -> tuple[Array, Array]:
-    """Return the mean squares that pairs of columns leave of y, (ones, others), and the coefficients of the first."""
-    a = np.einsum("ij,ij->i", one, one)[:, None]
-    b = one @ other.T
-    c = np.einsum("ij,ij->i", other, other)[None, :]
-    d, e = (one @ y)[:, None], (other @ y)[None, :]
-    determinant = a * c - b * b
-    apart = determinant > 1e-9 * a * c + 1e-30
-    safe = np.where(apart, determinant, 1.0)
-    first, second = (c * d - b * e) / safe, (a * e - b * d) / safe
-    squares = np.where(apart, np.maximum((y @ y - first * d - second * e) / y.size, 1 / 12), np.inf)
-    return squares, first
+def _steps(samples: int, first: Array, width: Array) -> Array:
+    """Return the losses of one count that begin at ``first`` and take ``width`` samples, (k,) each: (k, samples)."""
+    return loss_profile(np.arange(samples) - first[:, None] + 1, width[:, None])

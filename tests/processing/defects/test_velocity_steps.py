@@ -32,7 +32,7 @@ def with_kicks(size, seed):
 def test_kicks_are_marked_with_their_size_and_nothing_else_is(recorded, motion, size, share, seed):
     time, x, at = with_kicks(size, seed)
     plain = motion(5, 1.0)
-    found = velocity_steps.kicks(series.from_recording(recorded(type(plain)(time, x, x, ()))))
+    found = velocity_steps.velocity_steps(series.from_recording(recorded(type(plain)(time, x, x, ()))))
     when = time[[kick.sample for kick in found]]
     apart = np.abs(when[:, None] - at)
     assert np.mean(apart.min(axis=0) < 4e-3) >= share
@@ -43,12 +43,12 @@ def test_kicks_are_marked_with_their_size_and_nothing_else_is(recorded, motion, 
 @pytest.mark.parametrize("pitch", [1e-6, 7.67e-6, 50e-6])
 @pytest.mark.parametrize("law", [1, 3, 5, 6])
 def test_landings_are_no_kicks(motion, recorded, law, pitch):
-    assert velocity_steps.kicks(series.from_recording(recorded(motion(law, 30.0), pitch))) == ()
+    assert velocity_steps.velocity_steps(series.from_recording(recorded(motion(law, 30.0), pitch))) == ()
 
 
 def test_a_track_without_counts_shows_none(imported):
     time = np.arange(100) * 1e-3
-    assert velocity_steps.kicks(series.from_recording(imported(time, np.abs(time - 0.05)))) == ()
+    assert velocity_steps.velocity_steps(series.from_recording(imported(time, np.abs(time - 0.05)))) == ()
 
 
 def test_kicks_are_kept_in_the_run_file(tmp_path, kicked, motion, run_data):

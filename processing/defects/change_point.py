@@ -1,0 +1,66 @@
+"""Change points of a count: where the motion before and after does not fit together, and which change explains it.
+
+Two parabolas, one on the samples before a place and one on those after, find the suspects.  Around each suspect models
+of what may have happened (a step, a kink, a corner at each of many times) are fitted by least squares beside a smooth
+polynomial, and their mean squares are compared: a generalised likelihood ratio test.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.compute.arrays import Array
+
+ROUNDED = 1 / 12  # counts^2: the mean square of rounding to whole counts; no model explains more
+RIDGE = 1e-9  # of a column's own square: keeps pairs of nearly equal columns solvable, far below what a test compares
+
+
+def jump_weights(side: int, width: int, derivative: int) -> Array:
+    """Return the weights, (2 side + width - 1,), of a jump of the motion in the middle of so many samples.
+
+    The jump is the parabola through the last ``side`` samples less the one through the first ``side``: its value
+    (``derivative`` 0, counts) or its slope (1, counts per sample).
+    """
+    j = np.arange(2 * side + width - 1) - (side + (width - 2) / 2)
+    weights = np.zeros(j.size)
+    for own, sign in ((slice(0, side), -1.0), (slice(j.size - side, None), 1.0)):
+        weights[own] = sign * np.linalg.pinv(np.vander(j[own], 3))[2 - derivative]
+    return weights
+
+
+@dataclass(frozen=True, eq=False)
+class ChangeModels:
+    """m models of a change, each a sum of k columns beside a smooth polynomial.
+
+    Attributes
+    ----------
+    columns : array of shape (m, k, n)
+        Less what the polynomial explains.
+    inverse : array of shape (m, k, k)
+        Of their normal equations.
+    smooth : array of shape (n, d)
+        Orthonormal basis of the polynomials.
+    """
+
+    columns: Array
+    inverse: Array
+    smooth: Array
+
+    def fit(self, count: Array) -> tuple[Array, Array]:
+        """Fit n counts: coefficients (m, k), and the mean squares left, counts^2, (m,), at least `ROUNDED`."""
+        y = count - self.smooth @ (self.smooth.T @ count)
+        product = self.columns @ y
+        solved = np.einsum("mij,mj->mi", self.inverse, product)
+        squares = (y @ y - np.einsum("mi,mi->m", solved, product)) / y.size
+        return solved, np.maximum(squares, ROUNDED)
+
+
+def change_models(columns: Array, times: Array, degree: int) -> ChangeModels:
+    """Return the models with columns (m, k, n) beside polynomials of ``degree`` in ``times``, (n,)."""
+    smooth = np.linalg.qr(np.vander(times, degree + 1))[0]
+    columns = columns - (columns @ smooth) @ smooth.T
+    square = columns @ columns.transpose(0, 2, 1)
+    size = np.sqrt(np.einsum("mii->mi", square))
+    size[size < 1e-6] = 1.0  # a change outside the samples
+    scale = size[:, :, None] * size[:, None, :]
+    return ChangeModels(columns, np.linalg.inv(square / scale + RIDGE * np.eye(size.shape[1])) / scale, smooth)
