@@ -195,25 +195,6 @@ def try_corner(
         gain[k] = 0.5 * (total + math.log(product))
 
 
-def average(motion: Array, behind: Array, sure: NDArray[np.bool_]) -> None:
-    """Average two motions (6, n), or take the first where it is ``sure``; variances become errors.
-
-    The smoother's variance is that of readings and of the motion's own noise.  A slip is smooth but for its ends, and
-    errs by its readings' share alone: 1 - (2 d + 1)/8 of that variance in the d-th derivative.
-    """
-    for row in range(3):
-        share = 1 - (2 * row + 1) / 8
-        for i in range(motion.shape[1]):
-            if sure[i]:
-                motion[row + 3, i] = math.sqrt(max(motion[row + 3, i], 0.0))
-                continue
-            mean = (motion[row, i] + behind[row, i]) / 2
-            apart = (motion[row, i] - mean) ** 2 + (behind[row, i] - mean) ** 2
-            variance = share * (motion[row + 3, i] + behind[row + 3, i])
-            motion[row, i] = mean
-            motion[row + 3, i] = math.sqrt(max((variance + apart) / 2, 0.0))
-
-
 def gains(stored: Array, surprise: int, spans: NDArray[np.int64], gain: Array) -> None:
     """Sum the log likelihoods of the samples in each span, up to a constant, into ``gain``.
 

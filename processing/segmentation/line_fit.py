@@ -1,68 +1,56 @@
-"""Kernel: straight lines through a stretch of samples, around every one of them, in one pass.
+"""Straight lines through the sticks: the velocity of a stick on an even belt, and what its error is worth.
 
-Runs as written or compiled (`daq.compute.compile`).
+A line through a whole stick would be the most likely motion, but trusts the belt to keep its speed for that long: on a
+belt that wanders by 0.02 mm/s, too little to be seen as uneven, its standard errors covered 6 % of the true velocities
+instead of 95 %.  So a line spans at most a third of a slip's length, and by how much the lines of neighbouring windows
+differ scales the errors.
 """
 
+import numpy as np
+
 from daq.compute.arrays import Array
+from processing.polynomial.uneven import starts
 
 
-def lines(time: Array, position: Array, first: int, last: int, window: int, variance: float, motion: Array) -> float:
-    """Fit samples first..last-1; write x v a and their variances into ``motion`` (6, n).
+def fit_lines(time: Array, position: Array, window: int, variance: float) -> tuple[Array, float]:
+    """Fit a line around every sample of a stick, centred, or up against an end of the stick.
 
-    The window is centred, or up against an end of the stretch.  The acceleration is 0; its error is the slope's over
-    the length of the window.
+    Parameters
+    ----------
+    time, position : array of shape (n,)
+        s and m.
+    window : int
+        Samples of each line, at most.
+    variance : float
+        Of a reading, m^2.
 
     Returns
     -------
-    float
-        Mean square by which the slopes of neighbouring windows without a common sample differ, over what
-        ``variance`` (of a reading, m^2) makes them differ: 1 for a straight line; 0 where there is one window only.
+    motion : array of shape (6, n)
+        x, v, a and their variances.  The acceleration is 0; its error is the slope's over the length of the window.
+    differing : float
+        Mean square by which the slopes of neighbouring windows without a common sample differ, over what ``variance``
+        makes them differ: 1 for a straight line; 0 where there is one window only.
     """
-    n = last - first
+    n = time.size
     size = min(window, n)
-    t0, x0 = time[first], position[first]
-    differing, pairs, slope_before, variance_before = 0.0, 0, 0.0, 0.0
-    begin = -1
-    st = sx = stt = stx = 0.0
-    for i in range(n):
-        low = min(max(i - size // 2, 0), n - size)
-        if begin < 0 or low % 64 == 0:
-            # Afresh now and then: the sums forget their rounding.
-            if low != begin:
-                begin = low
-                st = sx = stt = stx = 0.0
-                for k in range(low, low + size):
-                    t, x = time[first + k] - t0, position[first + k] - x0
-                    st += t
-                    sx += x
-                    stt += t * t
-                    stx += t * x
-        while begin < low:
-            t, x = time[first + begin] - t0, position[first + begin] - x0
-            st -= t
-            sx -= x
-            stt -= t * t
-            stx -= t * x
-            t, x = time[first + begin + size] - t0, position[first + begin + size] - x0
-            st += t
-            sx += x
-            stt += t * t
-            stx += t * x
-            begin += 1
-        middle = st / size
-        spread = stt - st * middle
-        slope = (stx - middle * sx) / spread
-        away = time[first + i] - t0 - middle
-        at = first + i
-        motion[0, at] = x0 + sx / size + slope * away
-        motion[1, at] = slope
-        motion[2, at] = 0.0
-        motion[3, at] = variance * (1.0 / size + away * away / spread)
-        motion[4, at] = variance / spread
-        motion[5, at] = variance / spread * size / spread
-        if i % size == size // 2 and i + size - size // 2 <= n:
-            if variance_before > 0.0:
-                differing += (slope - slope_before) ** 2 / (variance_before + variance / spread)
-                pairs += 1
-            slope_before, variance_before = slope, variance / spread
-    return differing / pairs if pairs else 0.0
+    t, x = time - time.mean(), position - position.mean()
+    speed = float(t @ x) / float(t @ t)
+    rest = x - speed * t  # small, so that differences of running sums keep their digits
+    low = starts(n, size)
+
+    def summed(values: Array) -> Array:
+        running = np.concatenate(([0.0], np.cumsum(values)))
+        return np.asarray(running[low + size] - running[low])
+
+    middle = summed(t) / size
+    spread = summed(t * t) - size * middle**2
+    slope = (summed(t * rest) - middle * summed(rest)) / spread
+    away, known = t - middle, variance / spread
+    fitted = position.mean() + speed * t + summed(rest) / size + slope * away
+    motion = np.stack(
+        (fitted, speed + slope, np.zeros(n), variance / size + known * away**2, known, known * size / spread)
+    )
+    apart = slice(size // 2, n - size + size // 2 + 1, size)
+    differing = np.diff(slope[apart]) ** 2 / (known[apart][1:] + known[apart][:-1])
+    return motion, float(differing.mean()) if differing.size else 0.0
