@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from daq.output import atomic
+from daq.output import tables
 from processing.record.kinematics import Kinematics
 
 DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
@@ -33,8 +33,6 @@ def frame(kinematics: Kinematics) -> pd.DataFrame:
 
 def write_csv(kinematics: Kinematics, target: Path, *, force: bool = False) -> list[str]:
     """Write the table and return its column names; an existing file is replaced only by ``force``."""
-    atomic.refuse_existing(target, force)
-    table = frame(kinematics)
-    with atomic.replacing(target, force) as temporary:
-        table.to_csv(temporary, index=False, lineterminator="\n")
-    return list(table.columns)
+    rows = frame(kinematics)
+    tables.write(rows, target, "csv", force=force)
+    return list(rows.columns)

@@ -13,7 +13,6 @@
 """
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from pathlib import Path
 
 import h5py
@@ -22,7 +21,6 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.errors import InputError
 from daq.runfile import nexus, store
-from daq.version import VERSION
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.lost_counts import LostCounts
 from processing.record.motion import Phase, VelocityStep
@@ -44,12 +42,7 @@ def save(kinematics: Kinematics, path: Path) -> None:
 
 def begin(entry: h5py.Group) -> h5py.Group:
     """Make the group of the stage."""
-    smooth = nexus.group(entry, "smooth", "NXprocess", default="phase_portrait")
-    nexus.field(smooth, "program", "process smooth")
-    nexus.field(smooth, "version", VERSION)
-    nexus.field(smooth, "date", datetime.now(UTC).isoformat(timespec="seconds"))
-    nexus.field(smooth, "sequence_index", np.int64(1))
-    return smooth
+    return nexus.process(entry, "smooth", "process smooth", 1, "phase_portrait")
 
 
 def empty(smooth: h5py.Group, n: int, unit: str, *, belt: bool = False) -> h5py.Group:

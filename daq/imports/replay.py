@@ -20,7 +20,7 @@ from daq.imports import sigrok
 from daq.output import provenance
 from daq.runfile import store
 from daq.runfile.recording import EVENTS, Raw, Recording, positions
-from daq.runfile.rig import Rig
+from daq.runfile.rig import Rig, quoted
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
 
@@ -215,8 +215,8 @@ def _captured(
     event_sample, event_kind = _events(flags)
     started = datetime(*capture.stamp, tzinfo=UTC)
     roles = ("step", "direction") if wired.decoder == decode.TWO_COUNTER else ("a", "b")
-    settings = f'[replay]\nsource = "{capture.path.name}"\nrate_hz = {float(rate_hz)!r}\n'
-    settings += "".join(f'{role} = "{name}"\n' for role, name in zip(roles, names, strict=True))
+    settings = f"[replay]\nsource = {quoted(capture.path.name)}\nrate_hz = {float(rate_hz)!r}\n"
+    settings += "".join(f"{role} = {quoted(name)}\n" for role, name in zip(roles, names, strict=True))
     return Recording(
         title=f"{capture.path.name}, probes {names[0]} and {names[1]}",
         started=started.isoformat(),

@@ -17,7 +17,7 @@ from daq.imports.columns import find, unit
 from daq.imports.frame_rate import check_half_period
 from daq.output import provenance
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Measured, Rig, quoted
 
 FRAME_RATE_TOLERANCE = 1.01
 FARTHEST_M = 1e6  # no rig is larger: a position beyond is a slip of the pen or of the unit
@@ -180,7 +180,7 @@ def _run(path: Path, wishes: Wishes, run: Recording, cells: table.Table, columns
         "decimal": cells.decimal,
         **columns,
     }
-    lines = [f"{key} = {_toml(value)}" for key, value in settings.items()]
+    lines = [f"{key} = {quoted(value)}" for key, value in settings.items()]
     if wishes.frame_rate_hz is not None:
         lines.append(f"frame_rate_hz = {wishes.frame_rate_hz!r}")
     end = start + timedelta(seconds=float(run.time[-1]))
@@ -203,7 +203,3 @@ def _start(text: str) -> datetime:
     if start is None or start.tzinfo is None:
         raise InputError(f"{text!r} is no time with zone", "--start", "write it like 2024-05-01T14:30:00+02:00")
     return start
-
-
-def _toml(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t") + '"'

@@ -10,21 +10,41 @@ from daq.errors import InputError
 from daq.output import disk
 
 
-def refuse_existing(path: Path, force: bool, source: Path | None = None) -> None:
-    """Raise InputError when ``path`` exists and ``force`` was not given, or when it cannot be written to.
+def refuse_existing(
+    path: Path, force: bool = False, *sources: Path, own: str = "", kind: str = "", flag: str = "-o"
+) -> None:
+    """Raise InputError when ``path`` may not be written: the one rule about files that exist.
 
-    Not even ``force`` lets an output replace the ``source`` it is made from.
+    Parameters
+    ----------
+    path : Path
+        The output file.
+    force : bool
+        Replace an existing file.
+    *sources : Path
+        What the output is made from; not even ``force`` lets it replace one of them.
+    own : str
+        A mark in the first 2000 bytes of a file of this kind: such a file is replaced without ``force``.
+    kind : str
+        What such a file is called, for the message.
+    flag : str
+        The flag that names the output, for the message.
     """
-    if source is not None and path.exists() and source.exists() and path.samefile(source):
-        raise InputError("would replace its own source", str(path), "give another name (-o)")
+    where = str(path)
+    if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
+        raise InputError("would replace its own source", where, f"give another name ({flag})")
     if path.is_dir():
-        raise InputError("is a folder", str(path), "give a file name")
+        raise InputError("is a folder", where, f"give a file name ({flag})")
     if path.exists() and not path.is_file():
-        raise InputError("is a device, not a file", str(path), "give a file name")
-    if path.exists() and not force:
-        raise InputError("the output file exists", str(path), "give another name (-o), or --force to replace it")
+        raise InputError("is a device, not a file", where, "give a file name")
+    if path.exists() and own:
+        with path.open("rb") as file:
+            if own.encode() not in file.read(2000):
+                raise InputError(f"exists and is no {kind}", where, f"give another name ({flag})")
+    elif path.exists() and not force:
+        raise InputError("the output file exists", where, f"give another name ({flag}), or --force to replace it")
     if not path.absolute().parent.is_dir():
-        raise InputError("its folder does not exist", str(path), f"make {path.absolute().parent} first")
+        raise InputError("its folder does not exist", where, f"make {path.absolute().parent} first")
 
 
 @contextmanager

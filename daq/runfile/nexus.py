@@ -9,6 +9,7 @@ are relative to /entry; ``where`` is the file, for the message.
 """
 
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from daq.errors import InputError
+from daq.version import VERSION
 
 CHUNK = 16384
+# With shuffle, higher levels of gzip cost time and gain little.
+FILTERS: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 EVERY = slice(None)  # rows
 AGAIN = "the file was damaged or made by another program; record or import it again"
 
@@ -29,6 +33,16 @@ def group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5
     made.attrs["NX_class"] = nx_class
     for key, value in attributes.items():
         made.attrs[key] = value
+    return made
+
+
+def process(parent: h5py.Group, name: str, program: str, sequence_index: int, default: str) -> h5py.Group:
+    """Make the group of a stage, an NXprocess: which program made it, of which version, when, as which step."""
+    made = group(parent, name, "NXprocess", default=default)
+    field(made, "program", program)
+    field(made, "version", VERSION)
+    field(made, "date", datetime.now(UTC).isoformat(timespec="seconds"))
+    field(made, "sequence_index", np.int64(sequence_index))
     return made
 
 
@@ -61,16 +75,9 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
         values = np.asarray(data)
         if values.dtype.kind == "f" and units is None:
             raise ValueError(f"float field {name!r} has no units; give units, '' when it is dimensionless")
-        filters: dict[str, Any] = {}
+        filters = {}
         if values.ndim and values.size:
-            chunks = (min(values.shape[0], CHUNK), *values.shape[1:])
-            filters = {
-                "chunks": chunks,
-                "compression": "gzip",
-                "compression_opts": 1,  # with shuffle, higher levels cost time and gain little
-                "shuffle": True,
-                "fletcher32": True,
-            }
+            filters = {"chunks": (min(values.shape[0], CHUNK), *values.shape[1:]), **FILTERS}
         # An array of an HDF5 enum carries its names in the dtype's metadata, which h5py reads here.
         made = parent.create_dataset(name, data=values, dtype=values.dtype, track_times=False, **filters)
     if units is not None:
@@ -80,11 +87,15 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     return made
 
 
-def column(parent: h5py.Group, name: str, n: int, dtype: str, units: str) -> h5py.Dataset:
-    """Make a column of ``n`` numbers yet to be written, stored as `field` stores one."""
-    filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
-    made = parent.create_dataset(name, (n,), dtype, chunks=(min(n, CHUNK),), track_times=False, **filters)
-    made.attrs["units"] = units
+def column(
+    parent: h5py.Group, name: str, n: int, dtype: str, units: str, *, growing: bool = False, **attributes: Any
+) -> h5py.Dataset:
+    """Make a column of ``n`` numbers yet to be written, stored as `field` stores one; a growing one begins empty."""
+    shape, most = ((0,), (None,)) if growing else ((n,), None)
+    made = parent.create_dataset(
+        name, shape, dtype, maxshape=most, chunks=(min(n, CHUNK),), track_times=False, **FILTERS
+    )
+    made.attrs.update({"units": units, **attributes})
     return made
 
 

@@ -44,12 +44,7 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
 
 def refuse_foreign_file(path: Path) -> None:
     """Raise InputError when ``path`` holds something that is not a report of ours, or cannot be written."""
-    if path.is_dir():
-        raise InputError("is a folder", str(path), "give a file name with --report")
-    if not path.absolute().parent.is_dir():
-        raise InputError("its folder does not exist", str(path), f"make {path.absolute().parent} first")
-    if path.exists() and MARK not in path.read_text(errors="replace")[:2000]:
-        raise InputError("exists and is no report", str(path), "give another name with --report")
+    atomic.refuse_existing(path, own=MARK, kind="report", flag="--report")
 
 
 def write(page: str, path: Path) -> None:

@@ -11,14 +11,12 @@
       friction_curve  NXdata      friction against relative velocity
 """
 
-from datetime import UTC, datetime
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 from daq.runfile import nexus, store
-from daq.version import VERSION
 from fitting.report.curves import curve, speeds, unit
 from fitting.selection.result import LawResult, Ranking
 
@@ -42,12 +40,7 @@ def save(ranking: Ranking, path: Path) -> None:
 
 
 def _write(entry: h5py.Group, ranking: Ranking) -> None:
-    date = datetime.now(UTC).isoformat(timespec="seconds")
-    fit = nexus.group(entry, "fit", "NXprocess", default="ranking")
-    nexus.field(fit, "program", "fit-friction")
-    nexus.field(fit, "version", VERSION)
-    nexus.field(fit, "date", date)
-    nexus.field(fit, "sequence_index", np.int64(2))
+    fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking")
     said = nexus.group(fit, "parameters", "NXparameters")
     nexus.field(said, "verdict", ranking.verdict)
     nexus.field(said, "cpu_time", np.float64(ranking.cpu_s), "s")
@@ -86,15 +79,11 @@ def _write(entry: h5py.Group, ranking: Ranking) -> None:
         title="levels of each break-away over Fs",
     )
     for row in rows:
-        _law(entry, row, ranking, date)
+        _law(entry, row, ranking)
 
 
-def _law(entry: h5py.Group, row: LawResult, ranking: Ranking, date: str) -> None:
-    group = nexus.group(entry, f"fit_law{row.law}", "NXprocess", default="friction_curve")
-    nexus.field(group, "program", "fit-friction")
-    nexus.field(group, "version", VERSION)
-    nexus.field(group, "date", date)
-    nexus.field(group, "sequence_index", np.int64(2))
+def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
+    group = nexus.process(entry, f"fit_law{row.law}", "fit-friction", 2, "friction_curve")
     parameters = nexus.group(group, "parameters", "NXparameters")
     nexus.field(parameters, "law_name", row.name)
     nexus.field(parameters, "formula", _formula(row.law))

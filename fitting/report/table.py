@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from daq.errors import InputError
 from daq.output import atomic
 
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
@@ -13,16 +12,7 @@ EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbi
 
 def refuse_foreign_file(path: Path, files: Sequence[Path]) -> None:
     """Raise InputError when the table cannot go to ``path``: a folder, a run, a file that is no table of ours."""
-    if path.is_dir():
-        raise InputError("is a folder", str(path), "give a file name with --csv")
-    if not path.absolute().parent.is_dir():
-        raise InputError("its folder does not exist", str(path), f"make {path.absolute().parent} first")
-    if path.resolve() in {file.resolve() for file in files}:
-        raise InputError("is one of the runs", str(path), "give another name with --csv")
-    if path.exists():
-        with path.open("rb") as file:
-            if not file.read(16).startswith(b"file,law,name,"):
-                raise InputError("exists and is no ranking", str(path), "give another name with --csv")
+    atomic.refuse_existing(path, False, *files, own="file,law,name,", kind="ranking", flag="--csv")
 
 
 def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:

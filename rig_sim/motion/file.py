@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,6 @@ from daq.version import VERSION
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.motion.play import DEFAULT_MAX_STEPS, SamplePhase, ScenePlayer
 from rig_sim.scenes.scene import Scene
-
-if TYPE_CHECKING:
-    import h5py
 
 SAMPLES_AT_ONCE = 65_536
 MOST_SAMPLES = 100_000_000  # 3.2 GB of HDF5
@@ -137,7 +133,10 @@ def _write_h5(player: ScenePlayer, target: Path, samples: int, rate: float, meth
         nexus.field(simulation, "method", method)
         group = nexus.group(entry, "motion", "NXdata", signal="x", axes="t", t_indices=0)
         group.attrs["auxiliary_signals"] = ["v", "F"]
-        fields = [_growing_field(group, name, min(nexus.CHUNK, samples)) for name in _COLUMNS]
+        fields = [
+            nexus.column(group, name, samples, "f8", units, growing=True, long_name=text)
+            for name, (text, units) in _COLUMNS.items()
+        ]
         rows = 0
         for columns in _stretches(player, samples, rate):
             for field, column in zip(fields, columns, strict=True):
@@ -146,12 +145,3 @@ def _write_h5(player: ScenePlayer, target: Path, samples: int, rate: float, meth
             rows += len(columns[0])
         nexus.field(simulation, "outcome", player.outcome.name)
     return rows
-
-
-def _growing_field(group: "h5py.Group", name: str, chunk: int) -> Any:
-    """Make an empty column that is filled block by block: `nexus.field` needs all of it at once."""
-    long_name, units = _COLUMNS[name]
-    filters = {"compression": "gzip", "shuffle": True, "fletcher32": True}
-    field = group.create_dataset(name, shape=(0,), maxshape=(None,), chunks=(chunk,), dtype="f8", **filters)
-    field.attrs.update({"long_name": long_name, "units": units})
-    return field

@@ -146,6 +146,6 @@ def test_a_strangers_table_and_the_run_itself_are_not_replaced(run, tmp_path):
     mine = tmp_path / "mine.csv"
     mine.write_text("mine")
     for path in (mine, run):
-        with pytest.raises(InputError, match=r"no ranking|one of the runs"):
+        with pytest.raises(InputError, match=r"no ranking|own source"):
             cli.fit(run, csv=path)
     assert mine.read_text() == "mine"
