@@ -29,8 +29,9 @@ from scipy.optimize import least_squares
 
 import fitting
 import processing
+from daq.protocols.request import RecordRequest
 from daq.recorder import ports
-from daq.recorder.record import Request, record
+from daq.recorder.record import record
 from daq.runfile import store
 from fitting.data import cycles, frame
 from fitting.estimation import levenberg_marquardt
@@ -51,7 +52,7 @@ def recorded(law: int, seconds: float, folder: str) -> Path:
     path = Path(folder) / f"{law}-{seconds:g}.h5"
     if not path.exists():
         url = ports.rig_url("rig", [f"friction.law={law}", "seed=7", *SCENE], False)
-        record(Request(url, path, 1000, seconds))
+        record(RecordRequest(url, path, 1000, seconds))
     return path
 
 

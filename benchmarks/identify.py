@@ -35,8 +35,9 @@ import fitting
 import processing
 import rig_sim
 from daq.errors import DataError
+from daq.protocols.request import RecordRequest
 from daq.recorder import ports
-from daq.recorder.record import Request, record
+from daq.recorder.record import record
 from daq.runfile import store
 from rig_sim.motion.play import ScenePlayer
 
@@ -90,7 +91,7 @@ def ranked(changes: dict[str, Any], duration: float, folder: str) -> Any:
     """Record and smooth one run."""
     path = Path(folder) / f"{changes['seed']}-{changes.get('belt.speed', 0)}.h5"
     listed = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
-    record(Request(ports.rig_url("rig", listed, False), path, 1000, duration))
+    record(RecordRequest(ports.rig_url("rig", listed, False), path, 1000, duration))
     kinematics = processing.smooth(store.load(path))
     path.unlink()
     return kinematics

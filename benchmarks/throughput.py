@@ -20,8 +20,9 @@ from pathlib import Path
 
 from daq import protocols
 from daq.finalise import run
-from daq.protocols.session import Plan, Wish
-from daq.recorder.record import Request, record
+from daq.protocols.request import RecordRequest
+from daq.protocols.session import Plan
+from daq.recorder.record import record
 from daq.wire import frames as wire
 
 RESULTS = Path(__file__).resolve().parent / "results"
@@ -84,7 +85,7 @@ def decoding() -> list[dict[str, object]]:
     ):
         backend = protocols.load(protocol)
         reads = [(at, data[at : at + READ]) for at in range(0, len(data), READ)]
-        session = backend.session(None, "", Wish(columns=header.get("columns")))
+        session = backend.session(None, "", RecordRequest(columns=header.get("columns")))
         if protocol == "text":
             session.prepare(Plan(1000.0, 1, 0.0))
         least = {"tally": float("inf"), "decode": float("inf")}
@@ -136,7 +137,7 @@ def recording(seconds: float, rate_hz: int) -> dict[str, float]:
 
         run.finalise = timed
         try:
-            request = Request(os.ttyname(slave), Path(folder) / "run.h5", rate_hz, seconds, baud=1_000_000)
+            request = RecordRequest(os.ttyname(slave), Path(folder) / "run.h5", rate_hz, seconds, baud=1_000_000)
             found = record(request, progress=note, stop=threading.Event())
         finally:
             run.finalise = build

@@ -17,9 +17,8 @@ from daq.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
 
 if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown
-    from daq.console.settings import Settings
     from daq.finalise.quality import Summary
-    from daq.recorder.record import Request
+    from daq.protocols.request import RecordRequest
     from daq.runfile.recording import Recording
     from daq.runfile.rig import Measured
 
@@ -61,9 +60,10 @@ def check(
     """
     from daq.calibration import board_test
     from daq.console import settings
+    from daq.protocols.request import RecordRequest
 
     known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
-    request = _request(known)
+    request = RecordRequest(**({"port": rig_port(None, None, realtime=False)} | known))
     simulated = request.port.startswith("rig://")
     parked_s = parked if parked is not None else SIMULATED_PARKED_S if simulated else PARKED_S
     move_s = move if move is not None else SIMULATED_MOVED_S if simulated else MOVED_S
@@ -145,12 +145,13 @@ def calibrate(
     from daq.calibration import rig_constants as measure
     from daq.console import settings, units
     from daq.output import atomic
+    from daq.protocols.request import RecordRequest
     from daq.runfile.rig import checked
 
     if not ring_down and distance is None:
         raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
     known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
-    request = _request(known)
+    request = RecordRequest(**({"port": rig_port(None, None, realtime=False)} | known))
     atomic.refuse_existing(output, force)
     length = None if distance is None else units.measured(distance, "length", "--distance")
     if length is not None and length.value == 0:
@@ -159,7 +160,7 @@ def calibrate(
     if mass is not None:
         typed = units.measured(mass, "mass", "--mass")
         weighed = checked("mass", typed.value, typed.sd, "--mass")
-    if known.port is None:
+    if "port" not in known:
         if length is not None:
             what = "nobody moves the simulated rig by hand, so it has no known distance"
             raise InputError(what, "--distance", "give the --port of a board, or leave --distance out")
@@ -199,10 +200,7 @@ def calibrate(
     if made.metres_per_count is None:
         warnings.append("without --distance there are no metres: lengths are counts")
     warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
-    board = settings.board_toml(
-        port=known.port, protocol=known.protocol, columns=known.columns, baud=known.baud, rate=known.rate,
-        decoder=known.decoder,
-    )  # fmt: skip
+    board = settings.board_toml(known)
     text = _commented(ring) + made.to_toml() + board
     with atomic.replacing(output, force) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -210,22 +208,7 @@ def calibrate(
     return Answer(data, _as_text(data, ring, warnings, output))
 
 
-def _request(known: "Settings") -> "Request":
-    from daq.recorder.record import Request
-
-    return Request(
-        port=known.port or rig_port(None, None, realtime=False),
-        output=Path("run.h5"),
-        rate_hz=known.rate,
-        baud=known.baud,
-        protocol=known.protocol or "frames",
-        columns=known.columns,
-        decoder=known.decoder,
-        calibration=known.calibration,
-    )
-
-
-def _reach(request: "Request") -> None:
+def _reach(request: "RecordRequest") -> None:
     """Refuse what cannot be recorded, and a port that cannot be opened, before a person is asked to do anything."""
     from daq import protocols
     from daq.recorder import ports
@@ -236,7 +219,9 @@ def _reach(request: "Request") -> None:
     ports.open_port(request.port, request.baud or protocols.load(request.protocol).BAUD).close()
 
 
-def _take(request: "Request", progress: Callable[[float], None] = lambda seconds: None) -> "tuple[Summary, Recording]":
+def _take(
+    request: "RecordRequest", progress: Callable[[float], None] = lambda seconds: None
+) -> "tuple[Summary, Recording]":
     """Record into a folder of its own, and return what was found and the run."""
     from daq.output import disk
     from daq.recorder.record import RecordingInterruptedError, record

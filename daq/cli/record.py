@@ -94,7 +94,7 @@ def record(
     Example: daq record --rate 1000 --duration 20 -o run.h5
     """
     from daq.console import settings
-    from daq.recorder.record import Request
+    from daq.protocols.request import RecordRequest
     from daq.recorder.record import record as take
 
     simulated = scene is not None or bool(set_) or realtime
@@ -104,18 +104,8 @@ def record(
     if port is None and simulated:
         port = rig_port(scene, set_, realtime)
     known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
-    request = Request(
-        port=known.port or rig_port(scene, set_, realtime),
-        output=output,
-        rate_hz=known.rate,
-        duration_s=duration,
-        force=force,
-        baud=known.baud,
-        protocol=known.protocol or "frames",
-        columns=known.columns,
-        decoder=known.decoder,
-        calibration=known.calibration,
-    )
+    known = {"port": rig_port(scene, set_, realtime)} | known
+    request = RecordRequest(output=output, duration_s=duration, force=force, **known)
     with _stop_on_interrupt() as stop, application.progress("recording", duration, "s") as show:
         found = take(request, progress=show, say=application.note, stop=stop)
     return Answer(found.as_json(), _text("recorded", found))

@@ -18,43 +18,20 @@ A rig.toml is `daq.runfile.rig`'s calibration and, beside it, a section [board] 
 
 import os
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from daq.errors import InputError, nearest
 
 KEYS: dict[str, type] = {"port": str, "protocol": str, "columns": str, "baud": int, "rate": int, "decoder": str}
+FIELDS = {"rate": "rate_hz"}  # where a field of the request has another name than the key
 
 
-@dataclass(frozen=True)
-class Settings:
-    """The settings of a command, each from the first place that has it; None where none has.
+def resolve(rig: Path | None = None, **flags: Any) -> dict[str, Any]:
+    """Return the settings of a command that any place has, by the fields of `daq.protocols.request.RecordRequest`.
 
-    Attributes
-    ----------
-    port, protocol, columns, decoder : str or None
-        As in the table above.
-    baud, rate : int or None
-        As in the table above.
-    rig : Path or None
-        The rig.toml.
-    calibration : str or None
-        Its text.
-    """
-
-    port: str | None
-    protocol: str | None
-    columns: str | None
-    baud: int | None
-    rate: int | None
-    decoder: str | None
-    rig: Path | None
-    calibration: str | None
-
-
-def resolve(rig: Path | None = None, **flags: Any) -> Settings:
-    """Return the settings of a command.
+    ``calibration`` is the text of the rig.toml.
 
     Parameters
     ----------
@@ -75,15 +52,16 @@ def resolve(rig: Path | None = None, **flags: Any) -> Settings:
     user.pop("rig", None)
     text = None if rig_name is None else _read(rig_name, "--rig")
     board = {} if text is None else board_section(text, str(rig_name))
-    found: dict[str, Any] = {}
+    found = {} if text is None else {"calibration": text}
     for key, kind in KEYS.items():
         value = flags.get(key)
         if value is None and (typed := os.environ.get(f"STICKSLIP_{key.upper()}")):
             value = _typed(typed, kind, f"STICKSLIP_{key.upper()}")
         for section in (board, user):
             value = section.get(key) if value is None else value
-        found[key] = value
-    return Settings(**found, rig=rig_name, calibration=text)
+        if value not in (None, ""):
+            found[FIELDS.get(key, key)] = value
+    return found
 
 
 def board_section(text: str, where: str) -> dict[str, Any]:
@@ -95,11 +73,12 @@ def board_section(text: str, where: str) -> dict[str, Any]:
     return _checked(section, where)
 
 
-def board_toml(**values: Any) -> str:
-    """Return a section [board] with the values that are not None."""
+def board_toml(known: Mapping[str, Any]) -> str:
+    """Return a section [board] with what `resolve` found; nothing where it found nothing."""
     from daq.runfile.rig import quoted
 
-    lines = [f"{key} = {quoted(v) if isinstance(v, str) else v}" for key, v in values.items() if v is not None]
+    values = {key: known[FIELDS.get(key, key)] for key in KEYS if FIELDS.get(key, key) in known}
+    lines = [f"{key} = {quoted(value) if isinstance(value, str) else value}" for key, value in values.items()]
     return "\n".join(["[board]", *lines]) + "\n" if lines else ""
 
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 from daq.errors import DeviceError, InputError, nearest
 from daq.protocols import link_budget
 from daq.protocols import session as sessions
-from daq.protocols.session import Identity, Line, Plan, Port, Wish
+from daq.protocols.request import RecordRequest
+from daq.protocols.session import Identity, Line, Plan, Port
 from daq.wire import frames
 
 if TYPE_CHECKING:
@@ -17,17 +18,17 @@ BAUD = 115_200
 RATE_HZ = 1000
 
 
-def check(wish: Wish) -> None:
+def check(request: RecordRequest) -> None:
     """Refuse columns, which frames declare themselves, and a decoder that there is not."""
-    if wish.columns is not None:
+    if request.columns is not None:
         raise InputError("our frames declare their columns themselves", "--columns", "leave it out: it is for text")
-    if wish.decoder is not None and wish.decoder not in frames.DECODERS:
-        raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, frames.DECODERS))
+    if request.decoder is not None and request.decoder not in frames.DECODERS:
+        raise InputError(f"unknown decoder {request.decoder!r}", "--decoder", nearest(request.decoder, frames.DECODERS))
 
 
-def session(port: Port, url: str, wish: Wish) -> "Frames":
+def session(port: Port, url: str, request: RecordRequest) -> "Frames":
     """Return a session on an open port."""
-    return Frames(port, url, wish)
+    return Frames(port, url, request)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
@@ -40,8 +41,8 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
 class Frames(Line):
     """A session in our own protocol."""
 
-    def __init__(self, port: Port, url: str, wish: Wish) -> None:
-        super().__init__(port, url, wish)
+    def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
+        super().__init__(port, url, request)
         self._settings: tuple[str, ...] = ()
 
     def identify(self) -> Identity:
@@ -55,14 +56,14 @@ class Frames(Line):
         self.send("", "X")  # the empty line ends a half-sent command of somebody who crashed
         strange = self.drain()
         identity = self._ask(strange)
-        if self.wish.decoder in (None, identity.ident.decoder):
+        if self.request.decoder in (None, identity.ident.decoder):
             return identity
-        self.send(f"M {self.wish.decoder}")  # its counters start again
+        self.send(f"M {self.request.decoder}")  # its counters start again
         return self._ask(b"")
 
     def plan(self, identity: Identity) -> Plan:
         """Return the wished rate (1000 Hz) in frames as long as the rate allows."""
-        rate_hz = float(self.wish.rate_hz or RATE_HZ)
+        rate_hz = float(self.request.rate_hz or RATE_HZ)
         block = link_budget.block_size(identity.ident, rate_hz)
         return Plan(rate_hz, block, link_budget.bytes_per_s(identity.ident, rate_hz, block))
 
@@ -80,8 +81,8 @@ class Frames(Line):
         if identity.ident.block_size != plan.block:
             what = f"the board keeps {identity.ident.block_size} samples per frame where {plan.block} were asked for"
             raise DeviceError(what, self.url, "update its firmware")
-        if self.wish.decoder not in (None, identity.ident.decoder):
-            what = f"the board decodes as {identity.ident.decoder} where {self.wish.decoder} was asked for"
+        if self.request.decoder not in (None, identity.ident.decoder):
+            what = f"the board decodes as {identity.ident.decoder} where {self.request.decoder} was asked for"
             raise DeviceError(what, self.url, "update its firmware, or leave --decoder out")
         return identity
 
@@ -91,7 +92,7 @@ class Frames(Line):
 
     def restart(self) -> None:
         """Set a board that has just reset back to work, without waiting for answers."""
-        decoder = [] if self.wish.decoder is None else [f"M {self.wish.decoder}"]
+        decoder = [] if self.request.decoder is None else [f"M {self.request.decoder}"]
         self.send(*decoder, *self._settings, "S")
 
     def stop(self) -> None:

@@ -24,7 +24,8 @@ from daq.errors import DeviceError, InputError
 from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineReader, LineTally, Other, Row
-from daq.protocols.session import Identity, Line, Plan, Port, Wish
+from daq.protocols.request import RecordRequest
+from daq.protocols.session import Identity, Line, Plan, Port
 from daq.wire import frames
 from daq.wire.splitter import Splitter
 
@@ -45,21 +46,21 @@ _BANNER = re.compile(rb"QSB-[A-Z0-9]{1,8}$")
 _SPACE = b" \r\n"
 
 
-def check(wish: Wish) -> None:
+def check(request: RecordRequest) -> None:
     """Refuse what no QSB can do."""
-    if wish.rate_hz is not None and wish.rate_hz > TICK_HZ:
-        what = f"{wish.rate_hz} Hz is more than a QSB can: its tick of 1/512 s allows at most {TICK_HZ} Hz"
+    if request.rate_hz is not None and request.rate_hz > TICK_HZ:
+        what = f"{request.rate_hz} Hz is more than a QSB can: its tick of 1/512 s allows at most {TICK_HZ} Hz"
         raise InputError(what, "--rate", f"give --rate {TICK_HZ} or less, or use a board with our firmware")
-    if wish.decoder is not None and wish.decoder not in MODES:
-        what = f"a QSB has no decoder {wish.decoder!r}"
+    if request.decoder is not None and request.decoder not in MODES:
+        what = f"a QSB has no decoder {request.decoder!r}"
         raise InputError(what, "--decoder", f"give {' or '.join(MODES)}")
-    if wish.columns is not None:
+    if request.columns is not None:
         raise InputError("a QSB's records have no columns to declare", "--columns", "leave it out: it is for text")
 
 
-def session(port: Port, url: str, wish: Wish) -> "Qsb":
+def session(port: Port, url: str, request: RecordRequest) -> "Qsb":
     """Return a session on an open port."""
-    return Qsb(port, url, wish)
+    return Qsb(port, url, request)
 
 
 def ident(decoder: str | None, interval: int = 1) -> frames.Ident:
@@ -103,8 +104,8 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
 class Qsb(Line):
     """A session with a QSB."""
 
-    def __init__(self, port: Port, url: str, wish: Wish) -> None:
-        super().__init__(port, url, wish)
+    def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
+        super().__init__(port, url, request)
         self._interval = 1
         self._settings: tuple[str, ...] = ()
 
@@ -124,7 +125,7 @@ class Qsb(Line):
             reply, count = self._reply(b"r14", sessions.ASK_AGAIN_S)
             heard += count
             if reply is not None:
-                return Identity(ident(self.wish.decoder))
+                return Identity(ident(self.request.decoder))
         if heard:
             what = f"no identity within {sessions.ANSWER_S:g} s, but {heard} bytes of something else"
             raise DeviceError(what, self.url, "check that it is a QSB, and --baud (230400 for a QSB)")
@@ -133,8 +134,8 @@ class Qsb(Line):
 
     def plan(self, identity: Identity) -> Plan:
         """Return the rate 512/n Hz that is nearest to the wished one."""
-        check(self.wish)
-        wished = self.wish.rate_hz or TICK_HZ
+        check(self.request)
+        wished = self.request.rate_hz or TICK_HZ
         self._interval = max(1, round(TICK_HZ / wished))
         rate_hz = TICK_HZ / self._interval
         notes = []
@@ -150,7 +151,7 @@ class Qsb(Line):
         DeviceError
             It does not acknowledge a setting.
         """
-        mode = MODES[self.wish.decoder or "x4"]
+        mode = MODES[self.request.decoder or "x4"]
         # 0B may be missing in older ones, which then send every sample anyway.
         self._settings = ("W155", f"W03{mode}", "W0B0", f"W0C{self._interval:X}", "W0D1")
         for command in self._settings:
@@ -158,7 +159,7 @@ class Qsb(Line):
             reply, _ = self._reply(b"w" + command[1:3].lower().encode(), REPLY_S)
             if reply is None and not command.startswith("W0B"):
                 raise DeviceError(f"the QSB does not acknowledge {command}", self.url, "plug it in again")
-        return Identity(ident(self.wish.decoder))
+        return Identity(ident(self.request.decoder))
 
     def start(self) -> None:
         """Start the stream of counts."""

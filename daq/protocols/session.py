@@ -16,10 +16,11 @@ States of a session, and what moves it on::
 
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol
 
+from daq.protocols.request import RecordRequest
 from daq.wire import frames
 
 if TYPE_CHECKING:
@@ -53,25 +54,6 @@ class Port(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> None: ...
-
-
-@dataclass(frozen=True)
-class Wish:
-    """What the user asked for; None where the protocol or the board may choose.
-
-    Attributes
-    ----------
-    rate_hz : int or None
-        Samples per second.
-    decoder : str or None
-        One of `daq.wire.frames.DECODERS`.
-    columns : str or None
-        The columns of text lines.
-    """
-
-    rate_hz: int | None = None
-    decoder: str | None = None
-    columns: str | None = None
 
 
 @dataclass(frozen=True)
@@ -143,7 +125,7 @@ class Session(Protocol):
         """Find out who is there; DeviceError when nobody answers, or not in this protocol."""
 
     def plan(self, identity: Identity) -> Plan:
-        """Say how the wished recording will go; InputError when it cannot."""
+        """Return how the recording will go; InputError when it cannot."""
 
     def prepare(self, plan: Plan) -> Identity:
         """Set the board up; DeviceError when it refuses."""
@@ -175,10 +157,10 @@ class Backend(Protocol):
 
     BAUD: int
 
-    def check(self, wish: Wish) -> None:
-        """Raise InputError for a wish that this protocol can never fulfil; nothing has been touched then."""
+    def check(self, request: RecordRequest) -> None:
+        """Raise InputError for a request that this protocol can never carry out; nothing has been touched then."""
 
-    def session(self, port: Port, url: str, wish: Wish) -> Session:
+    def session(self, port: Port, url: str, request: RecordRequest) -> Session:
         """Return a session on an open port."""
 
     def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
@@ -188,10 +170,10 @@ class Backend(Protocol):
 class Line:
     """Reading and writing that every session shares."""
 
-    def __init__(self, port: Port, url: str, wish: Wish) -> None:
+    def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         self.port = port
         self.url = url
-        self.wish = wish
+        self.request = request
         self.received: list[tuple[int, bytes]] = []
 
     def read(self) -> bytes:
@@ -230,8 +212,3 @@ class Line:
     def send(self, *commands: str) -> None:
         """Send command lines."""
         self.port.write("".join(f"{command}\n" for command in commands).encode())
-
-
-def with_decoder(ident: frames.Ident, decoder: str | None) -> frames.Ident:
-    """Return the identification of a board whose decoder the user names."""
-    return ident if decoder is None else replace(ident, decoder=decoder)

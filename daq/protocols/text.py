@@ -33,7 +33,8 @@ from daq.errors import DeviceError, InputError, nearest
 from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineReader, LineTally, Other, Row
-from daq.protocols.session import Identity, Line, Plan, Port, Wish
+from daq.protocols.request import RecordRequest
+from daq.protocols.session import Identity, Line, Plan, Port
 from daq.wire import frames
 
 if TYPE_CHECKING:
@@ -61,16 +62,16 @@ _PATTERNS = {
 _SEPARATOR = r"(?:[,;]|[ \t]+[,;]?)[ \t]*"
 
 
-def check(wish: Wish) -> None:
+def check(request: RecordRequest) -> None:
     """Refuse columns that cannot be read, and a decoder that there is not."""
-    columns(wish.columns)
-    if wish.decoder is not None and wish.decoder not in frames.DECODERS:
-        raise InputError(f"unknown decoder {wish.decoder!r}", "--decoder", nearest(wish.decoder, frames.DECODERS))
+    columns(request.columns)
+    if request.decoder is not None and request.decoder not in frames.DECODERS:
+        raise InputError(f"unknown decoder {request.decoder!r}", "--decoder", nearest(request.decoder, frames.DECODERS))
 
 
-def session(port: Port, url: str, wish: Wish) -> "Text":
+def session(port: Port, url: str, request: RecordRequest) -> "Text":
     """Return a session on an open port."""
-    return Text(port, url, wish)
+    return Text(port, url, request)
 
 
 @dataclass(frozen=True)
@@ -213,9 +214,9 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
 class Text(Line):
     """A session with a sketch that prints lines; it is listened to, and nothing is said to it."""
 
-    def __init__(self, port: Port, url: str, wish: Wish) -> None:
-        super().__init__(port, url, wish)
-        self._form = columns(wish.columns)
+    def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
+        super().__init__(port, url, request)
+        self._form = columns(request.columns)
         self._rate_hz = 0.0
         self._line_bytes = 0.0
         self._coarse = False
@@ -253,7 +254,7 @@ class Text(Line):
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
         self._line_bytes = heard / max(1, len(times) + bad)
         self._coarse = all(ticks % 1000 == 0 for ticks in times)
-        return Identity(ident(self._form, self.wish.decoder))
+        return Identity(ident(self._form, self.request.decoder))
 
     def plan(self, identity: Identity) -> Plan:
         """Return the sketch's own rate.
@@ -263,7 +264,7 @@ class Text(Line):
         InputError
             It is not the one asked for.
         """
-        rate_hz, wished = self._rate_hz, self.wish.rate_hz
+        rate_hz, wished = self._rate_hz, self.request.rate_hz
         if wished is not None:
             if abs(rate_hz / wished - 1) > RATE_WITHIN:
                 what = f"the lines come at {rate_hz:.4g} Hz, not at {wished} Hz"
@@ -279,7 +280,7 @@ class Text(Line):
     def prepare(self, plan: Plan) -> Identity:
         """Do nothing: the sketch is as it is."""
         self._rate_hz = plan.rate_hz
-        return Identity(ident(self._form, self.wish.decoder))
+        return Identity(ident(self._form, self.request.decoder))
 
     def start(self) -> None:
         """Throw away what has waited since: the sketch prints all the time."""
@@ -308,7 +309,7 @@ class Text(Line):
             return f"nothing came within {sessions.ANSWER_S:g} s", self.url, do
         if bad > good:
             seen = example.rstrip(b"\r")[:60].decode("ascii", "backslashreplace")
-            what = f"the lines are not of the columns {self.wish.columns}; one is {seen!r}"
+            what = f"the lines are not of the columns {self.request.columns}; one is {seen!r}"
             return what, self.url, "declare them by --columns as they are, and check --baud"
         what = f"only {good} lines came within {sessions.ANSWER_S:g} s"
         return what, self.url, f"let the sketch print at least {FEWEST_LINES // 5 + 1} lines a second"

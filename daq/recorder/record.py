@@ -8,16 +8,16 @@ import queue
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq import protocols
 from daq.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
 from daq.output import disk, provenance
 from daq.protocols import link_budget
-from daq.protocols.session import Identity, Plan, Session, Wish
+from daq.protocols.request import RecordRequest
+from daq.protocols.session import Identity, Plan, Session
 from daq.recorder import ports
 from daq.recorder.reader import Reader
 from daq.runfile import journal
@@ -38,60 +38,14 @@ class RecordingInterruptedError(StickslipError):
     exit_code = EXIT_INTERRUPTED
 
 
-@dataclass(frozen=True)
-class Request:
-    """What to record.
-
-    Attributes
-    ----------
-    port : str
-        A device or URL.
-    output : Path
-        The run file.
-    rate_hz : int or None
-        Samples per second; None for what the protocol gives by itself (1000 Hz in our own).
-    duration_s : float
-        How long.
-    force : bool
-        Replace an existing file.
-    baud : int or None
-        Bits per second of a serial line; None for the protocol's usual.
-    protocol, columns, decoder : str
-        One of `daq.protocols.PROTOCOLS`; the columns of text lines; the decoder that the board is to use.
-    calibration : str or None
-        TOML text of a ``rig.toml`` that replaces what the board says of its rig.
-    """
-
-    port: str
-    output: Path
-    rate_hz: int | None = 1000
-    duration_s: float = 20.0
-    force: bool = False
-    baud: int | None = None
-    protocol: str = "frames"
-    columns: str | None = None
-    decoder: str | None = None
-    calibration: str | None = None
-
-    @property
-    def wish(self) -> Wish:
-        """What the protocol is asked for."""
-        return Wish(self.rate_hz, self.decoder, self.columns)
-
-    @property
-    def part(self) -> Path:
-        """Where the journal is kept while the recording runs."""
-        return self.output.with_name(self.output.name + ".part")
-
-
-def check_request(request: Request) -> None:
+def check_request(request: RecordRequest) -> None:
     """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
     from daq.output.atomic import refuse_existing
 
     if request.rate_hz is not None and request.rate_hz < 1:
         raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")
     _samples(request, request.rate_hz or 1000)
-    protocols.load(request.protocol).check(request.wish)
+    protocols.load(request.protocol).check(request)
     if request.calibration is not None:
         Rig.from_toml(request.calibration, "--rig")
     refuse_existing(request.output, request.force)
@@ -103,7 +57,7 @@ def check_request(request: Request) -> None:
         )
 
 
-def _samples(request: Request, rate_hz: float) -> int:
+def _samples(request: RecordRequest, rate_hz: float) -> int:
     """Return the samples wanted at a rate."""
     if not 1 <= request.duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
         what = f"the duration is {request.duration_s:g} s, {request.duration_s * rate_hz:g} samples"
@@ -112,7 +66,7 @@ def _samples(request: Request, rate_hz: float) -> int:
 
 
 def record(
-    request: Request,
+    request: RecordRequest,
     *,
     progress: Callable[[float], None] = lambda seconds: None,
     say: Callable[[str], None] = lambda line: None,
@@ -179,12 +133,12 @@ def record(
         raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
 
 
-def _connect(request: Request) -> tuple[Session, Identity, Plan, list[str]]:
+def _connect(request: RecordRequest) -> tuple[Session, Identity, Plan, list[str]]:
     """Open the port, find out who is there, check that it can do what is asked, and set it up."""
     backend = protocols.load(request.protocol)
     port = ports.open_port(request.port, request.baud or backend.BAUD)
     try:
-        board = backend.session(port, request.port, request.wish)
+        board = backend.session(port, request.port, request)
         identity = board.identify()
         plan = board.plan(identity)
         baud = ports.line_baud(request.port, port)
@@ -199,7 +153,7 @@ def _connect(request: Request) -> tuple[Session, Identity, Plan, list[str]]:
     return board, identity, plan, warnings
 
 
-def _known(request: Request, identity: Identity) -> Rig:
+def _known(request: RecordRequest, identity: Identity) -> Rig:
     try:
         rig = Rig.from_toml(request.calibration or identity.config or "", "the board's CONFIG")
     except InputError:
@@ -208,7 +162,7 @@ def _known(request: Request, identity: Identity) -> Rig:
 
 
 def _header(
-    request: Request, board: Session, identity: Identity, plan: Plan, samples: int, warnings: list[str]
+    request: RecordRequest, board: Session, identity: Identity, plan: Plan, samples: int, warnings: list[str]
 ) -> dict[str, Any]:
     now = datetime.now().astimezone()
     offset = now.utcoffset()
@@ -279,7 +233,7 @@ def _dismiss(reader: Reader) -> None:
             continue
 
 
-def _disk(request: Request, error: OSError) -> StickslipError:
+def _disk(request: RecordRequest, error: OSError) -> StickslipError:
     """Return what a refusing disk means, and that the journal is kept."""
     if request.part.exists():
         do = f"mend that, then get the data with 'daq recover {request.part}'"

@@ -7,8 +7,9 @@ import pytest
 
 import daq
 from daq.finalise import run as finalise
+from daq.protocols.request import RecordRequest
 from daq.recorder import reader
-from daq.recorder.record import RecordingInterruptedError, Request, record
+from daq.recorder.record import RecordingInterruptedError, record
 from daq.runfile import journal
 
 from .conftest import AWAY_S, motion
@@ -24,7 +25,7 @@ def quick(monkeypatch):
 def taken(fake, tmp_path, samples):
     """Record that many samples of a fake, and as many more as it may have sent before."""
     samples += fake.lead * (not fake.paced)
-    request = Request(
+    request = RecordRequest(
         str(fake.path),
         tmp_path / "run.h5",
         rate_hz=None,
@@ -134,7 +135,9 @@ def test_a_recovered_journal_gives_the_same_samples(make_fake, tmp_path):
         if seconds * fake.rate_hz > 6000 * fake.unit + fake.lead:
             raise KeyboardInterrupt
 
-    request = Request(str(fake.path), tmp_path / "run.h5", None, 3000, protocol=fake.protocol, columns=fake.columns)
+    request = RecordRequest(
+        str(fake.path), tmp_path / "run.h5", None, 3000, protocol=fake.protocol, columns=fake.columns
+    )
     with pytest.raises(RecordingInterruptedError):
         record(request, progress=interrupt)
     part = tmp_path / "run.h5.part"

@@ -9,7 +9,8 @@ import pytest
 import serial
 
 from daq import firmware_files
-from daq.recorder.record import Request, record
+from daq.protocols.request import RecordRequest
+from daq.recorder.record import record
 from daq.runfile.store import load
 from daq.wire import frames as wire
 from daq.wire.frames import Ident, Notice, SampleBlock
@@ -116,7 +117,7 @@ def test_a_main_loop_that_hangs_is_restarted_by_the_watchdog(bench, switch_on):
 
 def test_a_recording_goes_on_in_a_new_segment_when_the_board_restarts(bench, switch_on, tmp_path):
     with switch_on("uno", speed=1, hang=0.6) as board:
-        found = record(Request(port=board.port, output=tmp_path / "run.h5", duration_s=2.6))
+        found = record(RecordRequest(port=board.port, output=tmp_path / "run.h5", duration_s=2.6))
     assert found.segments == 2
     assert 1000 <= found.samples < 2000
     run = load(tmp_path / "run.h5")
@@ -132,7 +133,7 @@ def test_what_came_at_another_rate_is_no_damage_of_the_recording(bench, switch_o
     with switch_on("uno", speed=1) as board:
         with bench.Host(board, 115_200) as host:
             assert host.say("S")
-        found = record(Request(port=board.port, output=tmp_path / "run.h5", duration_s=0.5, baud=1_000_000))
+        found = record(RecordRequest(port=board.port, output=tmp_path / "run.h5", duration_s=0.5, baud=1_000_000))
     assert (found.samples, found.lost, found.crc_errors) == (500, 0, 0)
     assert not [warning for warning in found.warnings if "metres per count" not in warning]
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from daq.recorder.record import Request, record
+from daq.protocols.request import RecordRequest
+from daq.recorder.record import record
 from daq.runfile.store import load
 from daq.wire.frames import LEVELS, OVERRUN
 from daq.wire.quadrature import PHASE
@@ -139,7 +140,7 @@ def test_beyond_its_speed_the_error_is_twice_the_illegal_count(bench, switch_on)
 def test_every_wrong_sample_of_an_overloaded_run_is_flagged(bench, switch_on, tmp_path):
     edges = rig(bench, 400_000, 4.0)
     with switch_on("uno", edges=edges, speed=4) as board:
-        found = record(Request(port=board.port, output=tmp_path / "run.h5", duration_s=3.8))
+        found = record(RecordRequest(port=board.port, output=tmp_path / "run.h5", duration_s=3.8))
         board.stop()
     run = load(tmp_path / "run.h5")
     _, true = board.truth(np.round(run.time * bench.CYCLES_PER_S).astype(np.int64))

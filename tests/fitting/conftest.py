@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from daq.protocols.request import RecordRequest
 from daq.recorder import ports
-from daq.recorder.record import Request, record
+from daq.recorder.record import record
 from daq.runfile import store
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
@@ -72,7 +73,7 @@ def simulated(tmp_path_factory):
         key = (*changes, duration)
         if key not in made:
             path = folder / f"run{len(made)}.h5"
-            record(Request(ports.rig_url("rig", ["seed=5", *changes], False), path, 1000, duration))
+            record(RecordRequest(ports.rig_url("rig", ["seed=5", *changes], False), path, 1000, duration))
             made[key] = smooth(store.load(path))
         return made[key]
 

@@ -11,8 +11,9 @@ import pytest
 import daq
 import processing
 from daq.console import application
+from daq.protocols.request import RecordRequest
 from daq.recorder import ports
-from daq.recorder.record import Request, record
+from daq.recorder.record import record
 from daq.runfile import store
 from daq.runfile.recording import Truth
 from processing import stage
@@ -24,7 +25,7 @@ FS = 1.379353536
 
 def run(path: Path, *changes: str, duration: float = 12.0, channel: bool = True) -> tuple[Path, Truth]:
     listed = ["tell.truth=true", "scatter.Fs=0", f"belt.channel={str(channel).lower()}", *changes]
-    record(Request(ports.rig_url("rig", listed, False), path, 1000, duration))
+    record(RecordRequest(ports.rig_url("rig", listed, False), path, 1000, duration))
     truth = store.truth(path)
     assert truth is not None
     return path, truth

@@ -13,6 +13,7 @@ from daq.calibration import board_test, rig_constants
 from daq.cli.app import app
 from daq.console import application
 from daq.errors import DataError
+from daq.protocols.request import RecordRequest
 from daq.recorder import record
 from daq.runfile.rig import Measured, Rig
 
@@ -86,7 +87,7 @@ def test_a_board_on_which_nothing_moves_says_what_to_check(capsys):
 
 
 def test_a_channel_that_never_changes_is_named(tmp_path):
-    found = record.record(record.Request(url("belt.start=0.1"), tmp_path / "run.h5", 1000, 2.0))
+    found = record.record(RecordRequest(url("belt.start=0.1"), tmp_path / "run.h5", 1000, 2.0))
     run = daq.load(tmp_path / "run.h5")
     run.raw.levels[:] &= 1
     names = {finding.name: finding for finding in board_test.findings(found, run, 0.0)}
@@ -181,7 +182,7 @@ def test_derived_errors_are_those_of_their_parts():
 
 
 def test_counts_across_a_lost_port_are_not_joined(tmp_path):
-    record.record(record.Request("rig://rig", tmp_path / "run.h5", 1000, 3.0))
+    record.record(RecordRequest("rig://rig", tmp_path / "run.h5", 1000, 3.0))
     run = daq.load(tmp_path / "run.h5")
     run.segment[-1] = 1
     with pytest.raises(DataError, match="port was lost"):

@@ -15,9 +15,10 @@ from daq.finalise import belt_counter
 from daq.finalise.integrity import check
 from daq.finalise.timeline import Samples
 from daq.protocols import link_budget
+from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan
 from daq.recorder import ports
-from daq.recorder.record import Request, record
+from daq.recorder.record import record
 from daq.runfile import store
 from daq.runfile.rig import Measured, Rig
 from daq.wire import counters
@@ -96,7 +97,7 @@ def test_a_rate_too_slow_for_the_belts_counter_is_refused_before_the_run() -> No
 
 
 def recorded(path: Path, *changes: str, duration: float = 8.0) -> daq.Recording:
-    record(Request(ports.rig_url("rig", list(changes), False), path, 1000, duration))
+    record(RecordRequest(ports.rig_url("rig", list(changes), False), path, 1000, duration))
     return daq.load(path)
 
 
@@ -177,7 +178,7 @@ def test_counts_of_a_belt_nobody_calibrated_are_kept_and_give_no_speed(
 
     monkeypatch.setattr(board, "calibration", unknown)
     path = tmp_path / "run.h5"
-    found = record(Request(ports.rig_url("rig", ["belt.channel=true"], False), path, 1000, 1.0))
+    found = record(RecordRequest(ports.rig_url("rig", ["belt.channel=true"], False), path, 1000, 1.0))
     run = store.load(path)
     assert any("no metres per belt count" in warning for warning in found.warnings)
     assert run.raw is not None

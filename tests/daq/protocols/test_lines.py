@@ -13,7 +13,8 @@ from daq.protocols import lines as lines_module
 from daq.protocols import qsb, text
 from daq.protocols import session as session_module
 from daq.protocols.lines import Other
-from daq.protocols.session import Plan, Wish
+from daq.protocols.request import RecordRequest
+from daq.protocols.session import Plan
 
 RATE = 500
 
@@ -216,12 +217,12 @@ def test_a_line_is_read_as_its_columns_say(declared, line, row):
 @pytest.mark.parametrize(
     ("name", "wish", "said"),
     [
-        ("qsb", Wish(rate_hz=1000), "1000 Hz .* at most 512 Hz"),
-        ("qsb", Wish(decoder="jk"), "no decoder 'jk'"),
-        ("qsb", Wish(columns="t_us,count"), "--columns"),
-        ("frames", Wish(columns="t_us,count"), "--columns"),
-        ("frames", Wish(decoder="x3"), "x4"),
-        ("text", Wish(), "--columns"),
+        ("qsb", RecordRequest(rate_hz=1000), "1000 Hz .* at most 512 Hz"),
+        ("qsb", RecordRequest(decoder="jk"), "no decoder 'jk'"),
+        ("qsb", RecordRequest(columns="t_us,count"), "--columns"),
+        ("frames", RecordRequest(columns="t_us,count"), "--columns"),
+        ("frames", RecordRequest(decoder="x3"), "x4"),
+        ("text", RecordRequest(), "--columns"),
     ],
 )
 def test_what_a_protocol_can_never_do_is_refused_before_anything_is_touched(name, wish, said):
@@ -254,11 +255,11 @@ def planned(line, wish):
 
 
 def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
-    wish = Wish(columns="t_us,count")
+    wish = RecordRequest(columns="t_us,count")
     assert planned(text_line, wish).rate_hz == 500.0
     assert planned(lambda k: b"%d,7\n" % (2013 * k), wish).rate_hz == pytest.approx(497, rel=2e-3)
     with pytest.raises(InputError, match="come at 500 Hz, not at 1000 Hz"):
-        planned(text_line, Wish(rate_hz=1000, columns="t_us,count"))
+        planned(text_line, RecordRequest(rate_hz=1000, columns="t_us,count"))
 
 
 @pytest.mark.parametrize(
@@ -274,7 +275,7 @@ def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
 def test_a_sketch_that_prints_something_else_is_told_what(monkeypatch, line, said):
     monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
     with pytest.raises(DeviceError, match=said):
-        planned(line, Wish(columns="t_us,count"))
+        planned(line, RecordRequest(columns="t_us,count"))
 
 
 SHAPES = {
@@ -304,7 +305,7 @@ def test_a_tally_of_lines_reaches_the_same_however_they_were_cut(form, size):
     name, line, _, _ = form
     data, _ = corrupted(line, 3000, 3)
     header = FORMS[name][1]
-    session = protocols.load(header["protocol"]).session(None, "", Wish(columns=header.get("columns")))
+    session = protocols.load(header["protocol"]).session(None, "", RecordRequest(columns=header.get("columns")))
     if name != "qsb":
         session.prepare(Plan(500.0, 1, 0.0))
     tally = session.tally()

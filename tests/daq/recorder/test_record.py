@@ -18,8 +18,9 @@ import daq
 from daq.errors import DataError, DeviceError, InputError
 from daq.finalise import run as finalise
 from daq.protocols import session
+from daq.protocols.request import RecordRequest
 from daq.recorder import ports, reader
-from daq.recorder.record import RecordingInterruptedError, Request, record
+from daq.recorder.record import RecordingInterruptedError, record
 from daq.runfile import journal, store
 from daq.wire import frames
 from daq.wire.frames import Capability
@@ -144,7 +145,7 @@ def attach(monkeypatch):
 
 
 def request(tmp_path, samples=800, **more):
-    return Request("fake://board", tmp_path / "run.h5", RATE, samples / RATE, **more)
+    return RecordRequest("fake://board", tmp_path / "run.h5", RATE, samples / RATE, **more)
 
 
 def kinds(run):
@@ -555,7 +556,7 @@ def test_the_simulated_rig_is_recorded_to_the_last_sample(tmp_path):
 
 def test_truth_is_recorded_beside_each_sample_when_the_rig_tells_it(tmp_path):
     url = ports.rig_url("rig", ["tell.truth=true"], False)
-    record(Request(url, tmp_path / "run.h5", RATE, 2.0))
+    record(RecordRequest(url, tmp_path / "run.h5", RATE, 2.0))
     run, truth = daq.load(tmp_path / "run.h5"), store.truth(tmp_path / "run.h5")
     assert truth.time == pytest.approx(run.time, abs=1e-6)
     offset = run.position - truth.x
@@ -574,7 +575,7 @@ def test_a_parked_mass_that_vibrates_makes_only_the_jk_boxes_drift(tmp_path, dec
     for half_counts in range(8):
         changes = [*parked, f"start.x={half_counts * 3.835e-6}", f"encoder.decoder={decoder}"]
         path = tmp_path / f"{half_counts}.h5"
-        record(Request(ports.rig_url("rig", changes, False), path, RATE, 2.0))
+        record(RecordRequest(ports.rig_url("rig", changes, False), path, RATE, 2.0))
         run = daq.load(path)
         drifts.append(abs(int(run.count[-1] - run.count[0])))
     assert max(drifts) == pytest.approx(lines, abs=1)
@@ -644,7 +645,7 @@ def test_a_board_that_stops_with_a_notice_ends_the_run_and_its_words_are_kept(tm
     output = tmp_path / "run.h5"
     heard: list[str] = []
     changes = "set=friction.law%3D3&set=start.v%3D-5"  # the linear curve changes its sign at this slip speed
-    found = record(Request(f"rig://rig?{changes}", output), say=heard.append)
+    found = record(RecordRequest(f"rig://rig?{changes}", output), say=heard.append)
     assert found.samples < 20_000
     assert any("force reversal" in line for line in heard)
     assert any("force reversal" in warning for warning in found.warnings)
@@ -665,7 +666,7 @@ def test_a_damaged_journal_gives_all_but_the_damage_and_is_kept(tmp_path):
             raise KeptError
 
     with pytest.raises(KeptError):
-        record(Request("rig://rig", tmp_path / "run.h5", duration_s=3), progress=keep)
+        record(RecordRequest("rig://rig", tmp_path / "run.h5", duration_s=3), progress=keep)
     shutil.copy(part, tmp_path / "whole.h5.part")
     taken = finalise.finalise(tmp_path / "whole.h5.part", whole, finished_by="test").samples
     content = bytearray(part.read_bytes())
@@ -682,7 +683,7 @@ def test_a_damaged_journal_gives_all_but_the_damage_and_is_kept(tmp_path):
 def test_the_peak_edge_rate_is_that_of_the_motion_at_any_sample_rate(tmp_path):
     # At 20 kHz one count more or less within a sample used to look like 200,000 edges/s.
     peaks = [
-        record(Request("rig://rig", tmp_path / f"{rate}.h5", rate_hz=rate, duration_s=3)).peak_edge_rate_hz
+        record(RecordRequest("rig://rig", tmp_path / f"{rate}.h5", rate_hz=rate, duration_s=3)).peak_edge_rate_hz
         for rate in (1000, 20_000)
     ]
     assert peaks[1] == pytest.approx(peaks[0], rel=0.03)
@@ -691,7 +692,7 @@ def test_the_peak_edge_rate_is_that_of_the_motion_at_any_sample_rate(tmp_path):
 @pytest.mark.parametrize("decoder", ["x4", "x1", "jk", "jk-latched"])
 def test_the_decoder_asked_for_is_the_one_that_counts_and_its_calibration_the_one_that_is_kept(tmp_path, decoder):
     url = ports.rig_url("rig", ["tell.truth=true"], False)
-    found = record(Request(url, tmp_path / "run.h5", duration_s=2, decoder=decoder))
+    found = record(RecordRequest(url, tmp_path / "run.h5", duration_s=2, decoder=decoder))
     run = daq.load(tmp_path / "run.h5")
     assert run.rig.decoder == decoder
     edges = 1 if decoder == "x4" else 4
@@ -704,7 +705,7 @@ def test_the_decoder_asked_for_is_the_one_that_counts_and_its_calibration_the_on
 
 def test_a_given_calibration_replaces_the_boards(tmp_path):
     text = '[encoder]\nmetres_per_count = 1e-3\n[board]\nport = "rig://rig"\n'
-    record(Request("rig://rig", tmp_path / "run.h5", duration_s=1, calibration=text))
+    record(RecordRequest("rig://rig", tmp_path / "run.h5", duration_s=1, calibration=text))
     run = daq.load(tmp_path / "run.h5")
     assert run.rig.metres_per_count.value == 1e-3
     assert run.rig.mass is None
@@ -733,6 +734,6 @@ def test_a_port_that_never_came_back_is_told_with_its_time(tmp_path, monkeypatch
         return Pulled(real(*given))
 
     monkeypatch.setattr(ports, "open_port", once)
-    found = record(Request("rig://rig?realtime=1", tmp_path / "run.h5", 1000, 5.0))
+    found = record(RecordRequest("rig://rig?realtime=1", tmp_path / "run.h5", 1000, 5.0))
     (told,) = [warning for warning in found.warnings if "never came back" in warning]
     assert 0.1 < float(told.split(") ")[1].split(" s after")[0]) < 0.6

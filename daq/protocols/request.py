@@ -1,0 +1,49 @@
+"""What to record: the one value that carries a person's request from the flags to the board."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class RecordRequest:
+    """What to record, from which board, into which file; None where the protocol or the board may choose.
+
+    Attributes
+    ----------
+    port : str
+        A device or URL.
+    output : Path
+        The run file.
+    rate_hz : int or None
+        Samples per second; None for the protocol's own rate (1000 Hz in our own).
+    duration_s : float
+        How long.
+    force : bool
+        Replace an existing file.
+    baud : int or None
+        Bits per second of a serial line; None for the protocol's usual.
+    protocol : str
+        One of `daq.protocols.PROTOCOLS`.
+    columns : str or None
+        The columns of text lines.
+    decoder : str or None
+        The decoder that the board is to use, one of `daq.wire.frames.DECODERS`.
+    calibration : str or None
+        TOML text of a ``rig.toml`` that replaces the calibration that the board sends.
+    """
+
+    port: str = "rig://rig"
+    output: Path = Path("run.h5")
+    rate_hz: int | None = None
+    duration_s: float = 20.0
+    force: bool = False
+    baud: int | None = None
+    protocol: str = "frames"
+    columns: str | None = None
+    decoder: str | None = None
+    calibration: str | None = None
+
+    @property
+    def part(self) -> Path:
+        """Where the journal is kept while the recording runs."""
+        return self.output.with_name(self.output.name + ".part")
