@@ -36,7 +36,7 @@ from daq.runfile import store
 from fitting.data import cycles, frame
 from fitting.estimation import levenberg_marquardt
 from fitting.model import shooting
-from fitting.model.parameters import DAMPING, DATUM, LEVEL, LOG_F, SHAPE, V_DR, V_SLIP, X_SLIP, K
+from fitting.model.parameters import Global, PerCycle
 from fitting.model.problem import EstimationProblem, Run
 from processing.record.kinematics import Kinematics
 
@@ -106,8 +106,11 @@ class OneWindow:
         cycle = replace(cycle, stick=(cycle.slip[0], cycle.slip[0]))
         problem = EstimationProblem.build(5, [Run(motion, replace(cut, cycles=cut.used))])
         self.windows = shooting.ShootingWindows.from_cycles(motion, (cycle,))
-        self.problem, self.index = problem, [K, LOG_F, V_DR, SHAPE, DATUM, DAMPING]
-        self.own = [X_SLIP, V_SLIP, LEVEL]
+        self.problem, self.index = (
+            problem,
+            [Global.K, Global.LOG_F, Global.V_DR, Global.SHAPE, Global.DATUM, Global.DAMPING],
+        )
+        self.own = [PerCycle.X_SLIP, PerCycle.V_SLIP, PerCycle.LEVEL]
         self.local = self.windows.starting_values([motion])
         self.weight = 1 / motion.resolution**2
         sd = np.array([[0.1 * motion.travel, motion.belt_speed, 0.05, 0.05, 1.0, 1.0]])

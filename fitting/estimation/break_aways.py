@@ -14,24 +14,7 @@ from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.estimation.result import BreakAway
 from fitting.estimation.trajectory import Fit
-from fitting.model.parameters import (
-    COSINE,
-    DAMPING,
-    DATUM,
-    GIVE,
-    LEVEL,
-    LOG_F,
-    NEXT_LEVEL,
-    OMEGA,
-    PER_CYCLE,
-    SINE,
-    V_DR,
-    V_SLIP,
-    X_SLIP,
-    X_STICK,
-    D,
-    K,
-)
+from fitting.model.parameters import PER_CYCLE, Global, PerCycle
 from fitting.model.shooting import ShootingWindows, evaluator
 from rig_sim.friction.law import LAWS
 
@@ -61,7 +44,7 @@ def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -
             rows.append(BreakAway(cycle.number, cycle.onset, math.nan, math.nan, cycle.flag))
             continue
         rough = fit.cycle_rms[k] > POOR_CYCLE * max(usual, motion.resolution)
-        scale = math.exp(float(fit.local[k, LEVEL]))
+        scale = math.exp(float(fit.local[k, PerCycle.LEVEL]))
         rows.append(BreakAway(cycle.number, float(times[k]), float(loads[k]), scale, "rough" if rough else ""))
     return tuple(rows)
 
@@ -82,33 +65,35 @@ def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
         step = (high - low) / (TRIALS - 1)
         low, high = np.maximum(best - step, earliest), best + step
     place = np.array([_riding(fit, motion, k, best[k : k + 1])[0] for k in range(count)])
-    return best, _friction(fit, best, place) / math.exp(fit.u[LOG_F])
+    return best, _friction(fit, best, place) / fit.values.F
 
 
-def _swing(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
-    """Return position (m), velocity and acceleration of the belt beside its steady run, as the fit has it."""
-    return Ripple(*(float(value) for value in fit.u[[COSINE, SINE, OMEGA]])).swing(time)
+def _belt_ripple(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
+    """Return position (m), velocity and acceleration of the belt's ripple at ``time`` (any shape), as fitted."""
+    p = fit.values
+    return Ripple(p.cosine, p.sine, p.omega).swing(time)
 
 
 def _edge_speed(fit: Fit, time: Array) -> Array:
     """Return the velocity at which a stick ends, m/s: the belt's, less what ramp and belt give way at the level."""
-    return np.asarray(float(fit.u[V_DR]) - _width(fit) + _swing(fit, time)[1])
+    return np.asarray(fit.values.v_dr - _width(fit) + _belt_ripple(fit, time)[1])
 
 
 def _width(fit: Fit) -> float:
-    """Return how much slower than the free belt the mass rides at the level, m/s: ramp and giving belt together."""
-    ramp = float(fit.u[D]) if LAWS[fit.law].ramp else 0.0
-    return ramp + float(fit.u[GIVE] / fit.u[K]) * math.exp(fit.u[LOG_F])
+    """Return how much slower than the free belt the mass moves at the level, m/s: ramp and belt compliance together."""
+    p = fit.values
+    return (p.d if LAWS[fit.law].ramp else 0.0) + p.compliance / p.K * p.F
 
 
 def _friction(fit: Fit, time: Array, x: Array) -> Array:
     """Return friction per unit mass (m/s^2) just before the break-away at ``time`` and ``x``.
 
-    On a ramp, or a belt that gives way, the mass is already slowing down, and that much of the load is not friction.
+    On a ramp, or a belt that slows under load, the mass is already slowing down, and that much of the load is not
+    friction.
     """
-    u, speed = fit.u, _edge_speed(fit, time)
-    load = u[K] * (x - u[DATUM]) + u[DAMPING] * speed + _swing(fit, time)[2]
-    slowing = _width(fit) * u[K] * speed / math.exp(u[LOG_F])
+    p, speed = fit.values, _edge_speed(fit, time)
+    load = p.K * (x - p.datum) + p.damping * speed + _belt_ripple(fit, time)[2]
+    slowing = _width(fit) * p.K * speed / p.F
     return np.asarray(load - slowing)
 
 
@@ -116,7 +101,7 @@ def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
     """Return when the friction of a riding mass reaches the level of the slip after it, s."""
     onset = fit.cycles[k].onset
     time = np.arange(onset - SEARCH_RANGE_S, onset + SEARCH_RANGE_S, 1e-4)
-    level = math.exp(float(fit.u[LOG_F] + fit.local[k, LEVEL]))
+    level = math.exp(float(fit.u[Global.LOG_F] + fit.local[k, PerCycle.LEVEL]))
     enough = _friction(fit, time, _riding(fit, motion, k, time)) >= level
     return float(time[np.argmax(enough)]) if enough.any() else onset
 
@@ -139,8 +124,8 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
             if after >= last:
                 continue
             row = np.zeros(PER_CYCLE)
-            row[X_SLIP], row[V_SLIP] = x, float(edge) - 1e-9 * u[V_DR]
-            row[LEVEL] = row[NEXT_LEVEL] = fit.local[k, LEVEL]
+            row[PerCycle.X_SLIP], row[PerCycle.V_SLIP] = x, float(edge) - 1e-9 * u[Global.V_DR]
+            row[PerCycle.LEVEL] = row[PerCycle.NEXT_LEVEL] = fit.local[k, PerCycle.LEVEL]
             taken = np.r_[begin, motion.time[after:last]]
             table.append((len(local), 0, total, taken.size, 0, 0))
             time.append(taken)
@@ -158,8 +143,8 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
         source=np.zeros(total, np.int64),
         rows=(),
     )
-    evaluate = evaluator(law.curve_code, bool(law.ramp), windows, u, [K], np.ones(u.size), np.ones(PER_CYCLE))
-    found = evaluate(u[[K]], np.array(local), False)
+    evaluate = evaluator(law.curve_code, bool(law.ramp), windows, u, [Global.K], np.ones(u.size), np.ones(PER_CYCLE))
+    found = evaluate(u[[Global.K]], np.array(local), False)
     if found is None:
         return errors
     model = found[0]
@@ -176,5 +161,5 @@ def _riding(fit: Fit, motion: MeasuredMotion, k: int, time: Array) -> Array:
     if _width(fit) > 0 or end <= first:
         return np.interp(time, motion.time, motion.position)
     began = motion.time[first : first + 1]
-    swung = _swing(fit, time)[0] - _swing(fit, began)[0]
-    return np.asarray(fit.local[k, X_STICK] + fit.u[V_DR] * (time - began) + swung)
+    swung = _belt_ripple(fit, time)[0] - _belt_ripple(fit, began)[0]
+    return np.asarray(fit.local[k, PerCycle.X_STICK] + fit.values.v_dr * (time - began) + swung)

@@ -10,7 +10,6 @@ from functools import partial
 from daq.compute.workers import workers
 from fitting.estimation import trajectory
 from fitting.estimation.trajectory import Fit
-from fitting.model.parameters import D
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
@@ -85,7 +84,7 @@ def _refined(chain: Sequence[Fit], limit: float) -> list[Fit]:
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
         # One of the two can get stuck where the other finds a way: from there it tries again.
         slowest = min(motion.belt_speed for motion in found[ramp].problem.motions)
-        narrow = found[ramp].u[D] < trajectory.NARROW_RAMP * slowest
+        narrow = found[ramp].values.d < trajectory.NARROW_RAMP * slowest
         for law, other in ((ramp, ramp - 1), (ramp - 1, ramp)):
             behind = found[other].geometric_mean_rms < LOCAL_MINIMUM * found[law].geometric_mean_rms
             if behind and found[other].geometric_mean_rms < limit and (law == ramp or narrow):

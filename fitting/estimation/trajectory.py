@@ -24,7 +24,7 @@ from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import levenberg_marquardt, wear
 from fitting.model import parameters
-from fitting.model.parameters import DATUM, FADE, LEVEL, LOG_F, NEXT_LEVEL, NUISANCE, PER_RUN, RIPPLE, D, K
+from fitting.model.parameters import NUISANCE, PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows, evaluator
 
@@ -105,6 +105,11 @@ class Fit:
     alternatives: "tuple[PassState, ...]" = ()
 
     @property
+    def values(self) -> parameters.Values:
+        """Global parameters by name; the first run's where there are several."""
+        return parameters.values(self.u[:PER_RUN])
+
+    @property
     def law(self) -> int:
         """The law's number."""
         return self.problem.law
@@ -143,7 +148,7 @@ class Fit:
         """Return the line through the friction levels of one run's inlier cycles (`fitting.estimation.wear`)."""
         table = self.windows.table
         own = (table[:, 1] == 0) & (table[:, 5] == run) & self.inlier_cycles[table[:, 0]]
-        return wear.level_trend(self.windows.level_epoch[own], np.exp(self.local[table[own, 0], LEVEL]))
+        return wear.level_trend(self.windows.level_epoch[own], np.exp(self.local[table[own, 0], PerCycle.LEVEL]))
 
     def for_run(self, run: int) -> "Fit":
         """Return what the fit says of one run: its unknowns, cycles and residuals; the solution stays that of all."""
@@ -197,7 +202,7 @@ def coarse_fit(
     if near is not None:
         u = near.u.copy()
         slowest = min(motion.belt_speed for motion in problem.motions)
-        u[D::PER_RUN] = NARROW_RAMP * slowest if problem.ramp else starts[0].u[D]
+        u[Global.D :: PER_RUN] = NARROW_RAMP * slowest if problem.ramp else starts[0].u[Global.D]
         starts = [*([] if alone else starts), replace(starts[0], u=u, local=near.local)]
     ended = [_search_pass(problem, windows, first, 0, max_steps) for first in starts]
     found = sorted((state for state in ended if state is not None), key=lambda state: state.geometric_mean_rms)
@@ -314,8 +319,8 @@ def _starting_state(problem: EstimationProblem, windows: ShootingWindows) -> Pas
     for k, (cycle, run) in enumerate(zip(problem.cycles, windows.run, strict=True)):
         if cycle.overtakes:
             motion, u = problem.motions[run], problem.start[PER_RUN * run :]
-            load = u[K] * (u[DATUM] - float(np.interp(cycle.landing, motion.time, motion.position)))
-            local[k, NEXT_LEVEL] = math.log(max(OVERTAKING_LEVEL * load / math.exp(u[LOG_F]), 0.2))
+            load = u[Global.K] * (u[Global.DATUM] - float(np.interp(cycle.landing, motion.time, motion.position)))
+            local[k, PerCycle.NEXT_LEVEL] = math.log(max(OVERTAKING_LEVEL * load / math.exp(u[Global.LOG_F]), 0.2))
     return PassState(
         u=problem.start,
         local=local,
@@ -344,10 +349,10 @@ def _minimise(
     index = list(_active(problem, state))
     prior, precision = problem.prior.copy(), problem.precision.copy()
     if state.fade_sd is not None:
-        precision[FADE::PER_RUN] = [1 / sd**2 for sd in state.fade_sd]
+        precision[Global.FADE :: PER_RUN] = [1 / sd**2 for sd in state.fade_sd]
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
     local_sd = np.array([[x, v, state.scatter, state.scatter, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
-    local_sd[state.weights <= INLIER_WEIGHT, LEVEL : NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
+    local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
     least_squares = levenberg_marquardt.LeastSquaresProblem(
         evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),
         rows=windows.rows,
@@ -377,7 +382,7 @@ def _active(problem: EstimationProblem, state: PassState) -> tuple[int, ...]:
     Fading comes last: the levels must be known first, whose trend says about how much of it there may be.  So does a
     ripple, which the sticks have shown well enough: far from the end its phase would be turned to please the slips.
     """
-    late = () if state.fade_sd is not None else (FADE, *RIPPLE)
+    late = () if state.fade_sd is not None else (Global.FADE, *RIPPLE)
     return tuple(place for place in problem.active if place % PER_RUN not in late)
 
 
@@ -396,7 +401,7 @@ def _reestimate_noise(
         seen = effective_sigma(state.solution.residual, [windows.rows[k] for k in own if weights[k] > 0.5])
         # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
         sigma[run] = max(seen if first else min(seen, float(sigma[run])), motion.resolution)
-    scatter = float(np.clip(np.std(state.local[weights > INLIER_WEIGHT, LEVEL]), 0.01, 0.5))
+    scatter = float(np.clip(np.std(state.local[weights > INLIER_WEIGHT, PerCycle.LEVEL]), 0.01, 0.5))
     return replace(state, weights=weights, sigma=sigma, scatter=scatter)
 
 

@@ -1,52 +1,109 @@
-"""The unknowns: those that cycles share, which of them several runs share, where each stands; and a cycle's own.
+"""Parameters of a fit: those that all cycles of a run share, and each cycle's own.
 
-One run has twelve, in the order below.  Several runs of one contact have twelve each, end to end; the law's own and the
-damping are one number for all, standing first and copied to every run, the others are each run's own.
+A run has twelve global ones.  Several runs of one contact have twelve each, end to end: `SHARED_BY_RUNS` are one number
+for all, standing first and copied to every run, the others are each run's own.  A *place* counts through all runs; a
+*slot* is a place within its run.
 """
 
+import math
 from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 from rig_sim.friction.law import LAWS
 
-K, LOG_F, V_DR, SHAPE, D, DATUM, DAMPING, FADE, GIVE, COSINE, SINE, OMEGA = range(12)
-PER_RUN = 12
-RIPPLE = (COSINE, SINE, OMEGA)
-X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = range(6)  # a cycle's own
-PER_CYCLE = 6
-SHARED = (K, LOG_F, SHAPE, D, DAMPING)  # by all runs
-NUISANCE = (DATUM, DAMPING, FADE, GIVE, *RIPPLE)  # what every law has besides its own
+
+class Global(IntEnum):
+    """Slot of each parameter that all cycles of a run share; per unit mass, in the fit's frame."""
+
+    K = 0  # k/m, 1/s^2
+    LOG_F = 1  # log of Fs/m, which is in m/s^2
+    V_DR = 2  # belt speed, m/s
+    SHAPE = 3  # gamma, or G_slip/Fs, s/m
+    D = 4  # half-width of the ramp, m/s
+    DATUM = 5  # the spring's rest position, m
+    DAMPING = 6  # c/m, 1/s
+    FADE = 7  # fraction of a cycle's friction level lost per second, 1/s
+    COMPLIANCE = 8  # belt speed lost per metre of spring stretch, 1/s
+    COSINE = 9  # of the belt's ripple, m/s
+    SINE = 10  # of the belt's ripple, m/s
+    OMEGA = 11  # of the belt's ripple, rad/s; 0 without one
 
 
-def active_places(law: int, gives: Sequence[bool], ripples: Sequence[bool]) -> tuple[int, ...]:
-    """Return the places of the unknowns that a law has.
+class PerCycle(IntEnum):
+    """Column of each parameter of one cycle."""
 
-    ``gives`` and ``ripples`` tell of each run's belt whether it gives way and whether its speed swings.
+    X_SLIP = 0  # position where the slip window starts, m
+    V_SLIP = 1  # velocity there, m/s
+    LEVEL = 2  # log of the kinetic friction level over Fs
+    NEXT_LEVEL = 3  # the same after the next landing
+    X_STICK = 4  # position where the stick window starts, m
+    V_STICK = 5  # velocity there, m/s
+
+
+class Values(NamedTuple):
+    """One run's global parameters by name, for formulas; units as in `Global`, F = Fs/m in m/s^2."""
+
+    K: float
+    F: float
+    v_dr: float
+    shape: float
+    d: float
+    datum: float
+    damping: float
+    fade: float
+    compliance: float
+    cosine: float
+    sine: float
+    omega: float
+
+
+PER_RUN, PER_CYCLE = len(Global), len(PerCycle)
+RIPPLE = (Global.COSINE, Global.SINE, Global.OMEGA)
+SHARED_BY_RUNS = (Global.K, Global.LOG_F, Global.SHAPE, Global.D, Global.DAMPING)
+NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPLE)  # every law has them: no law pays
+
+
+def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) -> tuple[int, ...]:
+    """Return the places of the parameters that a law has.
+
+    Parameters
+    ----------
+    law : int
+    compliant, rippled : sequence of bool
+        Of each run's belt: whether it slows under load, whether its speed ripples.
     """
     kind = LAWS[law]
-    shape = () if kind.curve == "constant" else (SHAPE,)
-    ramp = () if kind.contact == "jump" else (D,)
-    found = [K, LOG_F, *shape, *ramp, DAMPING]
-    for run, (give, ripple) in enumerate(zip(gives, ripples, strict=True)):
-        own = (V_DR, DATUM, FADE, *((GIVE,) if give else ()), *(RIPPLE if ripple else ()))
+    shape = () if kind.curve == "constant" else (Global.SHAPE,)
+    ramp = () if kind.contact == "jump" else (Global.D,)
+    found = [int(slot) for slot in (Global.K, Global.LOG_F, *shape, *ramp, Global.DAMPING)]
+    for run, (slows, ripples) in enumerate(zip(compliant, rippled, strict=True)):
+        belt = (*((Global.COMPLIANCE,) if slows else ()), *(RIPPLE if ripples else ()))
+        own = (Global.V_DR, Global.DATUM, Global.FADE, *belt)
         found += [PER_RUN * run + slot for slot in own]
     return tuple(sorted(found))
 
 
-def columns(places: Sequence[int], runs: int) -> NDArray[np.int64]:
-    """Return which of a run's twelve each place is, shape (runs, places); -1 where the run does not know it."""
+def values(u: Array) -> Values:
+    """Return the global parameters u (12,) of one run by name."""
+    K, log_F, *others = (float(value) for value in u)
+    return Values(K, math.exp(log_F), *others)
+
+
+def columns(places: Sequence[int], runs: int) -> Integers:
+    """Return the slot of each place in each run, shape (runs, places); -1 where the run does not have it."""
     table = np.full((runs, len(places)), -1, np.int64)
     for j, place in enumerate(places):
         run, slot = divmod(place, PER_RUN)
-        table[slice(None) if slot in SHARED else run, j] = slot
+        table[slice(None) if slot in SHARED_BY_RUNS else run, j] = slot
     return table
 
 
 def copy_shared(u: Array) -> Array:
-    """Return the unknowns of all runs with what they share copied from the first."""
+    """Return the parameters of all runs (12 runs,) with those that runs share copied from the first."""
     whole = u.reshape(-1, PER_RUN).copy()
-    whole[:, SHARED] = whole[0, SHARED]
+    whole[:, SHARED_BY_RUNS] = whole[0, SHARED_BY_RUNS]
     return whole.ravel()

@@ -12,7 +12,7 @@ from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters, starts
-from fitting.model.parameters import COSINE, DAMPING, DATUM, GIVE, PER_RUN, SHAPE, V_DR
+from fitting.model.parameters import PER_RUN, Global
 from rig_sim.friction.law import LAWS
 
 DEFAULT_DAMPING_SD = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
@@ -70,24 +70,26 @@ class EstimationProblem:
         start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), PER_RUN))
         upper[:] = np.inf
         if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
-            upper[:, SHAPE] = LEAST_LINEAR_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
+            upper[:, Global.SHAPE] = LEAST_LINEAR_FRICTION / max(
+                float(np.max(m.belt_speed - m.velocity)) for m in motions
+            )
         for r, (motion, own) in enumerate(zip(motions, first, strict=True)):
             datum, v = datum_calibration(motion), motion.belt_speed
             give = 0.0 if motion.give is None else motion.give.value
             level = math.log(F)
-            start[r, :COSINE] = (
+            start[r, : Global.COSINE] = (
                 K0,
                 level,
                 own.v_dr,
-                min(shape0, upper[0, SHAPE]),
+                min(shape0, upper[0, Global.SHAPE]),
                 d,
                 own.datum,
                 damping.value,
                 0.0,
                 give,
             )
-            scale[r, :COSINE] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
-            lower[r, :COSINE] = (
+            scale[r, : Global.COSINE] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
+            lower[r, : Global.COSINE] = (
                 1e-6 * K0,
                 level - LARGEST_LOG_DROP,
                 0.05 * v,
@@ -98,23 +100,30 @@ class EstimationProblem:
                 -np.inf,
                 NARROWEST_RAMP * v / motion.travel,
             )
-            lower[r, COSINE:] = -np.inf, -np.inf, 0.0
+            lower[r, Global.COSINE :] = -np.inf, -np.inf, 0.0
             ripple = runs[r].ripple
             if ripple is not None:
-                start[r, COSINE:] = ripple.cosine, ripple.sine, ripple.omega
-                scale[r, COSINE:] = v, v, ripple.omega
-                prior[r, COSINE:] = start[r, COSINE:]
+                start[r, Global.COSINE :] = ripple.cosine, ripple.sine, ripple.omega
+                scale[r, Global.COSINE :] = v, v, ripple.omega
+                prior[r, Global.COSINE :] = start[r, Global.COSINE :]
                 spread = RIPPLE_AMPLITUDE_SD * ripple.amplitude
-                precision[r, COSINE:] = spread**-2, spread**-2, (RIPPLE_FREQUENCY_SD * 2 * math.pi / motion.span) ** -2
+                precision[r, Global.COSINE :] = (
+                    spread**-2,
+                    spread**-2,
+                    (RIPPLE_FREQUENCY_SD * 2 * math.pi / motion.span) ** -2,
+                )
             # Constant friction knows only datum + Fs/k: let no scatter of levels tell the two apart.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
-            prior[r, DATUM], precision[r, DATUM] = datum.value, _precision(datum_sd, 1e-6 * motion.travel)
+            prior[r, Global.DATUM], precision[r, Global.DATUM] = datum.value, _precision(datum_sd, 1e-6 * motion.travel)
             belt = motion.belt_prior
             if belt is not None and belt.sd > 0:
-                prior[r, V_DR], precision[r, V_DR] = belt.value, _precision(belt.sd, 0.0)
+                prior[r, Global.V_DR], precision[r, Global.V_DR] = belt.value, _precision(belt.sd, 0.0)
             if motion.give is not None:
-                prior[r, GIVE], precision[r, GIVE] = motion.give.value, _precision(motion.give.sd, 0.0)
-        prior[:, DAMPING], precision[:, DAMPING] = damping.value, _precision(damping.sd, 1e-6 * omega)
+                prior[r, Global.COMPLIANCE], precision[r, Global.COMPLIANCE] = (
+                    motion.give.value,
+                    _precision(motion.give.sd, 0.0),
+                )
+        prior[:, Global.DAMPING], precision[:, Global.DAMPING] = damping.value, _precision(damping.sd, 1e-6 * omega)
         fastest = max(motion.belt_speed for motion in motions)
         return cls(
             law=law,

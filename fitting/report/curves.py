@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from daq.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.trajectory import Fit
-from fitting.model.parameters import DAMPING, DATUM, GIVE, LEVEL, LOG_F, SHAPE, V_DR, D, K
+from fitting.model.parameters import PerCycle
 from fitting.selection.result import LawResult, Ranking
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
@@ -23,7 +23,7 @@ def mass(motion: MeasuredMotion, fit: Fit) -> float:
     """Return the mass that turns accelerations into newtons, kg; 1 when neither mass nor stiffness is known."""
     if motion.mass is not None:
         return motion.mass.value
-    return motion.stiffness.value / float(fit.u[K]) if motion.stiffness is not None else 1.0
+    return motion.stiffness.value / fit.values.K if motion.stiffness is not None else 1.0
 
 
 def unit(motion: MeasuredMotion) -> str:
@@ -41,12 +41,10 @@ def speeds(motion: MeasuredMotion, number: int = 401) -> Array:
 
 
 def curve(row: LawResult, motion: MeasuredMotion, w: Array) -> Array:
-    """Return a law's friction at relative velocities ``w`` (m/s, the record's own sign), in `unit`."""
-    u = row.fit.u
-    scale = mass(motion, row.fit)
-    Fs = math.exp(u[LOG_F]) * scale
-    law = LAWS[row.law]
-    return np.asarray(force(law, w, Fs=Fs, G_slip=float(u[SHAPE]) * Fs, gamma=float(u[SHAPE]), d=float(u[D]) or 1.0))
+    """Return a law's friction at relative velocities w (n,), m/s in the record's own sign; in `unit`."""
+    p = row.fit.values
+    Fs = p.F * mass(motion, row.fit)
+    return np.asarray(force(LAWS[row.law], w, Fs=Fs, G_slip=p.shape * Fs, gamma=p.shape, d=p.d or 1.0))
 
 
 def points(ranking: Ranking) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -55,16 +53,15 @@ def points(ranking: Ranking) -> tuple[Array, Array, NDArray[np.bool_]]:
     Samples within half a smoothing window of a landing are left out: smoothing rounds the corner off there.
     """
     motion, fit = ranking.motion, ranking.best.fit
-    u = fit.u
-    scale = mass(motion, fit)
+    p = fit.values
     w_parts, f_parts, stick_parts = [], [], []
     for k, cycle in enumerate(fit.cycles):
-        level = math.exp(float(fit.local[k, LEVEL]))
+        level = math.exp(float(fit.local[k, PerCycle.LEVEL]))
         near = int(np.searchsorted(motion.time, cycle.landing - motion.half_window))
         for first, end, stick in ((*cycle.stick, True), (cycle.slip[0], near, False)):
             x, v, a = (part[first:end] for part in (motion.position, motion.velocity, motion.acceleration))
-            over = (a + u[DAMPING] * v + u[K] * (x - u[DATUM])) / level
-            w_parts.append(v - u[V_DR] + u[GIVE] / u[K] * over)  # the belt gives way under the friction it carries
-            f_parts.append(scale * over)
+            friction = (a + p.damping * v + p.K * (x - p.datum)) / level
+            w_parts.append(v - p.v_dr + p.compliance / p.K * friction)  # the belt slows under the friction it carries
+            f_parts.append(mass(motion, fit) * friction)
             stick_parts.append(np.full(x.size, stick))
     return motion.sign * np.concatenate(w_parts), motion.sign * np.concatenate(f_parts), np.concatenate(stick_parts)

@@ -17,7 +17,7 @@ from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.estimation import trajectory
 from fitting.estimation.trajectory import Fit
-from fitting.model.parameters import GIVE, LOG_F, PER_RUN, D, K
+from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
@@ -51,11 +51,11 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     if ramp is None or ramp - 1 in members or ramp - 1 not in found:
         return None
     near = found[ramp]
-    if near.u[D] > WIDEST * min(run.motion.belt_speed for run in runs):
+    if near.values.d > WIDEST * min(run.motion.belt_speed for run in runs):
         return None
-    give = float(near.u[D] * near.u[K]) / math.exp(near.u[LOG_F])
+    give = near.values.d * near.values.K / near.values.F
     start = near.u.copy()
-    start[GIVE::PER_RUN] = give
+    start[Global.COMPLIANCE :: PER_RUN] = give
     giving = [replace(run, motion=replace(run.motion, give=Measured(give, give))) for run in runs]
     fit = trajectory.fit_from(EstimationProblem.build(ramp - 1, giving), replace(near, u=start))
     return None if fit is None else trajectory.final_fit(fit)
@@ -81,6 +81,6 @@ def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> boo
         Log error of the pieces of the drags.
     runs : sequence of Run
     """
-    narrow = ramp.u[D] <= SWINGING * min(run.motion.belt_speed for run in runs)
+    narrow = ramp.values.d <= SWINGING * min(run.motion.belt_speed for run in runs)
     measured = any(run.motion.belt_measured for run in runs)
     return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY * ramp.geometric_mean_rms)

@@ -16,7 +16,7 @@ from daq.errors import DataError, InputError
 from daq.runfile.rig import Rig
 from fitting.data import cycles, frame, ripple
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation import break_aways, covariance, search
+from fitting.estimation import break_aways, derived, search
 from fitting.estimation.trajectory import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence, phase_distance, screening, verdict
@@ -255,15 +255,15 @@ def _refuse(what: str, sources: Sequence[str]) -> None:
 
 
 def _row(fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:
-    parameters = covariance.parameters(fit, runs[0].motion, alpha, sustained=sustained)
+    parameters = derived.derived_parameters(fit, runs[0].motion, alpha, sustained=sustained)
     if len(runs) > 1:
         every = [
-            covariance.parameters(fit, run.motion, alpha, number, sustained=sustained)
+            derived.derived_parameters(fit, run.motion, alpha, number, sustained=sustained)
             for number, run in enumerate(runs)
         ]
-        parameters = {name: item for name, item in parameters.items() if name not in covariance.OWN}
+        parameters = {name: item for name, item in parameters.items() if name not in derived.RUNS_OWN}
         for number, own in enumerate(every, start=1):
-            parameters |= {f"{name} ({number})": own[name] for name in covariance.OWN if name in own}
+            parameters |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
     return LawResult(
         law=fit.law,
         name=LAWS[fit.law].name,
@@ -294,6 +294,6 @@ def _side(row: LawResult, motion: MeasuredMotion, alpha: float, run: int, *, sus
         orbit=phase_distance.orbit_distance(part, motion),
         rms_m=part.rms,
         cycles=len(part.rows),
-        parameters=covariance.parameters(row.fit, motion, alpha, run, sustained=sustained),
+        parameters=derived.derived_parameters(row.fit, motion, alpha, run, sustained=sustained),
         fit=part,
     )

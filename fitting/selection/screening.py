@@ -16,7 +16,6 @@ from fitting.data.cycles import SLIPPING, Cycle, CycleSegmentation
 from fitting.data.frame import REST_FRACTION, MeasuredMotion
 from fitting.estimation import trajectory
 from fitting.estimation.trajectory import Fit
-from fitting.model.parameters import LOG_F, V_DR, D, K
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
@@ -137,9 +136,9 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
     if not near:
         return "no law comes near it"
     best = min(near, key=lambda fit: fit.geometric_mean_rms)
-    if LAWS[best.law].ramp and best.u[D] > best.u[V_DR]:
+    if LAWS[best.law].ramp and best.values.d > best.values.v_dr:
         return f"law {best.law} comes nearest, with a ramp wider than the belt is fast"
-    if sustained and math.exp(best.u[LOG_F]) < LEAST_FRICTION * best.u[K] * longest:
+    if sustained and best.values.F < LEAST_FRICTION * best.values.K * longest:
         return f"law {best.law} comes nearest, without any friction"
     return ""
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
-from fitting.model.parameters import DATUM, GIVE, D
+from fitting.model.parameters import Global
 from fitting.model.problem import NARROWEST_RAMP
 from fitting.selection.result import LawResult
 from processing.record.kinematics import Kinematics
@@ -49,7 +49,7 @@ def verdict_sentence(
             return head + f"{named} by the start-up drag"
         if len(rows) == 1:
             return head + f"{named}, the only law fitted"
-        if GIVE in best.fit.active and not measured:
+        if Global.COMPLIANCE in best.fit.active and not measured:
             return head + f"{named} on a belt that slows under load, or law 2: a belt tachometer would tell"
         return head + "law 1 or law 2: the start-up drag does not tell a jump from a ramp"
     if len(members) > 1:
@@ -57,7 +57,7 @@ def verdict_sentence(
         split = SPLITS.get(frozenset(members[:2]), f"more cycles{OTHER_SPEEDS}")
         if runs > 1:
             split = split.removesuffix(OTHER_SPEEDS)
-        if GIVE in best.fit.active and not measured:
+        if Global.COMPLIANCE in best.fit.active and not measured:
             return (
                 f"{named} on a belt that slows under load, or {others}: the same motion, told twice "
                 f"({cycles} fit to {format_length(best.rms_m)}); {split} would tell"
@@ -139,7 +139,7 @@ def warnings(
     row = next((row for row in rows if row.law == best.law + 1), None)
     if sustained and not LAWS[best.law].ramp and row is not None and row.in_set is False and "d" in row.parameters:
         width = row.parameters["d"]
-        if row.rms_m < 1.05 * best.rms_m and row.fit.u[D] > 10 * NARROWEST_RAMP * motion.belt_speed:
+        if row.rms_m < 1.05 * best.rms_m and row.fit.u[Global.D] > 10 * NARROWEST_RAMP * motion.belt_speed:
             said.append(f"a ramp narrower than {width.hi:.2g} m/s cannot be excluded")
     return tuple(said)
 
@@ -155,7 +155,7 @@ def _strained(best: LawResult, motion: MeasuredMotion) -> list[str]:
     """Name the calibrations that the best law contradicts by more than three standard deviations."""
     u, said = best.fit.u, []
     for name, index, prior, unit in (
-        ("datum", DATUM, motion.datum_prior, "m"),
+        ("datum", Global.DATUM, motion.datum_prior, "m"),
         ("belt speed", 2, motion.belt_prior, "m/s"),
     ):
         if prior is None or prior.sd <= 0:

@@ -7,6 +7,7 @@ import pytest
 
 from daq.errors import InputError
 from fitting.data import belt_line
+from fitting.model.parameters import Global
 from fitting.report.curves import points
 from fitting.selection.ranking import rank
 
@@ -101,6 +102,8 @@ def test_measured_points_of_a_stick_lie_at_rest_on_the_giving_belt(simulated):
     ranking = rank(simulated("belt.channel=true", "droop.fraction=0.02", "friction.law=5"), laws=(5,))
     w, _, stick = points(ranking)
     assert abs(np.median(w[stick])) < 1e-4
-    rigid = replace(ranking.best.fit, u=np.r_[ranking.best.fit.u[:8], 0.0])
+    u = ranking.best.fit.u.copy()
+    u[Global.COMPLIANCE] = 0.0
+    rigid = replace(ranking.best.fit, u=u)
     unbent, _, _ = points(replace(ranking, rows=(replace(ranking.best, fit=rigid),)))
     assert np.std(unbent[stick]) > 5 * np.std(w[stick])

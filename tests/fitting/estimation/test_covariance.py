@@ -1,11 +1,14 @@
 """Covariances where a direction is hardly or not at all known."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from daq.runfile.rig import Measured
 from fitting.estimation.covariance import covariance
+from fitting.estimation.derived import derived_parameters
 from fitting.estimation.levenberg_marquardt import NormalEquations
 
 
@@ -41,3 +44,13 @@ def test_a_direction_that_only_a_guess_holds_has_the_guess_s_variance():
     assert found[1, 1] == pytest.approx(100.0, rel=1e-3)
     assert found[0, 0] == pytest.approx(100.0, rel=1e-3)
     assert found[0, 0] + found[1, 1] + 2 * found[0, 1] < 1e-3
+
+
+@pytest.mark.parametrize(("known", "unit"), [("mass", "k"), ("stiffness", "m")])
+def test_a_mass_gives_newtons_and_a_stiffness_gives_the_mass(ranked, known, unit):
+    ranking = ranked(law=5)
+    calibration = {"mass": None, "stiffness": None} | {known: Measured(0.3 if known == "mass" else 10.5552)}
+    found = derived_parameters(ranking.best.fit, replace(ranking.motion, **calibration), 0.05)
+    assert found[unit].value == pytest.approx({"k": 10.5552, "m": 0.3}[unit], rel=2e-4)
+    assert found["Fs"].value == pytest.approx(0.3 * found["Fs/m"].value, rel=2e-4)
+    assert {"k", "m"} & set(found) == {unit}

@@ -11,7 +11,7 @@ from daq.errors import DataError, InputError
 from daq.runfile import store
 from fitting import cli
 from fitting.model import parameters
-from fitting.model.parameters import DATUM, FADE, GIVE, PER_RUN, V_DR, D, K
+from fitting.model.parameters import PER_RUN, Global
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -40,14 +40,14 @@ def runs_of(synthetic):
 def test_what_runs_share_stands_once_and_the_rest_is_their_own():
     places = parameters.active_places(6, [False, True], [False, False])
     table = parameters.columns(places, 2)
-    own = [PER_RUN + slot for slot in (V_DR, DATUM, FADE, GIVE)]
+    own = [PER_RUN + slot for slot in (Global.V_DR, Global.DATUM, Global.FADE, Global.COMPLIANCE)]
     assert set(places) == {0, 1, 2, 3, 4, 5, 6, 7, *own}
-    assert (table[:, places.index(K)] == K).all()
-    assert table[:, places.index(V_DR)].tolist() == [V_DR, -1]
-    assert table[:, places.index(PER_RUN + GIVE)].tolist() == [-1, GIVE]
+    assert (table[:, places.index(Global.K)] == Global.K).all()
+    assert table[:, places.index(Global.V_DR)].tolist() == [Global.V_DR, -1]
+    assert table[:, places.index(PER_RUN + Global.COMPLIANCE)].tolist() == [-1, Global.COMPLIANCE]
     spread = parameters.copy_shared(np.arange(2.0 * PER_RUN)).reshape(2, PER_RUN)
-    assert spread[1, [K, D]].tolist() == [K, D]
-    assert spread[1, V_DR] == PER_RUN + V_DR
+    assert spread[1, [Global.K, Global.D]].tolist() == [Global.K, Global.D]
+    assert spread[1, Global.V_DR] == PER_RUN + Global.V_DR
 
 
 @pytest.mark.parametrize("law", [3, 4, 5, 6])
@@ -70,7 +70,7 @@ def test_three_belt_speeds_put_the_true_law_first(runs_of, law):
 def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(runs_of):
     fit = rank(runs_of(5, 2), laws=(5,)).rows[0].fit
     cross = fit.solution.blocks.cross
-    own = list(fit.active).index(PER_RUN + V_DR)
+    own = list(fit.active).index(PER_RUN + Global.V_DR)
     assert np.abs(cross[fit.windows.run == 1, own]).max() > 0
     assert not cross[fit.windows.run != 1, own].any()
 

@@ -1,0 +1,188 @@
+"""What a fit says in the units of the rig: one table of derived quantities, each with its interval.
+
+Errors are propagated to first order from the covariance of the fit (`fitting.estimation.covariance`), with a Student's
+t quantile over the cycles.  The error of the metres per count enters every quantity that has a length in its unit.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from daq.runfile.rig import Measured
+from fitting.data.frame import MeasuredMotion
+from fitting.estimation.covariance import covariance
+from fitting.estimation.result import Parameter
+from fitting.estimation.trajectory import Fit
+from fitting.model.parameters import PER_RUN, Global, Values, columns, values
+from fitting.model.problem import datum_calibration
+from rig_sim.friction.law import LAWS
+
+# Of a default's variance: where more is left of it after the fit, the default still decides, and what depends on it is
+# not given.  Chosen between the two cases that occur: a datum that laws 1 and 3 leave as it was (share near 1) and one
+# that a hyperbola finds (share below 1e-3); not swept.
+UNDETERMINED = 0.01
+
+
+class Derived(NamedTuple):
+    """One derived quantity and when it is given."""
+
+    name: str
+    unit: str
+    formula: Callable[[Values], float]
+    length: int = 0  # power of the metre in it, for the error of the metres per count
+    curve: str = ""  # only for laws of this curve
+    needs: Global | None = None  # only where the fit has this parameter
+    scale: str = ""  # calibration that it is multiplied by, and without which it is not given
+    instead_of: Global | None = None  # only where this one is undetermined
+
+
+TABLE = (
+    Derived("k/m", "s^-2", lambda p: p.K),
+    Derived("Fs/m", "m s^-2", lambda p: p.F, 1),
+    Derived("Fs/k", "m", lambda p: p.F / p.K, 1),
+    Derived("v_dr", "m/s", lambda p: p.v_dr, 1),
+    Derived("gamma", "s/m", lambda p: p.shape, -1, curve="hyperbolic"),
+    Derived("G_slip/m", "s^-1", lambda p: p.shape * p.F, curve="linear"),
+    Derived("d", "m/s", lambda p: p.d, 1, needs=Global.D),
+    Derived("x0", "m", lambda p: p.datum, 1),
+    Derived("c/m", "s^-1", lambda p: p.damping),
+    Derived("droop", "m/s", lambda p: p.compliance * p.F / p.K, 1, needs=Global.COMPLIANCE),
+    Derived("ripple", "m/s", lambda p: math.hypot(p.cosine, p.sine), 1, needs=Global.COSINE),
+    Derived("ripple_hz", "Hz", lambda p: p.omega / (2 * math.pi), needs=Global.OMEGA),
+    Derived("k", "N/m", lambda p: p.K, scale="mass"),
+    Derived("Fs", "N", lambda p: p.F, 1, scale="mass"),
+    Derived("G_slip", "N s/m", lambda p: p.shape * p.F, curve="linear", scale="mass"),
+    Derived("c", "N s/m", lambda p: p.damping, scale="mass"),
+    Derived("m", "kg", lambda p: 1 / p.K, scale="stiffness"),
+    Derived("Fs", "N", lambda p: p.F / p.K, 1, scale="stiffness"),
+    Derived("G_slip", "N s/m", lambda p: p.shape * p.F / p.K, curve="linear", scale="stiffness"),
+    Derived("c", "N s/m", lambda p: p.damping / p.K, scale="stiffness"),
+    Derived("x0 + Fs/k", "m", lambda p: p.datum + p.F / p.K, 1, instead_of=Global.DATUM),
+    Derived("(G_slip - c)/m", "s^-1", lambda p: p.shape * p.F - p.damping, curve="linear", instead_of=Global.DAMPING),
+)
+MIRRORED = ("v_dr", "x0", "x0 + Fs/k")  # change sign with a record of a backward belt
+SIGNED = (*MIRRORED, "(G_slip - c)/m")  # the others cannot be negative
+UNDETERMINED_WITH = {  # what is known only together with a datum or a damping that the record does not show
+    Global.DATUM: ("x0", "Fs/m", "Fs/k", "Fs", "Fs0/m", "wear"),
+    Global.DAMPING: ("c/m", "c", "G_slip/m", "G_slip"),
+}
+RUNS_OWN = ("v_dr", "x0", "Fs0/m", "wear", "droop", "ripple", "ripple_hz")  # the others are one for all runs
+
+
+def derived_parameters(
+    fit: Fit, motion: MeasuredMotion, alpha: float, run: int = 0, *, sustained: bool = True
+) -> dict[str, Parameter]:
+    """Return a law's parameters with their intervals, in the record's own signs.
+
+    ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
+    sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
+    second, both by the line through the cycles' friction levels (`fitting.estimation.wear`).  ``droop`` is how much
+    slower the belt runs under the load Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of its speed.
+
+    Without a calibration of the datum or of the damping a default stands in for it.  Where the record adds next to
+    nothing to the default, what depends on it is left out, and the combination that the record does know is given
+    instead: ``x0 + Fs/k``, ``(G_slip - c)/m``.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of all runs together.
+    motion : MeasuredMotion
+        Of the run; its mass or stiffness, when known, turns accelerations into newtons.
+    alpha : float
+        1 - confidence.
+    run : int
+        Whose own parameters are wanted, beside those that all runs share.
+    sustained : bool
+        Whether the contact sticks again and again: else its level is not made anew and shows no wear.
+    """
+    from scipy.stats import t as student
+
+    slots = columns(fit.active, fit.runs)[run]
+    known = slots >= 0
+    active = [Global(slot) for slot in slots[known]]
+    spread = covariance(fit, fit.precision)[np.ix_(known, known)]
+    law = LAWS[fit.law]
+    if law.curve == "constant":
+        # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.
+        rate = -fit.values.K / fit.values.F
+        beside = {Global.DATUM: 1.0, Global.LOG_F: rate}
+        if Global.D in active:
+            beside |= {Global.D: rate * fit.values.d, Global.V_DR: rate * fit.values.d}
+        against = np.array([beside.get(slot, 0.0) for slot in active])
+        spread = spread + datum_calibration(motion).sd ** 2 * np.outer(against, against)
+    default = {
+        Global.DATUM: motion.datum_prior is None,
+        Global.DAMPING: motion.damping_prior is None or motion.per_mass,
+    }
+    left = np.diag(spread) * fit.precision[known]
+    undetermined = {
+        slot for slot, share in zip(active, left, strict=True) if default.get(slot) and share > UNDETERMINED
+    }
+    if default[Global.DATUM] and law.curve == "constant":
+        undetermined.add(Global.DATUM)
+    own = fit.u[PER_RUN * run : PER_RUN * (run + 1)]
+    quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
+    found: dict[str, Parameter] = {}
+    for row in TABLE:
+        scale = None if not row.scale or (row.scale == "stiffness" and motion.mass) else getattr(motion, row.scale)
+        if (
+            row.curve not in ("", law.curve)
+            or (row.needs is not None and row.needs not in active)
+            or (row.scale and scale is None)
+            or (row.instead_of is not None and row.instead_of not in undetermined)
+        ):
+            continue
+        value, error = _propagated(row, own, active, spread, motion, scale)
+        found[row.name] = _parameter(value, error, quantile, row.unit, signed=row.name in SIGNED)
+        if row.name == "c/m" and sustained:
+            found |= _wear(fit, run, found["Fs/m"], alpha)
+    hidden = {name for slot in undetermined for name in UNDETERMINED_WITH[slot]}
+    return {name: item for name, item in found.items() if name not in hidden}
+
+
+def _propagated(
+    row: Derived, own: Array, active: list[Global], spread: Array, motion: MeasuredMotion, scale: Measured | None
+) -> tuple[float, float]:
+    """Return a derived quantity and its standard error."""
+    sign = motion.sign if row.name in MIRRORED else 1.0
+    value = sign * float(row.formula(values(own)))
+    slope = np.array(list(_slopes(row.formula, own, active)))
+    variance = float(np.einsum("i,ij,j", slope, spread, slope)) + (row.length * value * motion.length_error) ** 2
+    if scale is not None:
+        variance = variance * scale.value**2 + (value * scale.sd) ** 2
+        value *= scale.value
+    return value, math.sqrt(max(variance, 0.0))
+
+
+def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) -> Iterator[float]:
+    for slot in active:
+        step = 1e-6 * max(abs(float(u[slot])), 1e-6)
+        up, down = u.copy(), u.copy()
+        up[slot] += step
+        down[slot] -= step
+        yield (formula(values(up)) - formula(values(down))) / (2 * step)
+
+
+def _wear(fit: Fit, run: int, level: Parameter, alpha: float) -> dict[str, Parameter]:
+    """Return Fs/m when the recording began, and wear; empty where the cycles show no trend."""
+    from scipy.stats import t as student
+
+    trend = fit.level_trend(run)
+    if trend is None:
+        return {}
+    first, rate = trend.first, trend.rate
+    quantile = float(student.ppf(1 - alpha / 2, trend.degrees_of_freedom))
+    error = math.hypot(level.stderr * first.value, level.value * first.sd)
+    return {
+        "Fs0/m": _parameter(level.value * first.value, error, quantile, level.unit, signed=False),
+        "wear": _parameter(rate.value, rate.sd, quantile, "s^-1", signed=True),
+    }
+
+
+def _parameter(value: float, error: float, quantile: float, unit: str, *, signed: bool) -> Parameter:
+    lo, hi = value - quantile * error, value + quantile * error
+    return Parameter(value, error, lo if signed else max(lo, 0.0), hi, unit)
