@@ -29,10 +29,9 @@ from hand.polynomial import (
 from numba import njit
 from numba.extending import register_jitable
 
-from daq.compute.compile import register
 from rig_sim.integrate.buffer import EXIT, EXIT_E, EXIT_S, LATE
-from rig_sim.integrate.compiled import JIT_OPTIONS, KERNEL_MODULES
-from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_lateness
+from rig_sim.integrate.compiled import register_kernels
+from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exit, stick_lateness
 from rig_sim.integrate.newton import EPS, newton_step
 from rig_sim.integrate.phases import sum_of
 
@@ -369,7 +368,9 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     a = max(a, 0.0)
                 u = w + con.v
                 spare[LATE] = 0.0
-                side, tau = linear_exit(w, a, u, zeta_ramp, omega2, disc_ramp, -edge, edge, rest, 0.0, spare)
+                side, tau = linear_exit(
+                    FreeMotion(w, a, u, zeta_ramp, omega2, disc_ramp), -edge, edge, rest, 0.0, spare
+                )
                 S, E = solution(zeta_ramp, omega2, disc_ramp, tau, spare)
                 dp, dw = change(a, u, zeta_ramp, omega2, S, E)
                 p, p_rest = sum_of(p, p_rest, dp)
@@ -422,7 +423,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                 lo, hi = (-reversal, -edge) if sign > 0.0 else (edge, reversal)
                 touch = 0.0 if has_edge else 4.0 * EPS
                 spare[LATE] = 0.0
-                side, tau = linear_exit(w, a, u, zeta_slip, omega2, disc_slip, lo, hi, rest, touch, spare)
+                side, tau = linear_exit(FreeMotion(w, a, u, zeta_slip, omega2, disc_slip), lo, hi, rest, touch, spare)
                 S, E = solution(zeta_slip, omega2, disc_slip, tau, spare)
                 dp, dw = change(a, u, zeta_slip, omega2, S, E)
                 p, p_rest = sum_of(p, p_rest, dp)
@@ -495,8 +496,7 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     zeta_ramp = 0.5 * C_ramp / con.m
                     disc_ramp = (zeta_ramp - omega0) * (zeta_ramp + omega0)
 
-    for name in KERNEL_MODULES:
-        register(name, forceinline=True, **JIT_OPTIONS)
+    register_kernels()
     for function in (reach, changes, deflated, survey, polish, first_root):
         register_jitable(function)
     return kernel, njit(kernel, error_model="numpy", _nrt=False)

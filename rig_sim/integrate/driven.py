@@ -7,6 +7,7 @@ that falls as the fast root dies.
 """
 
 import math
+from typing import NamedTuple
 
 from rig_sim.integrate.frame import Frame, acceleration, linear_terms
 from rig_sim.integrate.linear import LARGEST_EXPONENT, fundamental, roots
@@ -25,13 +26,30 @@ def is_steep(fr: Frame, mode: int) -> bool:
     return C / fr.m > STEEP * (fr.omega0 + abs(fr.omega))
 
 
-def ramp_parts(
-    fr: Frame, p: float, w: float, t: float
-) -> tuple[float, float, float, float, float, float, float, float]:
-    """Return (zeta, disc, u_h, a_h, W_re, W_im, omega, theta): the undriven part's start and the driven part's size."""
+class DrivenRamp(NamedTuple):
+    """A driven ramp from its start: the undriven part u, a and the driven part Re(W e^{i omega tau}), both of x'.
+
+    ``p``, ``w``, ``start_a``: displacement (m), relative velocity (m/s) and w' (m/s^2) there; ``zeta`` = C/2m and
+    ``disc`` = zeta^2 - omega0^2.
+    """
+
+    p: float
+    w: float
+    start_a: float
+    zeta: float
+    omega2: float
+    disc: float
+    u: float
+    a: float
+    W_re: float
+    W_im: float
+    omega: float
+
+
+def driven_ramp(fr: Frame, p: float, w: float, t: float) -> DrivenRamp:
+    """Return the driven ramp that begins in the state (p, w) at time t."""
     C, _ = linear_terms(fr, RAMP)
     zeta = 0.5 * C / fr.m
-    disc = zeta * zeta - fr.omega2
     a = acceleration(fr, RAMP, p, w, t)
     theta = fr.omega * t + fr.phase
     # (omega0^2 - omega^2 + 2 i zeta omega) W = i omega (u0/m) e^{i theta}
@@ -43,13 +61,14 @@ def ramp_parts(
     top_im = size * math.cos(theta)
     W_re = (top_re * re + top_im * im) / below
     W_im = (top_im * re - top_re * im) / below
-    return zeta, disc, w + fr.v - W_re, a + fr.omega * W_im, W_re, W_im, fr.omega, theta
+    disc = zeta * zeta - fr.omega2
+    return DrivenRamp(p, w, a, zeta, fr.omega2, disc, w + fr.v - W_re, a + fr.omega * W_im, W_re, W_im, fr.omega)
 
 
-def ramp_state(fr: Frame, p: float, w: float, t: float, tau: float) -> tuple[float, float, float]:
+def ramp_state(ramp: DrivenRamp, tau: float) -> tuple[float, float, float]:
     """Return (p, w, w') of a driven ramp at local time tau."""
-    zeta, disc, u, a, W_re, W_im, omega, _ = ramp_parts(fr, p, w, t)
-    S, E, I = fundamental(zeta, fr.omega2, disc, tau)  # noqa: E741
+    p, w, _, zeta, omega2, disc, u, a, W_re, W_im, omega = ramp
+    S, E, I = fundamental(zeta, omega2, disc, tau)  # noqa: E741
     sine = math.sin(omega * tau)
     half = math.sin(0.5 * omega * tau)
     fall = -2.0 * half * half  # cos - 1
@@ -57,19 +76,19 @@ def ramp_state(fr: Frame, p: float, w: float, t: float, tau: float) -> tuple[flo
     if omega != 0.0:
         p_end += (W_re * sine + W_im * fall) / omega
     w_end = w + a * S - u * E + (W_re * fall - W_im * sine)
-    a_end = a * (1.0 - E - 2.0 * zeta * S) - fr.omega2 * u * S
+    a_end = a * (1.0 - E - 2.0 * zeta * S) - omega2 * u * S
     a_end -= omega * (W_re * sine + W_im * (1.0 + fall))
     return p_end, w_end, a_end
 
 
 def ramp_exit(fr: Frame, p: float, w: float, t: float, lo: float, hi: float, tau_max: float) -> tuple[int, float]:
     """Return (side, tau): the first exit of w from [lo, hi] in a driven ramp, (0, tau reached) when there is none."""
-    zeta, disc, u, a, W_re, W_im, omega, _ = ramp_parts(fr, p, w, t)
-    lambda1, lambda2, gap = roots(zeta, fr.omega2, disc)
+    ramp = driven_ramp(fr, p, w, t)
+    u, a, omega, start_a = ramp.u, ramp.a, ramp.omega, ramp.start_a
+    lambda1, lambda2, gap = roots(ramp.zeta, ramp.omega2, ramp.disc)
     fast = abs((a - lambda2 * u) / gap) * lambda1 * lambda1
     slow = abs((a - lambda1 * u) / gap) * lambda2 * lambda2
-    swing = math.hypot(W_re, W_im) * omega * omega
-    start_a = acceleration(fr, RAMP, p, w, t)
+    swing = math.hypot(ramp.W_re, ramp.W_im) * omega * omega
     if w >= hi and start_a > 0.0:
         return 1, 0.0
     if w <= lo and start_a < 0.0:
@@ -84,7 +103,7 @@ def ramp_exit(fr: Frame, p: float, w: float, t: float, lo: float, hi: float, tau
         end = min(start + step, tau_max)
         h = end - start
         bound = fast * math.exp(max(lambda1 * start, -LARGEST_EXPONENT)) + slow + swing
-        _, after, slope = ramp_state(fr, p, w, t, end)
+        _, after, slope = ramp_state(ramp, end)
         sag = 0.125 * bound * h * h
         inside = lo < after < hi
         if inside and max(value, after) + sag < hi and min(value, after) - sag > lo:
@@ -93,9 +112,9 @@ def ramp_exit(fr: Frame, p: float, w: float, t: float, lo: float, hi: float, tau
             step = 2.0 * h
         elif abs(slope) > bound * h or h <= max(shortest, 4.0 * EPS * end):  # monotone
             if after >= hi:
-                return 1, ramp_root(fr, p, w, t, hi, 1, start, end)
+                return 1, ramp_root(ramp, hi, 1, start, end)
             if after <= lo:
-                return -1, ramp_root(fr, p, w, t, lo, -1, start, end)
+                return -1, ramp_root(ramp, lo, -1, start, end)
             start = end
             value = after
             step = 2.0 * h
@@ -104,11 +123,11 @@ def ramp_exit(fr: Frame, p: float, w: float, t: float, lo: float, hi: float, tau
     return 0, start
 
 
-def ramp_root(fr: Frame, p: float, w: float, t: float, level: float, side: int, inside: float, outside: float) -> float:
+def ramp_root(ramp: DrivenRamp, level: float, side: int, inside: float, outside: float) -> float:
     """Return where w crosses ``level`` between ``inside`` and ``outside``: Newton kept in its bracket."""
     tau = 0.5 * (inside + outside)
     for _i in range(100):
-        _, value, slope = ramp_state(fr, p, w, t, tau)
+        _, value, slope = ramp_state(ramp, tau)
         error = value - level
         if error == 0.0:
             return tau
@@ -122,33 +141,34 @@ def ramp_root(fr: Frame, p: float, w: float, t: float, level: float, side: int, 
     return tau
 
 
-def margin(fr: Frame, p: float, theta: float, omega: float, size: float, tau: float) -> float:
-    """Return g = k p - drive at tau within a stick."""
-    return fr.k * (p + fr.v * tau) - size * math.cos(theta + omega * tau)
+class StickLoad(NamedTuple):
+    """What a driven stick's margin k (p + v tau) - size cos(theta + omega tau) is made of, from the stick's start."""
+
+    k: float
+    v: float
+    p: float
+    size: float
+    omega: float
+    theta: float
 
 
-def margin_root(
-    fr: Frame,
-    p: float,
-    theta: float,
-    omega: float,
-    size: float,
-    level: float,
-    side: int,
-    inside: float,
-    outside: float,
-) -> float:
+def margin(load: StickLoad, tau: float) -> float:
+    """Return g = k p - drive (N) at local time ``tau`` (s) within a stick."""
+    return load.k * (load.p + load.v * tau) - load.size * math.cos(load.theta + load.omega * tau)
+
+
+def margin_root(load: StickLoad, level: float, side: int, inside: float, outside: float) -> float:
     """Return where the margin crosses ``level`` on a monotone piece: Newton kept in its bracket."""
     tau = 0.5 * (inside + outside)
     for _i in range(100):
-        error = margin(fr, p, theta, omega, size, tau) - level
+        error = margin(load, tau) - level
         if error == 0.0:
             return tau
         if side * error > 0.0:
             outside = tau
         else:
             inside = tau
-        slope = fr.k * fr.v + size * omega * math.sin(theta + omega * tau)
+        slope = load.k * load.v + load.size * load.omega * math.sin(load.theta + load.omega * tau)
         tau, settled = newton_step(tau, error, slope, inside, outside)
         if settled:
             return tau
@@ -164,9 +184,10 @@ def driven_stick_exit(fr: Frame, p: float, t: float, tau_max: float) -> tuple[in
         theta = -theta
     if fr.u0 < 0.0:
         theta += math.pi
+    load = StickLoad(fr.k, fr.v, p, size, omega, theta)
     floor = -2.0 * fr.B
     rise = fr.k * fr.v
-    start = margin(fr, p, theta, omega, size, 0.0)
+    start = margin(load, 0.0)
     slope = rise + size * omega * math.sin(theta)
     if start < floor or (start == floor and slope < 0.0):
         return -1, 0.0
@@ -177,7 +198,7 @@ def driven_stick_exit(fr: Frame, p: float, t: float, tau_max: float) -> tuple[in
         if fr.v == 0.0:
             return 0, tau_max
         end = max((size / fr.k - p) / fr.v * (1.0 + 4.0 * EPS), 0.0) + 4.0 * EPS * size / rise
-        tau = margin_root(fr, p, theta, omega, size, 0.0, 1, 0.0, end)
+        tau = margin_root(load, 0.0, 1, 0.0, end)
         return (1, tau) if tau <= tau_max else (0, tau_max)
     period = 2.0 * math.pi / omega
     tilt = math.asin(rise / (size * omega))
@@ -188,13 +209,13 @@ def driven_stick_exit(fr: Frame, p: float, t: float, tau_max: float) -> tuple[in
     falling = (math.pi - 2.0 * tilt) / omega
     climb = period - falling
     # the first maximum, when the margin begins by rising
-    top = margin(fr, p, theta, omega, size, highest)
+    top = margin(load, highest)
     if highest < lowest and top > 0.0:
-        tau = margin_root(fr, p, theta, omega, size, 0.0, 1, 0.0, highest)
+        tau = margin_root(load, 0.0, 1, 0.0, highest)
         return (1, tau) if tau <= tau_max else (0, tau_max)
     # the lower edge is met before the first minimum or never: the minima rise
-    if margin(fr, p, theta, omega, size, lowest) < floor:
-        tau = margin_root(fr, p, theta, omega, size, floor, -1, max(0.0, lowest - falling), lowest)
+    if margin(load, lowest) < floor:
+        tau = margin_root(load, floor, -1, max(0.0, lowest - falling), lowest)
         return (-1, tau) if tau <= tau_max else (0, tau_max)
     if rise == 0.0:
         if top <= 0.0:
@@ -204,10 +225,10 @@ def driven_stick_exit(fr: Frame, p: float, t: float, tau_max: float) -> tuple[in
         turns = max(0.0, math.ceil(-top / (rise * period)) - 1.0)
     for _i in range(4):
         peak = highest + turns * period
-        if margin(fr, p, theta, omega, size, peak) > 0.0:
+        if margin(load, peak) > 0.0:
             if peak - climb > tau_max:
                 return 0, tau_max
-            tau = margin_root(fr, p, theta, omega, size, 0.0, 1, max(0.0, peak - climb), peak)
+            tau = margin_root(load, 0.0, 1, max(0.0, peak - climb), peak)
             return (1, tau) if tau <= tau_max else (0, tau_max)
         turns += 1.0
     return 0, min(tau_max, highest + turns * period)

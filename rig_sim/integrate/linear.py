@@ -12,6 +12,7 @@ taken to the right extreme by a logarithm: no loop depends on how long the phase
 """
 
 import math
+from typing import NamedTuple
 
 from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
@@ -23,6 +24,21 @@ INVERSE = (0.0, *(1.0 / j for j in range(1, 16)))
 SPLITTER = 2.0**27 + 1.0  # halves a number's digits
 SMALLEST_TERM = 1e-18
 NEAR_EXTREME = 1e-9  # relative: an extreme so close to an edge is worked out in full
+
+
+class FreeMotion(NamedTuple):
+    """An undriven linear phase from its start.
+
+    ``w``, ``a``, ``u``: relative velocity, w' and velocity over ground there (m/s, m/s^2, m/s); ``zeta`` = C/2m and
+    ``omega2`` = k/m (1/s, 1/s^2); ``disc`` = zeta^2 - omega2.
+    """
+
+    w: float
+    a: float
+    u: float
+    zeta: float
+    omega2: float
+    disc: float
 
 
 def fundamental(zeta: float, omega2: float, disc: float, tau: float) -> tuple[float, float, float]:
@@ -66,10 +82,10 @@ def roots(zeta: float, omega2: float, disc: float) -> tuple[float, float, float]
     return lambda1, omega2 / lambda1, (-2.0 * R if zeta >= 0.0 else 2.0 * R)
 
 
-def velocity(w: float, a: float, u: float, zeta: float, omega2: float, disc: float, tau: float) -> float:
-    """Return w(tau) from the phase's start."""
-    S, E, _ = fundamental(zeta, omega2, disc, tau)
-    return w + a * S - u * E
+def velocity(free: FreeMotion, tau: float) -> float:
+    """Return w (m/s) at local time ``tau`` (s)."""
+    S, E, _ = fundamental(free.zeta, free.omega2, free.disc, tau)
+    return free.w + free.a * S - free.u * E
 
 
 def change(a: float, u: float, zeta: float, omega2: float, S: float, E: float) -> tuple[float, float]:
@@ -85,20 +101,7 @@ def shifted(S: float, E: float, zeta: float, omega2: float, step: float) -> tupl
     return later, E + omega2 * step * (S + 0.5 * step * slope)
 
 
-def root(
-    w: float,
-    a: float,
-    u: float,
-    zeta: float,
-    omega2: float,
-    disc: float,
-    level: float,
-    side: int,
-    inside: float,
-    outside: float,
-    guess: float,
-    work: Buffer,
-) -> float:
+def root(free: FreeMotion, level: float, side: int, inside: float, outside: float, guess: float, work: Buffer) -> float:
     """Return where w crosses ``level`` in [inside, outside], on which it is monotone: bracketed Halley from ``guess``.
 
     The closed form there is left in ``work``: what comes after the exit needs it again.
@@ -106,6 +109,7 @@ def root(
     certain, with a guess beyond ``inside``.  u'' = -2 zeta u' - omega0^2 u gives the second
     and third derivatives for nothing, so that the error a step leaves is known before it is taken.
     """
+    w, a, u, zeta, omega2, disc = free
     tau = guess if inside < guess < outside else 0.5 * (inside + outside)
     for _i in range(100):
         S, E, _ = fundamental(zeta, omega2, disc, tau)
@@ -146,22 +150,13 @@ def root(
 
 
 def linear_exit(
-    w: float,
-    a: float,
-    u: float,
-    zeta: float,
-    omega2: float,
-    disc: float,
-    lo: float,
-    hi: float,
-    tau_max: float,
-    touch: float,
-    work: Buffer,
+    free: FreeMotion, lo: float, hi: float, tau_max: float, touch: float, work: Buffer
 ) -> tuple[int, float]:
     """Return (side, tau): the first exit of w from [lo, hi], side -1 or +1; (0, tau_max) when it stays inside.
 
     An extreme within ``touch`` x abs(u) (relative) of an edge counts as reaching it: grazing.
     """
+    w, a, u = free.w, free.a, free.u
     work[buffer.EXIT] = -1.0
     if w >= hi and (a > 0.0 or (a == 0.0 and u < 0.0)):
         return 1, 0.0
@@ -169,9 +164,9 @@ def linear_exit(
         return -1, 0.0
     if a == 0.0 and u == 0.0:
         return 0, tau_max
-    if disc < 0.0:
-        return oscillating_exit(w, a, u, zeta, omega2, disc, lo, hi, tau_max, touch, work)
-    return creeping_exit(w, a, u, zeta, omega2, disc, lo, hi, tau_max, work)
+    if free.disc < 0.0:
+        return oscillating_exit(free, lo, hi, tau_max, touch, work)
+    return creeping_exit(free, lo, hi, tau_max, work)
 
 
 def first_extreme(a: float, u: float, zeta: float, omega2: float, disc: float) -> float:
@@ -193,22 +188,13 @@ def first_extreme(a: float, u: float, zeta: float, omega2: float, disc: float) -
 
 
 def oscillating_exit(
-    w: float,
-    a: float,
-    u: float,
-    zeta: float,
-    omega2: float,
-    disc: float,
-    lo: float,
-    hi: float,
-    tau_max: float,
-    touch: float,
-    work: Buffer,
+    free: FreeMotion, lo: float, hi: float, tau_max: float, touch: float, work: Buffer
 ) -> tuple[int, float]:
     """Return (side, tau) of `linear_exit` for complex roots: walk from extreme to extreme.
 
     Where u' = 0, abs(u) is the oscillation's size there times Omega/omega0, its sign that of the maximum or minimum.
     """
+    w, a, u, zeta, omega2, disc = free
     Omega = math.sqrt(-disc)
     half = math.pi / Omega
     first = first_extreme(a, u, zeta, omega2, disc)
@@ -228,7 +214,7 @@ def oscillating_exit(
         w_end = peak - v
         near = NEAR_EXTREME * (abs(peak) + v)
         if abs(w_end - hi) <= near or abs(w_end - lo) <= near:
-            w_end = velocity(w, a, u, zeta, omega2, disc, extreme)
+            w_end = velocity(free, extreme)
         side = 0
         if w_end > hi:
             side = 1
@@ -240,11 +226,11 @@ def oscillating_exit(
             share = (2.0 * (level + v) - before - peak) / (before - peak)
             guess = extreme - half + math.acos(min(1.0, max(-1.0, share))) / Omega
             if extreme > tau_max:
-                w_end = velocity(w, a, u, zeta, omega2, disc, tau_max)
+                w_end = velocity(free, tau_max)
                 if lo <= w_end <= hi:
                     return 0, tau_max
                 extreme = tau_max
-            return side, root(w, a, u, zeta, omega2, disc, level, side, start, extreme, guess, work)
+            return side, root(free, level, side, start, extreme, guess, work)
         if extreme <= tau_max and touch > 0.0:
             if hi - w_end <= touch * abs(w_end + v):
                 return 1, extreme
@@ -267,30 +253,20 @@ def oscillating_exit(
     return 0, tau_max
 
 
-def creeping_exit(
-    w: float,
-    a: float,
-    u: float,
-    zeta: float,
-    omega2: float,
-    disc: float,
-    lo: float,
-    hi: float,
-    tau_max: float,
-    work: Buffer,
-) -> tuple[int, float]:
+def creeping_exit(free: FreeMotion, lo: float, hi: float, tau_max: float, work: Buffer) -> tuple[int, float]:
     """Return (side, tau) of `linear_exit` for real roots: one extreme at most, then monotone for ever."""
+    w, a, u, zeta, omega2, disc = free
     v = u - w
     start = 0.0
     w_start = w
     extreme = first_extreme(a, u, zeta, omega2, disc)
     if extreme > 0.0:
         end = min(extreme, tau_max)
-        value = velocity(w, a, u, zeta, omega2, disc, end)
+        value = velocity(free, end)
         if value > hi:
-            return 1, root(w, a, u, zeta, omega2, disc, hi, 1, 0.0, end, -1.0, work)
+            return 1, root(free, hi, 1, 0.0, end, -1.0, work)
         if value < lo:
-            return -1, root(w, a, u, zeta, omega2, disc, lo, -1, 0.0, end, -1.0, work)
+            return -1, root(free, lo, -1, 0.0, end, -1.0, work)
         start = end
         w_start = value
     if start >= tau_max:
@@ -321,7 +297,7 @@ def creeping_exit(
             guess = math.log1p(rest) / lambda2
     if not guess > start:
         guess = start + 1.0 / abs(lambda1)
-    tau = root(w, a, u, zeta, omega2, disc, level, side, start, math.inf, guess, work)
+    tau = root(free, level, side, start, math.inf, guess, work)
     return (side, tau) if tau <= tau_max else (0, tau_max)
 
 

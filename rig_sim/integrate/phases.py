@@ -22,7 +22,7 @@ from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate import buffer, modes
 from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.contact_state import transition
-from rig_sim.integrate.driven import driven_stick_exit, is_steep, ramp_exit, ramp_state
+from rig_sim.integrate.driven import driven_ramp, driven_stick_exit, is_steep, ramp_exit, ramp_state
 from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.frame import (
     Frame,
@@ -34,7 +34,7 @@ from rig_sim.integrate.frame import (
     mode_bounds,
     position,
 )
-from rig_sim.integrate.linear import change, fundamental, linear_exit, stick_exit, stick_lateness
+from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exit, stick_exit, stick_lateness
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.taylor import changes, series_exit
 
@@ -77,7 +77,7 @@ def phase_exit(
     work[buffer.ZETA] = zeta
     work[buffer.START] = a
     touch = 0.0 if fr.d > 0.0 else 4.0 * EPS
-    return linear_exit(w, a, w + fr.v, zeta, fr.omega2, disc, lo, hi, tau_max, touch, work)
+    return linear_exit(FreeMotion(w, a, w + fr.v, zeta, fr.omega2, disc), lo, hi, tau_max, touch, work)
 
 
 def increments(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> tuple[float, float]:
@@ -87,7 +87,7 @@ def increments(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, w
     if is_series(fr, mode):
         return changes(work, tau / work[buffer.TIME_SCALE])
     if fr.u0 != 0.0:
-        p_end, w_end, _ = ramp_state(fr, p, w, t, tau)
+        p_end, w_end, _ = ramp_state(driven_ramp(fr, p, w, t), tau)
         return p_end - p, w_end - w
     zeta = work[buffer.ZETA]
     if tau == work[buffer.EXIT]:

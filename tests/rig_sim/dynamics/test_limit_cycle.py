@@ -7,7 +7,8 @@ from dataclasses import astuple
 
 import pytest
 
-from rig_sim.dynamics.limit_cycle import creeps, cycle
+from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.return_map import creeps
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.frame import frame

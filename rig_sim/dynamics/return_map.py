@@ -1,0 +1,188 @@
+"""The return map of slip: from one beginning of slip out of stick or ramp to the next, phase by phase.
+
+Undriven flows alone, in the frame (`rig_sim.integrate.frame`), where slip always begins in the same direction and at
+the same relative velocity, so that the map is one-dimensional: p -> p.  Each turn ends: within `STEPS_ALLOWED_HERE`
+steps of the integrator and `PHASES_PER_TURN` phases, in the next beginning of slip or in a named outcome.
+"""
+
+import math
+from dataclasses import dataclass
+
+from rig_sim.friction.curve import HYPERBOLIC
+from rig_sim.integrate import buffer, modes
+from rig_sim.integrate.buffer import Buffer
+from rig_sim.integrate.contact_state import transition
+from rig_sim.integrate.frame import Frame, acceleration, curve_deficit, linear_terms, mode_bounds, slip_speed
+from rig_sim.integrate.linear import first_extreme
+from rig_sim.integrate.phases import increments, is_series, phase_exit
+from rig_sim.integrate.taylor import first_root, value
+
+STEPS_ALLOWED_HERE = 20_000  # of the integrator, in a whole search: some thousand turns without an event
+PHASES_PER_TURN = 200
+# Size of the motion about a stable fixed point, relative to the distance to the edge and to the curve's own scale of
+# speed, below which it counts as settled: small against 1, as the curve is taken as a line there; not swept.
+SETTLED = 1e-3
+
+
+@dataclass(frozen=True)
+class Turn:
+    """One passage from the beginning of slip to the next; or, with an ``end`` other than '', where it ended."""
+
+    end: str
+    advice: str
+    p: float  # where slip begins again, or where the mass rests
+    phases: tuple[tuple[int, float, float], ...] = ()  # mode, duration, p at its start
+    extremes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # p_min, p_max, w_min, w_max
+    mode: int = modes.STICK  # in which the mass rests
+
+
+def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
+    """Follow the motion to the next beginning of (backward) slip out of stick or ramp, noting its extremes.
+
+    From within stick or ramp that is the way to its end.
+    """
+    phases: list[tuple[int, float, float]] = []
+    p_seen = [p]
+    w_seen = [w]
+    for _i in range(PHASES_PER_TURN):
+        p_start = p
+        side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work)
+        if side == 0:
+            if math.isinf(tau):
+                if mode != modes.STICK and linear_terms(fr, mode)[0] < 0.0:
+                    return Turn("no cycle", "damping is negative: the motion grows without end", p)
+                advice = "the mass comes to rest: less damping or another speed may stick"
+                return Turn("fixed point", advice, fixed_point(fr, mode, p), mode=mode)
+            if not math.isfinite(p + w):
+                return Turn(*modes.OUTCOMES[modes.NOT_FINITE], p)
+            return Turn("no cycle", f"none found within {STEPS_ALLOWED_HERE} steps", p)
+        phases.append((mode, tau, p_start))
+        entered = transition(fr, mode, side, p, 0.0)
+        if entered == modes.FORCE_REVERSAL:
+            return Turn(*modes.OUTCOMES[modes.FORCE_REVERSAL], p)
+        if mode in (modes.STICK, modes.RAMP) and entered == modes.NEGATIVE:
+            return Turn("", "", p, tuple(phases), (min(p_seen), max(p_seen), min(w_seen), max(w_seen)))
+        mode = entered
+    return Turn(
+        "no cycle", f"no end of stick within {PHASES_PER_TURN} phases: the mass swings to and fro past the belt", p
+    )
+
+
+def pass_phase(
+    fr: Frame, mode: int, p: float, w: float, p_seen: list[float], w_seen: list[float], work: Buffer
+) -> tuple[int, float, float, float]:
+    """Return (side, duration, p, w) at the end of a phase; (0, inf, p, w) when it settles, (0, tau, ...) when unclear.
+
+    Positions and velocities at which an extreme of the phase may lie are appended to ``p_seen`` and ``w_seen``.
+    """
+    lo, hi = mode_bounds(fr, mode)
+    durations: list[float] = []
+    while work[buffer.STEPS] < work[buffer.STEPS_ALLOWED]:
+        work[buffer.STEPS] += 1.0
+        side, tau = phase_exit(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
+        if math.isinf(tau):
+            return 0, tau, p, w
+        for at in turning_times(fr, mode, p, w, tau, work):
+            dp, dw = increments(fr, mode, p, w, 0.0, at, work)
+            p_seen.append(p + dp)
+            w_seen.append(w + dw)
+        dp, dw = increments(fr, mode, p, w, 0.0, tau, work)
+        p += dp
+        w += dw
+        durations.append(tau)
+        if not math.isfinite(p + w):
+            break
+        if side != 0:
+            if mode == modes.STICK:
+                w = 0.0
+                p = 0.0 if side > 0 else p
+            else:
+                w = hi if side > 0 else lo
+            p_seen.append(p)
+            w_seen.append(w)
+            return side, math.fsum(durations), p, w
+        if settles(fr, mode, p, w):
+            return 0, math.inf, p, w
+    return 0, math.fsum(durations), p, w
+
+
+def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Buffer) -> list[float]:
+    """Return the local times within tau at which w = -v or w' = 0: where x and v may be extreme."""
+    if mode == modes.STICK:
+        return []
+    level = -fr.v
+    if is_series(fr, mode):
+        scale = work[buffer.TIME_SCALE]
+        for j in range(buffer.ORDER):
+            work[buffer.U + j] = (j + 1) * work[buffer.W + j + 1]
+        work[buffer.U + buffer.ORDER] = 0.0
+        found = []
+        for series, target in ((buffer.W, level), (buffer.U, 0.0)):
+            before, behind = work[series] - target, value(work, series, tau / scale) - target
+            if before * behind < 0.0:
+                found.append(scale * first_root(work, series, target, -1 if before > 0.0 else 1, tau / scale))
+        return found
+    C, _ = linear_terms(fr, mode)
+    zeta = 0.5 * C / fr.m
+    disc = (zeta - fr.omega0) * (zeta + fr.omega0)
+    a = acceleration(fr, mode, p, w, 0.0)
+    u = w + fr.v
+    # w' = 0, and (u' + ... ) = 0: u itself obeys the same equation as w', one derivative down
+    found = []
+    for start, slope in ((a, -2.0 * zeta * a - fr.omega2 * u), (u, a)):
+        # the first zero of a solution with this value and slope is the first extreme of its integral
+        at = first_extreme(start, -(slope + 2.0 * zeta * start) / fr.omega2, zeta, fr.omega2, disc)
+        while 0.0 < at < tau and len(found) < PHASES_PER_TURN:
+            found.append(at)
+            if disc >= 0.0:
+                break
+            at += math.pi / math.sqrt(-disc)
+    return found
+
+
+def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
+    """Tell whether a slip is so close to its stable fixed point, or so heavily damped, that it cannot get away.
+
+    Close: u^2 + omega0^2 (p - p_rest)^2 only falls; it is compared with the way to the edge and the curve's own scale.
+    Heavily damped: see `creeps`.
+    """
+    if mode != modes.NEGATIVE:
+        return False
+    C, _ = linear_terms(fr, mode)
+    scale = fr.v - fr.d
+    slope = steepest = 0.0
+    if fr.curve == HYPERBOLIC:
+        q = 1.0 + fr.gamma * (slip_speed(fr, scale) if fr.lag != 0.0 else scale)
+        slope = fr.A * fr.gamma / (q * q - fr.lag)
+        steepest = fr.A * fr.gamma / (1.0 - fr.lag)
+        scale = min(scale, q / fr.gamma)
+    if not C > slope:
+        return False
+    if creeps(fr, w + fr.v, acceleration(fr, mode, p, w, 0.0), C - steepest):
+        return True
+    return math.hypot(w + fr.v, fr.omega0 * (p - fixed_point(fr, mode, p))) < SETTLED * scale
+
+
+def creeps(fr: Frame, u: float, a: float, damping: float) -> bool:
+    """Tell whether a slip with speed u (m/s) and acceleration a (m/s^2) only slows down from here, and never stops.
+
+    ``damping`` (N s/m) is the least, friction's slope taken off, that holds at any speed from 0 to u.  The rate
+    r = -a/u obeys r' = r^2 - (C/m) r + k/m with C the damping of the moment.  With C >= ``damping`` > 2 sqrt(k m) that
+    is below 0 between the two roots, so an r from 0 to the larger root stays there: u falls, and reaches neither 0 nor
+    the belt's speed.
+    """
+    half = 0.5 * damping / fr.m
+    if not (half > fr.omega0 and u > 0.0 and a <= 0.0):
+        return False
+    return -a / u < half + math.sqrt((half - fr.omega0) * (half + fr.omega0))
+
+
+def fixed_point(fr: Frame, mode: int, p: float) -> float:
+    """Return p of the fixed point (u = 0) a phase without end settles at; in stick, where the mass stands."""
+    if mode == modes.STICK:
+        return p
+    C, e = linear_terms(fr, mode)
+    fall = 0.0
+    if fr.curve == HYPERBOLIC and mode == modes.NEGATIVE:
+        fall = curve_deficit(fr, mode, -fr.v)
+    return (C * fr.v + e + fall) / fr.k
