@@ -20,8 +20,8 @@ from rig_sim.integrate.frame import Frame, frame, linear_terms, mirrored, positi
 from rig_sim.integrate.newton import EPS
 
 TURNS = 300  # evaluations of the return map; not swept
-# Turns that close to rounding, after which the search ends although the map all but touches the diagonal, where rounding
-# decides on p; not swept.
+# Turns that close to rounding, after which the search ends although the map all but touches the diagonal, where
+# rounding decides on p; not swept.
 NEARLY_CLOSED = 8
 
 
