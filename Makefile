@@ -1,9 +1,12 @@
-# demo: the main job in one go; test: every check; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
+# demo: the main job in one go; test: the quick checks; test-slow: the long ones; test-kernels: the fit under every BLAS
+# kernel that this processor runs; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
+PYTEST = $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+BLAS_KERNELS = Haswell Sandybridge Prescott $(shell grep -qsw avx512f /proc/cpuinfo && echo SkylakeX)
 
-.PHONY: demo test bench docs clean
+.PHONY: demo test test-slow test-kernels bench docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/daq demo
@@ -13,7 +16,14 @@ test: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
-	$(BIN)/python -m pytest
+	$(PYTEST) -m "not slow"
+
+test-slow: $(VENV)/.installed-test
+	$(PYTEST) -m slow
+
+test-kernels: $(VENV)/.installed-test
+	@for kernel in $(BLAS_KERNELS); do echo "== OPENBLAS_CORETYPE=$$kernel"; \
+	  OPENBLAS_CORETYPE=$$kernel $(PYTEST) -q -m "not slow" tests/fitting tests/test_pipe.py || exit 1; done
 
 bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --group bench
