@@ -10,3 +10,4 @@ source_suffix = {".md": "markdown"}
 html_theme = "alabaster"
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3
+myst_enable_extensions = ["deflist"]
