@@ -1,7 +1,8 @@
 """Draw docs/pictures/architecture.png from the imports of the source: `python docs/draw_architecture.py`.
 
 A box is a folder, or a module beside the folders; it stands above everything that it imports, with its number of files
-and lines.  An arrow points from the importer to the imported.  Imports inside functions count, those for type checking alone do not.
+and lines.  An arrow points from the importer to the imported.  Imports inside functions count, those for the type
+checker alone do not.
 """
 
 import ast
@@ -95,7 +96,9 @@ def draw(path: Path) -> None:
                 place[node] = (x, 1.6 * floor + (0.25 if number % 2 else -0.1))
         others = sorted({other for n in nodes for other in arrows[n] if other[0] != package})
         taken = "\n".join(
-            f"imports {p}: {', '.join(name for q, name in others if q == p)}" for p in PACKAGES if p in {q for q, _ in others}
+            f"imports {p}: {', '.join(name for q, name in others if q == p)}"
+            for p in PACKAGES
+            if p in {q for q, _ in others}
         )
         middle = left + widest[package] / 2
         axes.text(middle, top + 0.9, package, ha="center", fontsize=17, weight="bold")

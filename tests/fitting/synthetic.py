@@ -194,22 +194,8 @@ def recording(scene=None, **changes):
         ended="2026-01-01T00:00:20+00:00",
         time=time,
         position=position,
-        count=None,
-        segment=np.zeros(time.size, np.uint16),
         rate_hz=scene.rate,
         rig=rig,
-        raw=None,
-        event_sample=np.empty(0, np.uint32),
-        event_kind=(),
-        event_note=(),
-        belt_velocity=None,
-        default="data",
-        digest="",
-        config_toml="",
-        clock_sample=np.empty(0, np.uint32),
-        clock_offset=np.empty(0),
-        operator="",
-        provenance={},
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,32 +119,9 @@ def motion(
     return Motion(time, sign * found.x, sign * found.v, found.sticks)
 
 
-def _recording(name: str, time: Array, position: Array, rate: float, rig: Rig, **more: object) -> Recording:
-    plain = Recording(
-        source=Path(name),
-        title="bench",
-        started="2026-01-01T00:00:00+00:00",
-        ended="2026-01-01T00:01:00+00:00",
-        time=time,
-        position=position,
-        count=None,
-        segment=np.zeros(time.size, np.uint16),
-        rate_hz=rate,
-        rig=rig,
-        raw=None,
-        event_sample=np.empty(0, np.uint32),
-        event_kind=(),
-        event_note=(),
-        belt_velocity=None,
-        default="data",
-        digest="",
-        config_toml="",
-        clock_sample=np.empty(0, np.uint32),
-        clock_offset=np.empty(0, np.float64),
-        operator="",
-        provenance={},
-    )
-    return replace(plain, **more)  # type: ignore[arg-type]
+def _recording(name: str, time: Array, position: Array, rate: float, rig: Rig, **more: Any) -> Recording:
+    start, end = "2026-01-01T00:00:00+00:00", "2026-01-01T00:01:00+00:00"
+    return Recording("bench", start, end, rate, rig, time, position, source=Path(name), **more)
 
 
 def recorded(true: Motion, pitch: float = COUNT, rate: float = 1000.0, rig: Rig | None = None) -> Recording:
@@ -159,21 +137,11 @@ def imported(time: Array, position: Array, rate: float = 1000.0) -> Recording:
     return _recording("track.h5", np.asarray(time, float), np.asarray(position, float), rate, Rig())
 
 
-def run_data(true: Motion, told: bool = False) -> Recording:
-    """Return the recorded motion on its way into a run file, with its truth when it is to be told."""
+def run_data(true: Motion, with_truth: bool = False) -> Recording:
+    """Return the recorded motion on its way into a run file, with its truth when that is asked for."""
     run = recorded(true)
-    truth = Truth(run.time, true.x, true.v, np.zeros_like(true.x)) if told else None
-    return Recording(
-        title="bench",
-        started=run.started,
-        ended=run.ended,
-        rate_hz=run.rate_hz,
-        rig=run.rig,
-        time=run.time,
-        position=run.position,
-        count=run.count,
-        truth=truth,
-    )
+    truth = Truth(run.time, true.x, true.v, np.zeros_like(true.x)) if with_truth else None
+    return replace(run, truth=truth)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -16,7 +16,7 @@ from processing.cli import app
 @pytest.fixture
 def path(tmp_path, motion, run_data):
     target = tmp_path / "run.h5"
-    store.write(target, run_data(motion(5, 6.0, start=0.5), told=True))
+    store.write(target, run_data(motion(5, 6.0, start=0.5), with_truth=True))
     return target
 
 
