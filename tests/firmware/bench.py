@@ -163,7 +163,7 @@ class Board:
     def stop(self):
         """Switch the board off and return the emulator's report."""
         if self._process.poll() is None:
-            out, _ = self._process.communicate(timeout=20)
+            out, _ = self._process.communicate(timeout=600)
             self.report = json.loads(out)
         return self.report
 

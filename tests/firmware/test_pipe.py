@@ -69,7 +69,13 @@ def test_the_fastest_rate_is_recorded_in_real_time(bench, emulator, tmp_path):
     with bench.Board(emulator, "uno", hexfile, tmp_path, edges=edges, speed=1) as board:
         found = run(tmp_path, "daq.cli.app", *words, "--port", board.port)
     assert (found["samples"], found["lost"], found["crc_errors"], found["illegal"]) == (20_000, 0, 0, 0)
-    assert found["measured_rate_hz"] == pytest.approx(5000, rel=1e-9)
+    # By the device's clock: a byte that comes in just then, which is up to the host, delays a latch by less than 50 us.
+    late = 50e-6 * bench.CYCLES_PER_S
+    cycle = load(tmp_path / "fast.h5").time * bench.CYCLES_PER_S
+    off = cycle - np.arange(20_000) * bench.CYCLES_PER_S / 5000
+    assert np.median(np.diff(cycle)) == pytest.approx(bench.CYCLES_PER_S / 5000, abs=1e-3)
+    assert np.abs(off - np.median(off)).max() <= late
+    assert found["measured_rate_hz"] == pytest.approx(5000, rel=2 * late / cycle[-1])
 
 
 def test_the_law_and_its_parameters_are_the_same_as_through_the_simulated_rig(both):

