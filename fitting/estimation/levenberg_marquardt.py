@@ -132,7 +132,7 @@ class Step:
 def cost(problem: LeastSquaresProblem, u: Array, local: Array, residual: Array) -> float:
     """Return the objective."""
     shared = 0.5 * float(np.sum(problem.precision * (u - problem.prior) ** 2))
-    return shared + float(np.sum(_cost_by_cycle(problem, local, residual)))
+    return shared + float(np.sum(cost_by_cycle(problem, local, residual)))
 
 
 def normal_equations(
@@ -231,7 +231,7 @@ def minimise(
                     break
                 cost_increase = np.zeros(cycle_damping.size)
                 if found is not None:
-                    cost_increase = _cost_by_cycle(problem, local_trial, found[0]) - _cost_by_cycle(
+                    cost_increase = cost_by_cycle(problem, local_trial, found[0]) - cost_by_cycle(
                         problem, local, residual
                     )
             else:
@@ -278,7 +278,7 @@ def _kernel(function: Callable[..., None]) -> Callable[..., None]:
     return compiled(function, (elimination.__name__,))
 
 
-def _cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -> Array:
+def cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -> Array:
     """Return each cycle's share of the objective, shape (cycles,)."""
     own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
     own += problem.weights * np.add.reduceat(residual**2, problem.starts)

@@ -13,7 +13,7 @@ from fitting.estimation.trajectory import Fit
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
-LOCAL_MINIMUM = 0.98  # of a law's error: where its jump or ramp law errs less than that, it found a better place
+LOCAL_MINIMUM = 0.995  # of a law's error: where its jump or ramp law errs less than that, it found a better place
 GIVE_UP_FACTOR = 30.0  # times the best law's error after the first pass: so far behind a law is not fitted any further
 FULL_RECORD_FACTOR = (
     10.0  # times the best law's error: up to there a law is fitted to every sample, beyond to a thinned record
@@ -60,7 +60,8 @@ def fit_laws(
         chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
         found = [fit for own in each(partial(_refined, limit=GIVE_UP_FACTOR * nearest), chains) for fit in own]
         nearest = min((fit.geometric_mean_rms for fit in found), default=0.0)
-        found = list(each(partial(_final, limit=FULL_RECORD_FACTOR * nearest), found))
+        chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
+        found = [fit for own in each(partial(_final, limit=FULL_RECORD_FACTOR * nearest), chains) for fit in own]
     return sorted(found, key=lambda fit: (LAWS[fit.law].ramp, fit.law))
 
 
@@ -81,19 +82,35 @@ def _refined(chain: Sequence[Fit], limit: float) -> list[Fit]:
     for law, fit in list(found.items()):
         again = trajectory.refine(fit) if fit.geometric_mean_rms < limit else None
         found[law] = fit if again is None else again
+    return _retried(found, limit, trajectory.fit_from)
+
+
+def _retried(
+    found: dict[int, Fit], limit: float, fit_from: Callable[[EstimationProblem, Fit], Fit | None]
+) -> list[Fit]:
+    """Fit a law again from its jump or ramp law where that errs less: it is stuck where the other finds a way.
+
+    A jump law can be as good as its ramp law only where the ramp is narrow.
+    """
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
-        # One of the two can get stuck where the other finds a way: from there it tries again.
         slowest = min(motion.belt_speed for motion in found[ramp].problem.motions)
         narrow = found[ramp].values.d < trajectory.NARROW_RAMP * slowest
         for law, other in ((ramp, ramp - 1), (ramp - 1, ramp)):
             behind = found[other].geometric_mean_rms < LOCAL_MINIMUM * found[law].geometric_mean_rms
             if behind and found[other].geometric_mean_rms < limit and (law == ramp or narrow):
-                again = trajectory.fit_from(found[law].problem, found[other])
+                again = fit_from(found[law].problem, found[other])
                 if again is not None and again.geometric_mean_rms < found[law].geometric_mean_rms:
                     found[law] = again
     return list(found.values())
 
 
-def _final(fit: Fit, limit: float) -> Fit:
-    """Return the fit on every sample where its error is below ``limit``."""
-    return trajectory.final_fit(fit) if fit.geometric_mean_rms < limit else fit
+def _final(chain: Sequence[Fit], limit: float) -> list[Fit]:
+    """Fit the laws of one curve whose error is below ``limit`` to every sample; the others stay as they are."""
+    found = {fit.law: trajectory.final_fit(fit) if fit.geometric_mean_rms < limit else fit for fit in chain}
+    return _retried(found, limit, _final_from)
+
+
+def _final_from(problem: EstimationProblem, near: Fit) -> Fit | None:
+    """Fit one law to every sample from another's fit alone; None where that leads nowhere."""
+    fit = trajectory.fit_from(problem, near)
+    return None if fit is None else trajectory.final_fit(fit)

@@ -35,14 +35,17 @@ NARROW_RAMP = 0.02  # of the belt's speed: the second start of a ramp law
 COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
-FADE_PASS = (15, 1e-4)
-FINE_PASS = (10, 1e-5)
+FADE_PASS = (40, 1e-5)
+FINE_PASS = (60, 1e-6)  # of a cost of some thousand: what is left to gain moves no parameter by a tenth of its error
+CYCLE_PASS = (15, 1e-4)  # of the cycles' own unknowns alone
+CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
 DEFAULT_FADE_SD = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
 
 STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 ALTERNATIVE_FACTOR = (
     10.0  # times the best start's error after the first pass: so near a start may still turn out the better one
 )
+SAME_MINIMUM = 1.001  # times the best start's error: a start that ends so near it has led to the same minimum
 OUTLIER_LEVEL_SD = 10.0  # standard deviation of a level that must not pull at the mean
 INLIER_WEIGHT = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
 LEAST_FADE_SD = 1e-6  # 1/s
@@ -208,9 +211,11 @@ def coarse_fit(
     found = sorted((state for state in ended if state is not None), key=lambda state: state.geometric_mean_rms)
     if not found:
         return None
-    limit = ALTERNATIVE_FACTOR * found[0].geometric_mean_rms
-    fit = _fit(problem, windows, found[0], clock.process_time() - begun)
-    return replace(fit, alternatives=tuple(state for state in found[1:] if state.geometric_mean_rms < limit))
+    lowest = found[0].geometric_mean_rms
+    others = tuple(
+        state for state in found[1:] if SAME_MINIMUM < state.geometric_mean_rms / lowest < ALTERNATIVE_FACTOR
+    )
+    return replace(_fit(problem, windows, found[0], clock.process_time() - begun), alternatives=others)
 
 
 def refine(fit: Fit) -> Fit | None:
@@ -243,7 +248,8 @@ def final_fit(fit: Fit) -> Fit:
     """
     begun = clock.process_time()
     problem = fit.problem
-    last = _minimise(problem, fit.windows, replace(fit.state, fade_sd=_fade_sd(fit)), *FADE_PASS)
+    first = _restart_cycles(problem, fit.windows, replace(fit.state, fade_sd=_fade_sd(fit)))
+    last = _minimise(problem, fit.windows, first, *FADE_PASS)
     windows = _windows(problem, thinned=False)
     if last is not None and windows.time.size > fit.windows.time.size:
         noise = _reestimate_noise(last, fit.windows, problem.motions, first=False)
@@ -295,6 +301,7 @@ class PassState:
 
     u: Array
     local: Array
+    first: Array  # the cycles' own by the smoothed motion
     sigma: Array  # (runs,)
     scatter: float
     weights: Array
@@ -324,6 +331,7 @@ def _starting_state(problem: EstimationProblem, windows: ShootingWindows) -> Pas
     return PassState(
         u=problem.start,
         local=local,
+        first=local,
         sigma=np.array([FIRST_SIGMA * motion.resolution for motion in problem.motions]),
         scatter=FIRST_SCATTER,
         weights=np.ones(len(windows.rows)),
@@ -338,7 +346,8 @@ def _search_pass(
     """Make one of the search's passes, then settle noise level, weights and scatter by it."""
     passes = LONG_PASSES if any(motion.datum_prior is None for motion in problem.motions) else PASSES
     limit, tolerance = passes[number]
-    found = _minimise(problem, windows, state, limit if max_steps is None else max_steps, tolerance)
+    first = _restart_cycles(problem, windows, state) if number == 1 else state
+    found = _minimise(problem, windows, first, limit if max_steps is None else max_steps, tolerance)
     return None if found is None else _reestimate_noise(found, windows, problem.motions, first=number == 0)
 
 
@@ -347,13 +356,53 @@ def _minimise(
 ) -> PassState | None:
     """Minimise once with the noise assumed so far."""
     index = list(_active(problem, state))
+    task = _least_squares(problem, windows, state, index)
+    solution = levenberg_marquardt.minimise(task, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance)
+    if solution is None:
+        return None
+    u = state.u.copy()
+    u[index] = solution.u
+    u = parameters.copy_shared(u)
+    rms = np.array([math.sqrt(float(np.mean(solution.residual[rows] ** 2))) for rows in windows.rows])
+    prior, precision = _priors(problem, state)
+    return replace(state, u=u, local=solution.local, cycle_rms=rms, solution=solution, prior=prior, precision=precision)
+
+
+def _restart_cycles(problem: EstimationProblem, windows: ShootingWindows, state: PassState) -> PassState:
+    """Let outlying cycles start again from the smoothed motion, the shared unknowns held, and keep what fits better.
+
+    A cycle with a kick in it has several minima, and one pass can leave it in a poor one: from there it distorts the
+    law's error although its weight is low.
+    """
+    if state.solution is None or state.weights.min() > INLIER_WEIGHT:
+        return state
+    task = _least_squares(problem, windows, state, [])
+    max_steps, tolerance = CYCLE_PASS
+    found = levenberg_marquardt.minimise(task, np.empty(0), state.first, max_steps=max_steps, tolerance=tolerance)
+    if found is None:
+        return state
+    before = levenberg_marquardt.cost_by_cycle(task, state.local, state.solution.residual)
+    better = levenberg_marquardt.cost_by_cycle(task, found.local, found.residual) < CYCLE_GAIN * before
+    return replace(state, local=np.where(better[:, None], found.local, state.local))
+
+
+def _priors(problem: EstimationProblem, state: PassState) -> tuple[Array, Array]:
+    """Return means and precisions of the shared unknowns' priors."""
     prior, precision = problem.prior.copy(), problem.precision.copy()
     if state.fade_sd is not None:
         precision[Global.FADE :: PER_RUN] = [1 / sd**2 for sd in state.fade_sd]
+    return prior, precision
+
+
+def _least_squares(
+    problem: EstimationProblem, windows: ShootingWindows, state: PassState, index: list[int]
+) -> levenberg_marquardt.LeastSquaresProblem:
+    """Return what a pass minimises when it moves the shared unknowns at ``index``."""
+    prior, precision = _priors(problem, state)
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
     local_sd = np.array([[x, v, state.scatter, state.scatter, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
     local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
-    least_squares = levenberg_marquardt.LeastSquaresProblem(
+    return levenberg_marquardt.LeastSquaresProblem(
         evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),
         rows=windows.rows,
         weights=state.weights / state.sigma[windows.run] ** 2,
@@ -364,16 +413,6 @@ def _minimise(
         local_prior=windows.starting_values(problem.motions),
         local_precision=1 / local_sd**2,
     )
-    solution = levenberg_marquardt.minimise(
-        least_squares, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance
-    )
-    if solution is None:
-        return None
-    u = state.u.copy()
-    u[index] = solution.u
-    u = parameters.copy_shared(u)
-    rms = np.array([math.sqrt(float(np.mean(solution.residual[rows] ** 2))) for rows in windows.rows])
-    return replace(state, u=u, local=solution.local, cycle_rms=rms, solution=solution, prior=prior, precision=precision)
 
 
 def _active(problem: EstimationProblem, state: PassState) -> tuple[int, ...]:
