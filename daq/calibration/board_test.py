@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.finalise.quality import Summary
+from daq.finalise.quality import RecordingQuality
 from daq.runfile.recording import Recording
 from daq.wire.quadrature import EDGES_PER_COUNT
 
@@ -58,7 +58,7 @@ def stretch(run: Recording, begin_s: float, end_s: float) -> Stretch:
     return Stretch(float(np.ptp(run.time[here])), int(count[-1] - count[0]), int(np.ptp(count)))
 
 
-def findings(summary: Summary, run: Recording, parked_s: float) -> list[Finding]:
+def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list[Finding]:
     """Judge a recording whose first ``parked_s`` seconds were parked, and whose rest was a move by hand."""
     parked = stretch(run, 0.0, parked_s)
     moved = stretch(run, parked_s, float("inf"))
@@ -94,7 +94,7 @@ def findings(summary: Summary, run: Recording, parked_s: float) -> list[Finding]
     return found
 
 
-def _clock(summary: Summary) -> Finding:
+def _clock(summary: RecordingQuality) -> Finding:
     if summary.clock_ppm is None:
         return Finding("clock", None, "cannot be compared with this machine's in so short a time, or not at all")
     return Finding("clock", True, f"{summary.clock_ppm:+.0f} ppm against this machine's")

@@ -17,7 +17,7 @@ from daq.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
 
 if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown
-    from daq.finalise.quality import Summary
+    from daq.finalise.quality import RecordingQuality
     from daq.protocols.request import RecordRequest
     from daq.runfile.recording import Recording
     from daq.runfile.rig import Measured
@@ -221,7 +221,7 @@ def _reach(request: "RecordRequest") -> None:
 
 def _take(
     request: "RecordRequest", progress: Callable[[float], None] = lambda seconds: None
-) -> "tuple[Summary, Recording]":
+) -> "tuple[RecordingQuality, Recording]":
     """Record into a folder of its own, and return what was found and the run."""
     from daq.output import disk
     from daq.recorder.record import RecordingInterruptedError, record

@@ -16,7 +16,7 @@ from daq.console.application import Answer, Json, SetChanges
 from daq.errors import InputError
 
 if TYPE_CHECKING:
-    from daq.finalise.quality import Summary
+    from daq.finalise.quality import RecordingQuality
 
 DEFAULT_SCENE = "rig"
 
@@ -162,7 +162,7 @@ def ports(*, json: Json = False) -> Answer:
     return Answer(data, "\n".join(lines))
 
 
-def _text(done: str, found: "Summary") -> str:
+def _text(done: str, found: "RecordingQuality") -> str:
     return found.as_text(done, f"process smooth {shlex.quote(str(found.file))}")
 
 

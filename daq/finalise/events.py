@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.compute.arrays import runs
-from daq.finalise.integrity import Checked
+from daq.finalise.integrity import CheckedCounts
 from daq.finalise.timeline import Samples
 from daq.runfile.recording import EVENTS
 from daq.wire import counters, decode
@@ -20,7 +20,7 @@ Event = tuple[int, int, str]
 
 def events_of(
     samples: Samples,
-    checked: Checked,
+    checked: CheckedCounts,
     said: Sequence[decode.Stream],
     markers: Sequence[tuple[int, str]],
     rate_hz: float,
@@ -35,7 +35,7 @@ def events_of(
         Stamp in monotonic ns, text; one that was set before or after the run is left out.
     """
     found: list[Event] = []
-    for start, why in zip(checked.starts[1:].tolist(), checked.why[1:], strict=True):
+    for start, why in zip(checked.starts[1:].tolist(), checked.reasons[1:], strict=True):
         gap_ms = 1e3 * (samples.time[start] - samples.time[start - 1])
         if why == "invalid":
             note = f"{gap_ms:.0f} ms without a sample: the counters may have rolled over"

@@ -6,6 +6,7 @@ over, nothing is filled in.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,13 @@ from daq.runfile.rig import Rig
 from daq.wire import counters, frames
 from daq.wire.quadrature import EDGES_PER_COUNT
 
+# A segment begins after a lost port, with a restart of the board, or where the counters may have rolled over unseen.
+SegmentReason = Literal["reopened", "restarted", "invalid"]
 PEAK_OVER_S = 1e-3  # over less, one count more or less would look like a fast motion
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckedCounts:
     """The counts of n samples in s segments, and what is wrong with them.
 
     Attributes
@@ -39,8 +42,8 @@ class Checked:
         Fastest counting over `PEAK_OVER_S` (over a sample where that is longer), counts/s.
     starts : (s,) int64
         First sample of each segment.
-    why : tuple of str
-        What began each segment: "reopened", "restarted" or "invalid"; of the first it says nothing.
+    reasons : tuple of SegmentReason
+        What began each segment; of the first one it means nothing.
     """
 
     count: NDArray[np.int64]
@@ -49,13 +52,13 @@ class Checked:
     lost: NDArray[np.int64]
     illegal: int
     peak_count_rate: float
-    why: tuple[str, ...]
+    reasons: tuple[SegmentReason, ...]
     starts: NDArray[np.int64]
 
 
 def check(
     samples: Samples, ident: frames.Ident | None, rig: Rig, rate_hz: float, *, starts_at_phase: bool = True
-) -> Checked:
+) -> CheckedCounts:
     """Unwrap the counts, cut the run into segments, and flag what does not agree.
 
     Parameters
@@ -115,17 +118,19 @@ def check(
         # What was missed stays missing, and an even number of misses hides from the phase.
         total = np.cumsum(rise)
         begun = np.maximum.accumulate(np.where(fresh, np.arange(len(samples)), 0))
-        flags[total > total[begun]] |= counters.FLAG_DOUBT
-    part_reason = ["reopened" if reopened else "restarted" for reopened in samples.reopened]
-    why = tuple("invalid" if invalid[s] else part_reason[samples.part[s]] for s in starts)
-    return Checked(
+        flags[total > total[begun]] |= counters.FLAG_COUNT_UNCERTAIN
+    part_reason: list[SegmentReason] = ["reopened" if reopened else "restarted" for reopened in samples.reopened]
+    reasons: tuple[SegmentReason, ...] = tuple(
+        "invalid" if invalid[s] else part_reason[samples.part[s]] for s in starts
+    )
+    return CheckedCounts(
         count,
         segment.astype(np.uint16),
         flags,
         lost,
         int(rise.sum()),
         peak,
-        why,
+        tuple(reasons),
         starts,
     )
 

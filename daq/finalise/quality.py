@@ -1,43 +1,58 @@
-"""What a recording found: the numbers behind ``daq record``'s answer, and the warnings that follow from them."""
+"""What a recording is worth: the numbers behind ``daq record``'s answer, and the warnings that follow from them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from daq.finalise import timeline
+from daq.finalise.integrity import CheckedCounts
+from daq.finalise.timeline import Samples
+from daq.runfile import journal
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Rig
+from daq.wire import counters, frames
+from daq.wire.decode import Stream
+from daq.wire.quadrature import EDGES_PER_COUNT
+
+NOT_IN_JSON = ("travel", "unit", "port_lost")
+
 
 @dataclass(frozen=True)
-class Summary:
+class RecordingQuality:
     """The findings of one recording.
 
     Attributes
     ----------
-    file : Path or None
-        The run file.
     samples, lost : int
         Samples in the file; samples missing between them (gaps of a lost port are not counted, they are timed).
-    crc_errors, illegal, phase_errors, both_moved, dropped_bytes : int
-        Damaged frames; illegal double transitions the board counted; samples whose count disagrees with its levels;
-        samples in which both counters moved; bytes the recorder could not keep.
+    crc_errors, illegal, phase_errors : int
+        Damaged frames; illegal double transitions the board counted; samples whose count disagrees with its levels.
     segments : int
         1 for an uninterrupted run.
     rate_hz, measured_rate_hz : float
         Commanded, and by the device's clock.
-    clock_ppm : float or None
-        Drift of the device's clock against the host's, positive when fast; None where it cannot be known.
+    clock_ppm, clock_ppm_error : float or None
+        Drift of the device's clock against the host's, positive when fast, and how far off it may be; None where it
+        cannot be known.
     duration_s : float
         From the first sample to one period after the last.
     peak_edge_rate_hz : float
         Fastest edge rate between two neighbouring samples.
+    both_moved, dropped_bytes : int
+        Samples in which both counters moved; bytes the recorder could not keep.
     travel : tuple of float
         Least and largest position.
     unit : str
         "m", or "count" for a rig that was not calibrated.
+    port_lost : int
+        How often the port was lost: what was missed then is no lost sample, and a warning gives how long it was.
+    file : Path or None
+        The run file.
     warnings : tuple of str
         What a careful user should know about the data.
-    clock_ppm_error : float or None
-        How far off the drift may be, ppm.
-    port_lost : int
-        How often the port was lost: what was missed then is no lost sample, and a warning tells how long it was.
     """
 
     samples: int
@@ -45,41 +60,25 @@ class Summary:
     crc_errors: int
     illegal: int
     phase_errors: int
-    both_moved: int
-    dropped_bytes: int
     segments: int
     rate_hz: float
     measured_rate_hz: float
     clock_ppm: float | None
+    clock_ppm_error: float | None
     duration_s: float
     peak_edge_rate_hz: float
+    both_moved: int
+    dropped_bytes: int
     travel: tuple[float, float]
     unit: str
-    warnings: tuple[str, ...]
-    file: Path | None = None
     port_lost: int = 0
-    clock_ppm_error: float | None = None
+    file: Path | None = None
+    warnings: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON document of ``daq record`` and ``daq recover``."""
-        return {
-            "samples": self.samples,
-            "lost": self.lost,
-            "crc_errors": self.crc_errors,
-            "illegal": self.illegal,
-            "phase_errors": self.phase_errors,
-            "segments": self.segments,
-            "rate_hz": self.rate_hz,
-            "measured_rate_hz": self.measured_rate_hz,
-            "clock_ppm": self.clock_ppm,
-            "clock_ppm_error": self.clock_ppm_error,
-            "duration_s": self.duration_s,
-            "peak_edge_rate_hz": self.peak_edge_rate_hz,
-            "both_moved": self.both_moved,
-            "dropped_bytes": self.dropped_bytes,
-            "file": self.file,
-            "warnings": list(self.warnings),
-        }
+        kept = {name: value for name, value in vars(self).items() if name not in NOT_IN_JSON}
+        return kept | {"warnings": list(self.warnings)}
 
     def as_text(self, done: str, next_command: str) -> str:
         """Return the few lines a person reads, the command to type next at their end."""
@@ -99,3 +98,116 @@ class Summary:
             f"next: {next_command}",
         ]
         return "\n".join(lines)
+
+
+def from_run(
+    recorded: journal.Journal, samples: Samples, checked: CheckedCounts, streams: Sequence[Stream], run: Recording
+) -> RecordingQuality:
+    """Return the findings of a run, its warnings about the data not yet among them (`warnings`)."""
+    span = float(samples.time[-1])
+    place = timeline.run_index(samples, run.rate_hz)
+    return RecordingQuality(
+        samples=len(samples),
+        lost=int(checked.lost.sum()),
+        crc_errors=sum(stream.crc_errors for stream in streams),
+        illegal=checked.illegal,
+        phase_errors=int(np.count_nonzero(checked.flags & counters.FLAG_PHASE)),
+        segments=len(checked.starts),
+        rate_hz=run.rate_hz,
+        measured_rate_hz=int(place[-1] - place[0]) / span if span > 0 else run.rate_hz,
+        clock_ppm=run.clock_ppm,
+        clock_ppm_error=run.clock_ppm_error,
+        duration_s=span + 1 / run.rate_hz,
+        peak_edge_rate_hz=checked.peak_count_rate * EDGES_PER_COUNT.get(run.rig.decoder, 1),
+        both_moved=int(np.count_nonzero(checked.flags & counters.FLAG_BOTH)),
+        dropped_bytes=sum(int.from_bytes(r.data, "little") for r in recorded.records if r.kind == journal.DROPPED),
+        travel=(float(run.position.min()), float(run.position.max())),
+        unit="m" if run.rig.metres_per_count is not None else "count",
+        port_lost=sum(record.kind == journal.LOST for record in recorded.records),
+    )
+
+
+def warnings(
+    found: RecordingQuality,
+    recorded: journal.Journal,
+    samples: Samples,
+    checked: CheckedCounts,
+    streams: Sequence[Stream],
+    rig: Rig,
+) -> list[str]:
+    """Return one sentence for each thing that is wrong with the data, with its number."""
+    lines = [*_port_outages(recorded.records), *_data_warnings(found, samples, checked, rig, streams)]
+    if recorded.lost_tail:
+        lines.append(f"the last {recorded.lost_tail} bytes of the journal were cut short: its last record")
+    if recorded.damaged:
+        kept = f"it is kept: {recorded.path.name}"
+        lines.append(f"{recorded.damaged} bytes of the journal are in damaged records; {kept}")
+    return lines
+
+
+def _port_outages(records: Sequence[journal.Record]) -> list[str]:
+    """Return one sentence for each time the port was lost, with how long it was away, or when it was lost for good."""
+    first = heard = None
+    lost = ""
+    outages = []
+    for record in records:
+        if record.kind == journal.RECEIVED:
+            if first is None:
+                first = record.stamp_ns
+            heard = record.stamp_ns
+        elif record.kind == journal.LOST:
+            lost = record.data.decode(errors="replace")
+        elif heard is None or first is None:
+            continue
+        elif record.kind == journal.REOPENED:
+            outages.append(
+                f"the port was lost ({lost}) and came back: {(record.stamp_ns - heard) / 1e6:.0f} ms are missing"
+            )
+            lost = ""
+        elif record.kind == journal.END and b"port lost" in record.data:
+            outages.append(
+                f"the port was lost ({lost}) {(heard - first) / 1e9:.3g} s after the start and never came back"
+            )
+    return outages
+
+
+def _data_warnings(
+    found: RecordingQuality, samples: Samples, checked: CheckedCounts, rig: Rig, streams: Sequence[Stream]
+) -> list[str]:
+    """Return one sentence for each kind of damage in the data, with its number."""
+    edges = EDGES_PER_COUNT.get(rig.decoder, 1)
+    overruns = int(np.count_nonzero(samples.status & frames.OVERRUN))
+    unknown = sum(stream.unknown for stream in streams)
+    lines = [
+        (found.lost, f"{found.lost} samples were lost in {np.count_nonzero(checked.lost)} places"),
+        (found.crc_errors, f"{found.crc_errors} damaged frames were thrown away"),
+        (unknown, f"{unknown} frames were of an unknown kind or length"),
+        (
+            found.illegal,
+            f"{found.illegal} illegal transitions: the encoder outran its decoder, the count may be off by "
+            f"{2 * found.illegal}",
+        ),
+        (found.phase_errors, f"{found.phase_errors} samples disagree with the levels sent beside them"),
+        (overruns, f"the board missed its own pace at {overruns} samples"),
+        (samples.repeated, f"{samples.repeated} samples came twice or late and were left out"),
+        (found.dropped_bytes, f"{found.dropped_bytes} bytes were dropped: this machine could not keep up"),
+        (
+            found.segments - 1,
+            f"{found.segments} segments: {'; '.join(sorted(set(checked.reasons[1:])))}; positions are not joined "
+            "across them",
+        ),
+    ]
+    lines += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]
+    half = 2 ** (rig.counter_bits - 1)
+    moved = round(checked.peak_count_rate / found.rate_hz)
+    lines.append(
+        (
+            moved > half,
+            f"the counters moved by {moved} of {2 * half} within one sample: they may have rolled over unseen, and "
+            "positions mean nothing then; record at a higher --rate",
+        )
+    )
+    if rig.decoder in ("jk", "jk-latched"):
+        lines.append((1, f"a {rig.decoder} counter adds a line ({edges} edges) at each dither: expect drift"))
+        lines.append((found.both_moved, f"both counters moved within one sample, {found.both_moved} times"))
+    return [text for number, text in lines if number]

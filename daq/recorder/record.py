@@ -25,7 +25,7 @@ from daq.runfile.rig import Rig
 from daq.wire import frames
 
 if TYPE_CHECKING:
-    from daq.finalise.quality import Summary
+    from daq.finalise.quality import RecordingQuality
 
 MOST_SAMPLES = 2_000_000_000  # what the run file numbers its samples with holds twice as many
 WAKE_S = 0.1  # how often the writer looks at the clock while nothing comes
@@ -71,7 +71,7 @@ def record(
     progress: Callable[[float], None] = lambda seconds: None,
     say: Callable[[str], None] = lambda line: None,
     stop: threading.Event | None = None,
-) -> "Summary":
+) -> "RecordingQuality":
     """Record a run into ``request.output``.
 
     Parameters

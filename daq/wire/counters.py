@@ -24,7 +24,7 @@ FLAG_ILLEGAL = 0x0100  # the illegal count rose within this sample's frame
 FLAG_PHASE = 0x0200  # (up - down) mod 4 is not the phase of the levels sent beside it
 FLAG_BOTH = 0x0400  # up and down both moved since the sample before
 FLAG_GAP = 0x0800  # samples are missing right before this one
-FLAG_DOUBT = 0x1000  # illegal transitions came before this sample: its count may be off by two for each
+FLAG_COUNT_UNCERTAIN = 0x1000  # illegal transitions came before this sample: its count may be off by two for each
 
 
 def increments(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:

@@ -245,8 +245,10 @@ def test_an_interrupted_check_names_no_journal_that_is_gone(capsys, monkeypatch)
 
 
 def test_a_lost_port_stands_beside_no_sample_lost(tmp_path):
-    from daq.finalise.quality import Summary
+    from daq.finalise.quality import RecordingQuality
 
-    numbers = (100, 0, 0, 0, 0, 0, 0, 2, 1000.0, 1000.0, None, 0.1, 0.0, (0.0, 1.0), "m", ())
-    assert ", no sample lost while the port was there\n" in Summary(*numbers, port_lost=1).as_text("recorded", "x")
-    assert ", no sample lost\n" in Summary(*numbers).as_text("recorded", "x")
+    numbers = (100, 0, 0, 0, 0, 2, 1000.0, 1000.0, None, None, 0.1, 0.0, 0, 0, (0.0, 1.0), "m")
+    assert ", no sample lost while the port was there\n" in RecordingQuality(*numbers, port_lost=1).as_text(
+        "recorded", "x"
+    )
+    assert ", no sample lost\n" in RecordingQuality(*numbers).as_text("recorded", "x")

@@ -85,7 +85,7 @@ def test_a_gap_the_belts_counter_may_have_gone_round_in_is_not_joined() -> None:
     assert sent is not None
     assert belt_counter.unwrapped(sent, 16, short.starts)[-1] == 29 * 698
     assert long.starts.tolist() == [0, 200]
-    assert long.why[1] == "invalid"
+    assert long.reasons[1] == "invalid"
 
 
 def test_a_rate_too_slow_for_the_belts_counter_is_refused_before_the_run() -> None:

@@ -44,7 +44,7 @@ def test_every_sample_after_an_illegal_transition_is_flagged():
     missed = np.where(np.arange(n) >= 30, 4, np.where(np.arange(n) >= 9, 2, 0))
     illegal = np.repeat((missed // 2).reshape(-1, 4)[:, -1], 4) + 65_535  # as sent: at the end of its frame
     flags = integrity.check(samples(true, missed, illegal), IDENT, Rig(), 1000.0).flags
-    assert np.all(flags[missed > 0] & counters.FLAG_DOUBT)
+    assert np.all(flags[missed > 0] & counters.FLAG_COUNT_UNCERTAIN)
     assert not np.any(flags[:8])
     assert np.array_equal((flags & counters.FLAG_PHASE) > 0, missed % 4 > 0)
     assert np.flatnonzero(flags & counters.FLAG_ILLEGAL).tolist() == [8, 9, 10, 11, 28, 29, 30, 31]
@@ -56,7 +56,7 @@ def test_the_doubt_ends_where_the_board_began_anew():
     illegal = np.where((np.arange(n) >= 4) & (np.arange(n) < 12), 1, 0)
     part = np.repeat([0, 1], 12)
     flags = integrity.check(samples(10 * np.arange(n), missed, illegal, part), IDENT, Rig(), 1000.0).flags
-    assert np.flatnonzero(flags & counters.FLAG_DOUBT).tolist() == list(range(4, 12))
+    assert np.flatnonzero(flags & counters.FLAG_COUNT_UNCERTAIN).tolist() == list(range(4, 12))
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 30_000, 50_000, 100_000])
