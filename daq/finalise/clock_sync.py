@@ -142,10 +142,10 @@ def compare(
 def _slopes(
     x: NDArray[np.float64], y: NDArray[np.float64], x_below: NDArray[np.float64], y_below: NDArray[np.float64]
 ) -> tuple[float, tuple[float, float]]:
-    """Return the read latency that had to be allowed, s, and the least and the largest slope of a line between two sets.
+    """Return the read latency that had to be allowed, s, and the least and the largest slope of a line between points.
 
-    Below (x, y), and above (x_below, y_below) less that latency.  A line passes between when it passes between each pair
-    (eliminate its height); so each pair is a bound on its slope.
+    The line is below all (x, y), and above all (x_below, y_below) less that latency.  It is when it passes between each
+    pair (eliminate its height); so each pair is a bound on its slope.
     """
     apart = x[:, np.newaxis] - x_below
     read_latency = READ_LATENCY_S
