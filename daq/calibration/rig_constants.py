@@ -103,8 +103,8 @@ def damping(ring: RingDown, mass: Measured) -> Measured:
 
 def datum(ring: RingDown, pitch: Measured) -> Measured:
     """Return where count zero lies, seen from the spring's rest, m."""
-    value = -ring.rest.value * pitch.value
-    return Measured(value, math.hypot(ring.rest.sd * pitch.value, ring.rest.value * pitch.sd))
+    value = -ring.equilibrium.value * pitch.value
+    return Measured(value, math.hypot(ring.equilibrium.sd * pitch.value, ring.equilibrium.value * pitch.sd))
 
 
 def _counts(run: Recording) -> NDArray[np.int64]:

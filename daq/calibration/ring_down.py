@@ -34,8 +34,8 @@ STEP = 0.03  # rad, between nodes
 STEP_ERROR = 1e-5  # of omega, where friction weakens within a step
 MOST_NODES = 400_000
 MOST_SAMPLES = 6000  # fitted; more tell nothing new
-ASKS_FOR_MORE = 12.0  # a fit with g must lower chi square by so much, to be believed
-AT_THE_NOISE = 0.32  # counts: 1 / sqrt(12) is what counting alone leaves
+LEAST_GAIN = 12.0  # a fit with g must lower chi square by so much, to be believed
+NOISE_FLOOR = 0.32  # counts: 1 / sqrt(12) is what counting alone leaves
 POOR_FIT = 0.002  # rms over first amplitude: beyond it the model does not describe the motion
 
 
@@ -51,10 +51,10 @@ class RingDown:
         Damping over critical damping.
     friction : Measured
         Friction at low speed over stiffness, u.
-    weakening : Measured or None
+    velocity_weakening : Measured or None
         g, s/u; None where constant friction describes the motion.
-    rest : Measured
-        Where the spring is at rest, u.
+    equilibrium : Measured
+        The spring's rest position, u.
     rms : float
         Of the residuals, u.
     amplitude : float
@@ -70,8 +70,8 @@ class RingDown:
     omega0: Measured
     zeta: Measured
     friction: Measured
-    weakening: Measured | None
-    rest: Measured
+    velocity_weakening: Measured | None
+    equilibrium: Measured
     rms: float
     amplitude: float
     swings: int
@@ -106,7 +106,7 @@ def fit(time: NDArray[np.float64], position: NDArray[np.float64], resolution: fl
     begins = [guess * (1, 1, 1 + g / 2, 1, 1, 1, 0) + (0, 0, 0, 0, 0, 0, g / unit) for guess, g, unit in tries]
     second = _solve(t, x, begins, resolution, weakening=True)
     gain = (first.rms / max(second.rms, 1e-3 * resolution)) ** 2 - 1
-    if gain * len(t) / second.hangs > ASKS_FOR_MORE and second.theta[6] > 2 * second.sd[6]:
+    if gain * len(t) / second.autocorrelation_time > LEAST_GAIN and second.theta[6] > 2 * second.sd[6]:
         best = second
     amplitude = float(np.max(np.abs(x - centre)))
     half = 0.5 * resolution / len(crossings)  # what half a count at either end makes of a loss per swing
@@ -119,8 +119,8 @@ def fit(time: NDArray[np.float64], position: NDArray[np.float64], resolution: fl
         omega0=w,
         zeta=zeta,
         friction=a,
-        weakening=g if best is not first else None,
-        rest=rest,
+        velocity_weakening=g if best is not first else None,
+        equilibrium=rest,
         rms=best.rms,
         amplitude=amplitude,
         swings=len(crossings),
@@ -242,7 +242,7 @@ class _Solved:
     theta: NDArray[np.float64]
     sd: NDArray[np.float64]
     rms: float
-    hangs: float
+    autocorrelation_time: float
 
 
 def _solve(
@@ -275,16 +275,16 @@ def _solve(
         found = least_squares(misfit, (begin / scale)[:free], method="lm", diff_step=[1e-4], max_nfev=25 * free)
         if best is None or found.cost < best.cost:
             best = found
-        if 2 * best.cost < n * (AT_THE_NOISE * resolution) ** 2:
+        if 2 * best.cost < n * (NOISE_FLOOR * resolution) ** 2:
             break
     if best is None:
         raise ValueError("no start was given")
     theta = np.concatenate((best.x * scale[:free], np.zeros(7 - free)))
     theta[[0, 1, 2, 6]] = np.abs(theta[[0, 1, 2, 6]])
-    rest_of = best.fun
-    hangs = autocorrelation_time([rest_of - rest_of.mean()])
-    variance = float(rest_of @ rest_of) / max(1, n - free) * hangs
+    residual = best.fun
+    tau = autocorrelation_time([residual - residual.mean()])
+    variance = float(residual @ residual) / max(1, n - free) * tau
     jacobian = np.asarray(best.jac, dtype=np.float64)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * variance
     sd = np.concatenate((np.sqrt(np.diag(covariance)) * scale[:free], np.zeros(7 - free)))
-    return _Solved(theta, sd, math.sqrt(float(rest_of @ rest_of) / n), hangs)
+    return _Solved(theta, sd, math.sqrt(float(residual @ residual) / n), tau)

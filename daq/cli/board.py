@@ -1,4 +1,4 @@
-"""`daq check` and `daq calibrate`: a board and its rig tried out before the first run that matters."""
+"""`daq check` and `daq calibrate`: test a board, and measure its rig, before the first run."""
 
 import sys
 import tempfile
@@ -10,21 +10,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
-from daq.cli.record import Baud, Columns, DecoderName, Force, PortName, ProtocolName, Rate, RigFile, rig_port
-from daq.console import application
+from daq.cli import sentences
+from daq.cli.record import rig_port
+from daq.console import application, flags
 from daq.console.application import Answer, Json
+from daq.console.flags import Force
+from daq.console.settings import NO_FLAGS, BoardFlags, board_toml, resolve
 from daq.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
+from daq.runfile.rig import QUANTITIES, Measured, Rig
 
 if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown
     from daq.finalise.quality import RecordingQuality
     from daq.protocols.request import RecordRequest
     from daq.runfile.recording import Recording
-    from daq.runfile.rig import Measured
 
 PARKED_S, MOVED_S = 5.0, 5.0
 SIMULATED_PARKED_S, SIMULATED_MOVED_S = 0.4, 2.0  # the belt of the scene `rig` starts after 0.5 s
 RING_DOWN_S, DISTANCE_S = 20.0, 10.0
+DISTANCE = "Known distance to move the mass towards +x, '100 mm +- 0.1 mm'; --distance=-0.1 for towards -x."
 # The simulated rig in a ring-down: its belt at rest, the mass all but lifted off it, struck at its mark.
 STRUCK = ("belt.speed=0.0", "friction.Fs=0.05", "start.v=0.6")
 
@@ -39,15 +43,9 @@ def register(app: cyclopts.App) -> None:
 
 def check(
     *,
-    port: PortName = None,
-    rate: Rate = None,
     parked: Annotated[float | None, Parameter(help="Seconds in which the mass is left alone; default 5.")] = None,
     move: Annotated[float | None, Parameter(help="Seconds in which it is moved towards +x; default 5.")] = None,
-    protocol: ProtocolName = None,
-    columns: Columns = None,
-    decoder: DecoderName = None,
-    rig: RigFile = None,
-    baud: Baud = None,
+    board: BoardFlags = NO_FLAGS,
     yes: Yes = False,
     json: Json = False,
 ) -> Answer:
@@ -59,11 +57,9 @@ def check(
     Example: daq check --port /dev/ttyACM0
     """
     from daq.calibration import board_test
-    from daq.console import settings
     from daq.protocols.request import RecordRequest
 
-    known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
-    request = RecordRequest(**({"port": rig_port(None, None, realtime=False)} | known))
+    request = RecordRequest(**({"port": rig_port(None, None, realtime=False)} | resolve(board)))
     simulated = request.port.startswith("rig://")
     parked_s = parked if parked is not None else SIMULATED_PARKED_S if simulated else PARKED_S
     move_s = move if move is not None else SIMULATED_MOVED_S if simulated else MOVED_S
@@ -103,31 +99,22 @@ def check(
     marks = {True: "OK", False: "FAIL", None: "--"}
     lines = [f"{marks[finding.ok]:<4} {finding.name}: {finding.seen}" for finding in found]
     lines += [f"     do: {finding.do}" for finding in found if finding.ok is not True and finding.do]
-    lines += [f"warning: {warning}" for warning in summary.warnings]
+    lines += sentences.warnings(summary.warnings)
     lines.append("next: daq calibrate" if ok else "see the lines marked FAIL")
     return Answer(data, "\n".join(lines), EXIT_DONE if ok else EXIT_DATA)
 
 
 def calibrate(
     *,
-    port: PortName = None,
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="The file to write.")] = Path("rig.toml"),
-    distance: Annotated[
-        str | None,
-        Parameter(
-            help="Known distance to move the mass by towards +x, '100 mm +- 0.1 mm'; --distance=-0.1 for towards -x."
-        ),
-    ] = None,
+    distance: Annotated[Measured | None, flags.measured("--distance", "length", DISTANCE)] = None,
     ring_down: Annotated[bool, Parameter(name="--ring-down", help="Record and fit a ring-down.")] = True,
-    mass: Annotated[str | None, Parameter(help="Moving mass: '0.3', '300 g', '300 g +- 1 g'.")] = None,
+    mass: Annotated[
+        Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
+    ] = None,
     duration: Annotated[float, Parameter(help="Seconds of the ring-down.")] = RING_DOWN_S,
     move: Annotated[float, Parameter(help="Seconds in which the mass is moved by the distance.")] = DISTANCE_S,
-    rate: Rate = None,
-    protocol: ProtocolName = None,
-    columns: Columns = None,
-    decoder: DecoderName = None,
-    rig: RigFile = None,
-    baud: Baud = None,
+    board: BoardFlags = NO_FLAGS,
     yes: Yes = False,
     force: Force = False,
     json: Json = False,
@@ -143,29 +130,22 @@ def calibrate(
     Example: daq calibrate --mass "300 g +- 1 g"
     """
     from daq.calibration import rig_constants as measure
-    from daq.console import settings, units
     from daq.output import atomic
     from daq.protocols.request import RecordRequest
-    from daq.runfile.rig import checked
 
     if not ring_down and distance is None:
         raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
-    known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
+    known = resolve(board)
     request = RecordRequest(**({"port": rig_port(None, None, realtime=False)} | known))
     atomic.refuse_existing(output, force)
-    length = None if distance is None else units.measured(distance, "length", "--distance")
-    if length is not None and length.value == 0:
+    if distance is not None and distance.value == 0:
         raise InputError("the distance is zero", "--distance", "give for example '100 mm'")
-    weighed = None
-    if mass is not None:
-        typed = units.measured(mass, "mass", "--mass")
-        weighed = checked("mass", typed.value, typed.sd, "--mass")
     if "port" not in known:
-        if length is not None:
+        if distance is not None:
             what = "nobody moves the simulated rig by hand, so it has no known distance"
             raise InputError(what, "--distance", "give the --port of a board, or leave --distance out")
         request = replace(request, port=rig_port(None, list(STRUCK), realtime=False))
-    for flag, seconds, needed in (("--move", move, length is not None), ("--duration", duration, ring_down)):
+    for flag, seconds, needed in (("--move", move, distance is not None), ("--duration", duration, ring_down)):
         if needed and not 0 < seconds < float("inf"):
             raise InputError(f"{seconds:g} s", flag, "give more than 0 seconds")
     _reach(replace(request, duration_s=duration if ring_down else move))
@@ -173,10 +153,11 @@ def calibrate(
     pitch = ring = None
     found = None
     warnings: list[str] = []
-    if length is not None:
-        _ask(f"let the mass stand; move it by {distance} within {move:g} s, and let it stand again", wait)
+    if distance is not None:
+        far = f"{1e3 * distance.value:g} mm"
+        _ask(f"let the mass stand; move it by {far} within {move:g} s, and let it stand again", wait)
         summary, found = _take(replace(request, duration_s=move))
-        pitch = measure.metres_per_count(found, length)
+        pitch = measure.metres_per_count(found, distance)
         warnings += summary.warnings
         if not measure.stands_at_first(found):
             warnings.append("the mass moved from the very first sample on: the distance was counted from there")
@@ -194,18 +175,17 @@ def calibrate(
             )
     if found is None:
         raise ValueError("neither step was taken")
-    made = measure.calibrated(found.rig, pitch, ring, weighed)
+    made = measure.calibrated(found.rig, pitch, ring, mass)
     if ring is not None and made.mass is None:
         warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
     if made.metres_per_count is None:
         warnings.append("without --distance there are no metres: lengths are counts")
     warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
-    board = settings.board_toml(known)
-    text = _commented(ring) + made.to_toml() + board
+    text = sentences.ring_down_comment(ring) + made.to_toml() + board_toml(known)
     with atomic.replacing(output, force) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    data = _as_json(made.metres_per_count, ring) | {"file": output, "rig": _values(made), "warnings": warnings}
-    return Answer(data, _as_text(data, ring, warnings, output))
+    data = _ring_down(made.metres_per_count, ring) | {"file": output, "rig": _values(made), "warnings": warnings}
+    return Answer(data, sentences.calibrated(made, ring, warnings, output))
 
 
 def _reach(request: "RecordRequest") -> None:
@@ -255,61 +235,32 @@ def _ask(line: str, wait: bool) -> None:
         application.note(line)
 
 
-def _as_json(pitch: "Measured | None", ring: "RingDown | None") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    if ring is not None:
-        metres = abs(pitch.value) if pitch is not None else None
-        found = {
-            "omega0": ring.omega0.value,
-            "omega0_sd": ring.omega0.sd,
-            "damping_ratio": ring.zeta.value,
-            "damping_ratio_sd": ring.zeta.sd,
-            "friction_counts": ring.friction.value,
-            "friction_counts_sd": ring.friction.sd,
-            "friction_length": None if metres is None else ring.friction.value * metres,
-            "weakening": None if ring.weakening is None or metres is None else ring.weakening.value / metres,
-            "rest_counts": ring.rest.value,
-            "rest_counts_sd": ring.rest.sd,
-            "rms_counts": ring.rms,
-            "swings": ring.swings,
-            "samples": ring.samples,
-            "poor": ring.poor,
-        }
-    return found
-
-
-def _values(rig: Any) -> dict[str, Any]:
-    from daq.runfile.rig import QUANTITIES
-
-    told: dict[str, Any] = {"decoder": rig.decoder, "counter_bits": rig.counter_bits}
-    for key in QUANTITIES:
-        measured = getattr(rig, key)
-        if measured is not None:
-            told |= {key: measured.value, f"{key}_sd": measured.sd}
-    return told
-
-
-def _commented(ring: "RingDown | None") -> str:
+def _ring_down(pitch: Measured | None, ring: "RingDown | None") -> dict[str, Any]:
     if ring is None:
-        return ""
-    told = f"omega0 = {ring.omega0.value:.8g} +- {ring.omega0.sd:.2g} rad/s"
-    told += f", damping ratio {ring.zeta.value:.4g} +- {ring.zeta.sd:.2g}, friction {ring.friction.value:.4g} counts"
-    return f"# ring-down of {ring.swings} half-swings: {told}\n"
+        return {}
+    metres = abs(pitch.value) if pitch is not None else None
+    weakening = ring.velocity_weakening
+    return {
+        **_pair("omega0", ring.omega0),
+        **_pair("damping_ratio", ring.zeta),
+        **_pair("friction_counts", ring.friction),
+        "friction_length": None if metres is None else ring.friction.value * metres,
+        "weakening": None if weakening is None or metres is None else weakening.value / metres,
+        **_pair("rest_counts", ring.equilibrium),
+        "rms_counts": ring.rms,
+        "swings": ring.swings,
+        "samples": ring.samples,
+        "poor": ring.poor,
+    }
 
 
-def _as_text(data: dict[str, Any], ring: "RingDown | None", warnings: list[str], output: Path) -> str:
-    rig = data["rig"]
-    lines = []
-    if ring is not None:
-        lines.append(f"omega0 {ring.omega0.value:.6g} +- {ring.omega0.sd:.2g} rad/s, from {ring.swings} half-swings")
-        lines.append(f"damping ratio {ring.zeta.value:.4g} +- {ring.zeta.sd:.2g}, beside friction")
-    units = (
-        ("metres_per_count", "m"),
-        ("stiffness", "N/m"),
-        ("damping", "N s/m"),
-        ("datum", "m"),
-        ("mass", "kg"),
-    )
-    lines += [f"{key} {rig[key]:.6g} +- {rig[key + '_sd']:.2g} {unit}" for key, unit in units if key in rig]
-    lines += [f"warning: {warning}" for warning in warnings]
-    return "\n".join([*lines, f"-> {output}", f"next: daq record --rig {output}"])
+def _pair(key: str, measured: Measured) -> dict[str, float]:
+    return {key: measured.value, f"{key}_sd": measured.sd}
+
+
+def _values(rig: Rig) -> dict[str, Any]:
+    found: dict[str, Any] = {"decoder": rig.decoder, "counter_bits": rig.counter_bits}
+    for key in QUANTITIES:
+        if (measured := getattr(rig, key)) is not None:
+            found |= _pair(key, measured)
+    return found

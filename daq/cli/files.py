@@ -1,23 +1,22 @@
-"""The commands that meet files: `daq import`, `daq replay`, `daq decode`, `daq export`."""
+"""The commands on files: `daq import`, `daq replay`, `daq decode`, `daq export`."""
 
-import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 from cyclopts import Parameter
 
-from daq.console import application
+from daq.cli import sentences
+from daq.console import application, flags
 from daq.console.application import Answer, Json
+from daq.console.flags import Force
 from daq.errors import InputError
+from daq.imports.options import NO_OPTIONS, ImportOptions
 
 if TYPE_CHECKING:
-    from daq.imports.capture import Totals
-    from daq.runfile.recording import Recording
-    from daq.runfile.rig import Measured, Rig
+    from daq.runfile.rig import Rig
 
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], help="Run file to write.")]
-Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]
 Channels = Annotated[str | None, Parameter(help="Quadrature pair: A=NAME,B=NAME, by name or by index from 0.")]
 Step = Annotated[str | None, Parameter(help="Probe of the step pulses, by name or by index from 0.")]
 Direction = Annotated[str | None, Parameter(name="--dir", help="Probe of the direction; high counts up.")]
@@ -37,28 +36,14 @@ def import_table(
     /,
     *,
     output: Output = None,
-    position: Annotated[str | None, Parameter(help="Column of positions: its name, or its number from 1.")] = None,
-    time: Annotated[str | None, Parameter(help="Column of times: its name, or its number from 1.")] = None,
-    x_unit: Annotated[
-        str | None, Parameter(help="Unit of positions; default the header's, else m. '0.25 mm' for such a pixel.")
-    ] = None,
-    t_unit: Annotated[str | None, Parameter(help="Unit of times; default the header's, else s.")] = None,
-    frame_rate: Annotated[
-        str | None, Parameter(help="The camera's true rate, '400 fps': makes the times, or corrects them.")
-    ] = None,
-    mass: Annotated[str | None, Parameter(help="Moving mass: '0.3', '300 g', '300 g +- 1 g'.")] = None,
-    stiffness: Annotated[str | None, Parameter(help="Spring: '10.5', '10.5 N/m'.")] = None,
-    belt: Annotated[str | None, Parameter(help="Belt speed towards +x: '0.22', '22 cm/s'.")] = None,
-    datum: Annotated[str | None, Parameter(help="Where the table's x = 0 lies, seen from the spring's rest.")] = None,
-    start: Annotated[str | None, Parameter(help="When it began, ISO 8601 with zone; default the file's date.")] = None,
-    title: Annotated[str | None, Parameter(help="Title of the run.")] = None,
+    options: ImportOptions = NO_OPTIONS,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
     """Make a run file of a table of times and positions: a CSV, from a camera for instance, or a MATLAB file.
 
     Delimiter, decimal sign, header and units in it are found; bare numbers are SI.  With mass and stiffness the
-    frame rate is checked against the slips.
+    frame rate is checked against the duration of the slips.
 
     Example: daq import track.csv -o run.h5 --x-unit cm --mass "300 g" --stiffness "10.5 N/m"
     """
@@ -68,30 +53,12 @@ def import_table(
 
     target = output or file.with_suffix(".h5")
     atomic.refuse_existing(target, force, file)
-    wishes = track.Wishes(
-        time=time,
-        position=position,
-        t_unit=t_unit,
-        x_unit=x_unit,
-        frame_rate_hz=_rate(frame_rate, "--frame-rate"),
-        mass=_measured(mass, "mass", "--mass"),
-        stiffness=_measured(stiffness, "stiffness", "--stiffness"),
-        belt_speed=_measured(belt, "speed", "--belt", key="belt_speed"),
-        datum=_measured(datum, "length", "--datum", key="datum"),
-        started=start,
-        title=title,
-    )
-    found = track.read(file, wishes)
+    found = track.read(file, options)
     store.write(target, found.run, force=force)
-    data = _summary(found.run, target, list(found.warnings)) | {
-        "columns": found.columns,
-        "delimiter": found.delimiter,
-        "decimal": found.decimal,
-        "even": found.even,
+    data = sentences.run_data(found.run, target, found.warnings) | {
+        key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even")
     }
-    read_as = f"delimiter {found.delimiter}, decimal {found.decimal!r}, time from {found.columns['time']}"
-    read_as += f", position from {found.columns['position']}" + ("" if found.even else "; unevenly sampled")
-    return Answer(data, _text("imported", found.run, data, f"read as: {read_as}"))
+    return Answer(data, sentences.run_text("imported", found.run, data, sentences.columns(found)))
 
 
 def replay(
@@ -104,10 +71,10 @@ def replay(
     direction: Direction = None,
     decoder: DecoderName = None,
     rate: Annotated[
-        str | None, Parameter(help="Sample rate of a capture's run; default 1000, or the capture's.")
+        float | None, flags.rate("--rate", "Sample rate of a capture's run; default 1000, or the capture's.")
     ] = None,
     capture_rate: Annotated[
-        str | None, Parameter(help="The capture's own rate, where its metadata do not say.")
+        float | None, flags.rate("--capture-rate", "The capture's own rate, if its metadata do not hold it.")
     ] = None,
     rig: Annotated[Path | None, Parameter(help="Calibration (rig.toml) to use instead of the recorded one.")] = None,
     force: Force = False,
@@ -151,8 +118,8 @@ def replay(
     if calibration is not None:
         run = again.recalibrated(run, calibration)
     store.write(target, run, force=force)
-    data = _summary(run, target, extra["warnings"]) | extra | {"file": target}
-    return Answer(data, _text(f"replayed the {kind} {source}:", run, data))
+    data = sentences.run_data(run, target, extra["warnings"]) | extra | {"file": target}
+    return Answer(data, sentences.run_text(f"replayed the {kind} {source}:", run, data))
 
 
 def decode(
@@ -183,10 +150,9 @@ def decode(
         "samples": capture.samples,
         "rate_hz": capture.rate_hz,
         "file": file,
-        "warnings": _count_warnings(totals),
+        "warnings": sentences.count_warnings(totals),
     }
-    line = f"up {totals.up}, down {totals.down}, net {totals.net}, illegal {totals.illegal}, edges {totals.edges}"
-    line += f"  ({wired.decoder} on probes {names[0]} and {names[1]})"
+    line = f"{sentences.counts(totals)}  ({wired.decoder} on probes {names[0]} and {names[1]})"
     return Answer(data, "\n".join([line, *(f"warning: {warning}" for warning in data["warnings"])]))
 
 
@@ -223,8 +189,8 @@ def _replay_capture(
     source: Path,
     target: Path,
     wires: tuple[str | None, str | None, str | None, str | None],
-    rate: str | None,
-    capture_rate: str | None,
+    rate: float | None,
+    capture_rate: float | None,
     rig: Path | None,
     force: bool,
 ) -> Answer:
@@ -237,80 +203,24 @@ def _replay_capture(
     from daq.runfile.rig import Rig
 
     capture = sigrok.read(source)
-    stated = _rate(capture_rate, "--capture-rate")
-    if stated is not None:
-        capture = replace(capture, rate_hz=stated)
+    if capture_rate is not None:
+        capture = replace(capture, rate_hz=capture_rate)
     wired = decoding.wiring(capture, *wires)
-    rate_hz = _rate(rate, "--rate") or min(1000.0, capture.rate_hz or 1000.0)
+    rate_hz = rate or min(1000.0, capture.rate_hz or 1000.0)
     with application.progress("replaying", capture.samples, "samples") as tell:
         run, totals = again.from_capture(capture, wired, rate_hz, _rig(rig) or Rig(), tell)
     store.write(target, run, force=force)
-    warnings = _count_warnings(totals)
+    warnings = sentences.count_warnings(totals)
     if run.rig.metres_per_count is None:
         warnings.append("metres per count are not known: positions are counts; give --rig to calibrate")
-    data = again.findings(run) | {"clock_ppm": None} | _summary(run, target, warnings) | vars(totals)
-    counts = f"up {totals.up}, down {totals.down}, net {totals.net}, illegal {totals.illegal}, edges {totals.edges}"
-    return Answer(data, _text(f"replayed the capture {source}:", run, data, counts))
+    data = again.findings(run) | {"clock_ppm": None} | sentences.run_data(run, target, warnings) | vars(totals)
+    return Answer(data, sentences.run_text(f"replayed the capture {source}:", run, data, sentences.counts(totals)))
 
 
 def _default_output(source: Path, kind: str) -> Path:
     if kind == "run":
         raise InputError("where to?", str(source), "give -o")
     return source.with_suffix("") if source.suffix == ".part" else source.with_suffix(".h5")
-
-
-def _summary(run: "Recording", target: Path, warnings: list[str]) -> dict[str, Any]:
-    segment = run.segment
-    return {
-        "samples": int(run.time.size),
-        "segments": 1 if segment is None else len(set(segment.tolist())),
-        "rate_hz": run.rate_hz,
-        "duration_s": float(run.time[-1] - run.time[0]) + 1 / run.rate_hz,  # to one period after the last sample
-        "file": target,
-        "warnings": warnings,
-    }
-
-
-def _count_warnings(totals: "Totals") -> list[str]:
-    if totals.illegal:
-        return [f"{totals.illegal} illegal transitions: both channels changed at once, the count is uncertain by them"]
-    return [] if totals.edges else ["no edges: are these the right probes?"]
-
-
-def _text(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> str:
-    counted = run.count is not None and run.rig.metres_per_count is None
-    scale, unit = (1.0, "counts") if counted else (1e3, "mm")
-    low, high = (scale * float(edge) for edge in (run.position.min(), run.position.max()))
-    told = [
-        f"{done} {data['samples']} samples in {data['duration_s']:.4g} s at {run.rate_hz:.6g} Hz",
-        *lines,
-        f"the mass moved between {low:.4g} and {high:.4g} {unit}",
-        *(f"warning: {warning}" for warning in data["warnings"]),
-        f"-> {data['file']}",
-        f"next: process smooth {shlex.quote(str(data['file']))}",
-    ]
-    return "\n".join(told)
-
-
-def _rate(text: str | None, flag: str) -> float | None:
-    if text is None:
-        return None
-    from daq.console import units
-
-    rate = units.quantity(text, "rate", flag)
-    if rate <= 0:
-        raise InputError(f"{text!r} is not positive", flag, "give a rate like '400 fps'")
-    return rate
-
-
-def _measured(text: str | None, dimension: str, flag: str, key: str | None = None) -> "Measured | None":
-    if text is None:
-        return None
-    from daq.console import units
-    from daq.runfile.rig import checked
-
-    found = units.measured(text, dimension, flag)
-    return checked(key or dimension, found.value, found.sd, flag)
 
 
 def _rig(path: Path | None) -> "Rig | None":

@@ -1,65 +1,34 @@
 """`daq record`, `daq recover`, `daq ports`."""
 
 import contextlib
-import shlex
 import signal
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import cyclopts
 
+from daq.cli import sentences
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
+from daq.console.flags import Force
+from daq.console.settings import NO_FLAGS, BoardFlags, resolve
 from daq.errors import InputError
-
-if TYPE_CHECKING:
-    from daq.finalise.quality import RecordingQuality
 
 DEFAULT_SCENE = "rig"
 
-Rate = Annotated[
-    int | None,
-    application.Whole,
-    cyclopts.Parameter(name="--rate", help="Samples per second; default 1000, 512 of a qsb, a text sketch's own."),
-]
 Duration = Annotated[float, cyclopts.Parameter(name="--duration", help="Seconds to record.")]
-PortName = Annotated[
-    str | None,
-    cyclopts.Parameter(name="--port", help="A device or URL; the simulated rig answers when none is given."),
-]
 Output = Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="The run file.")]
 Scene = Annotated[
     str | None, cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file.")
 ]
 Realtime = Annotated[
     bool,
-    cyclopts.Parameter(name="--realtime", negative=(), help="The simulated rig keeps the pace of the wall clock."),
+    cyclopts.Parameter(name="--realtime", negative=(), help="Run the simulated rig at the speed of the wall clock."),
 ]
-Baud = Annotated[
-    int | None,
-    application.Whole,
-    cyclopts.Parameter(name="--baud", help="Bits per second of a serial line; default 115200, 230400 of a qsb."),
-]
-ProtocolName = Annotated[
-    str | None,
-    cyclopts.Parameter(name="--protocol", help="What the board speaks: frames (ours, default), qsb or text."),
-]
-Columns = Annotated[
-    str | None,
-    cyclopts.Parameter(name="--columns", help="Columns of text lines, such as t_us,up,down or ticks,ms."),
-]
-DecoderName = Annotated[
-    str | None,
-    cyclopts.Parameter(name="--decoder", help="What the board is to decode with: x4, x1, jk, jk-latched, two-counter."),
-]
-RigFile = Annotated[
-    Path | None,
-    cyclopts.Parameter(name="--rig", help="The rig.toml of 'daq calibrate': calibration, and how to reach the board."),
-]
-Force = Annotated[bool, cyclopts.Parameter(name="--force", negative=(), help="Replace an existing file.")]
 
 
 def register(app: cyclopts.App) -> None:
@@ -71,18 +40,12 @@ def register(app: cyclopts.App) -> None:
 
 def record(
     *,
-    rate: Rate = None,
     duration: Duration = 20.0,
-    port: PortName = None,
     output: Output = Path("run.h5"),
     scene: Scene = None,
     set_: SetChanges = None,
     realtime: Realtime = False,
-    protocol: ProtocolName = None,
-    columns: Columns = None,
-    decoder: DecoderName = None,
-    rig: RigFile = None,
-    baud: Baud = None,
+    board: BoardFlags = NO_FLAGS,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
@@ -93,22 +56,20 @@ def record(
 
     Example: daq record --rate 1000 --duration 20 -o run.h5
     """
-    from daq.console import settings
     from daq.protocols.request import RecordRequest
     from daq.recorder.record import record as take
 
-    simulated = scene is not None or bool(set_) or realtime
-    if port is not None and simulated:
-        given = "--scene" if scene is not None else "--set" if set_ else "--realtime"
-        raise InputError(f"{given} is for the simulated rig, but --port {port} was given", given, "give one of the two")
-    if port is None and simulated:
-        port = rig_port(scene, set_, realtime)
-    known = settings.resolve(rig, port=port, protocol=protocol, columns=columns, baud=baud, rate=rate, decoder=decoder)
-    known = {"port": rig_port(scene, set_, realtime)} | known
-    request = RecordRequest(output=output, duration_s=duration, force=force, **known)
+    if scene is not None or set_ or realtime:
+        if board.port is not None:
+            given = "--scene" if scene is not None else "--set" if set_ else "--realtime"
+            what = f"{given} is for the simulated rig, but --port {board.port} was given"
+            raise InputError(what, given, "give one of the two")
+        board = replace(board, port=rig_port(scene, set_, realtime))
+    known = {"port": rig_port(None, None, realtime=False)} | resolve(board)
+    wanted = RecordRequest(output=output, duration_s=duration, force=force, **known)
     with _stop_on_interrupt() as stop, application.progress("recording", duration, "s") as show:
-        found = take(request, progress=show, say=application.note, stop=stop)
-    return Answer(found.as_json(), _text("recorded", found))
+        found = take(wanted, progress=show, say=application.note, stop=stop)
+    return Answer(found.as_json(), sentences.recorded("recorded", found))
 
 
 def rig_port(scene: str | None, changes: list[str] | None, realtime: bool) -> str:
@@ -139,11 +100,11 @@ def recover(
     if journal.suffix != ".part":
         raise InputError("is no journal", str(journal), "give the RUN.h5.part that the recording left")
     found = finalise(journal, output or journal.with_suffix(""), finished_by="daq recover", force=force)
-    return Answer(found.as_json(), _text("recovered", found))
+    return Answer(found.as_json(), sentences.recorded("recovered", found))
 
 
 def ports(*, json: Json = False) -> Answer:
-    """List the ports a board may be at, and what to do about one that may not be opened.
+    """List the ports a board may be connected to, and what to do about one that cannot be opened.
 
     Example: daq ports
     """
@@ -160,10 +121,6 @@ def ports(*, json: Json = False) -> Answer:
         lines.append("no serial port here: plug the board in and look again")
     data = [vars(item) for item in found]
     return Answer(data, "\n".join(lines))
-
-
-def _text(done: str, found: "RecordingQuality") -> str:
-    return found.as_text(done, f"process smooth {shlex.quote(str(found.file))}")
 
 
 @contextlib.contextmanager

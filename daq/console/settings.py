@@ -17,28 +17,52 @@ A rig.toml is `daq.runfile.rig`'s calibration and, beside it, a section [board] 
 """
 
 import os
-import tomllib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from cyclopts import Parameter
+
+from daq.console.application import Whole
 from daq.errors import InputError, nearest
+from daq.runfile.rig import check_keys, quoted, read_toml
 
 KEYS: dict[str, type] = {"port": str, "protocol": str, "columns": str, "baud": int, "rate": int, "decoder": str}
 FIELDS = {"rate": "rate_hz"}  # where a field of the request has another name than the key
 
 
-def resolve(rig: Path | None = None, **flags: Any) -> dict[str, Any]:
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BoardFlags:
+    """The flags about the board and its rig, as typed; an argument of a command, a flag of each field."""
+
+    port: Annotated[str | None, Parameter(help="A device or URL; the simulated rig answers when none is given.")] = None
+    rate: Annotated[
+        int | None, Whole, Parameter(help="Samples per second; default 1000, 512 of a qsb, a text sketch's own.")
+    ] = None
+    protocol: Annotated[
+        str | None, Parameter(help="What the board sends: frames (our firmware, default), qsb or text.")
+    ] = None
+    columns: Annotated[str | None, Parameter(help="Columns of text lines, such as t_us,up,down or ticks,ms.")] = None
+    decoder: Annotated[
+        str | None, Parameter(help="What the board is to decode with: x4, x1, jk, jk-latched, two-counter.")
+    ] = None
+    rig: Annotated[
+        Path | None, Parameter(help="The rig.toml of 'daq calibrate': calibration, and how to reach the board.")
+    ] = None
+    baud: Annotated[
+        int | None, Whole, Parameter(help="Bits per second of a serial line; default 115200, 230400 of a qsb.")
+    ] = None
+
+
+NO_FLAGS = BoardFlags()
+
+
+def resolve(flags: BoardFlags) -> dict[str, Any]:
     """Return the settings of a command that any place has, by the fields of `daq.protocols.request.RecordRequest`.
 
     ``calibration`` is the text of the rig.toml.
-
-    Parameters
-    ----------
-    rig : Path, optional
-        The flag --rig.
-    **flags
-        Values of the other flags by key; None for one that was not given.
 
     Raises
     ------
@@ -46,15 +70,13 @@ def resolve(rig: Path | None = None, **flags: Any) -> dict[str, Any]:
         A file that is missing or no TOML, an unknown key (with its nearest neighbour), a value of the wrong kind.
     """
     user = _user()
-    rig_name: Path | None = rig
-    if rig_name is None and (named := os.environ.get("STICKSLIP_RIG") or user.pop("rig", None)):
-        rig_name = Path(named)
-    user.pop("rig", None)
-    text = None if rig_name is None else _read(rig_name, "--rig")
-    board = {} if text is None else board_section(text, str(rig_name))
+    named = os.environ.get("STICKSLIP_RIG") or user.get("rig")
+    rig = flags.rig or (Path(named) if named else None)
+    text = None if rig is None else _read(rig, "--rig")
+    board = {} if text is None else board_section(text, str(rig))
     found = {} if text is None else {"calibration": text}
     for key, kind in KEYS.items():
-        value = flags.get(key)
+        value = getattr(flags, key)
         if value is None and (typed := os.environ.get(f"STICKSLIP_{key.upper()}")):
             value = _typed(typed, kind, f"STICKSLIP_{key.upper()}")
         for section in (board, user):
@@ -66,17 +88,11 @@ def resolve(rig: Path | None = None, **flags: Any) -> dict[str, Any]:
 
 def board_section(text: str, where: str) -> dict[str, Any]:
     """Return the section [board] of a TOML text; empty when there is none."""
-    try:
-        section = tomllib.loads(text).get("board", {})
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"broken TOML: {error}", where, "mend that line") from error
-    return _checked(section, where)
+    return _checked(read_toml(text, where).get("board", {}), where)
 
 
 def board_toml(known: Mapping[str, Any]) -> str:
     """Return a section [board] with what `resolve` found; nothing where it found nothing."""
-    from daq.runfile.rig import quoted
-
     values = {key: known[FIELDS.get(key, key)] for key in KEYS if FIELDS.get(key, key) in known}
     lines = [f"{key} = {quoted(value) if isinstance(value, str) else value}" for key, value in values.items()]
     return "\n".join(["[board]", *lines]) + "\n" if lines else ""
@@ -96,10 +112,7 @@ def _user() -> dict[str, Any]:
     except OSError:  # a home that may not be looked into
         return {}
     where = str(path)
-    try:
-        content = tomllib.loads(_read(path, where))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"broken TOML: {error}", where, "mend that line") from error
+    content = read_toml(_read(path, where), where)
     for section in content:
         if section not in ("board", "rig"):
             raise InputError(f"unknown key {section!r}", where, nearest(section, ["board", "rig"]))
@@ -121,11 +134,7 @@ def _read(path: Path, where: str) -> str:
 
 
 def _checked(section: Any, where: str) -> dict[str, Any]:
-    if not isinstance(section, dict):
-        raise InputError("board is a value, not a section", where, "write [board] above its keys")
-    for key, value in section.items():
-        if key not in KEYS:
-            raise InputError(f"unknown key board.{key}", where, nearest(key, list(KEYS)))
+    for key, value in check_keys("board", section, list(KEYS), where).items():
         if isinstance(value, bool) or not isinstance(value, KEYS[key]):
             kind = "text in quotes" if KEYS[key] is str else "a whole number"
             raise InputError(f"board.{key} is {value!r}", where, f"write {kind}")

@@ -1,4 +1,4 @@
-"""A table of t, x (a CSV, a MATLAB file) made into a run file: columns, units and frame rate found or doubted.
+"""A table of t, x (a CSV, a MATLAB file) made into a run file: columns and units are found, the frame rate is checked.
 
 Times must increase; they need not be even.  Nothing is repaired: a bad line is refused by its number.
 """
@@ -15,45 +15,13 @@ from daq.errors import InputError
 from daq.imports import table
 from daq.imports.columns import find, unit
 from daq.imports.frame_rate import check_half_period
+from daq.imports.options import ImportOptions
 from daq.output import provenance
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Measured, Rig, quoted
+from daq.runfile.rig import Rig, quoted
 
 FRAME_RATE_TOLERANCE = 1.01
-FARTHEST_M = 1e6  # no rig is larger: a position beyond is a slip of the pen or of the unit
-
-
-@dataclass(frozen=True)
-class Wishes:
-    """What the user said about the table; None where nothing was said.
-
-    Attributes
-    ----------
-    time, position : str or None
-        Column by name, or by number from 1.
-    t_unit, x_unit : str or None
-        Units of these columns, or multiples of one: ``0.25 mm`` for a pixel.
-    frame_rate_hz : float or None
-        True rate of the camera.
-    mass, stiffness, belt_speed, datum : Measured or None
-        SI; datum is where the table's x = 0 lies, seen from the spring's rest.
-    started : str or None
-        Start of the run, ISO 8601.
-    title : str or None
-        Title of the run.
-    """
-
-    time: str | None = None
-    position: str | None = None
-    t_unit: str | None = None
-    x_unit: str | None = None
-    frame_rate_hz: float | None = None
-    mass: Measured | None = None
-    stiffness: Measured | None = None
-    belt_speed: Measured | None = None
-    datum: Measured | None = None
-    started: str | None = None
-    title: str | None = None
+FARTHEST_M = 1e6  # no rig is larger: a position beyond is a typing error or a wrong unit
 
 
 @dataclass(frozen=True)
@@ -68,7 +36,7 @@ class Imported:
     warnings: tuple[str, ...]
 
 
-def read(path: Path, wishes: Wishes) -> Imported:
+def read(path: Path, options: ImportOptions) -> Imported:
     """Read a table into a run.
 
     Raises
@@ -79,41 +47,41 @@ def read(path: Path, wishes: Wishes) -> Imported:
     """
     cells = _cells(path)
     warnings: list[str] = []
-    t_column, x_column, frames = find(cells, wishes.time, wishes.position, wishes.frame_rate_hz is not None)
-    x_size, x_unit = unit(cells, x_column, wishes.x_unit, "length", "--x-unit", warnings)
+    t_column, x_column, frames = find(cells, options.time, options.position, options.frame_rate_hz is not None)
+    x_size, x_unit = unit(cells, x_column, options.x_unit, "length", "--x-unit", warnings)
     position = np.array(cells.numbers(x_column)) * x_size
     _plausible(position, cells)
     t_unit = "frames"
     if t_column is None or frames:
-        if wishes.frame_rate_hz is None:
+        if options.frame_rate_hz is None:
             what = "has frame numbers but no times" if frames else "has no column of times"
             raise InputError(what, str(path), "give --frame-rate, for example --frame-rate '400 fps'")
         index = np.arange(position.size, dtype=np.float64)
         if t_column is not None:
             index = np.array(cells.numbers(t_column))
-        time = index / wishes.frame_rate_hz
+        time = index / options.frame_rate_hz
         _increasing(time, cells)
     else:
-        t_size, t_unit = unit(cells, t_column, wishes.t_unit, "time", "--t-unit", warnings)
+        t_size, t_unit = unit(cells, t_column, options.t_unit, "time", "--t-unit", warnings)
         time = np.array(cells.numbers(t_column)) * t_size
         _increasing(time, cells)
-        if wishes.frame_rate_hz is not None:
-            time = _retimed(time, wishes.frame_rate_hz, warnings)
+        if options.frame_rate_hz is not None:
+            time = _retimed(time, options.frame_rate_hz, warnings)
     if time.size < 2:
         raise InputError("holds a single sample", str(path), "give a track of at least two")
     time = time - time[0]
     step = np.diff(time)
     rate = _rate(time)
-    rig = Rig(mass=wishes.mass, stiffness=wishes.stiffness, belt_speed=wishes.belt_speed, datum=wishes.datum)
-    if wishes.datum is not None:
-        position = position + wishes.datum.value
-    if wishes.mass is not None and wishes.stiffness is not None:
-        warnings += check_half_period(time, position, wishes.mass.value, wishes.stiffness.value)
+    rig = Rig(mass=options.mass, stiffness=options.stiffness, belt_speed=options.belt_speed, datum=options.datum)
+    if options.datum is not None:
+        position = position + options.datum.value
+    if options.mass is not None and options.stiffness is not None:
+        warnings += check_half_period(time, position, options.mass.value, options.stiffness.value)
     columns = {
         "time": "frame rate" if t_column is None else f"{cells.label(t_column)} in {t_unit}",
         "position": f"{cells.label(x_column)} in {x_unit}",
     }
-    run = _run(path, wishes, Recording("", "", "", rate, rig, time, position), cells, columns)
+    run = _run(path, options, Recording("", "", "", rate, rig, time, position), cells, columns)
     even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
     return Imported(run, columns, cells.delimiter_name, cells.decimal, even, tuple(warnings))
 
@@ -133,7 +101,7 @@ def _plausible(position: NDArray[np.float64], cells: table.Table) -> None:
         raise InputError(
             f"position is {position[row]:.9g} m",
             f"{cells.path}, line {cells.lines[row]}",
-            "delete or mend that line; if the unit is wrong, give --x-unit",
+            "delete or correct that line; if the unit is wrong, give --x-unit",
         )
 
 
@@ -144,7 +112,7 @@ def _increasing(time: NDArray[np.float64], cells: table.Table) -> None:
         raise InputError(
             f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
             f"{cells.path}, line {cells.lines[row]}",
-            "delete or mend that line; if these are no times, choose the column by --time",
+            "delete or correct that line; if these are no times, choose the column by --time",
         )
 
 
@@ -167,12 +135,12 @@ def _retimed(time: NDArray[np.float64], rate_hz: float, warnings: list[str]) -> 
     return time * ratio
 
 
-def _run(path: Path, wishes: Wishes, run: Recording, cells: table.Table, columns: dict[str, str]) -> Recording:
+def _run(path: Path, options: ImportOptions, run: Recording, cells: table.Table, columns: dict[str, str]) -> Recording:
     data = path.read_bytes()
-    if wishes.started is None:
+    if options.started is None:
         start = datetime.fromtimestamp(path.stat().st_mtime, UTC).replace(microsecond=0)
     else:
-        start = _start(wishes.started)
+        start = _start(options.started)
     settings = {
         "source": path.name,
         "source_sha256": hashlib.sha256(data).hexdigest(),
@@ -181,13 +149,13 @@ def _run(path: Path, wishes: Wishes, run: Recording, cells: table.Table, columns
         **columns,
     }
     lines = [f"{key} = {quoted(value)}" for key, value in settings.items()]
-    if wishes.frame_rate_hz is not None:
-        lines.append(f"frame_rate_hz = {wishes.frame_rate_hz!r}")
+    if options.frame_rate_hz is not None:
+        lines.append(f"frame_rate_hz = {options.frame_rate_hz!r}")
     end = start + timedelta(seconds=float(run.time[-1]))
-    origin = "file's time of modification" if wishes.started is None else "--start"
+    origin = "file's time of modification" if options.started is None else "--start"
     return replace(
         run,
-        title=wishes.title or f"{path.name}, imported",
+        title=options.title or f"{path.name}, imported",
         started=start.isoformat(),
         ended=end.isoformat(),
         config_toml=run.rig.to_toml() + "[import]\n" + "\n".join(lines) + "\n",

@@ -91,18 +91,12 @@ class Rig:
         InputError
             For broken TOML, an unknown section or key (naming its nearest neighbour), or an impossible value.
         """
-        try:
-            document = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise InputError(f"broken TOML: {error}", where, "mend that line") from error
         found: dict[str, Any] = {}
-        for section, content in document.items():
+        for section, content in read_toml(text, where).items():
             if section == "board":
                 continue  # how to reach the board: `daq.console.settings`
             if section not in SECTIONS:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
-            if not isinstance(content, dict):
-                raise InputError(f"{section} is a value, not a section", where, f"write [{section}] above its keys")
             found |= _section(section, content, where)
         return cls(**found)
 
@@ -148,11 +142,9 @@ SECTIONS: dict[str, tuple[str, ...]] = {
 _RULES = {"positive": lambda x: x > 0, "not negative": lambda x: x >= 0, "not zero": lambda x: x != 0}
 
 
-def _section(section: str, content: dict[str, Any], where: str) -> dict[str, Any]:
+def _section(section: str, content: Any, where: str) -> dict[str, Any]:
     known = [*SECTIONS[section], *(f"{key}_sd" for key in SECTIONS[section] if key in QUANTITIES)]
-    for key in content:
-        if key not in known:
-            raise InputError(f"unknown key {section}.{key}", where, nearest(key, known))
+    check_keys(section, content, known, where)
     found: dict[str, Any] = {}
     for key in SECTIONS[section]:
         if key in QUANTITIES:
@@ -168,6 +160,24 @@ def _section(section: str, content: dict[str, Any], where: str) -> dict[str, Any
         elif key in content:
             found[key] = _setting(key, content[key], section, where)
     return found
+
+
+def read_toml(text: str, where: str) -> dict[str, Any]:
+    """Parse TOML; InputError with the line where it is broken."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"broken TOML: {error}", where, "mend that line") from error
+
+
+def check_keys(section: str, content: Any, known: list[str], where: str) -> dict[str, Any]:
+    """Return the content of a TOML section; InputError when it is no section or has an unknown key (nearest named)."""
+    if not isinstance(content, dict):
+        raise InputError(f"{section} is a value, not a section", where, f"write [{section}] above its keys")
+    for key in content:
+        if key not in known:
+            raise InputError(f"unknown key {section}.{key}", where, nearest(key, known))
+    return content
 
 
 def checked(key: str, value: float, sd: float, where: str) -> Measured:

@@ -44,13 +44,13 @@ def test_it_rests_where_friction_holds_the_spring():
 @pytest.mark.parametrize("zeta", [0.002, 0.02])
 def test_damping_is_not_biased_by_friction(zeta, friction):
     found = ring_down.fit(*recorded(zeta, friction), 1.0)
-    assert found.weakening is None
+    assert found.velocity_weakening is None
     assert not found.poor
     for measured, true in (
         (found.omega0, W),
         (found.zeta, zeta),
         (found.friction, friction),
-        (found.rest, 37.25),
+        (found.equilibrium, 37.25),
     ):
         assert abs(measured.value - true) < 4 * measured.sd
     assert found.zeta.sd < 0.01 * zeta
@@ -72,8 +72,8 @@ def test_an_exponential_alone_would_have_been_far_off():
 def test_friction_that_weakens_with_speed_is_seen_and_does_not_bias_either():
     g = 6e-5  # per count/s: at the fastest it is a fifth
     found = ring_down.fit(*recorded(0.01, 300.0, g=g), 1.0)
-    assert found.weakening is not None
-    assert found.weakening.value == pytest.approx(g, rel=0.05)
+    assert found.velocity_weakening is not None
+    assert found.velocity_weakening.value == pytest.approx(g, rel=0.05)
     assert found.zeta.value == pytest.approx(0.01, rel=0.01)
     assert found.friction.value == pytest.approx(300, rel=0.01)
     assert found.omega0.value == pytest.approx(W, rel=5e-5)

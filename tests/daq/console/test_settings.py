@@ -7,6 +7,11 @@ from daq.errors import InputError
 from daq.runfile.rig import Rig
 
 
+def resolve(**flags):
+    """Resolve the settings of a command with these flags."""
+    return settings.resolve(settings.BoardFlags(**flags))
+
+
 @pytest.fixture(autouse=True)
 def alone(monkeypatch, tmp_path):
     """Keep the tester's own environment out."""
@@ -29,30 +34,30 @@ def places(monkeypatch, tmp_path):
 
 
 def test_a_flag_beats_all(places):
-    found = settings.resolve(places, port="from flag", rate=1)
+    found = resolve(rig=places, port="from flag", rate=1)
     assert (found["port"], found["rate_hz"]) == ("from flag", 1)
 
 
 def test_the_environment_beats_the_files(places):
-    found = settings.resolve(places)
+    found = resolve(rig=places)
     assert (found["port"], found["rate_hz"]) == ("from environment", 2)
 
 
 def test_the_rig_file_beats_the_users_own(places, monkeypatch):
     monkeypatch.delenv("STICKSLIP_PORT")
     monkeypatch.delenv("STICKSLIP_RATE")
-    found = settings.resolve(places)
+    found = resolve(rig=places)
     assert (found["port"], found["rate_hz"], found["baud"]) == ("from rig", 3, 9600)
-    assert settings.resolve()["port"] == "from user"
+    assert resolve()["port"] == "from user"
 
 
 def test_without_any_nothing_is_set():
-    assert settings.resolve() == {}
+    assert resolve() == {}
 
 
 def test_the_rig_file_itself_may_come_from_the_environment(places, monkeypatch):
     monkeypatch.setenv("STICKSLIP_RIG", str(places))
-    found = settings.resolve()
+    found = resolve()
     assert found["calibration"] == places.read_text()
     assert Rig.from_toml(found["calibration"], "x").mass.value == 0.3
 
@@ -71,16 +76,16 @@ def test_what_is_wrong_with_a_rig_file_is_named(tmp_path, text, said):
     path = tmp_path / "rig.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=said) as caught:
-        settings.resolve(path)
+        resolve(rig=path)
     assert caught.value.where == str(path)
 
 
 def test_a_missing_rig_file_and_a_word_for_a_number_are_named(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no such file"):
-        settings.resolve(tmp_path / "none.toml")
+        resolve(rig=tmp_path / "none.toml")
     monkeypatch.setenv("STICKSLIP_BAUD", "fast")
     with pytest.raises(InputError, match="STICKSLIP_BAUD"):
-        settings.resolve()
+        resolve()
 
 
 def test_a_section_that_is_written_is_read_back():

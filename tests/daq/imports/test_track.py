@@ -15,7 +15,7 @@ from daq.cli import files
 from daq.console import application, units
 from daq.errors import InputError
 from daq.imports import frame_rate, table, track
-from daq.imports.track import Wishes
+from daq.imports.options import ImportOptions
 from daq.runfile import store
 from daq.runfile.rig import Measured
 
@@ -34,9 +34,9 @@ def sawtooth(rate_hz: float, until: float = 12.0, belt: float = 0.22) -> tuple[A
     return time, np.where(phase < stick, sticking, slipping)
 
 
-def wishes(**changes: Any) -> Wishes:
+def options(**changes: Any) -> ImportOptions:
     known: dict[str, Any] = {"mass": Measured(MASS), "stiffness": Measured(STIFFNESS)}
-    return Wishes(**(known | {"started": "2024-05-01T12:00:00+02:00"} | changes))
+    return ImportOptions(**(known | {"started": "2024-05-01T12:00:00+02:00"} | changes))
 
 
 def make(
@@ -78,7 +78,7 @@ def test_the_format_is_found(csv: Path, head: str, how: dict[str, Any]) -> None:
     time, x = sawtooth(100, 3)
     how = dict(how)
     columns = [time, x, x] if how.pop("wide", False) else [time, x]
-    found = track.read(make(csv, head, zip(*columns, strict=True), **how), wishes())
+    found = track.read(make(csv, head, zip(*columns, strict=True), **how), options())
     np.testing.assert_allclose(found.run.time, time, atol=1e-8)
     np.testing.assert_allclose(found.run.position, x, atol=1e-8)
     assert found.decimal == how.get("decimal", ".")
@@ -122,7 +122,7 @@ def test_units_come_from_the_flag_or_the_header(
     csv: Path, head: str, t_size: float, x_size: float, changes: Any
 ) -> None:
     csv.write_text(f"{head}\n0,1\n2,3\n5,7\n")
-    found = track.read(csv, Wishes(**changes))
+    found = track.read(csv, ImportOptions(**changes))
     np.testing.assert_allclose(found.run.time, np.array([0, 2, 5]) * t_size, rtol=1e-15)
     np.testing.assert_allclose(found.run.position, np.array([1, 3, 7]) * x_size, rtol=1e-15)
     assert found.warnings == ()
@@ -130,7 +130,7 @@ def test_units_come_from_the_flag_or_the_header(
 
 def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
     csv.write_text("t,x (cm)\n0,1\n2,3\n")
-    found = track.read(csv, Wishes(x_unit="mm"))
+    found = track.read(csv, ImportOptions(x_unit="mm"))
     assert found.run.position.tolist() == [0.001, 0.003]
     assert "not in cm" in found.warnings[0]
 
@@ -146,7 +146,7 @@ def test_a_flag_that_contradicts_the_header_wins_and_says_so(csv: Path) -> None:
 )
 def test_a_frame_rate_makes_the_times(csv: Path, text: str, changes: Any, time: Any, position: Any) -> None:
     csv.write_text(text)
-    found = track.read(csv, Wishes(**changes))
+    found = track.read(csv, ImportOptions(**changes))
     np.testing.assert_allclose(found.run.time, np.array(time) / 400, rtol=1e-15)
     assert found.run.position.tolist() == position
 
@@ -154,14 +154,14 @@ def test_a_frame_rate_makes_the_times(csv: Path, text: str, changes: Any, time: 
 def test_columns_are_chosen_by_name_or_number(csv: Path) -> None:
     csv.write_text("i,Clock,laser A,laser B\n0,0.5,1,2\n1,0.6,3,4\n")
     for time, position in (("Clock", "laser B"), ("clock", "LASER B"), ("2", "4")):
-        found = track.read(csv, Wishes(time=time, position=position))
+        found = track.read(csv, ImportOptions(time=time, position=position))
         assert found.run.position.tolist() == [2, 4]
         np.testing.assert_allclose(found.run.time, [0, 0.1], atol=1e-15)
 
 
 def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n0.1,2\n0.35,2\n0.4,5\n")
-    found = track.read(csv, Wishes())
+    found = track.read(csv, ImportOptions())
     assert not found.even
     assert found.run.time.tolist() == [0, 0.1, 0.35, 0.4]
 
@@ -198,7 +198,7 @@ def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
 def test_bad_tables_are_refused_by_line(csv: Path, text: str, changes: Any, words: list[str]) -> None:
     csv.write_text(text)
     with pytest.raises(InputError) as error:
-        track.read(csv, Wishes(**changes))
+        track.read(csv, ImportOptions(**changes))
     line = str(error.value)
     assert "\n" not in line
     for word in words:
@@ -214,14 +214,14 @@ def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -
 
 
 def test_a_right_frame_rate_is_accepted(csv: Path) -> None:
-    found = track.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), wishes())
+    found = track.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options())
     assert found.warnings == ()
 
 
 def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> None:
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))  # a 400 fps film played at 30
-    found = track.read(csv, wishes())
+    found = track.read(csv, options())
     assert "frame rate must be wrong" in found.warnings[0]
     fitting = float(found.warnings[0].split(" would fit")[0].split()[-1])
     assert fitting == pytest.approx(400, rel=0.01)
@@ -230,7 +230,7 @@ def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> Non
 def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
     time, x = sawtooth(400)
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))
-    found = track.read(csv, wishes(frame_rate_hz=400.0))
+    found = track.read(csv, options(frame_rate_hz=400.0))
     np.testing.assert_allclose(found.run.time, time, atol=1e-6)
     assert len(found.warnings) == 1
     assert "times were multiplied by 0.075" in found.warnings[0]
@@ -238,14 +238,14 @@ def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:
 
 def test_times_that_agree_with_the_given_frame_rate_stay_as_they_are(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n0.0025,2\n0.005,2\n0.00752,2\n")
-    found = track.read(csv, Wishes(frame_rate_hz=400.0))
+    found = track.read(csv, ImportOptions(frame_rate_hz=400.0))
     assert found.run.time.tolist() == [0, 0.0025, 0.005, 0.00752]
     assert found.warnings == ()
 
 
 def test_a_track_without_a_whole_slip_says_that_nothing_was_checked(csv: Path) -> None:
     csv.write_text("t,x\n0,0\n1,1\n2,2\n")
-    assert "could not be checked" in track.read(csv, wishes()).warnings[0]
+    assert "could not be checked" in track.read(csv, options()).warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -343,6 +343,6 @@ def test_the_command_refuses_in_one_line_and_writes_nothing(
 
 def test_the_start_is_the_files_date_unless_given(csv: Path) -> None:
     csv.write_text("t,x\n0,1\n1.5,2\n")
-    given_start = track.read(csv, Wishes(started="2024-05-01T12:00:00+02:00")).run
+    given_start = track.read(csv, ImportOptions(started="2024-05-01T12:00:00+02:00")).run
     assert (given_start.started, given_start.ended) == ("2024-05-01T12:00:00+02:00", "2024-05-01T12:00:01.500000+02:00")
-    assert "modification" in str(track.read(csv, Wishes()).run.provenance["start_time_from"])
+    assert "modification" in str(track.read(csv, ImportOptions()).run.provenance["start_time_from"])

@@ -1,0 +1,95 @@
+"""What the commands of daq print for people, and the keys of JSON that several of them share."""
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from daq.calibration.ring_down import RingDown
+    from daq.finalise.quality import RecordingQuality
+    from daq.imports.capture import Totals
+    from daq.imports.track import Imported
+    from daq.runfile.recording import Recording
+    from daq.runfile.rig import Rig
+
+UNITS = {"metres_per_count": "m", "stiffness": "N/m", "damping": "N s/m", "datum": "m", "mass": "kg"}
+
+
+def warnings(found: Sequence[str]) -> list[str]:
+    """Return the lines of warnings."""
+    return [f"warning: {warning}" for warning in found]
+
+
+def run_data(run: "Recording", target: Path, found: Sequence[str]) -> dict[str, Any]:
+    """Return the JSON of a run that was written, with the warnings ``found``."""
+    return {
+        "samples": int(run.time.size),
+        "segments": len(set(run.segment.tolist())),
+        "rate_hz": run.rate_hz,
+        "duration_s": float(run.time[-1] - run.time[0]) + 1 / run.rate_hz,  # to one period after the last sample
+        "file": target,
+        "warnings": list(found),
+    }
+
+
+def run_text(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> str:
+    """Return what is printed about a run that was written."""
+    scale, unit = (1.0, "counts") if run.unit == "count" else (1e3, "mm")
+    low, high = (scale * float(edge) for edge in (run.position.min(), run.position.max()))
+    said = [
+        f"{done} {data['samples']} samples in {data['duration_s']:.4g} s at {run.rate_hz:.6g} Hz",
+        *lines,
+        f"the mass moved between {low:.4g} and {high:.4g} {unit}",
+        *warnings(data["warnings"]),
+        *written(data["file"]),
+    ]
+    return "\n".join(said)
+
+
+def written(file: Path | None) -> list[str]:
+    """Return the last two lines: the run file, and the command to type next."""
+    return [f"-> {file}", f"next: process smooth {shlex.quote(str(file))}"]
+
+
+def recorded(done: str, found: "RecordingQuality") -> str:
+    """Return what is printed about a recording."""
+    return found.as_text(done, f"process smooth {shlex.quote(str(found.file))}")
+
+
+def columns(found: "Imported") -> str:
+    """Return how the columns of a table were read."""
+    line = f"read as: delimiter {found.delimiter}, decimal {found.decimal!r}, time from {found.columns['time']}"
+    return line + f", position from {found.columns['position']}" + ("" if found.even else "; unevenly sampled")
+
+
+def counts(totals: "Totals") -> str:
+    """Return what a capture decoded to."""
+    return ", ".join(f"{key} {value}" for key, value in vars(totals).items())
+
+
+def count_warnings(totals: "Totals") -> list[str]:
+    """Return the warnings about the counts of a capture."""
+    if totals.illegal:
+        return [f"{totals.illegal} illegal transitions: A and B changed at once; the count is uncertain by as many"]
+    return [] if totals.edges else ["no edges: check that these are the right probes"]
+
+
+def ring_down_comment(ring: "RingDown | None") -> str:
+    """Return the first line of a rig.toml."""
+    if ring is None:
+        return ""
+    line = f"omega0 = {ring.omega0.value:.8g} +- {ring.omega0.sd:.2g} rad/s"
+    line += f", damping ratio {ring.zeta.value:.4g} +- {ring.zeta.sd:.2g}, friction {ring.friction.value:.4g} counts"
+    return f"# ring-down of {ring.swings} half-swings: {line}\n"
+
+
+def calibrated(rig: "Rig", ring: "RingDown | None", found: list[str], output: Path) -> str:
+    """Return what is printed about a calibration."""
+    lines = []
+    if ring is not None:
+        lines.append(f"omega0 {ring.omega0.value:.6g} +- {ring.omega0.sd:.2g} rad/s, from {ring.swings} half-swings")
+        lines.append(f"damping ratio {ring.zeta.value:.4g} +- {ring.zeta.sd:.2g}, in addition to friction")
+    values = {key: getattr(rig, key) for key in UNITS}
+    lines += [f"{key} {v.value:.6g} +- {v.sd:.2g} {UNITS[key]}" for key, v in values.items() if v is not None]
+    return "\n".join([*lines, *warnings(found), f"-> {output}", f"next: daq record --rig {output}"])

@@ -1,0 +1,41 @@
+"""Flags whose value is a quantity typed with its unit: a command gets it in SI, checked."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import cyclopts
+from cyclopts import Parameter
+
+from daq.errors import InputError
+from daq.runfile.rig import checked
+
+Force = Annotated[bool, Parameter(name="--force", negative=(), help="Replace an existing output file.")]
+
+
+def measured(name: str, dimension: str, text: str, key: str = "") -> Parameter:
+    """Return the flag ``name`` for a `daq.runfile.rig.Measured`: '300 g', '300 g +- 1 g'.
+
+    ``key`` is the quantity of the rig whose range it must lie in; any value will do without.
+    """
+
+    def convert(type_: Any, tokens: Sequence[cyclopts.Token]) -> Any:
+        from daq.console import units
+
+        found = units.measured(tokens[0].value, dimension, name)
+        return checked(key, found.value, found.sd, name) if key else found
+
+    return Parameter(name=name, converter=convert, accepts_keys=False, n_tokens=1, help=text)
+
+
+def rate(name: str, text: str) -> Parameter:
+    """Return the flag ``name`` for a positive rate in Hz: '400 fps', '1 kHz'."""
+
+    def convert(type_: Any, tokens: Sequence[cyclopts.Token]) -> float:
+        from daq.console import units
+
+        found = units.quantity(tokens[0].value, "rate", name)
+        if found <= 0:
+            raise InputError(f"{tokens[0].value!r} is not positive", name, "give a rate like '400 fps'")
+        return found
+
+    return Parameter(name=name, converter=convert, help=text)
