@@ -1,4 +1,4 @@
-"""Many runs, each fitted by itself: a bad one tells its error in its own row and stops no other."""
+"""Many runs, each fitted by itself: an error of one stands in its own row and stops no other."""
 
 import os
 import traceback

@@ -50,8 +50,8 @@ def fit(
         Path | None, Parameter(help="Report to write; default RUN.report.html. Several runs: one each, numbered.")
     ] = None,
     csv: Annotated[Path | None, Parameter(help="Write the ranking as a table too: a row for each run and law.")] = None,
-    each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself instead: a batch.")] = False,
-    jobs: Annotated[int, Parameter(help="Processes to fit in; of a joint fit three are of use.")] = 1,
+    each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself: a batch.")] = False,
+    jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1,
     scheduler: Annotated[
         str | None, Parameter(help="Fit on the workers of this dask scheduler instead: tcp://host:8786.")
     ] = None,
@@ -59,13 +59,14 @@ def fit(
 ) -> Answer:
     """Fit the friction laws to a run, rank them, and write a report beside it.
 
-    Ends with exit code 0 when one law is left, 5 when the record cannot tell several apart (they are named), and 4
-    when it holds too little or no belt stick-slip. Results are added to the run file; raw data stay untouched.
+    Ends with exit code 0 when one law is left, 5 when the record cannot distinguish several (they are
+    named), and 4 when it holds too little or no belt stick-slip. Results are added to the run file; raw data stay as
+    they are.
 
     Several runs are fitted together, as one contact: the law's parameters, spring and damping are one for all, belt
-    speed, rest position and wear are each run's own. Runs at other belt speeds tell laws apart that one run cannot.
-    With --each they are a batch of strangers to each other: a bad one stops no other, its error stands in its row;
-    exit code 0 when all are decided, 5 when one is undecided, else the worst error's.
+    speed, rest position and wear are each run's own. Runs at other belt speeds distinguish laws that one run cannot.
+    With --each every run is fitted by itself: a failed one stops no other, its error stands in its row; exit code 0
+    when all are decided, 5 when one is undecided, else that of the worst error.
 
     Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g"
 
@@ -83,7 +84,7 @@ def fit(
     if csv is not None:
         table.refuse_foreign_file(csv, files)
         if csv.resolve() in {place.resolve() for place in places}:
-            raise InputError("is the report's name too", str(csv), "give another name with --csv or --report")
+            raise InputError("is also the name of the report", str(csv), "give another name with --csv or --report")
     if mass is not None and stiffness is not None:
         raise InputError("--mass and --stiffness together", "command line", "give one: the fit finds the other")
     options = job.FitOptions(
@@ -99,17 +100,17 @@ def fit(
         alpha=alpha,
     )
     if each:
-        with application.progress("fitting", float(len(files)), "runs") as tell:
-            rows = batch.fit(files, places, options, jobs, scheduler, tell)
+        with application.progress("fitting", float(len(files)), "runs") as progress:
+            rows = batch.fit(files, places, options, jobs, scheduler, progress)
         if csv is not None:
             table.write(csv, [(row.file, row.document) for row in rows])
-        told = {"runs": [row.as_json() for row in rows]}
-        return Answer(told, _batch(rows), batch.exit_code(rows))
+        data = {"runs": [row.as_json() for row in rows]}
+        return Answer(data, _batch(rows), batch.exit_code(rows))
     for place in places:
         pages.refuse_foreign_file(place)
     runs = [job.load_run(path, options) for path in files]
-    with application.progress("fitting", float(len(options.laws)), "laws") as tell:
-        done = job.fit_runs(runs, options, jobs, scheduler, tell)
+    with application.progress("fitting", float(len(options.laws)), "laws") as progress:
+        done = job.fit_runs(runs, options, jobs, scheduler, progress)
     done.save(files, places)
     if csv is not None:
         sides = done.ranking.runs or (done.ranking,)
@@ -139,24 +140,24 @@ def numbers(text: str, flag: str) -> list[int]:
             low = int(first)
             high = int(last) if dash else low
         except ValueError:
-            raise InputError(f"{part!r} is no number or range", flag, "write for example 1-3,6") from None
+            raise InputError(f"{part!r} is not a number or range", flag, "write for example 1-3,6") from None
         if not 1 <= low <= high <= 100_000:
-            raise InputError(f"{part!r} is no range that counts up from 1", flag, "write for example 1-3,6")
+            raise InputError(f"{part!r} is not an increasing range from 1", flag, "write for example 1-3,6")
         found.extend(range(low, high + 1))
     return found
 
 
 def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
     """Return the table of a batch: file, set, and the verdict or what went wrong."""
-    table = application.table("every run by itself", ("file", "set", "verdict"))
+    table = application.table("runs fitted one by one", ("file", "set", "verdict"))
     table.columns[0].overflow = table.columns[2].overflow = "fold"
     table.columns[2].justify, table.columns[2].no_wrap = "left", False
     common = Path(os.path.commonpath([row.file.absolute().parent for row in rows]))
     for row in rows:
         failed = row.failure
         members = "-" if failed else ", ".join(map(str, row.document["set"]))
-        said = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"]
-        table.add_row(str(row.file.absolute().relative_to(common)), members, said)
+        verdict = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"]
+        table.add_row(str(row.file.absolute().relative_to(common)), members, verdict)
     decided = sum(row.code == EXIT_DONE for row in rows)
     failed_runs = sum(row.failure is not None for row in rows)
     open_runs = len(rows) - decided - failed_runs
@@ -170,8 +171,8 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
 def _text(ranking: "Ranking", places: list[Path], alpha: float) -> list[Any]:
     lines: list[Any] = [_laws(ranking), _parameters(ranking, alpha)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
-    told = ", ".join(map(str, places))
-    lines.append(f"{ranking.best.cycles} cycles, {ranking.cpu_s:.1f} s of CPU time; report: {told}")
+    reports = ", ".join(map(str, places))
+    lines.append(f"{ranking.best.cycles} cycles, {ranking.cpu_s:.1f} s of CPU time; report: {reports}")
     lines.append(f"verdict: {ranking.verdict}")
     return lines
 
@@ -180,13 +181,13 @@ def _laws(ranking: "Ranking") -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
     from fitting.selection.verdict import format_length
 
-    table = application.table("friction laws, best first", ("law", "error", "behind", "weight", "in set"))
+    table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
     for row in ranking.rows:
         behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
         weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
         style = "bold" if row.in_set else None
-        told = "yes" if row.in_set else "-"
-        table.add_row(f"{row.law} {row.name}", format_length(row.rms_m), behind, weight, told, style=style)
+        member = "yes" if row.in_set else "-"
+        table.add_row(f"{row.law} {row.name}", format_length(row.rms_m), behind, weight, member, style=style)
     return table
 
 

@@ -1,4 +1,4 @@
-"""One task of `fit-friction`: runs read and calibrated as asked for, fitted as one contact, and told about."""
+"""One job of `fit-friction`: runs are read, calibrated, smoothed, fitted as one contact, and reported."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ from processing.smoothing import smooth
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What the command line asks for, the same for every run; None leaves the run's own calibration as it is."""
+    """Options of a fit, the same for every run; None keeps the run's own calibration."""
 
     laws: tuple[int, ...] = ALL_LAWS
     mass: Measured | None = None
@@ -101,7 +101,7 @@ def fit_runs(
 
 
 def _rig(rig: Rig, options: FitOptions) -> Rig:
-    """Return a run's calibration with what is known better."""
+    """Return a run's calibration with the values of the options in place of its own."""
     for name in ("mass", "stiffness"):
         found = getattr(options, name)
         if found is not None and not found.value > 0:

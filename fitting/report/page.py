@@ -98,10 +98,13 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         facts=[
             ("record", f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples"),
             ("break-aways", f"{len(cut.cycles)} found, {len(cut.used)} fitted"),
-            ("riding on the belt", f"{100 * cut.plateau_fraction:.0f} % of the record"),
-            ("one position", f"known to {format_length(motion.resolution)}"),
-            ("smoothing", f"{kinematics.method}, window {kinematics.window}, order {kinematics.order} (starts only)"),
-            ("run time", f"{ranking.cpu_s:.2f} s CPU for {len(ranking.rows)} laws"),
+            ("in stick", f"{100 * cut.plateau_fraction:.0f} % of the record"),
+            ("standard error of a position", format_length(motion.resolution)),
+            (
+                "smoothing",
+                f"{kinematics.method}, window {kinematics.window}, order {kinematics.order} (starting values only)",
+            ),
+            ("CPU time", f"{ranking.cpu_s:.2f} s for {len(ranking.rows)} laws"),
         ],
     )
 

@@ -41,11 +41,11 @@ def save(ranking: Ranking, path: Path) -> None:
 
 def _write(entry: h5py.Group, ranking: Ranking) -> None:
     fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking")
-    said = nexus.group(fit, "parameters", "NXparameters")
-    nexus.field(said, "verdict", ranking.verdict)
-    nexus.field(said, "cpu_time", np.float64(ranking.cpu_s), "s")
+    about = nexus.group(fit, "parameters", "NXparameters")
+    nexus.field(about, "verdict", ranking.verdict)
+    nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")
     if ranking.warnings:
-        nexus.field(said, "warnings", list(ranking.warnings))
+        nexus.field(about, "warnings", list(ranking.warnings))
     rows = sorted(ranking.rows, key=lambda row: row.law)
     table = nexus.table(
         fit,

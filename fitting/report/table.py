@@ -28,8 +28,8 @@ def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:
     names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
     with atomic.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file)
-        told = [f"{name}{part}" for name in names for part in ("", " stderr")]
-        out.writerow(["file", *EVIDENCE, *told])
+        columns = [f"{name}{part}" for name in names for part in ("", " stderr")]
+        out.writerow(["file", *EVIDENCE, *columns])
         for run, row in rows:
             found = [row["parameters"].get(name, {}).get(part, "") for name in names for part in ("value", "stderr")]
             out.writerow([run, *(int(row[key]) if key == "in_set" else row[key] for key in EVIDENCE), *found])

@@ -1,4 +1,4 @@
-"""The same motion told twice: a narrow ramp, or a jump on a belt that slows under load.
+"""Equivalent laws: a narrow ramp, or a jump on a belt that slows under load, make the same motion.
 
 Without the belt's own counts the two are one observable (`rig_sim.integrate.modes`, droop): a belt that loses 1 % of
 its speed at the load Fs turns law 5 into a perfect law 6.  So where a ramp law is in the set and its ramp is no wider
@@ -22,7 +22,7 @@ from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
 WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
-SWINGING = 0.08  # of the belt's speed: the ramp that a belt swinging by 3 % can feign in half a second
+SWINGING = 0.08  # of the belt's speed: the ramp that a belt whose speed swings by 3 % can imitate in half a second
 UNSTEADY = 1.3  # times the error of the whole record: what the drag on a steady belt stays below
 SAME = 0.05  # log error: what a drooping hyperbola and a ramp in front of one may differ by
 
@@ -67,7 +67,7 @@ def mean_excess(twin: Array, ramp: Array) -> float:
 
 
 def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> bool:
-    """Tell whether the ramp of constant friction may be a belt that swings.
+    """Return whether the ramp of constant friction may be a belt that swings.
 
     Where the mass never sticks again, jump and ramp differ in the start-up drag alone: half a second in which a belt
     whose speed swings looks much like a ramp.  So it may be, where the ramp is no wider than such a swing would make

@@ -1,4 +1,4 @@
-"""Evidence between laws, and the set of those that it cannot tell apart.
+"""Evidence between laws, and the model confidence set: the laws that it cannot distinguish.
 
 Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
 A law pays for what it may adjust: (p/2n) log n in log error for p parameters and n cycles, and for the strain it puts
@@ -7,7 +7,7 @@ on the calibrations, spread over the cycles.  Cycles that not even the best law 
 Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
 zero, or when the difference, however regular, is next to nothing and the winner is no limit of it.  Inside the set a
 law is preferred to the winner only when it is nested in the winner (1 in 3 and 5, 2 in 4 and 6, each jump law in its
-ramp law): then the winner's extra freedom bought nothing.
+ramp law): then the winner's extra parameter does not improve the fit.
 """
 
 import math
@@ -29,7 +29,7 @@ RELATED_FACTOR = 2.0  # times the best law's error: a limit of it that is furthe
 CONSTANT_FRICTION_FACTOR = (
     8.0  # times the encoder's error: constant friction leaves 2 even with 200 us of jitter and a belt that ripples
 )
-TIE = 1.0  # score: laws of the same freedom whose evidence differs by less are not told apart by it
+TIE = 1.0  # score: laws with equally many parameters whose evidence differs by less are not distinguished by it
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +76,17 @@ def unit_errors(fit: Fit, runs: Sequence[Run], taken: NDArray[np.bool_], *, sust
             found.append(np.array([_log_error(part.residual[rows], run.motion) for rows in kept]))
         elif run.cut.drag != (0, 0) and not run.cut.cycles[0].flag:
             found.append(_drag_errors(part, run.motion, run.cut.drag))
-    return np.concatenate(found) if found else np.zeros(DRAG_BLOCKS)  # a drag too short to tell anything
+    return np.concatenate(found) if found else np.zeros(DRAG_BLOCKS)  # a drag too short to be evidence
 
 
 def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Tell whether constant friction leaves far more of a motion without sustained sticks than counting explains."""
+    """Return whether constant friction leaves far more of a motion without sustained sticks than counting explains."""
     floor = max(run.motion.resolution for run in runs)
     return all(fit.geometric_mean_rms > CONSTANT_FRICTION_FACTOR * floor for fit in fits)
 
 
 def _drag_errors(fit: Fit, motion: MeasuredMotion, drag: tuple[int, int]) -> Array:
-    """Return the log error of equal pieces of the start-up drag: the sine after it cannot tell law 1 from law 2."""
+    """Return the log error of equal pieces of the start-up drag: the sine after it is the same under laws 1 and 2."""
     _, riding, first, count, *_ = fit.windows.table[0]
     if not riding or fit.cycles[0].stick != drag:
         raise RuntimeError("the first window is not the start-up drag")
@@ -95,7 +95,7 @@ def _drag_errors(fit: Fit, motion: MeasuredMotion, drag: tuple[int, int]) -> Arr
 
 
 def penalised(fit: Fit, errors: Array) -> Array:
-    """Return the log errors with what the law pays for its freedom and for contradicting its calibrations."""
+    """Return the log errors plus the penalties for the law's parameters and for contradicting its calibrations."""
     n = errors.size
     return errors + (fit.law_parameters * math.log(n) + prior_misfit(fit)) / (2 * n)
 

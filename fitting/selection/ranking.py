@@ -1,4 +1,4 @@
-"""`rank`: fits the laws to a smoothed record and says which it was, or which it cannot tell apart.
+"""`rank`: fits the laws to a smoothed record and ranks them; returns one, or the set that cannot be distinguished.
 
 What is evidence and who is in the set: `fitting.selection.evidence`.
 """
@@ -89,15 +89,17 @@ def rank(
     flow; without, a ramp narrow enough to be such a belt brings its jump law into the set
     (`fitting.selection.equivalence`).
 
-    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is fitted along
+    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is also fitted
     (`fitting.data.ripple`).
 
     Not modelled: a swing of several frequencies, friction that remembers, a mass or spring that changes between runs.
     """
     begun = clock.process_time()
     laws = tuple(dict.fromkeys(laws))
-    if not laws or any(law not in LAWS for law in laws):
-        raise InputError(f"laws are {list(laws)}", "--laws", "choose from 1 to 6, such as 1-6 or 3,5")
+    unknown = [law for law in laws if law not in LAWS]
+    if not laws or unknown:
+        what = f"unknown law {unknown[0]}" if unknown else "no law to fit"
+        raise InputError(what, "--laws", "choose 1 to 6, such as 1-6 or 3,5")
     if not LEAST_ALPHA <= alpha < 1:
         raise InputError(f"alpha is {alpha}", "--alpha", f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05")
     if jobs < 1:
@@ -156,7 +158,7 @@ def rank(
 
 
 def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], ModelSet]:
-    """Weigh the laws against each other; a jump law that tells the best ramp's motion as well takes its place."""
+    """Compare the laws; a jump law on a compliant belt that is equivalent to the best ramp law takes its place."""
     taken = evidence.common_inliers(fits)
 
     def errors(fit: Fit) -> Array:
@@ -231,7 +233,7 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
         raise DataError(
-            "no sustained stick here, but in other runs there is", grazing, "fit runs of one contact, or this one alone"
+            "no sustained stick here, but in other runs there is", grazing, "fit runs of one contact, or this run alone"
         )
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:

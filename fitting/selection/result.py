@@ -22,7 +22,7 @@ class LawResult:
     weight : float
         exp(-score/2), normalised over the laws fitted.
     in_set : bool
-        Whether the record cannot tell this law from the best one.
+        Whether the record cannot distinguish this law from the best one.
     rms_m : float
         m, all windows together.
     cycles : int
@@ -69,14 +69,14 @@ class LawResult:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """The laws in order, and what is to be said about them.
+    """The laws in order, with the verdict, the break-aways and the warnings.
 
     Attributes
     ----------
     verdict : str
         A sentence; the laws it names are `laws_in_set`.
     laws_in_set : tuple of int
-        Laws that the record cannot tell apart, best first.
+        Model confidence set: laws that the record cannot distinguish, best first.
     rows : tuple of LawResult
         Best first, those in the set before all others.
     events : tuple of BreakAway

@@ -46,7 +46,7 @@ AGAIN = "look at it with 'process inspect', and record several cycles with the b
 
 
 def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustained: bool) -> str:
-    """Say why a record is no stick-slip on a belt; "" where it may well be.
+    """Return why a record is no stick-slip on a belt; "" where it may be.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustaine
         return "the mass slips back at an even speed, as no spring would pull it"
     rested = len(seen) - len(cut.used)
     if 2 * rested >= len(seen):
-        return f"the mass stands still in {rested} of {len(seen)} would-be slips"
+        return f"the mass stands still in {rested} of {len(seen)} supposed slips"
     if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
         return "an oscillation that dies away, without a start-up; constant friction with damping is possible"
     drag = cut.starts_at_rest and not sustained  # constant friction with damping: a start-up, then less and less motion
@@ -149,7 +149,7 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
 
 
 def _of_motion(motion: MeasuredMotion) -> str:
-    """Say why a record without a single whole cycle shows no stick-slip."""
+    """Return why a record without a single whole cycle shows no stick-slip."""
     v = motion.velocity
     if motion.travel < 20 * motion.resolution or motion.travel == 0:
         return "nothing moves"
@@ -158,7 +158,7 @@ def _of_motion(motion: MeasuredMotion) -> str:
     if _is_sine(motion):
         return SINE_ALONE
     if v.max() < SLIPPING * motion.belt_speed:
-        return f"the mass never moves with the belt, which is said to run at {motion.sign * motion.belt_speed:.3g} m/s"
+        return f"the mass never moves with the belt, nominal speed {motion.sign * motion.belt_speed:.3g} m/s"
     return "no slip between two sticks"
 
 

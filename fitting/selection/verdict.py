@@ -11,7 +11,7 @@ from fitting.selection.result import LawResult
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
-OTHER_SPEEDS = ", or runs at other belt speeds"
+OTHER_SPEEDS = " or runs at other belt speeds"
 POOR_FIT = 0.003  # of the motion's range: five times what 12 % scatter, ripple and jitter leave over
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
@@ -25,7 +25,7 @@ SPLITS = {
 def verdict_sentence(
     rows: Sequence[LawResult], members: Sequence[int], *, sustained: bool, measured: bool = False, runs: int = 1
 ) -> str:
-    """Return the verdict: the law, or the laws that the record cannot tell apart, and why.
+    """Return the verdict: the law, or the laws that the record cannot distinguish, and why.
 
     Parameters
     ----------
@@ -50,8 +50,8 @@ def verdict_sentence(
         if len(rows) == 1:
             return head + f"{named}, the only law fitted"
         if Global.COMPLIANCE in best.fit.active and not measured:
-            return head + f"{named} on a belt that slows under load, or law 2: a belt tachometer would tell"
-        return head + "law 1 or law 2: the start-up drag does not tell a jump from a ramp"
+            return head + f"{named} on a belt that slows under load, or law 2: a belt tachometer would distinguish"
+        return head + "law 1 or law 2: the start-up drag does not distinguish a jump from a ramp"
     if len(members) > 1:
         others = " or ".join(f"law {law} ({LAWS[law].name})" for law in members[1:])
         split = SPLITS.get(frozenset(members[:2]), f"more cycles{OTHER_SPEEDS}")
@@ -59,16 +59,16 @@ def verdict_sentence(
             split = split.removesuffix(OTHER_SPEEDS)
         if Global.COMPLIANCE in best.fit.active and not measured:
             return (
-                f"{named} on a belt that slows under load, or {others}: the same motion, told twice "
-                f"({cycles} fit to {format_length(best.rms_m)}); {split} would tell"
+                f"{named} on a belt that slows under load, or {others}: equivalent, the record cannot "
+                f"distinguish them ({cycles} fit to {format_length(best.rms_m)} rms); {split} would"
             )
         row = next(row for row in rows if row.law == members[1])
         gap = abs(row.behind[0] - best.behind[0])
         return (
-            f"{named} or {others}: {cycles} cannot tell them apart (their errors differ by "
+            f"{named} or {others}: {cycles} cannot distinguish them (their errors differ by "
             f"{100 * math.expm1(gap):.0f} %, within the scatter between cycles); {split} would"
         )
-    fit = f"its {cycles} fit to {format_length(best.rms_m)}"
+    fit = f"{cycles} fit to {format_length(best.rms_m)} rms"
     rest = [row for row in rows if row.law not in members]
     if not rest:
         return f"{named}, the only law fitted: {fit}"
@@ -76,7 +76,9 @@ def verdict_sentence(
     ratio = rival.rms_m / best.rms_m
     if ratio > 1.2:
         return f"{named}: {fit}; the next best, law {rival.law}, errs {ratio:.3g} times as much"
-    return f"{named}: {fit}; law {rival.law} fits no better for all its freedom"
+    more = rival.fit.law_parameters > best.fit.law_parameters
+    lag = "does not fit better despite its extra parameter" if more else "fits slightly worse"
+    return f"{named}: {fit}; law {rival.law} {lag}"
 
 
 def warnings(
@@ -88,72 +90,72 @@ def warnings(
     *,
     sustained: bool,
 ) -> tuple[str, ...]:
-    """Return what a reader must know beside the verdict."""
+    """Return the warnings that belong to a verdict."""
     best = rows[0]
-    said = []
+    warned = []
     if best.fit.geometric_mean_rms > POOR_FIT * motion.travel:
         share = 100 * best.fit.geometric_mean_rms / motion.travel
-        said.append(
-            f"no law fits well: the best one usually errs by {share:.2g} % of the motion, "
-            "so this friction may be none of the six"
+        warned.append(
+            f"no law fits well: the typical error of the best one is {share:.2g} % of the motion, "
+            "so the friction may follow none of the six"
         )
     if any(LAWS[law].ramp for law in members) and not motion.belt_measured:
-        said.append(
+        warned.append(
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
-            "may be laws 1, 3, 5 on a belt that droops"
+            "may be laws 1, 3, 5 on such a belt"
         )
     if motion.give is not None:
         droop = best.parameters["droop"]
         share = 100 * droop.value / motion.belt_speed
-        said.append(f"the belt slows under load, by {share:.2g} % at Fs: measured by its own counts, part of every law")
+        warned.append(f"the belt slows under load, by {share:.2g} % at Fs: measured by its encoder, part of every law")
     if "ripple" in best.parameters:
         share, hertz = 100 * best.parameters["ripple"].value / motion.belt_speed, best.parameters["ripple_hz"].value
-        said.append(
-            f"the belt's speed swings by {share:.2g} % at {hertz:.3g} Hz: seen in the sticks, part of every law"
+        warned.append(
+            f"the belt's speed swings by {share:.2g} % at {hertz:.3g} Hz: seen in the sticks, included in every law"
         )
     elif motion.swing > 0:
         share = 100 * motion.swing / motion.belt_speed
-        said.append(f"the belt's counted speed swings by {share:.2g} % rms beside its load: the fit takes it as steady")
+        warned.append(f"the measured belt speed varies by {share:.2g} % rms apart from load: the fit assumes it steady")
     if motion.datum_prior is None:
-        said.append(
-            "no datum: the spring's rest position was fitted along; laws 1 and 3 then know only datum + Fs/k "
+        warned.append(
+            "no datum: the spring's rest position was also fitted; laws 1 and 3 then determine only x0 + Fs/k "
             "(give --datum and --datum-sd)"
         )
     if motion.damping_prior is None or motion.per_mass:
-        said.append(
-            "no damping calibration: c taken as 0 give or take 1 % of critical; laws 3 and 4 know only G_slip - c "
+        warned.append(
+            "no damping calibration: c assumed 0 +- 1 % of critical; laws 3 and 4 then determine only G_slip - c "
             "(give --damping and --damping-sd with --mass)"
         )
     if motion.per_mass:
-        said.append("no mass: forces are given per kilogram (give --mass or --stiffness for newtons)")
-    said += _strained(best, motion)
+        warned.append("no mass: forces are given per kilogram (give --mass or --stiffness for newtons)")
+    warned += _contradicted(best, motion)
     left = [cycle for cycle in cut.cycles if cycle.flag and cycle.flag != "excluded"]
     if left:
         reasons = ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
-        said.append(f"cycles left out: {reasons}")
+        warned.append(f"cycles left out: {reasons}")
     if kinematics.lost_counts:
-        said.append(f"counts seem lost at {kinematics.lost_counts} sample(s): cycles with a step fit badly")
+        warned.append(f"counts seem to be lost at {kinematics.lost_counts} sample(s): cycles with a step fit badly")
     stuck = [row.law for row in rows if row.fit.outcome not in ("converged", "step limit")]
     if stuck:
-        said.append(f"the fit of law {', '.join(map(str, stuck))} stopped early: its error is an upper bound")
+        warned.append(f"the fit of law {', '.join(map(str, stuck))} did not converge: its error is an upper bound")
     row = next((row for row in rows if row.law == best.law + 1), None)
     if sustained and not LAWS[best.law].ramp and row is not None and row.in_set is False and "d" in row.parameters:
         width = row.parameters["d"]
         if row.rms_m < 1.05 * best.rms_m and row.fit.u[Global.D] > 10 * NARROWEST_RAMP * motion.belt_speed:
-            said.append(f"a ramp narrower than {width.hi:.2g} m/s cannot be excluded")
-    return tuple(said)
+            warned.append(f"a ramp narrower than {width.hi:.2g} m/s cannot be excluded")
+    return tuple(warned)
 
 
-def merge_warnings(said: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
+def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
     """Return the warnings of several runs: what holds for all of them once, the rest with the file's name before it."""
-    common = [text for text in said[0] if all(text in own for own in said)]
-    apart = ((name, text) for name, own in zip(names, said, strict=True) for text in own if text not in common)
+    common = [text for text in warned[0] if all(text in own for own in warned)]
+    apart = ((name, text) for name, own in zip(names, warned, strict=True) for text in own if text not in common)
     return (*common, *(f"{name}: {text}" for name, text in apart))
 
 
-def _strained(best: LawResult, motion: MeasuredMotion) -> list[str]:
-    """Name the calibrations that the best law contradicts by more than three standard deviations."""
-    u, said = best.fit.u, []
+def _contradicted(best: LawResult, motion: MeasuredMotion) -> list[str]:
+    """Return a warning for each calibration that the best law contradicts by more than three standard deviations."""
+    u, warned = best.fit.u, []
     for name, index, prior, unit in (
         ("datum", Global.DATUM, motion.datum_prior, "m"),
         ("belt speed", 2, motion.belt_prior, "m/s"),
@@ -162,11 +164,11 @@ def _strained(best: LawResult, motion: MeasuredMotion) -> list[str]:
             continue
         z = (float(u[index]) - prior.value) / prior.sd
         if abs(z) > 3:
-            said.append(
+            warned.append(
                 f"{name} contradicts its calibration by {abs(z):.1f} standard deviations "
                 f"({u[index]:.4g} against {prior.value:.4g} {unit})"
             )
-    return said
+    return warned
 
 
 def format_length(metres: float) -> str:

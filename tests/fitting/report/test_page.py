@@ -1,4 +1,4 @@
-"""The page stands alone, says the verdict, and never replaces a file that is not a report."""
+"""The page stands alone, gives the verdict, and never replaces a file that is not a report."""
 
 import re
 
@@ -54,6 +54,6 @@ def test_the_true_laws_orbit_is_the_nearest(ranked):
     assert 0 < nearest.orbit < 0.01
 
 
-def test_the_page_tells_orbits_beside_the_evidence(page, ranked):
+def test_the_page_gives_orbits_beside_the_evidence(page, ranked):
     assert f">{100 * ranked(law=5).best.orbit:.2g} %</td>" in page
-    assert "Error against run time" in page
+    assert "Residual against CPU time" in page

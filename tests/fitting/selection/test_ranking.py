@@ -133,7 +133,7 @@ def test_a_gap_costs_its_cycle_and_no_more(synthetic):
 
 
 @pytest.mark.parametrize(
-    ("flags", "what"), [({"laws": ()}, "laws"), ({"laws": (7,)}, "laws"), ({"alpha": 0.0}, "alpha")]
+    ("flags", "what"), [({"laws": ()}, "no law to fit"), ({"laws": (7,)}, "unknown law 7"), ({"alpha": 0.0}, "alpha")]
 )
 def test_impossible_requests_are_refused(synthetic, flags, what):
     with pytest.raises(InputError, match=what):
