@@ -27,13 +27,12 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 import rig_sim
-from daq.compute.compile import compiled
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
 from processing import smoothing, stage
 from processing.defects import lost_counts
-from processing.kalman import jerk_kernel, white_jerk
+from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.methods import window_choice as windows
 from processing.polynomial import savgol
@@ -263,18 +262,8 @@ def speed(bench: Bench) -> dict[str, float]:
         found[f"sg {window},4 over scipy"] = peer / cpu
     data = bench.series()
     noise = white_jerk.fit(data)
-    motion = np.empty((6, data.time.size))
-    kernel = compiled(jerk_kernel.smooth, white_jerk.KERNELS)
-    asked = (
-        data.time,
-        data.position,
-        noise.jerk,
-        noise.reading,
-        white_jerk.BLOCK,
-        white_jerk.reach(noise.rho(data.interval)),
-        motion,
-    )
-    found["rts, noise known"] = data.time.size / timed(lambda: kernel(*asked), 20)[0] / 1e6
+    asked = data.time, data.position, noise, white_jerk.BLOCK, white_jerk.reach(noise.rho(data.interval))
+    found["rts, noise known"] = data.time.size / timed(lambda: white_jerk.smooth_piece(*asked), 20)[0] / 1e6
     found["rts, ms in all"] = 1e3 * timed(lambda: registry.estimate("rts", data, Setting()), 10)[0]
     found["segment, ms in all"] = 1e3 * timed(lambda: registry.estimate("segment", data, Setting()), 10)[0]
     found["auto, ms in all"] = 1e3 * timed(lambda: registry.estimate("auto", data, Setting()), 10)[0]

@@ -1,4 +1,4 @@
-"""Kernels: corners of a motion of white snap: the labels they give the samples, their times, what they gain.
+"""Kernels: corners of a motion of white snap: the labels they give the samples, and their most likely times.
 
 Every function runs as written or compiled (`daq.compute.compile`).
 """
@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 from processing.kalman.snap_kernel import (
     CUT,
     LAND,
@@ -24,6 +24,7 @@ from processing.kalman.snap_kernel import (
     SLIP,
     STICK,
     STOP,
+    NoiseLevels,
     line_predict,
     line_update,
     predict,
@@ -70,65 +71,63 @@ def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float,
                 label[i] = LEAVING
 
 
-def place(
+def refine_switching_times(
     time: Array,
     position: Array,
     stored: Array,
-    at: Array,
-    pick: NDArray[np.int64],
     what: int,
-    low: Array,
-    high: Array,
-    half: float,
-    finest: float,
-    back: float,
-    on: float,
+    at: Array,
+    bounds: Array,
+    spans: Integers,
+    steps: tuple[float, float],
     edges: Array,
     parts: Labels,
     corner: int,
-    q: Array,
-    u: Array,
-    r: Array,
-    jump: Array,
+    levels: NoiseLevels,
     found: Array,
 ) -> None:
-    """Move corners to where they are most likely; ``found`` (c, 2) gets mean and standard deviation of each time.
+    """Move corners of one kind to where they are most likely.
 
-    Only the corners ``pick``, all of kind ``what``, each within ``low`` and ``high``; looked for within ``half`` (s)
-    of where it stands, on the samples from ``back`` before to ``on`` behind it.  ``parts`` are the labels around the
-    corner by the time from it, cut at ``edges`` (s), of which number ``corner`` is the corner itself (0).  The grid
-    of times is refined until the likelihood is wider than its step, or the step below ``finest`` (s).
+    Parameters
+    ----------
+    time, position : array of shape (n,)
+        s and m.
+    stored : array of shape (n, STORED)
+        What the filter expected of each sample.
+    what : int
+        Kind of the corners.
+    at, bounds, spans : array of shape (c,), (c, 2), (c, 2)
+        Their times, s; how early and late each may lie, s; the samples each is judged by, first and end.
+    steps : (float, float)
+        First step of the grid of times, s, and the step below which it is not refined any more.
+    edges, parts, corner : array of shape (k,), (k + 1,), int
+        Labels around the corner, cut at ``edges`` (s from it), of which number ``corner`` is the corner itself (0).
+    levels : NoiseLevels
+        By label.
+    found : array of shape (c, 2)
+        Gets mean and standard deviation of each time, s.
+
+    Notes
+    -----
+    The grid of 9 times is refined threefold until the likelihood is wider than its step.
     """
     n = 4
     gain, tried = np.empty(2 * n + 1), np.empty(2 * n + 1)
-    for k in range(pick.size):
-        middle, step = at[pick[k]], half / n
-        least, most = low[k], high[k]
-        begin = np.searchsorted(time, max(middle - half - back, least))
-        end = np.searchsorted(time, min(middle + half + on, most))
-        found[k, 0], found[k, 1] = middle, half
+    for k in range(at.size):
+        middle, step = at[k], steps[0]
+        begin, end = spans[k, 0], spans[k, 1]
+        found[k, 0], found[k, 1] = middle, n * step
         if end - begin < 8:
             continue
-        least, most = max(least, time[begin]), min(most, time[end - 1])
+        least, most = max(bounds[k, 0], time[begin]), min(bounds[k, 1], time[end - 1])
+        own = time[begin:end], position[begin:end]
         for _ in range(12):
+            best = 0
             for i in range(2 * n + 1):
                 tried[i] = min(max(middle + (i - n) * step, least), most)
-            try_corner(
-                time[begin:end],
-                position[begin:end],
-                tried,
-                what,
-                edges,
-                parts,
-                corner,
-                q,
-                u,
-                r,
-                jump,
-                stored[begin],
-                gain,
-            )
-            best = np.argmax(gain)
+                gain[i] = try_corner(*own, tried[i], what, edges, parts, corner, levels, stored[begin])
+                if gain[i] > gain[best]:
+                    best = i
             weight, mean, square = 0.0, 0.0, 0.0
             for i in range(2 * n + 1):
                 w = math.exp(gain[i] - gain[best])
@@ -138,7 +137,7 @@ def place(
             mean /= weight
             spread = math.sqrt(max(square / weight - mean * mean, 0.0))
             found[k, 0], found[k, 1] = middle + mean, max(spread, 0.3 * step)
-            if spread > 1.2 * step or step < finest:
+            if spread > 1.2 * step or step < steps[1]:
                 break
             middle = tried[best]
             if 0 < best < 2 * n:
@@ -148,66 +147,44 @@ def place(
 def try_corner(
     time: Array,
     position: Array,
-    tried: Array,
+    tried: float,
     what: int,
     edges: Array,
     parts: Labels,
     corner: int,
-    q: Array,
-    u: Array,
-    r: Array,
-    jump: Array,
+    levels: NoiseLevels,
     stored: Array,
-    gain: Array,
-) -> None:
-    """Put one corner at each of the times tried, and write the log likelihoods, up to a constant, into ``gain``.
+) -> float:
+    """Return the log likelihood, up to a constant, of one corner at the time ``tried``, s.
 
-    ``stored`` is what the filter expected of the first sample; the rest as for `place`.
+    ``stored`` is what the filter expected of the first sample; the rest as for `refine_switching_times`.
     """
-    for k in range(tried.size):
-        S = unpacked(stored)
-        last = time[0]
-        total, product = 0.0, 1.0
-        ahead = True
-        part = 0
-        for i in range(time.size):
-            if ahead and tried[k] <= time[i]:
-                part = max(part, corner)
-                b = parts[part]
-                S = predict(tried[k] - last, q[b], u[b], S)
-                S = turn(what, jump, S)
-                last = tried[k]
-                ahead = False
-            while part < edges.size and time[i] - tried[k] >= edges[part]:
-                part += 1
+    q, u, r = levels.process_density, levels.mean_snap, levels.reading_variance
+    S = unpacked(stored)
+    last = time[0]
+    total, product = 0.0, 1.0
+    ahead = True
+    part = 0
+    for i in range(time.size):
+        if ahead and tried <= time[i]:
+            part = max(part, corner)
             b = parts[part]
-            still = b == STICK or b == REST
-            S = line_predict(time[i] - last, S) if still else predict(time[i] - last, q[b], u[b], S)
-            last = time[i]
-            s = 1.0 / (S[4] + r[b])
-            e = position[i] - S[0]
-            total -= e * e * s
-            product *= s
-            if product > 1e200 or product < 1e-200:
-                total += math.log(product)
-                product = 1.0
-            S = line_update(e, s, r[b], S) if still else update(e, s, r[b], S)
-        gain[k] = 0.5 * (total + math.log(product))
-
-
-def gains(stored: Array, surprise: int, spans: NDArray[np.int64], gain: Array) -> None:
-    """Sum the log likelihoods of the samples in each span, up to a constant, into ``gain``.
-
-    ``stored`` is what a filter wrote down, here or in `processing.kalman.jerk_kernel`; its column ``surprise`` holds
-    1/s, the next one e/s.
-    """
-    for k in range(spans.shape[0]):
-        total, product = 0.0, 1.0
-        for i in range(spans[k, 0], spans[k, 1]):
-            s = stored[i, surprise]
-            total -= stored[i, surprise + 1] ** 2 / s
-            product *= s
-            if product > 1e200 or product < 1e-200:
-                total += math.log(product)
-                product = 1.0
-        gain[k] = 0.5 * (total + math.log(product))
+            S = predict(tried - last, q[b], u[b], S)
+            S = turn(what, levels.reset_variance, S)
+            last = tried
+            ahead = False
+        while part < edges.size and time[i] - tried >= edges[part]:
+            part += 1
+        b = parts[part]
+        still = b == STICK or b == REST
+        S = line_predict(time[i] - last, S) if still else predict(time[i] - last, q[b], u[b], S)
+        last = time[i]
+        s = 1.0 / (S[4] + r[b])
+        e = position[i] - S[0]
+        total -= e * e * s
+        product *= s
+        if product > 1e200 or product < 1e-200:
+            total += math.log(product)
+            product = 1.0
+        S = line_update(e, s, r[b], S) if still else update(e, s, r[b], S)
+    return 0.5 * (total + math.log(product))

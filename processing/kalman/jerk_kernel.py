@@ -9,7 +9,7 @@ The filter writes down what it expected of every sample; the smoother goes back 
 
     l = F'l - h (e/s + k'l),   smoothed state = expected - p l,   its covariance = p - p m p
 
-with the adjoint state l and its information m (F the step above, h = (1,0,0), e the surprise, s its variance, k the
+with the adjoint state l and its information m (F the step above, h = (1,0,0), e the innovation, s its variance, k the
 gain).  In what is stored s stands for 1/s.
 
 Every function runs as written or compiled (`daq.compute.compile`).
@@ -17,35 +17,13 @@ Source: G. J. Bierman, Automatica 9 (1973) 503 (the modified Bryson-Frazier smoo
 process: Wahba, J. R. Stat. Soc. B 40 (1978) 364.
 """
 
-import math
-
-import numpy as np
-from numpy.typing import NDArray
-
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 
 State = tuple[float, ...]  # x v a, and the six of p
 
 STATE = 10  # numbers in a filter's state: x v a, the six of p, and the time they hold for
 STORED = 11  # numbers kept of a sample: x v a and p as expected, 1/s, e/s
 SETTLED = 36.0  # natural logarithm of how far a start must have faded: 2e-16
-
-
-def start(time: Array, position: Array, r: float, state: Array) -> None:
-    """Set the filter to before its first sample: about as fast as over the first nine, else unknown."""
-    k = min(time.size - 1, 8)
-    h = (time[k] - time[0]) / k
-    slope = (position[k] - position[0]) / (time[k] - time[0])
-    spread = 2 * math.sqrt(r) / h
-    for i in range(k):
-        spread = max(spread, 2 * abs((position[i + 1] - position[i]) / (time[i + 1] - time[i]) - slope))
-    state[:] = 0.0
-    state[0] = position[0]
-    state[1] = slope
-    state[3] = (spread * h) ** 2
-    state[6] = spread**2
-    state[8] = (spread / h) ** 2
-    state[9] = time[0]
 
 
 def predict(h: float, q: float, S: State) -> State:
@@ -74,7 +52,7 @@ def predict(h: float, q: float, S: State) -> State:
 
 
 def update(e: float, s: float, r: float, S: State) -> State:
-    """Take in a reading that surprised by e; s = 1/(p00 + r)."""
+    """Take in a reading with innovation e; s = 1/(p00 + r)."""
     x, v, a, p00, p01, p02, p11, p12, p22 = S
     g, k1, k2, f = e * s, p01 * s, p02 * s, r * s
     return (
@@ -126,9 +104,9 @@ def backward(time: Array, stored: Array, wanted: int, motion: Array) -> None:
             motion[0, i] = w[0] - (p00 * l0 + p01 * l1 + p02 * l2)
             motion[1, i] = w[1] - (p01 * l0 + p11 * l1 + p12 * l2)
             motion[2, i] = w[2] - (p02 * l0 + p12 * l1 + p22 * l2)
-            motion[3, i] = p00 - form(p00, p01, p02, m00, m01, m02, m11, m12, m22)
-            motion[4, i] = p11 - form(p01, p11, p12, m00, m01, m02, m11, m12, m22)
-            motion[5, i] = p22 - form(p02, p12, p22, m00, m01, m02, m11, m12, m22)
+            motion[3, i] = p00 - quadratic_form(p00, p01, p02, m00, m01, m02, m11, m12, m22)
+            motion[4, i] = p11 - quadratic_form(p01, p11, p12, m00, m01, m02, m11, m12, m22)
+            motion[5, i] = p22 - quadratic_form(p02, p12, p22, m00, m01, m02, m11, m12, m22)
         if i > 0:
             h = time[i] - time[i - 1]
             h2 = 0.5 * h * h
@@ -144,54 +122,26 @@ def backward(time: Array, stored: Array, wanted: int, motion: Array) -> None:
             m22 = b22 + h * b12 + h2 * b02
 
 
-def form(a: float, b: float, c: float, m00: float, m01: float, m02: float, m11: float, m12: float, m22: float) -> float:
+def quadratic_form(
+    a: float, b: float, c: float, m00: float, m01: float, m02: float, m11: float, m12: float, m22: float
+) -> float:
     """Return the square of (a, b, c) under the matrix m."""
     return a * (a * m00 + 2 * (b * m01 + c * m02)) + b * (b * m11 + 2 * c * m12) + c * c * m22
 
 
-def smooth(time: Array, position: Array, q: float, r: float, block: int, reach: int, motion: Array) -> None:
-    """Smooth one stretch into ``motion``, (6, n): x v a, their variances; memory grows with the block alone.
+def innovations(time: Array, position: Array, edges: Integers, states: Array, q: float, r: float, found: Array) -> None:
+    """Filter the stretches of samples edges[k]..edges[k + 1] - 1, each from its own of the ``states``, (k, STATE).
 
-    The smoother of a block starts ``reach`` samples behind it: what lies further on has faded by then.
+    ``found`` (n, 2) gets 1/s and e/s: the inverse variance of the innovation, and it times the innovation.
     """
-    n = time.size
-    stored = np.empty((min(block + reach, n), STORED))
-    state, ahead = np.empty(STATE), np.empty(STATE)
-    start(time, position, r, state)
-    at = 0
-    while at < n:
-        end = min(at + block, n)
-        far = min(end + reach, n)
-        forward(time[at:end], position[at:end], q, r, state, stored)
-        ahead[:] = state
-        forward(time[end:far], position[end:far], q, r, ahead, stored[end - at :])
-        backward(time[at:far], stored[: far - at], end - at, motion[:, at:end])
-        at = end
-
-
-def surprise(time: Array, position: Array, edges: NDArray[np.int64], some: int, q: float, sums: Array) -> None:
-    """Add to ``sums`` the log of the surprises' variances, their squares over these, and their number.
-
-    The reading variance is 1; the stretches are the samples edges[k]..edges[k + 1] - 1 of every ``some``-th k.
-    """
-    state = np.empty(STATE)
-    product = 1.0
-    for k in range(0, edges.size - 1, some):
-        begin, end = edges[k], edges[k + 1]
-        start(time[begin:end], position[begin:end], 1.0, state)
-        S: State = (state[0], state[1], state[2], state[3], state[4], state[5], state[6], state[7], state[8])
-        last = state[9]
-        for i in range(begin, end):
+    for k in range(edges.size - 1):
+        w = states[k]
+        S: State = (w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8])
+        last = w[9]
+        for i in range(edges[k], edges[k + 1]):
             S = predict(time[i] - last, q, S)
             last = time[i]
-            s = 1.0 / (S[3] + 1.0)
+            s = 1.0 / (S[3] + r)
             e = position[i] - S[0]
-            if i >= begin + 4:
-                product *= s
-                sums[1] += e * e * s
-                sums[2] += 1.0
-                if product < 1e-200:
-                    sums[0] -= math.log(product)
-                    product = 1.0
-            S = update(e, s, 1.0, S)
-    sums[0] -= math.log(product)
+            found[i, 0], found[i, 1] = s, e * s
+            S = update(e, s, r, S)

@@ -7,47 +7,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
-from processing.kalman.snap_kernel import LAND, STATE, line_predict, line_update, predict, start, turn, unpacked, update
+from processing.kalman.snap_kernel import (
+    NoiseLevels,
+    line_predict,
+    line_update,
+    predict,
+    unpacked,
+    update,
+)
 
 Labels = NDArray[np.uint8]
 
 
-def answer(
+def accumulate_normal_equations(
     time: Array,
     position: Array,
+    state: Array,
     landing: float,
     edges: Array,
     parts: Labels,
-    q: Array,
-    r: Array,
+    levels: NoiseLevels,
     loose: float,
-    square: Array,
-    product: Array,
+    gram: Array,
+    rhs: Array,
 ) -> None:
-    """Add a landing to the normal equations ``square @ means = product`` of the mean snap of the parts before it.
+    """Add a landing to the normal equations ``gram @ means = rhs`` of the mean snap of the parts before it.
 
     Parameters
     ----------
     time, position : array of shape (n,)
         Samples around the landing, no other corner among them.
+    state : array of shape (STATE,)
+        Of the filter before the first of them.
     landing : float
         When, s.
     edges : array of shape (k + 1,)
         Where parts begin, s from the landing; the last is 0.
     parts : array of shape (k + 2,)
         Labels: far before, the k parts asked for, the stick.
-    q, r : arrays
-        Density of the snap and variance of a reading per label.
+    levels : NoiseLevels
+        By label; the mean snap is taken as 0.
     loose : float
         Variance, m^2/s^2, of the velocity's step at a landing whose time is not known.
-    square, product : arrays of shape (k, k), (k,)
-        Added to, the lower triangle alone of ``square``.
+    gram, rhs : array of shape (k, k), (k,)
+        Added to, the lower triangle alone of ``gram``.
     """
-    k = product.size
-    state = np.empty(STATE)
-    start(time, position, r[parts[0]], False, state)
+    q, r = levels.process_density, levels.reading_variance
+    k = rhs.size
     S = unpacked(state)
-    jump = np.zeros(9)
     x, v, a, j = np.zeros(k), np.zeros(k), np.zeros(k), np.zeros(k)
     last = time[0]
     part = 0
@@ -71,19 +78,19 @@ def answer(
                     j[n] += h * u
             else:
                 S = line_predict(h, S)
-                x += h * v
+                for n in range(k):
+                    x[n] += h * v[n]
             if not corner:
                 break
             ahead = False
-            S = turn(LAND, jump, S)
             S = (S[0], S[1], 0.0, 0.0, S[4], S[5], 0.0, 0.0, S[8] + loose, 0.0, 0.0, 0.0, 0.0, 0.0)
             part = edges.size
         s = 1.0 / (S[4] + r[parts[part]])
         e = position[i] - S[0]
         for n in range(k):
-            product[n] += x[n] * e * s
+            rhs[n] += x[n] * e * s
             for m in range(n + 1):
-                square[n, m] += x[n] * x[m] * s
+                gram[n, m] += x[n] * x[m] * s
             g = x[n] * s
             x[n] -= S[4] * g
             v[n] -= S[5] * g

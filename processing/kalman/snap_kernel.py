@@ -21,7 +21,7 @@ Source: as for `processing.kalman.jerk_kernel`; the fixed point: J. Burridge, Co
 Comput. 4 (1992) 415.
 """
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,26 +42,26 @@ NEAR_ONSET = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
 JUMPS = 9  # variances: LEAVE a j, MEET a j, KICK v a j, START a j
 
 
-def start(time: Array, position: Array, r: float, still: bool, state: Array) -> None:
-    """Set the filter to before its first sample: about as fast as over the first nine, else unknown.
+class NoiseLevels(NamedTuple):
+    """Noise of each part of the motion, by its label, and of the resets at corners.
 
-    ``still``: it begins on an even belt, so a and j are 0.
+    Attributes
+    ----------
+    process_density, mean_snap : array of shape (LABELS,)
+        Density, m^2/s^7, and mean, m/s^4, of the snap.
+    reading_variance : array of shape (LABELS,)
+        m^2.
+    reset_variance : array of shape (JUMPS,)
+        Of the steps at corners: LEAVE a j, MEET a j, KICK v a j, START a j, in (m/s)^2, (m/s^2)^2, (m/s^3)^2.
+    peak : float
+        About the largest acceleration, m/s^2.
     """
-    k = min(time.size - 1, 8)
-    h = (time[k] - time[0]) / k
-    slope = (position[k] - position[0]) / (time[k] - time[0])
-    spread = 2 * math.sqrt(r) / h
-    for i in range(k):
-        spread = max(spread, 2 * abs((position[i + 1] - position[i]) / (time[i + 1] - time[i]) - slope))
-    state[:] = 0.0
-    state[0] = position[0]
-    state[1] = slope
-    state[4] = (spread * h) ** 2
-    state[8] = spread**2
-    if not still:
-        state[11] = (spread / h) ** 2
-        state[13] = (spread / (h * h)) ** 2
-    state[14] = time[0]
+
+    process_density: Array
+    mean_snap: Array
+    reading_variance: Array
+    reset_variance: Array
+    peak: float
 
 
 def predict(h: float, q: float, u: float, S: State) -> State:
@@ -102,7 +102,7 @@ def predict(h: float, q: float, u: float, S: State) -> State:
 
 
 def update(e: float, s: float, r: float, S: State) -> State:
-    """Take in a reading that surprised by e; s = 1/(p00 + r)."""
+    """Take in a reading with innovation e; s = 1/(p00 + r)."""
     x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = S
     g, k1, k2, k3, f = e * s, p01 * s, p02 * s, p03 * s, r * s
     return (
@@ -168,17 +168,15 @@ def forward(
     label: Labels,
     at: Array,
     kind: Labels,
-    q: Array,
-    u: Array,
-    r: Array,
-    jump: Array,
+    levels: NoiseLevels,
     state: Array,
     stored: Array,
 ) -> None:
     """Filter from ``state`` on; write what was expected of each sample, (n, STORED).
 
-    ``label`` (n,) picks q, u and r; ``at`` and ``kind`` (c,) are the corners, in order of time, within the samples'.
+    ``label`` (n,) picks the noise levels; ``at`` and ``kind`` (c,) are the corners among them, in order.
     """
+    q, u, r = levels.process_density, levels.mean_snap, levels.reading_variance
     S = unpacked(state)
     last = state[14]
     c = 0
@@ -186,26 +184,19 @@ def forward(
         while c < at.size and at[c] <= time[i]:
             b = label[max(i - 1, 0)]
             S = predict(at[c] - last, q[b], u[b], S)
-            S = turn(kind[c], jump, S)
+            S = turn(int(kind[c]), levels.reset_variance, S)
             last = at[c]
             c += 1
         b = label[i]
         w = stored[i]
-        if b == STICK or b == REST:
-            S = line_predict(time[i] - last, S)
-        else:
-            S = predict(time[i] - last, q[b], u[b], S)
+        still = b == STICK or b == REST
+        S = line_predict(time[i] - last, S) if still else predict(time[i] - last, q[b], u[b], S)
         last = time[i]
         pack(w, S)
         s = 1.0 / (S[4] + r[b])
         e = position[i] - S[0]
         w[14], w[15] = s, e * s
-        if b == STICK or b == REST:
-            S = line_update(e, s, r[b], S)
-        else:
-            S = update(e, s, r[b], S)
-    pack(state, S)
-    state[14] = last
+        S = line_update(e, s, r[b], S) if still else update(e, s, r[b], S)
 
 
 def backward(
@@ -255,18 +246,8 @@ def backward(
                 m01 += h * m00
                 continue
         else:
-            p00, p01, p02, p03, p11, p12, p13, p22, p23, s = (
-                w[4],
-                w[5],
-                w[6],
-                w[7],
-                w[8],
-                w[9],
-                w[10],
-                w[11],
-                w[12],
-                w[14],
-            )
+            p00, p01, p02, p03, p11, p12, p13 = w[4], w[5], w[6], w[7], w[8], w[9], w[10]
+            p22, p23, s = w[11], w[12], w[14]
             k0, k1, k2, k3 = p00 * s, p01 * s, p02 * s, p03 * s
             u0 = k0 * m00 + k1 * m01 + k2 * m02 + k3 * m03
             u1 = k0 * m01 + k1 * m11 + k2 * m12 + k3 * m13

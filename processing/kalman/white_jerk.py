@@ -21,6 +21,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from processing.kalman import jerk_kernel
+from processing.kalman.first_state import first_state
 from processing.polynomial import uneven
 from processing.record.motion import Motion
 from processing.record.series import Series
@@ -85,20 +86,39 @@ def _stretches(series: Series, length: int) -> list[tuple[Array, Array]]:
 
 def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
     """Return log rho of the greatest likelihood and the variance of a reading there."""
-    surprise = compiled(jerk_kernel.surprise, KERNELS)
-    edges = np.cumsum([0, *(time.size for time, _ in stretches)])
-    time, position = (np.concatenate([stretch[k] for stretch in stretches]) for k in (0, 1))
+    few, every = _Record(stretches[:: max(len(stretches) // 16, 1)]), _Record(stretches)
+    middle = lowest(lambda log_rho: few.cost(log_rho)[0], LOG_RHO, 6.0, 1.5)
+    log_rho = vertex(lambda log_rho: every.cost(log_rho)[0], middle, 1.5)
+    return log_rho, every.cost(log_rho)[1]
 
-    def cost(log_rho: float, some: int) -> tuple[float, float]:
-        sums = np.zeros(3)
-        surprise(time, position, edges, some, math.exp(log_rho), sums)
-        variance = max(sums[1] / sums[2], 1e-30)
-        return 0.5 * (sums[0] + sums[2] * math.log(variance)), variance
 
-    few = max(len(stretches) // 16, 1)
-    middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 6.0, 1.5)
-    log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
-    return log_rho, cost(log_rho, 1)[1]
+class _Record:
+    """Stretches laid end to end, with the states of their filters for readings of variance 1."""
+
+    def __init__(self, stretches: list[tuple[Array, Array]]) -> None:
+        self.edges = np.cumsum([0, *(time.size for time, _ in stretches)])
+        self.time, self.position = (np.concatenate(own) for own in zip(*stretches, strict=True))
+        self.states = np.array([first_state(time, position, 1.0, 2) for time, position in stretches])
+        # The first four samples of a stretch only set its filter up.
+        self.settled = np.ones(self.time.size, bool)
+        self.settled[(self.edges[:-1, None] + np.arange(4)).ravel()] = False
+
+    def cost(self, log_rho: float) -> tuple[float, float]:
+        """Return minus the log likelihood, up to a constant, and the variance of a reading at which it is least."""
+        found = np.empty((self.time.size, 2))
+        run = compiled(jerk_kernel.innovations, KERNELS)
+        run(self.time, self.position, self.edges, self.states, math.exp(log_rho), 1.0, found)
+        s, scaled = found[self.settled].T
+        variance = max(float(np.mean(scaled**2 / s)), 1e-30)
+        return 0.5 * (s.size * math.log(variance) - float(np.log(s).sum())), variance
+
+
+def innovations(time: Array, position: Array, noise: Noise) -> Array:
+    """Return 1/s and e/s of every sample of one piece, (n, 2): inverse variance, and it times the innovation e."""
+    edges, found = np.array([0, time.size]), np.empty((time.size, 2))
+    states = first_state(time, position, noise.reading, 2)[None]
+    compiled(jerk_kernel.innovations, KERNELS)(time, position, edges, states, noise.jerk, noise.reading, found)
+    return found
 
 
 def least_variance(series: Series) -> float:
@@ -148,15 +168,14 @@ def smooth(series: Series, noise: Noise) -> Motion:
     """Smooth the record with given noise levels."""
     n = series.time.size
     motion = np.empty((6, n))
-    run = compiled(jerk_kernel.smooth, KERNELS)
     rho = noise.rho(series.interval)
     behind = reach(rho)
-    block = max(BLOCK, 4 * behind)
     for piece in series.pieces:
-        if piece.stop - piece.start < SHORT:
-            motion[:, piece] = parabola(series.time[piece], series.position[piece], noise.reading)
+        time, position = series.time[piece], series.position[piece]
+        if time.size < SHORT:
+            motion[:, piece] = parabola(time, position, noise.reading)
         else:
-            run(series.time[piece], series.position[piece], noise.jerk, noise.reading, block, behind, motion[:, piece])
+            motion[:, piece] = smooth_piece(time, position, noise, max(BLOCK, 4 * behind), behind)
     errors = np.sqrt(np.maximum(motion[3:], 0.0))
     return Motion(
         position=series.origin + motion[0],
@@ -169,6 +188,27 @@ def smooth(series: Series, noise: Noise) -> Motion:
         order=ORDER,
         method="rts",
     )
+
+
+def smooth_piece(time: Array, position: Array, noise: Noise, block: int, behind: int) -> Array:
+    """Return x, v, a and their variances, (6, n), of one piece.
+
+    Memory for the filter grows with the block alone: the smoother of a block starts ``behind`` samples after it, and
+    what lies further on has faded by then.
+    """
+    forward, backward = compiled(jerk_kernel.forward, KERNELS), compiled(jerk_kernel.backward, KERNELS)
+    n = time.size
+    motion, stored = np.empty((6, n)), np.empty((min(block + behind, n), jerk_kernel.STORED))
+    state = first_state(time, position, noise.reading, 2)
+    for begin in range(0, n, block):
+        end = min(begin + block, n)
+        far = min(end + behind, n)
+        forward(time[begin:end], position[begin:end], noise.jerk, noise.reading, state, stored)
+        forward(time[end:far], position[end:far], noise.jerk, noise.reading, state.copy(), stored[end - begin :])
+        own = np.empty((6, end - begin))  # not a part of motion: a kernel is compiled for one layout
+        backward(time[begin:far], stored[: far - begin], end - begin, own)
+        motion[:, begin:end] = own
+    return motion
 
 
 def reach(rho: float) -> int:

@@ -8,16 +8,14 @@ What is expected of a sample moves in proportion to the means, so those of great
 The time of each landing is left open by what it is uncertain by: it shifts the velocity behind it.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from daq.compute.compile import compiled
 from processing.kalman import mean_snap_kernel
-from processing.kalman.snap_kernel import LAND, LANDING, NEAR_LANDING, SLIP, STICK
+from processing.kalman.first_state import first_state
+from processing.kalman.snap_kernel import LAND, LANDING, NEAR_LANDING, SLIP, STICK, NoiseLevels
 from processing.record.series import Series
-from processing.segmentation.noise_levels import Levels
-from processing.segmentation.switching_times import Layout
+from processing.segmentation.switching_times import SwitchingTimes
 
 KERNELS = ("processing.kalman.snap_kernel", "processing.kalman.mean_snap_kernel")
 
@@ -27,39 +25,41 @@ OPEN = 1.5  # standard deviations of its time that a landing is left open for
 MOST = 64  # landings looked at
 
 
-def with_means(series: Series, layout: Layout, levels: Levels) -> Levels:
+def with_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) -> NoiseLevels:
     """Return the levels with the mean snap of a slip's parts near its landing on an even belt.
 
     With n landings the means are (n - 1)/n of those of greatest likelihood: one alone tells nothing.
     """
-    unit = layout.unit
-    landings = np.flatnonzero(layout.kind == LAND)
+    unit = times.unit
+    landings = np.flatnonzero(times.kind == LAND)
     if landings.size < 2:
         return levels
-    loose = (OPEN * levels.peak * float(np.median(layout.sd[landings]))) ** 2
+    loose = (OPEN * levels.peak * float(np.median(times.sd[landings]))) ** 2
     edges = np.concatenate((-unit * np.array(NEAR_LANDING)[::-1], [0.0]))
     parts = np.array([SLIP, *range(LANDING + PARTS - 1, LANDING - 1, -1), STICK], np.uint8)
-    square, product = np.zeros((PARTS, PARTS)), np.zeros(PARTS)
-    run = compiled(mean_snap_kernel.answer, KERNELS)
+    gram, rhs = np.zeros((PARTS, PARTS)), np.zeros(PARTS)
+    run = compiled(mean_snap_kernel.accumulate_normal_equations, KERNELS)
     starts = np.array([piece.start for piece in series.pieces])
     seen = 0
     for k in landings[np.unique(np.linspace(0, landings.size - 1, MOST).astype(int))].tolist():
-        at = float(layout.at[k])
+        at = float(times.at[k])
         piece = series.pieces[int(np.searchsorted(series.time[starts], at, side="right")) - 1]
         begin, end = at - BEFORE * unit, at + BEHIND * unit
         if k:
-            begin = max(begin, float(layout.at[k - 1]))
-        if k + 1 < layout.at.size:
-            end = min(end, float(layout.at[k + 1]))
+            begin = max(begin, float(times.at[k - 1]))
+        if k + 1 < times.at.size:
+            end = min(end, float(times.at[k + 1]))
         i, j = piece.start + np.searchsorted(series.time[piece], (begin, end))
         if j - i < 16 or at - begin < unit * NEAR_LANDING[-1]:
             continue
-        run(*(series.time[i:j], series.position[i:j], at), *(edges, parts, levels.q, levels.r, loose, square, product))
+        time, position = series.time[i:j], series.position[i:j]
+        state = first_state(time, position, float(levels.reading_variance[SLIP]), 3)
+        run(time, position, state, at, edges, parts, levels, loose, gram, rhs)
         seen += 1
     if seen < 2:
         return levels
-    full = square + np.tril(square, -1).T
-    means = np.linalg.solve(full + np.diag(np.diag(full) / (seen - 1) + 1e-300), product)
-    u = levels.u.copy()
-    u[LANDING : LANDING + PARTS] = means[::-1]
-    return replace(levels, u=u)
+    full = gram + np.tril(gram, -1).T
+    means = np.linalg.solve(full + np.diag(np.diag(full) / (seen - 1) + 1e-300), rhs)
+    mean_snap = levels.mean_snap.copy()
+    mean_snap[LANDING : LANDING + PARTS] = means[::-1]
+    return levels._replace(mean_snap=mean_snap)

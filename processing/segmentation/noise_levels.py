@@ -1,135 +1,170 @@
-"""Noise levels of a motion that sticks and slips: roughness of each part, steps at corners.
+"""Noise levels of a motion that sticks and slips: process noise of each part, readings, and resets at corners.
 
-Each level is brought to its greatest likelihood by a fixed point of its own, which the smoother's way back yields.
+Each level is brought to its greatest likelihood by a fixed point of its own, which the smoother's backward pass yields
+(`processing.kalman.snap_kernel`).
 """
 
 import math
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.compute.arrays import Array
 from daq.compute.compile import compiled
-from processing.kalman import snap_kernel, white_jerk
-from processing.kalman.snap_kernel import CUT, LABELS, LANDING, LEAVING, MET, ONSET, REST, RIDE, SLIP, STICK
+from processing.kalman import corner_kernel, snap_kernel, white_jerk
+from processing.kalman.first_state import first_state
+from processing.kalman.snap_kernel import (
+    CUT,
+    LABELS,
+    LANDING,
+    LEAVING,
+    MET,
+    ONSET,
+    REST,
+    RIDE,
+    SLIP,
+    STICK,
+    NoiseLevels,
+)
 from processing.record.motion import Motion
 from processing.record.series import Series
-from processing.segmentation.switching_times import KERNELS, Labels, Layout, Stretch, labels, looked_at, without
+from processing.segmentation.switching_times import KERNELS, Labels, Stretch, SwitchingTimes, fit_stretches, without
+
+UNEVEN = [RIDE, MET, LEAVING]  # labels of a stick on a belt that does not run evenly
+# Labels that share one reading variance: slips, sticks on an even belt (whose counts round alike), uneven ones.
+READING_GROUPS = ([label for label in range(LABELS) if label not in (STICK, REST, *UNEVEN)], [STICK], UNEVEN)
 
 
-@dataclass(frozen=True, eq=False)
-class Levels:
-    """Density and mean of the snap and variance of a reading per label, and the variances of steps at corners.
-
-    ``peak`` (m/s^2) is about the largest acceleration.
-    """
-
-    q: Array
-    u: Array
-    r: Array
-    jump: Array
-    peak: float
-
-
-class Room:
+class Workspace:
     """Memory for what the filters write down, used again and again: fresh pages cost more than filtering."""
 
     def __init__(self) -> None:
         self._held = np.empty(0)
 
-    def stored(self, n: int, columns: int) -> Array:
-        """Return an array (n, columns); what it held before is gone."""
+    def array(self, n: int, columns: int) -> Array:
+        """Return an array (n, columns) of any content; the one returned before is overwritten."""
         if self._held.size < n * columns:
             self._held = np.empty(n * columns)
         return self._held[: n * columns].reshape(n, columns)
 
 
-def first_levels(series: Series, noise: white_jerk.Noise, pilot: Motion, unit: float) -> Levels:
-    """Guess the levels: as rough as the first motion near a landing, ever smoother away from it."""
+def first_levels(series: Series, noise: white_jerk.Noise, pilot: Motion, unit: float) -> NoiseLevels:
+    """Guess the levels; all are re-estimated from the record.
+
+    Near a landing the snap is as strong as a white jerk of the first motion's density makes it at the smoother's own
+    bandwidth, and weaker by powers of e away from it, about as the levels fitted on the bench of docs/velocity.md.
+    """
     rate = (noise.jerk / (noise.reading * series.interval)) ** (1 / 6)
     rough = noise.jerk * rate**2
-    q = np.full(LABELS, rough * math.exp(-6))
-    q[LANDING : LANDING + 4] = rough * np.exp([0.0, -1.0, -3.0, -5.0])
-    q[ONSET : ONSET + 4] = rough * math.exp(-5)
-    q[MET] = rough
-    q[LEAVING] = rough * math.exp(-5)
-    q[STICK] = q[REST] = 0.0
+    density = np.full(LABELS, rough * math.exp(-6))
+    density[LANDING : LANDING + 4] = density[CUT : CUT + 4] = rough * np.exp([0.0, -1.0, -3.0, -5.0])
+    density[ONSET : ONSET + 4] = density[LEAVING] = rough * math.exp(-5)
+    density[MET] = rough
+    density[[STICK, REST]] = 0.0
     stride = max(series.time.size // 2**14, 1)
     peak = float(np.percentile(np.abs(pilot.acceleration[::stride]), 99))
-    kick = 0.1 * float(np.percentile(np.abs(pilot.velocity[::stride]), 99))
-    step = [0.01 * peak, peak / unit, peak, 8 * peak / unit, kick, peak, 8 * peak / unit, peak, 8 * peak / unit]
-    q[CUT : CUT + 4] = q[LANDING : LANDING + 4]
-    return Levels(q, np.zeros(LABELS), np.full(LABELS, noise.reading), np.array(step) ** 2, peak)
+    step = 0.1 * float(np.percentile(np.abs(pilot.velocity[::stride]), 99))
+    jerk = 8 * peak / unit
+    reset = np.array([0.01 * peak, peak / unit, peak, jerk, step, peak, jerk, peak, jerk]) ** 2
+    return NoiseLevels(density, np.zeros(LABELS), np.full(LABELS, noise.reading), reset, peak)
 
 
-def filtered(series: Series, layout: Layout, levels: Levels, stretch: Stretch, room: Room) -> tuple[Labels, Array]:
-    """Filter a stretch; return its labels and what was expected of each sample."""
+def filter_stretch(
+    series: Series, times: SwitchingTimes, levels: NoiseLevels, stretch: Stretch, workspace: Workspace
+) -> tuple[Labels, Array]:
+    """Filter a stretch of n samples; return its labels, (n,), and what was expected of each sample, (n, STORED)."""
     time, position = series.time[stretch.own], series.position[stretch.own]
-    label = labels(series, layout, stretch)
-    state = np.empty(snap_kernel.STATE)
-    stored = room.stored(time.size, snap_kernel.STORED)
-    still = stretch.first in (STICK, REST)
-    compiled(snap_kernel.start, KERNELS)(time, position, float(levels.r[stretch.first]), still, state)
-    compiled(snap_kernel.forward, KERNELS)(
-        time,
-        position,
-        label,
-        layout.at[stretch.corners],
-        layout.kind[stretch.corners],
-        levels.q,
-        levels.u,
-        levels.r,
-        levels.jump,
-        state,
-        stored,
-    )
+    at, kind = times.at[stretch.corners], times.kind[stretch.corners]
+    label, stored = np.empty(time.size, np.uint8), workspace.array(time.size, snap_kernel.STORED)
+    compiled(corner_kernel.label_samples, KERNELS)(time, at, kind, stretch.first, times.unit, label)
+    known = 1 if stretch.first in (STICK, REST) else 3
+    state = first_state(time, position, float(levels.reading_variance[stretch.first]), known)
+    compiled(snap_kernel.forward, KERNELS)(time, position, label, at, kind, levels, state, stored)
     return label, stored
 
 
-def learned(series: Series, room: Room, layout: Layout, levels: Levels, times: int, *, bare: bool = False) -> Levels:
-    """Return noise levels under which the record is more likely; ``bare``: as if it had no corners."""
+def smooth_stretch(
+    series: Series, times: SwitchingTimes, levels: NoiseLevels, stretch: Stretch, workspace: Workspace, *, wanted: bool
+) -> tuple[Labels, Array, Array, Array]:
+    """Filter a stretch of n samples and smooth it.
+
+    Returns
+    -------
+    label : array of shape (n,)
+    motion : array of shape (6, n)
+        x, v, a and their variances, where ``wanted``.
+    noise, steps : array of shape (LABELS, 4), (JUMPS, 2)
+        Sums that tell how well each noise level fits (`processing.kalman.snap_kernel.backward`).
+    """
+    label, stored = filter_stretch(series, times, levels, stretch, workspace)
+    at, kind = times.at[stretch.corners], times.kind[stretch.corners]
+    noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
+    motion = np.empty((6, label.size if wanted else 0))
     back = compiled(snap_kernel.backward, KERNELS)
-    stretches = looked_at(series, layout)
-    if bare:
-        layout = without(layout, np.ones(layout.at.size, bool))
-        stretches = [Stretch(own.own, SLIP, slice(0, 0)) for own in stretches]
+    back(series.time[stretch.own], label, at, kind, stored, wanted, motion, noise, steps)
+    return label, motion, noise, steps
+
+
+def reestimate_noise(
+    series: Series,
+    workspace: Workspace,
+    times: SwitchingTimes,
+    levels: NoiseLevels,
+    iterations: int,
+    *,
+    null_model: bool = False,
+) -> NoiseLevels:
+    """Return noise levels under which the record is more likely.
+
+    Parameters
+    ----------
+    iterations : int
+        Of the fixed point: filter, smooth, and multiply each level by its `_ratio`.
+    null_model : bool
+        As if the record had no corners.
+    """
+    used = fit_stretches(series, times)
+    if null_model:
+        times = without(times, np.ones(times.at.size, bool))
+        used = [Stretch(stretch.own, SLIP, slice(0, 0)) for stretch in used]
     least = 0.25 * white_jerk.least_variance(series)
-    for _ in range(times):
+    for _ in range(iterations):
         noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
-        for stretch in stretches:
-            label, stored = filtered(series, layout, levels, stretch, room)
-            at, kind = layout.at[stretch.corners], layout.kind[stretch.corners]
-            back(series.time[stretch.own], label, at, kind, stored, False, np.empty((6, 0)), noise, steps)
-        q = levels.q * _ratio(levels.q, noise[:, 0], noise[:, 1])
-        q[CUT : CUT + 4] = q[LANDING : LANDING + 4]
-        jump = levels.jump * _ratio(levels.jump, steps[:, 0], steps[:, 1])
-        r = levels.r.copy()
-        slipping = np.ones(LABELS, bool)
-        slipping[[STICK, RIDE, MET, LEAVING, REST]] = False
-        for group in (slipping, np.isin(np.arange(LABELS), (STICK,)), np.isin(np.arange(LABELS), (RIDE, MET, LEAVING))):
+        for stretch in used:
+            own = smooth_stretch(series, times, levels, stretch, workspace, wanted=False)
+            noise += own[2]
+            steps += own[3]
+        density = levels.process_density * _ratio(levels.process_density, noise[:, 0], noise[:, 1])
+        density[CUT : CUT + 4] = density[LANDING : LANDING + 4]
+        reading = levels.reading_variance.copy()
+        for group in READING_GROUPS:
             if noise[group, 3].any():
-                r[group] = max(r[group][0] * noise[group, 2].sum() / noise[group, 3].sum(), least)
-        levels = replace(levels, q=q, r=r, jump=jump)
+                reading[group] = max(reading[group][0] * noise[group, 2].sum() / noise[group, 3].sum(), least)
+        reset = levels.reset_variance * _ratio(levels.reset_variance, steps[:, 0], steps[:, 1])
+        levels = levels._replace(process_density=density, reading_variance=reading, reset_variance=reset)
     return levels
 
 
 def _ratio(level: Array, square: Array, expected: Array) -> Array:
-    """Return what brings a level nearer to its greatest likelihood; half a degree of freedom says leave it."""
+    """Return the factor that brings a level nearer to its greatest likelihood.
+
+    MacKay's fixed point under a Gamma prior of half a degree of freedom: 1 where a label has no samples.
+    """
     ratio = (level * square + 0.5) / (level * expected + 0.5)
     return np.asarray(np.clip(ratio, 1e-4, 1e4))
 
 
-def without_corners(levels: Levels) -> Levels:
-    """Return levels with one roughness for a record without corners."""
-    return replace(
-        levels, q=np.full(LABELS, levels.q[LANDING + 1]), u=np.zeros(LABELS), r=np.full(LABELS, levels.r[SLIP])
+def null_model(levels: NoiseLevels) -> NoiseLevels:
+    """Return levels with one process density, for a record without corners."""
+    return levels._replace(
+        process_density=np.full(LABELS, levels.process_density[LANDING + 1]),
+        mean_snap=np.zeros(LABELS),
+        reading_variance=np.full(LABELS, levels.reading_variance[SLIP]),
     )
 
 
-def merged(even: Levels, riding: Levels) -> Levels:
-    """Return the levels of the even sticks with those of the ridden ones."""
-    q, r, jump = even.q.copy(), even.r.copy(), even.jump.copy()
-    for label in (RIDE, MET, LEAVING):
-        q[label], r[label] = riding.q[label], riding.r[label]
-    jump[2:4] = riding.jump[2:4]
-    return replace(even, q=q, r=r, jump=jump)
+def merged(even: NoiseLevels, riding: NoiseLevels) -> NoiseLevels:
+    """Return the levels of sticks on an even belt with those of sticks on a belt that does not run evenly."""
+    density, reading, reset = even.process_density.copy(), even.reading_variance.copy(), even.reset_variance.copy()
+    density[UNEVEN], reading[UNEVEN] = riding.process_density[UNEVEN], riding.reading_variance[UNEVEN]
+    reset[2:4] = riding.reset_variance[2:4]
+    return even._replace(process_density=density, reading_variance=reading, reset_variance=reset)

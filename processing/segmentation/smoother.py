@@ -22,57 +22,54 @@ from dataclasses import replace
 import numpy as np
 
 from daq.compute.arrays import Array, Mask, runs
-from daq.compute.compile import compiled
-from processing.kalman import snap_kernel, white_jerk
-from processing.kalman.snap_kernel import KICK, LABELS, LAND, LEAVE, MEET, SLIP, START, STICK, STOP
+from processing.kalman import white_jerk
+from processing.kalman.snap_kernel import KICK, LAND, LEAVE, MEET, SLIP, START, STICK, STOP, NoiseLevels
 from processing.record.motion import Corner, Motion
 from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.segmentation import model_selection, plateaus
-from processing.segmentation.landing_snap import with_means
+from processing.segmentation.landing_snap import with_mean_snap
 from processing.segmentation.line_fit import fit_lines
-from processing.segmentation.noise_levels import Levels, Room, filtered, first_levels, learned
-from processing.segmentation.switching_estimate import placed
-from processing.segmentation.switching_times import KERNELS, Layout, laid_out, stretches
+from processing.segmentation.noise_levels import Workspace, first_levels, reestimate_noise, smooth_stretch
+from processing.segmentation.switching_estimate import refine_switching_times
+from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, stretches
 
 WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop"}
 ORDER = 7  # of the spline
-WIDTHS = (0.25,)
 LINE = 1 / 3  # of a slip: the longest straight line through a stick
 
 
 def segmented(
     series: Series, noise: white_jerk.Noise, pilot: Motion, setting: Setting, *, gated: bool
 ) -> Motion | None:
-    """Return the motion by segments, or None when there is no stick (or none that passes the gate)."""
+    """Return the motion by segments, or None when there is no stick (or none that model selection accepts)."""
     found = plateaus.segment(series, pilot, None, setting.belt_speed)
-    layout = laid_out(series, found)
-    if not layout.at.size:
+    first = initial_switching_times(series, found)
+    if not first.at.size:
         return None
-    room = Room()
-    begun, levels = layout, first_levels(series, noise, pilot, layout.unit)
-    layout = placed(series, room, layout, levels, 1.0)
-    for width in WIDTHS:
-        levels = learned(series, room, layout, levels, 1)
-        levels = learned(series, room, layout, with_means(series, layout, levels), 1)
-        layout = placed(series, room, layout, levels, width)
+    workspace = Workspace()
+    levels = first_levels(series, noise, pilot, first.unit)
+    times = refine_switching_times(series, workspace, first, levels, 1.0)
+    levels = reestimate_noise(series, workspace, times, levels, 1)
+    levels = reestimate_noise(series, workspace, times, with_mean_snap(series, times, levels), 1)
+    times = refine_switching_times(series, workspace, times, levels, 0.25)
     if gated:
-        kept = model_selection.passed(series, room, layout, levels, noise, begun)
+        kept = model_selection.accept_sticks(series, workspace, times, levels, noise, first)
         if kept is None:
             return None
-        layout, levels = kept
-    return _averaged(series, room, layout, levels, pilot.window)
+        times, levels = kept
+    return _averaged(series, workspace, times, levels, pilot.window)
 
 
-def _averaged(series: Series, room: Room, layout: Layout, levels: Levels, window: int) -> Motion:
+def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, window: int) -> Motion:
     """Smooth, averaging over the uncertainty of the switching times: each a standard deviation early, and late.
 
     The smoother's variance is that of readings and of the motion's own noise.  A slip is smooth but for its ends, and
     errs by the readings' share alone: about 1 - (2 d + 1)/8 of that variance in the d-th derivative.
     """
-    early, stick = _run(series, room, layout, -1.0, levels)
-    _straighten(series, stick, layout, levels, early)
-    late, stick_late = _run(series, room, layout, 1.0, levels)
+    early, stick = _run(series, workspace, times, -1.0, levels)
+    _straighten(series, stick, times, levels, early)
+    late, stick_late = _run(series, workspace, times, 1.0, levels)
     mean = (early[:3] + late[:3]) / 2
     apart = (early[:3] - mean) ** 2 + (late[:3] - mean) ** 2
     share = 1 - (2 * np.arange(3)[:, None] + 1) / 8
@@ -92,12 +89,14 @@ def _averaged(series: Series, room: Room, layout: Layout, levels: Levels, window
         method="segment",
         corners=tuple(
             Corner(float(at), float(sd), WHAT[int(kind)])
-            for at, sd, kind in zip(layout.at, layout.sd, layout.kind, strict=True)
+            for at, sd, kind in zip(times.at, times.sd, times.kind, strict=True)
         ),
     )
 
 
-def _run(series: Series, room: Room, layout: Layout, shift: float, levels: Levels) -> tuple[Array, Mask]:
+def _run(
+    series: Series, workspace: Workspace, times: SwitchingTimes, shift: float, levels: NoiseLevels
+) -> tuple[Array, Mask]:
     """Smooth with the switching times moved by ``shift`` standard deviations, in order still.
 
     Returns
@@ -106,29 +105,29 @@ def _run(series: Series, room: Room, layout: Layout, shift: float, levels: Level
         x, v, a and their variances.
     stick : array of bool, shape (n,)
     """
-    layout = replace(layout, at=np.maximum.accumulate(layout.at + shift * layout.sd))
+    times = replace(times, at=np.maximum.accumulate(times.at + shift * times.sd))
     motion, stick = np.empty((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:
         if piece.stop - piece.start < white_jerk.SHORT:
-            motion[:, piece] = white_jerk.parabola(series.time[piece], series.position[piece], float(levels.r[SLIP]))
-    back = compiled(snap_kernel.backward, KERNELS)
-    for stretch in stretches(series, layout):
-        label, stored = filtered(series, layout, levels, stretch, room)
-        at, kind = layout.at[stretch.corners], layout.kind[stretch.corners]
-        noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
-        back(series.time[stretch.own], label, at, kind, stored, True, motion[:, stretch.own], noise, steps)
-        stick[stretch.own] = label == STICK
+            motion[:, piece] = white_jerk.parabola(
+                series.time[piece], series.position[piece], float(levels.reading_variance[SLIP])
+            )
+    for stretch in stretches(series, times):
+        label, own, _, _ = smooth_stretch(series, times, levels, stretch, workspace, wanted=True)
+        motion[:, stretch.own], stick[stretch.own] = own, label == STICK
     return motion, stick
 
 
-def _straighten(series: Series, stick: Mask, layout: Layout, levels: Levels, motion: Array) -> None:
+def _straighten(series: Series, stick: Mask, times: SwitchingTimes, levels: NoiseLevels, motion: Array) -> None:
     """Replace what lies in sticks by straight lines; their errors are scaled to what neighbouring lines differ by."""
-    window = max(int(LINE * layout.unit / series.interval), 16)
+    window = max(int(LINE * times.unit / series.interval), 16)
     for piece in series.pieces:
         sticks = [slice(piece.start + i, piece.start + j) for i, j in runs(stick[piece]) if j - i >= 8]
         differing = []
         for own in sticks:
-            motion[:, own], ratio = fit_lines(series.time[own], series.position[own], window, float(levels.r[STICK]))
+            motion[:, own], ratio = fit_lines(
+                series.time[own], series.position[own], window, float(levels.reading_variance[STICK])
+            )
             differing += [ratio] if ratio else []
         # A prior of four sticks on an even belt: few windows do not scale the errors by chance.
         factor = (sum(differing) + 4.0) / (len(differing) + 4.0)

@@ -1,4 +1,4 @@
-"""When corners happened: each moved to where it makes the record most likely, with the spread of that likelihood."""
+"""Switching times of greatest likelihood, each with the spread of its likelihood."""
 
 from dataclasses import replace
 
@@ -20,54 +20,62 @@ from processing.kalman.snap_kernel import (
     SLIP,
     STICK,
     STOP,
+    NoiseLevels,
 )
 from processing.record.series import Series
-from processing.segmentation.noise_levels import Levels, Room, filtered
-from processing.segmentation.switching_times import KERNELS, Layout, state_after, stretches
+from processing.segmentation.noise_levels import Workspace, filter_stretch
+from processing.segmentation.switching_times import KERNELS, SwitchingTimes, state_after, stretches
 
-SHARP = 1.7  # times the spread of a landing's likelihood: the levels it is taken at were learned with it
+# Empirical: widens the standard deviation of a landing's likelihood, whose noise levels were fitted with it in place,
+# so that about 95 % of the true velocities near landings lie within two errors (benchmarks/velocity_seeds.py).
+SHARP = 1.7
 
 
-def placed(series: Series, room: Room, layout: Layout, levels: Levels, width: float) -> Layout:
-    """Return the layout with each corner where it is most likely; ``width`` scales how far away it may lie."""
-    place = compiled(corner_kernel.place, KERNELS)
-    unit = layout.unit
+def refine_switching_times(
+    series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, width: float
+) -> SwitchingTimes:
+    """Return each switching time where it is most likely, with its standard deviation.
+
+    ``width`` scales how far from its place it is looked for: 1 at first, less when it is nearly known.
+    """
+    run = compiled(corner_kernel.refine_switching_times, KERNELS)
+    unit = times.unit
     finest = series.interval / 4 if width >= 1 else 0.0
-    at, sd = layout.at.copy(), layout.sd.copy()
+    new_at, new_sd = times.at.copy(), times.sd.copy()
     near, far = unit * np.array(NEAR_LANDING), unit * np.array(NEAR_ONSET)
     landing = [SLIP, LANDING + 3, LANDING + 2, LANDING + 1, LANDING]
     onset = [ONSET, ONSET + 1, ONSET + 2, ONSET + 3, SLIP]
-    for stretch in stretches(series, layout):
+    for stretch in stretches(series, times):
         if stretch.corners.start == stretch.corners.stop:
             continue
         time, position = series.time[stretch.own], series.position[stretch.own]
-        _, stored = filtered(series, layout, levels, stretch, room)
-        now, kinds = layout.at[stretch.corners], layout.kind[stretch.corners]
+        _, stored = filter_stretch(series, times, levels, stretch, workspace)
+        now, kinds = times.at[stretch.corners], times.kind[stretch.corners]
         before = np.concatenate(([time[0]], now[:-1]))
         behind = np.concatenate((now[1:], [time[-1]]))
-        low, high = now - 0.45 * (now - before), now + 0.45 * (behind - now)  # never past its neighbour
+        bounds = np.stack((now - 0.45 * (now - before), now + 0.45 * (behind - now)), axis=1)  # never past a neighbour
         first = np.array([stretch.first, *(state_after(int(kind)) for kind in kinds[:-1])])
-        for kind in np.unique(kinds):
-            for state in np.unique(first[kinds == kind]):
-                pick = np.flatnonzero((kinds == kind) & (first == state))
-                if kind in (LAND, STOP, MEET):
-                    edges = np.concatenate((-near[::-1], [0.0]))
-                    parts = [*landing, {LAND: STICK, STOP: REST, MEET: MET}[int(kind)]]
-                    corner, half, back, on = 4, unit / 64, unit / 64, unit / 12
-                    if kind == MEET:
-                        edges, parts = np.append(edges, far[0]), [*parts, RIDE]
-                else:
-                    edges = np.concatenate(([0.0], far))
-                    parts = [int(state), *onset]
-                    corner, half, back, on = 0, unit / 16, unit / 64, unit / 8
-                    if state == RIDE:
-                        edges, parts, corner = np.concatenate(([-far[0]], edges)), [RIDE, LEAVING, *onset], 1
-                found = np.empty((pick.size, 2))
-                place(
-                    *(time, position, stored, now, pick, int(kind), low[pick], high[pick]),
-                    *(max(width * half, series.interval), finest, back, on, edges, np.array(parts, np.uint8), corner),
-                    *(levels.q, levels.u, levels.r, levels.jump, found),
-                )
-                at[stretch.corners.start + pick] = found[:, 0]
-                sd[stretch.corners.start + pick] = found[:, 1] * (SHARP if kind in (LAND, STOP) else 1.0)
-    return replace(layout, at=at, sd=sd)
+        for kind, state in sorted({*zip(kinds.tolist(), first.tolist(), strict=True)}):
+            pick = np.flatnonzero((kinds == kind) & (first == state))
+            if kind in (LAND, STOP, MEET):
+                edges = np.concatenate((-near[::-1], [0.0]))
+                parts = [*landing, {LAND: STICK, STOP: REST, MEET: MET}[kind]]
+                corner, half, back, on = 4, unit / 64, unit / 64, unit / 12
+                if kind == MEET:
+                    edges, parts = np.append(edges, far[0]), [*parts, RIDE]
+            else:
+                edges, parts = np.concatenate(([0.0], far)), [state, *onset]
+                corner, half, back, on = 0, unit / 16, unit / 64, unit / 8
+                if state == RIDE:
+                    edges, parts, corner = np.concatenate(([-far[0]], edges)), [RIDE, LEAVING, *onset], 1
+            half = max(width * half, series.interval)
+            at, own = now[pick], bounds[pick]
+            reach = np.stack((np.maximum(at - half - back, own[:, 0]), np.minimum(at + half + on, own[:, 1])), axis=1)
+            found = np.empty((pick.size, 2))
+            run(
+                *(time, position, stored, kind, at, own, np.searchsorted(time, reach), (half / 4, finest)),
+                *(edges, np.array(parts, np.uint8), corner, levels, found),
+            )
+            new_at[stretch.corners.start + pick] = found[:, 0]
+            new_sd[stretch.corners.start + pick] = found[:, 1] * (SHARP if kind in (LAND, STOP) else 1.0)
+    return replace(times, at=new_at, sd=new_sd)

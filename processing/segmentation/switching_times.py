@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, Integers, Mask
-from daq.compute.compile import compiled
-from processing.kalman import corner_kernel, white_jerk
+from processing.kalman import white_jerk
 from processing.kalman.snap_kernel import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
 from processing.record.motion import PhaseSegmentation
 from processing.record.series import Series
@@ -18,11 +17,11 @@ from processing.record.series import Series
 Labels = NDArray[np.uint8]
 
 KERNELS = ("processing.kalman.snap_kernel", "processing.kalman.corner_kernel")
-FITTED = 9_000  # samples the noise levels are fitted to
+FIT_SAMPLES = 9_000  # samples the noise levels are fitted to: about a dozen slips of the bench; chosen, not swept
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class SwitchingTimes:
     """Corners in order of time: when (s), how uncertain (s), what (of `processing.kalman.snap_kernel`), (c,) each.
 
     ``first`` is the label that every piece begins with, ``unit`` the usual length of a slip, s.
@@ -44,7 +43,7 @@ class Stretch:
     corners: slice
 
 
-def laid_out(series: Series, found: PhaseSegmentation) -> Layout:
+def initial_switching_times(series: Series, found: PhaseSegmentation) -> SwitchingTimes:
     """Return the corners of the phases found: those that begin and end within a piece."""
     at: list[float] = []
     kind: list[int] = []
@@ -82,15 +81,17 @@ def laid_out(series: Series, found: PhaseSegmentation) -> Layout:
         first.append(begins)
     unit = float(np.median(lengths or rides or [(time[-1] - time[0]) / 4]))
     order = np.argsort(at, kind="stable")
-    times = np.array(at, float)[order]
-    return Layout(times, np.full(times.size, series.interval), np.array(kind, np.uint8)[order], tuple(first), unit)
+    ordered = np.array(at, float)[order]
+    return SwitchingTimes(
+        ordered, np.full(ordered.size, series.interval), np.array(kind, np.uint8)[order], tuple(first), unit
+    )
 
 
-def stretches(series: Series, layout: Layout) -> list[Stretch]:
+def stretches(series: Series, times: SwitchingTimes) -> list[Stretch]:
     """Return the pieces, with their corners."""
     made = []
-    for piece, first in zip(series.pieces, layout.first, strict=True):
-        ends = np.searchsorted(layout.at, (series.time[piece.start], series.time[piece.stop - 1]), side="right")
+    for piece, first in zip(series.pieces, times.first, strict=True):
+        ends = np.searchsorted(times.at, (series.time[piece.start], series.time[piece.stop - 1]), side="right")
         made.append(Stretch(piece, first, slice(int(ends[0]), int(ends[1]))))
     return [own for own in made if own.own.stop - own.own.start >= white_jerk.SHORT]
 
@@ -100,23 +101,21 @@ def state_after(kind: int) -> int:
     return {LAND: STICK, MEET: RIDE, STOP: REST}.get(kind, SLIP)
 
 
-def looked_at(series: Series, layout: Layout) -> list[Stretch]:
+def fit_stretches(series: Series, times: SwitchingTimes) -> list[Stretch]:
     """Return the stretches that noise is learned from: of a long record a dozen slips and their surroundings."""
-    whole = stretches(series, layout)
-    if sum(own.own.stop - own.own.start for own in whole) <= FITTED:
+    whole = stretches(series, times)
+    if sum(own.own.stop - own.own.start for own in whole) <= FIT_SAMPLES:
         return whole
     around = []
     for stretch in whole:
-        times, kinds = layout.at[stretch.corners], layout.kind[stretch.corners]
+        at, kinds = times.at[stretch.corners], times.kind[stretch.corners]
         for k, kind in enumerate(kinds.tolist()):
             if kind in (LAND, MEET, STOP):
-                begun = times[k - 1] if k else series.time[stretch.own.start]
-                around.append(
-                    (stretch, max(begun, times[k] - 3 * layout.unit) - layout.unit / 4, times[k] + layout.unit / 4)
-                )
+                begun = at[k - 1] if k else series.time[stretch.own.start]
+                around.append((stretch, max(begun, at[k] - 3 * times.unit) - times.unit / 4, at[k] + times.unit / 4))
     if not around:
         return whole
-    most = max(int(FITTED * series.interval / (1.5 * layout.unit)), 3)
+    most = max(int(FIT_SAMPLES * series.interval / (1.5 * times.unit)), 3)
     picked = [around[i] for i in np.unique(np.linspace(0, len(around) - 1, most).astype(int))]
     made = []
     for stretch, begin, end in picked:
@@ -124,50 +123,40 @@ def looked_at(series: Series, layout: Layout) -> list[Stretch]:
         i, j = stretch.own.start + np.searchsorted(own, (begin, end))
         if j - i < 2 * white_jerk.SHORT:
             continue
-        c, d = np.searchsorted(layout.at, (series.time[i], series.time[j - 1]), side="right")
-        first = state_after(int(layout.kind[c - 1])) if c > stretch.corners.start else stretch.first
+        c, d = np.searchsorted(times.at, (series.time[i], series.time[j - 1]), side="right")
+        first = state_after(int(times.kind[c - 1])) if c > stretch.corners.start else stretch.first
         made.append(Stretch(slice(int(i), int(j)), first, slice(int(c), int(d))))
     return made
 
 
-def labels(series: Series, layout: Layout, stretch: Stretch) -> Labels:
-    """Return the label of every sample of a stretch."""
-    time = series.time[stretch.own]
-    label = np.empty(time.size, np.uint8)
-    compiled(corner_kernel.label_samples, KERNELS)(
-        time, layout.at[stretch.corners], layout.kind[stretch.corners], stretch.first, layout.unit, label
-    )
-    return label
-
-
-def without(layout: Layout, gone: Mask) -> Layout:
-    """Return the layout without some corners; what they parted is slip."""
+def without(times: SwitchingTimes, gone: Mask) -> SwitchingTimes:
+    """Return the switching times without those that are ``gone`` (c,); what they parted is slip."""
     return replace(
-        layout,
-        at=layout.at[~gone],
-        sd=layout.sd[~gone],
-        kind=layout.kind[~gone],
-        first=tuple(SLIP for _ in layout.first) if gone.all() else layout.first,
+        times,
+        at=times.at[~gone],
+        sd=times.sd[~gone],
+        kind=times.kind[~gone],
+        first=tuple(SLIP for _ in times.first) if gone.all() else times.first,
     )
 
 
-def sticks_of(layout: Layout) -> list[list[int]]:
+def sticks_of(times: SwitchingTimes) -> list[list[int]]:
     """Return the corners of every stick and ride: the one it begins with and the one it ends with, where it has any."""
     found: list[list[int]] = []
-    for k, kind in enumerate(layout.kind.tolist()):
+    for k, kind in enumerate(times.kind.tolist()):
         if kind in (LAND, MEET):
-            ends = k + 1 < layout.kind.size and layout.kind[k + 1] == LEAVE
+            ends = k + 1 < times.kind.size and times.kind[k + 1] == LEAVE
             found.append([k, k + 1] if ends else [k])
-        elif kind == LEAVE and (k == 0 or layout.kind[k - 1] not in (LAND, MEET)):
+        elif kind == LEAVE and (k == 0 or times.kind[k - 1] not in (LAND, MEET)):
             found.append([k])
     return found
 
 
-def spans_of(series: Series, layout: Layout, sticks: list[list[int]]) -> Integers:
+def spans_of(series: Series, times: SwitchingTimes, sticks: list[list[int]]) -> Integers:
     """Return the samples by which each stick is judged, its own and some to either side; and last, all: (s + 1, 2)."""
     spans = []
     for stick in sticks:
-        begin = layout.at[stick[0]] if layout.kind[stick[0]] != LEAVE else layout.at[stick[0]] - layout.unit
-        end = layout.at[stick[-1]] if layout.kind[stick[-1]] == LEAVE else layout.at[stick[-1]] + layout.unit
-        spans.append(np.searchsorted(series.time, (begin - layout.unit / 16, end + layout.unit / 8)))
+        begin = times.at[stick[0]] if times.kind[stick[0]] != LEAVE else times.at[stick[0]] - times.unit
+        end = times.at[stick[-1]] if times.kind[stick[-1]] == LEAVE else times.at[stick[-1]] + times.unit
+        spans.append(np.searchsorted(series.time, (begin - times.unit / 16, end + times.unit / 8)))
     return np.array([*spans, (0, series.time.size)], np.int64)

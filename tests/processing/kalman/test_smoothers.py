@@ -9,12 +9,12 @@ import processing
 from daq.compute.compile import compiled
 from daq.errors import InputError
 from processing.kalman import corner_kernel, jerk_kernel, mean_snap_kernel, snap_kernel, white_jerk
+from processing.kalman.first_state import first_state
 from processing.methods import registry
 from processing.record import series
 from processing.record.setting import Setting
 from processing.segmentation import landing_snap
-from processing.segmentation.noise_levels import Levels
-from processing.segmentation.switching_times import Layout
+from processing.segmentation.switching_times import KERNELS, SwitchingTimes
 
 
 def velocity_error(found, v):
@@ -163,44 +163,38 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
     time, position = (np.concatenate([own[i] for own in each]) for i in (0, 1))
     data = series.from_recording(imported(time, position + 1e-7 * rng.standard_normal(time.size)))
     kind = np.full(40, snap_kernel.LAND, np.uint8)
-    layout = Layout(at, np.full(40, 5e-5), kind, (snap_kernel.SLIP,) * 40, unit)
+    times = SwitchingTimes(at, np.full(40, 5e-5), kind, (snap_kernel.SLIP,) * 40, unit)
     q = np.full(snap_kernel.LABELS, 1e-3)
     q[snap_kernel.LANDING : snap_kernel.LANDING + 4] = (1e6, 1e5, 1e4, 1e3)
-    levels = Levels(q, np.zeros_like(q), np.full(q.size, 1e-14), np.zeros(snap_kernel.JUMPS), 9.5)
-    found = landing_snap.with_means(data, layout, levels).u[snap_kernel.LANDING : snap_kernel.LANDING + 4]
+    levels = snap_kernel.NoiseLevels(q, np.zeros_like(q), np.full(q.size, 1e-14), np.zeros(snap_kernel.JUMPS), 9.5)
+    found = landing_snap.with_mean_snap(data, times, levels).mean_snap[snap_kernel.LANDING : snap_kernel.LANDING + 4]
     assert found == pytest.approx(means, rel=0.1)
-    alone = replace(layout, at=layout.at[:1], sd=layout.sd[:1], kind=kind[:1])
-    assert landing_snap.with_means(data, alone, levels) is levels
+    alone = replace(times, at=times.at[:1], sd=times.sd[:1], kind=kind[:1])
+    assert landing_snap.with_mean_snap(data, alone, levels) is levels
 
 
 @pytest.mark.parametrize("kernel", ["jerk", "snap"])
 def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
     data = series.from_recording(recorded(motion(5, 0.5, start=0.1)))
     time, position = data.time, data.position
-    if kernel == "jerk":
-        one, two = np.empty((6, time.size)), np.empty((6, time.size))
-        asked = (time, position, 100.0, 5e-12, 64, 40)
-        jerk_kernel.smooth(*asked, one)
-        compiled(jerk_kernel.smooth, white_jerk.KERNELS)(*asked, two)
-    else:
-        at, kind = np.array([0.1, 0.2023]), np.array([snap_kernel.START, snap_kernel.LAND], np.uint8)
-        label = np.empty(time.size, np.uint8)
-        corner_kernel.label_samples(time, at, kind, snap_kernel.REST, 0.1, label)
-        q, u, r = (np.full(snap_kernel.LABELS, value) for value in (1e5, 1e3, 5e-12))
-        jump = np.ones(snap_kernel.JUMPS)
-        outcomes = []
-        for make in (
-            lambda function: function,
-            lambda function: compiled(function, ("processing.kalman.snap_kernel",)),
-        ):
-            state, stored = np.empty(snap_kernel.STATE), np.empty((time.size, snap_kernel.STORED))
-            make(snap_kernel.start)(time, position, 5e-12, True, state)
-            make(snap_kernel.forward)(time, position, label, at, kind, q, u, r, jump, state, stored)
-            motion_ = np.empty((6, time.size))
+    first = first_state(time, position, 5e-12, 2 if kernel == "jerk" else 1)
+    at, kind = np.array([0.1, 0.2023]), np.array([snap_kernel.START, snap_kernel.LAND], np.uint8)
+    levels = snap_kernel.NoiseLevels(*(np.full(18, value) for value in (1e5, 1e3, 5e-12)), np.ones(9), 9.5)
+    outcomes = []
+    for make in (lambda function: function, lambda function: compiled(function, (*KERNELS, *white_jerk.KERNELS))):
+        found, state = np.empty((6, time.size)), first.copy()
+        if kernel == "jerk":
+            stored = np.empty((time.size, jerk_kernel.STORED))
+            make(jerk_kernel.forward)(time, position, 100.0, 5e-12, state, stored)
+            make(jerk_kernel.backward)(time, stored, time.size, found)
+        else:
+            label, stored = np.empty(time.size, np.uint8), np.empty((time.size, snap_kernel.STORED))
+            make(corner_kernel.label_samples)(time, at, kind, snap_kernel.REST, 0.1, label)
+            make(snap_kernel.forward)(time, position, label, at, kind, levels, state, stored)
             sums = np.zeros((snap_kernel.LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
-            make(snap_kernel.backward)(time, label, at, kind, stored, True, motion_, *sums)
-            outcomes.append(motion_)
-        one, two = outcomes
+            make(snap_kernel.backward)(time, label, at, kind, stored, True, found, *sums)
+        outcomes.append(found)
+    one, two = outcomes
     scale = np.abs(one).max(axis=1, keepdims=True)
     assert (np.abs(one - two) / scale).max() < 1e-12
 
@@ -210,24 +204,22 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
     landing = next(start for start, _ in motion(5, 2.0).sticks[1:]) - motion(5, 2.0).time[0]
     i, j = np.searchsorted(data.time, (landing - 0.2, landing + 0.05))
     edges, parts = np.array([-0.02, -0.005, 0.0]), np.array([snap_kernel.SLIP, 2, 1, snap_kernel.STICK], np.uint8)
-    q, r = np.full(snap_kernel.LABELS, 1e5), np.full(snap_kernel.LABELS, 5e-12)
+    levels = snap_kernel.NoiseLevels(*(np.full(18, value) for value in (1e5, 0.0, 5e-12)), np.zeros(9), 9.5)
     outcomes = []
-    for run in (mean_snap_kernel.answer, compiled(mean_snap_kernel.answer, landing_snap.KERNELS)):
-        square, product = np.zeros((2, 2)), np.zeros(2)
-        run(data.time[i:j], data.position[i:j], landing, edges, parts, q, r, 1e-6, square, product)
-        outcomes.append(np.concatenate((square.ravel(), product)))
+    state = first_state(data.time[i:j], data.position[i:j], 5e-12, 3)
+    kernel = mean_snap_kernel.accumulate_normal_equations
+    for run in (kernel, compiled(kernel, landing_snap.KERNELS)):
+        gram, rhs = np.zeros((2, 2)), np.zeros(2)
+        run(data.time[i:j], data.position[i:j], state, landing, edges, parts, levels, 1e-6, gram, rhs)
+        outcomes.append(np.concatenate((gram.ravel(), rhs)))
     assert np.abs(outcomes[0]).min(initial=np.inf, where=outcomes[0] != 0) > 0
     assert outcomes[1] == pytest.approx(outcomes[0], rel=1e-9)
 
 
 def test_the_smoother_does_not_depend_on_its_blocks(motion, recorded):
     data = series.from_recording(recorded(motion(5, 6.0)))
-    run = compiled(jerk_kernel.smooth, white_jerk.KERNELS)
-    found = []
-    for block in (512, 100_000):
-        out = np.empty((6, data.time.size))
-        run(data.time, data.position, 100.0, 5e-12, block, 400, out)
-        found.append(out)
+    noise = white_jerk.Noise(100.0, 5e-12)
+    found = [white_jerk.smooth_piece(data.time, data.position, noise, block, 400) for block in (512, 100_000)]
     assert np.abs(found[0] - found[1])[1, 20:].max() < 1e-12
 
 
