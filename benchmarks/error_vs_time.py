@@ -18,7 +18,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 from rig_sim.comparison import reference
-from rig_sim.comparison.error_vs_time import Comparison, Row, compare, difference
+from rig_sim.comparison.error_vs_time import Comparison, MethodResult, compare, difference
 from rig_sim.scenes.scene import Scene, scene
 
 try:
@@ -48,7 +48,7 @@ def ratios(found: Comparison) -> dict[str, float]:
     return answer
 
 
-def by_heyoka(found: Scene, until: float, cycles: int) -> Row:
+def by_heyoka(found: Scene, until: float, cycles: int) -> MethodResult:
     """Return heyoka's row: the least CPU of `REPEATS`, without its compiling."""
     flow = found.flow()
     rig = Rig(flow)
@@ -59,7 +59,7 @@ def by_heyoka(found: Scene, until: float, cycles: int) -> Row:
         least = min(least, time.process_time() - begun)
     expected = reference.events(flow, float(found.start.x), float(found.start.v), until)
     error, note = difference(events, [(t, kind) for t, kind, _ in expected], until)
-    return Row("heyoka", f"tol {TOLERANCE:g}", error, least, 1e6 * least / cycles, note)
+    return MethodResult("heyoka", f"tol {TOLERANCE:g}", error, least, 1e6 * least / cycles, note)
 
 
 def main(until: float) -> None:

@@ -16,7 +16,7 @@ from urllib.parse import unquote
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
 from daq.errors import InputError
-from rig_sim.board.board import Board
+from rig_sim.board.board import SimulatedBoard
 from rig_sim.scenes.scene import parse_changes, scene
 
 _SCHEME = "rig://"
@@ -28,7 +28,7 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
     """A pyserial port with a simulated rig at its other end; safe for one reading and one writing thread."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        self._board: Board | None = None
+        self._board: SimulatedBoard | None = None
         self._buffer = bytearray()
         self._changed = threading.Condition()
         self._realtime = False
@@ -51,7 +51,7 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
         if self.is_open:
             raise SerialException("Port is already open.")
         name, changes, self._realtime = parse_url(self.port)
-        self._board = Board(scene(name, **parse_changes(changes)))
+        self._board = SimulatedBoard(scene(name, **parse_changes(changes)))
         self._buffer[:] = self._board.power_up()
         self.is_open = True
 
@@ -118,12 +118,12 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
         with self._changed:
             self._changed.notify_all()
 
-    def _opened(self) -> Board:
+    def _opened(self) -> SimulatedBoard:
         if not self.is_open or self._board is None:
             raise PortNotOpenError()
         return self._board
 
-    def _fill(self, board: Board, size: int = 1) -> None:
+    def _fill(self, board: SimulatedBoard, size: int = 1) -> None:
         """Compute samples until ``size`` bytes wait or, in real time, until the samples now due are there."""
         while board.running and len(self._buffer) < size:
             count = min(_SAMPLES_AT_ONCE, max(1, board.rate_hz // 4))
@@ -135,7 +135,7 @@ class Serial(SerialBase):  # type: ignore[misc, unused-ignore]
             self._taken += count
             self._buffer += board.samples(count)
 
-    def _pause(self, board: Board, left: float | None) -> float | None:
+    def _pause(self, board: SimulatedBoard, left: float | None) -> float | None:
         if self._realtime and board.running:
             return _REALTIME_POLL_S if left is None else min(_REALTIME_POLL_S, left)
         return left

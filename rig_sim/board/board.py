@@ -44,7 +44,7 @@ CONFIG_SD = {"metres_per_count": 2e-4, "mass": 1e-3, "datum": 0.004, "damping": 
 BELT_PITCH_SD = 2e-4  # relative, of the metres per belt count
 
 
-class Board:
+class SimulatedBoard:
     """A simulated board with a scene under it.
 
     Parameters
@@ -96,7 +96,7 @@ class Board:
         self._queued = 0  # samples up to and with the last one that waits for its frame
         self._clock: float | None = None  # true instant of the last sample, s
         self._pending: list[tuple[int, ...]] = []
-        self._told: list[tuple[float, float, float, float]] = []
+        self._truth: list[tuple[float, float, float, float]] = []
         self._line = b""
 
     def power_up(self) -> bytes:
@@ -116,7 +116,7 @@ class Board:
         if not self.running or count <= 0:
             return b""
         instants = self._instants(count)
-        path = self._motion.follow(instants, forces=self._tells)
+        path = self._motion.follow(instants, forces=self._sends_truth)
         nodes = path.nodes if self._cog is None else self._cog.seen(path.nodes, path.samples, 1 / self.rate_hz)
         counts = self._encoder.read(nodes, path.samples)
         taken = len(path.samples)
@@ -126,9 +126,9 @@ class Board:
         if self._belt is not None:
             columns.append(self._belt.read(path) & 0xFFFF)
         rows = zip(*(column.tolist() for column in columns), strict=True)
-        told = _truth_rows(path) if self._tells else []
+        truth = _truth_rows(path) if self._sends_truth else []
         self._sample -= count - taken
-        frames = self._sent(list(rows), told, instants[:taken].tolist())
+        frames = self._sent(list(rows), truth, instants[:taken].tolist())
         if taken == count:
             return b"".join(frames)
         self.running = False
@@ -137,8 +137,8 @@ class Board:
         return b"".join(frames + self._full_frames(flush=True)) + wire.encode_notice(notice)
 
     @property
-    def _tells(self) -> bool:
-        return self.scene.tell is not None and self.scene.tell.truth
+    def _sends_truth(self) -> bool:
+        return self.scene.output is not None and self.scene.output.truth
 
     def _command(self, line: str) -> bytes:
         word, _, argument = line.partition(" ")
@@ -207,7 +207,7 @@ class Board:
         return instants
 
     def _sent(
-        self, rows: list[tuple[int, ...]], told: list[tuple[float, float, float, float]], instants: list[float]
+        self, rows: list[tuple[int, ...]], truth: list[tuple[float, float, float, float]], instants: list[float]
     ) -> list[bytes]:
         """Queue the samples that no gap swallows and return the frames they fill; a gap ends its block."""
         frames: list[bytes] = []
@@ -219,7 +219,7 @@ class Board:
             last = first + len(list(same))
             if sent:
                 self._pending += rows[first:last]
-                self._told += told[first:last]
+                self._truth += truth[first:last]
                 self._queued = sequence + last
             frames += self._full_frames(flush=not sent)
             first = last
@@ -238,11 +238,11 @@ class Board:
             belt = more[0] if more else None
             block = wire.SampleBlock(seq, ticks[0] & 0xFFFFFFFF, 0, dt, up, down, status, belt)
             frames.append(wire.encode_samples(block))
-            if self._tells:
-                frames.append(wire.encode_truth(wire.Truth(seq, self._told[sent : sent + self.block])))
+            if self._sends_truth:
+                frames.append(wire.encode_truth(wire.Truth(seq, self._truth[sent : sent + self.block])))
             sent += len(rows)
         del self._pending[:sent]
-        del self._told[:sent]
+        del self._truth[:sent]
         return frames
 
     def _ident(self) -> wire.Ident:
@@ -253,7 +253,7 @@ class Board:
         return wire.Ident(
             firmware=FIRMWARE,
             decoder=self._encoder.decoder,
-            capabilities=capabilities | has.TRUTH if self._tells else capabilities,
+            capabilities=capabilities | has.TRUTH if self._sends_truth else capabilities,
             counter_bits=COUNTER_BITS,
             tick_ns=TICK_NS,
             block_size=self.block,

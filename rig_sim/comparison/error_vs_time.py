@@ -35,7 +35,7 @@ LAST = 1e-6  # of the time span: an event this near its end may be missing from 
 
 
 @dataclass(frozen=True)
-class Row:
+class MethodResult:
     """One method at one setting.
 
     ``error`` is in the scene's unit of time, None when the list of events is another one (``note`` says how);
@@ -54,7 +54,7 @@ class Row:
 class Comparison:
     """The rows, what they are measured against, and what compiling cost (s; loading, when it was cached)."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[MethodResult, ...]
     reference: str
     compile_s: float
     cycles: int
@@ -106,7 +106,7 @@ def compare(
         against = expected or _tightest(lists, method)
         cycles = sum(kind[:2] == "S>" for _, kind in against)
         error, note = difference(found, against, until)
-        rows.append(Row(method, setting, error, cpu_s, 1e6 * cpu_s / cycles if cycles else None, note))
+        rows.append(MethodResult(method, setting, error, cpu_s, 1e6 * cpu_s / cycles if cycles else None, note))
     return Comparison(tuple(rows), told, compile_s, cycles)
 
 

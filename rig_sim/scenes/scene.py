@@ -24,7 +24,7 @@ encoder   lines_per_rev, circumference,         vibration is added to the encode
           decoder = "x4", vibration,
           vibration_hz = 50
 jitter    rms                                   of the sampling instants, s
-tell      truth                                 the board also sends the exact motion
+output    truth                                 the board also sends the exact motion; older name: tell
 ========= ===================================== ========================================================================
 
 Top-level keys: name, title, seed (default 0).  SI units, or dimensionless throughout.  ``G_stick = -Fs/d``: naming one
@@ -52,19 +52,20 @@ from rig_sim.scenes.sections import (
     Jitter,
     Joint,
     Mass,
+    Output,
     Scatter,
     Section,
     Shaker,
     SlipLoss,
     Spring,
     Start,
-    Tell,
-    Wear,
+    WearSection,
 )
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive", "shaker")
-EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "tell")
+EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "output")
+OLD_NAMES = {"tell": "output"}  # of sections, still accepted
 SECTIONS = TERMS + EFFECTS
 LARGEST_FILE = 1 << 20  # bytes of a scene; what is longer is something else, and may have no end
 
@@ -83,7 +84,7 @@ class Scene(Section):
     damper: Damper | None = None
     drive: Drive | None = None
     shaker: Shaker | None = None
-    wear: Wear | None = None
+    wear: WearSection | None = None
     scatter: Scatter | None = None
     joint: Joint | None = None
     droop: Droop | None = None
@@ -91,7 +92,7 @@ class Scene(Section):
     gaps: Gaps | None = None
     encoder: Encoder | None = None
     jitter: Jitter | None = None
-    tell: Tell | None = None
+    output: Output | None = None
 
     def terms(self) -> list[str]:
         """Return the names of the sections the scene has, in the order of the table above."""
@@ -235,7 +236,7 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"is not TOML: {error}", where, "mend that line") from None
     content.setdefault("name", path.stem)
-    return where, content
+    return where, {OLD_NAMES.get(section, section): keys for section, keys in content.items()}
 
 
 def _listed() -> str:
@@ -244,6 +245,7 @@ def _listed() -> str:
 
 def _change(content: dict[str, Any], dotted: str, value: object, where: str) -> None:
     section, dot, key = dotted.partition(".")
+    section = OLD_NAMES.get(section, section)
     if not dot:
         content[section] = value
         return

@@ -127,7 +127,7 @@ class Shaker(Section):
     phi: float
 
 
-class Wear(Section):
+class WearSection(Section):
     """``rate``: fraction of Fs lost per second (negative: the contact runs in and Fs grows)."""
 
     rate: float
@@ -169,7 +169,7 @@ class Jitter(Section):
     rms: NotNegative
 
 
-class Tell(Section):
+class Output(Section):
     """``truth``: the board also sends the exact time, x, v and F of every sample."""
 
     truth: bool = False

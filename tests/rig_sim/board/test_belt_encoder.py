@@ -10,7 +10,7 @@ from daq.errors import InputError
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, SampleBlock
 from rig_sim.board.belt_encoder import BeltEncoder
-from rig_sim.board.board import Board
+from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import Scene, scene
 
@@ -32,7 +32,7 @@ def played(changed: Scene, t: np.ndarray, cuts: tuple[int, ...] = ()) -> tuple[n
     return np.concatenate(counts) * belt.delta, np.concatenate(x), np.concatenate(F)
 
 
-def frames_of(board: Board, samples: int) -> list:  # type: ignore[type-arg]
+def frames_of(board: SimulatedBoard, samples: int) -> list:  # type: ignore[type-arg]
     return FrameReader().feed(board.power_up() + board.write(b"I\nS\n") + board.samples(samples) + board.write(b"X\n"))
 
 
@@ -98,7 +98,7 @@ def test_the_travel_is_the_integral_of_the_speed_that_the_load_leaves(changes: d
 
 
 def test_the_board_sends_sixteen_bits_of_the_belts_count_and_they_roll_over() -> None:
-    frames = frames_of(Board(scene("rig", **CHANNEL, **STEADY)), 6000)
+    frames = frames_of(SimulatedBoard(scene("rig", **CHANNEL, **STEADY)), 6000)
     idents = [frame for frame in frames if isinstance(frame, Ident)]
     assert all(Capability.BELT in ident.capabilities for ident in idents)
     sent = np.concatenate([frame.belt for frame in frames if isinstance(frame, SampleBlock)])  # type: ignore[misc]
@@ -108,7 +108,7 @@ def test_the_board_sends_sixteen_bits_of_the_belts_count_and_they_roll_over() ->
 
 
 def test_everything_else_the_board_says_is_the_same_with_and_without_the_channel() -> None:
-    plain, told = (frames_of(Board(scene("rig", **changes)), 3000) for changes in ({}, CHANNEL))
+    plain, told = (frames_of(SimulatedBoard(scene("rig", **changes)), 3000) for changes in ({}, CHANNEL))
     for one, other in zip(plain, told, strict=True):
         if isinstance(one, SampleBlock):
             assert one.belt is None
@@ -132,7 +132,7 @@ def test_everything_else_the_board_says_is_the_same_with_and_without_the_channel
 
 
 def test_another_decoder_starts_the_belts_counter_again_too() -> None:
-    board = Board(scene("rig", **CHANNEL))
+    board = SimulatedBoard(scene("rig", **CHANNEL))
     FrameReader().feed(board.write(b"S\n") + board.samples(1500) + board.write(b"X\n"))
     again = FrameReader()
     again.feed(board.power_up())
@@ -147,5 +147,5 @@ def test_a_channel_needs_an_encoder_to_take_its_pitch_from() -> None:
         scene("base", **CHANNEL)
     with pytest.raises(InputError, match=r"belt\.channel"):
         scene("rig", **{"belt.channel": 3})
-    said = frames_of(Board(scene("rig", **{"belt.channel": False})), 8)
+    said = frames_of(SimulatedBoard(scene("rig", **{"belt.channel": False})), 8)
     assert not any(isinstance(frame, SampleBlock) and frame.belt is not None for frame in said)

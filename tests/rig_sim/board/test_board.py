@@ -15,7 +15,7 @@ from daq.errors import InputError
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
 from daq.wire.quadrature import PHASE
-from rig_sim.board.board import Board
+from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.protocol_rig import Serial, parse_url
 from rig_sim.scenes.scene import scene
@@ -59,7 +59,7 @@ class Record:
         return net
 
 
-def record(board: Board, samples: int, commands: bytes = b"R 1000\nB 8\nS\n") -> Record:
+def record(board: SimulatedBoard, samples: int, commands: bytes = b"R 1000\nB 8\nS\n") -> Record:
     data = board.write(commands)
     while samples > 0:
         data += board.samples(min(samples, 1000))
@@ -86,7 +86,7 @@ def test_a_parked_rig_dithers_as_the_table_says(half: int) -> None:
     x = half * DELTA / 2
     error = {}
     for decoder in ("x4", "x1", "jk", "jk-latched"):
-        board = Board(scene("rig", **PARKED, **{"start.x": x, "encoder.decoder": decoder}))
+        board = SimulatedBoard(scene("rig", **PARKED, **{"start.x": x, "encoder.decoder": decoder}))
         net = record(board, 10_001).net
         error[decoder] = int(net[-1] - net[0]) * (1 if decoder == "x4" else 4)
     assert abs(error["x4"]) <= 1
@@ -98,7 +98,7 @@ def test_a_parked_rig_dithers_as_the_table_says(half: int) -> None:
 
 def test_counters_levels_and_times_are_the_exact_motion() -> None:
     rig = scene("rig", seed=2)
-    board = Board(rig)
+    board = SimulatedBoard(rig)
     taken = record(board, 8000)
     assert len(taken.ticks) == 8000
     exact = ScenePlayer(rig)
@@ -114,27 +114,27 @@ def test_counters_levels_and_times_are_the_exact_motion() -> None:
 
 
 def test_counters_wrap_at_sixteen_bits_and_sequence_numbers_too() -> None:
-    taken = record(Board(scene("rig")), 30_000)
+    taken = record(SimulatedBoard(scene("rig")), 30_000)
     assert taken.up.max() <= 0xFFFF
     assert np.any(np.diff(taken.up.astype(int)) < -30_000)  # rolled over
     assert taken.seq == [8 * i & 0xFFFF for i in range(3750)]
-    many = record(Board(scene("rig", **{"belt.start": 1e6})), 65_544, b"R 100000\nB 8\nS\n")
+    many = record(SimulatedBoard(scene("rig", **{"belt.start": 1e6})), 65_544, b"R 100000\nB 8\nS\n")
     assert many.seq[-2:] == [65_528, 0]
 
 
 def test_recorded_jitter_is_the_jitter_of_the_scene() -> None:
-    quiet = record(Board(scene("rig", jitter={"rms": 0.0})), 4000)
+    quiet = record(SimulatedBoard(scene("rig", jitter={"rms": 0.0})), 4000)
     np.testing.assert_array_equal(quiet.ticks, 1000 * np.arange(4000))
-    shaken = record(Board(scene("rig")), 4000)
+    shaken = record(SimulatedBoard(scene("rig")), 4000)
     offsets = shaken.ticks - 1000 * np.arange(4000)
     assert shaken.ticks[0] == 0
     assert offsets.std() == pytest.approx(30, rel=0.05)
-    wild = record(Board(scene("rig", jitter={"rms": 0.1})), 4000)
+    wild = record(SimulatedBoard(scene("rig", jitter={"rms": 0.1})), 4000)
     assert np.all(np.diff(wild.ticks) >= 99)
 
 
 def test_identification_says_what_the_frames_carry() -> None:
-    ident, config = frames_of(Board(scene("rig", **{"encoder.decoder": "jk"})).write(b"I\n"))
+    ident, config = frames_of(SimulatedBoard(scene("rig", **{"encoder.decoder": "jk"})).write(b"I\n"))
     assert isinstance(ident, Ident)
     assert ident.decoder == "jk"
     assert ident.counter_bits == 16
@@ -147,7 +147,7 @@ def test_identification_says_what_the_frames_carry() -> None:
 def test_config_is_a_measurement_with_errors_about_the_truth() -> None:
     z = []
     for seed in range(200):
-        board = Board(scene("rig", seed=seed, **{"damper.c": 0.2, "spring.x0": 0.01}))
+        board = SimulatedBoard(scene("rig", seed=seed, **{"damper.c": 0.2, "spring.x0": 0.01}))
         _, config = frames_of(board.write(b"I\n"))
         rig = Rig.from_toml(config.toml, "CONFIG")
         assert rig.stiffness is None
@@ -171,14 +171,14 @@ def test_config_is_a_measurement_with_errors_about_the_truth() -> None:
     assert rig.mass.sd == pytest.approx(3e-4)
     assert rig.datum is not None
     assert rig.datum.sd == pytest.approx(0.5e-3, rel=0.01)
-    again = Board(scene("rig", seed=199, **{"damper.c": 0.2, "spring.x0": 0.01})).write(b"I\n")
+    again = SimulatedBoard(scene("rig", seed=199, **{"damper.c": 0.2, "spring.x0": 0.01})).write(b"I\n")
     assert frames_of(again)[1] == config
 
 
 @pytest.mark.parametrize("start", [0.0, 0.0123456, -0.1])
 @pytest.mark.parametrize("decoder", ["x4", "x1", "jk", "jk-latched"])
 def test_the_datum_turns_counts_into_positions_from_the_spring(decoder: str, start: float) -> None:
-    board = Board(scene("rig", **{"start.x": start, "encoder.decoder": decoder, "scatter.Fs": 0}))
+    board = SimulatedBoard(scene("rig", **{"start.x": start, "encoder.decoder": decoder, "scatter.Fs": 0}))
     lines = 1 if decoder == "x4" else 4
     data = board.write(b"I\nS\n") + board.samples(2000)
     frames = frames_of(data)
@@ -192,7 +192,7 @@ def test_the_datum_turns_counts_into_positions_from_the_spring(decoder: str, sta
 
 def test_truth_comes_only_when_asked_and_is_exact() -> None:
     told = scene("rig", tell={"truth": True})
-    board = Board(told)
+    board = SimulatedBoard(told)
     frames = frames_of(board.write(b"S\n") + board.samples(3000) + board.write(b"X\n"))
     rows = np.array([row for frame in frames if isinstance(frame, Truth) for row in frame.rows])
     assert rows.shape == (3000, 4)
@@ -202,24 +202,24 @@ def test_truth_comes_only_when_asked_and_is_exact() -> None:
     stick = rows[:, 2] == 0.22
     assert stick.sum() > 500
     np.testing.assert_allclose(rows[stick, 3], told.spring.k * rows[stick, 1], rtol=1e-9, atol=1e-12)
-    untold = Board(scene("rig"))
+    untold = SimulatedBoard(scene("rig"))
     silent = frames_of(untold.write(b"S\n") + untold.samples(3000))
     assert not any(isinstance(frame, Truth) for frame in silent)
     np.testing.assert_array_equal(Record.of(silent).up, taken.up)
 
 
 def test_single_frames_and_a_partial_last_block() -> None:
-    board = Board(scene("rig"))
+    board = SimulatedBoard(scene("rig"))
     single = frames_of(board.write(b"B 1\nR 500\nS\n") + board.samples(10))
     assert [len(frame.up) for frame in single] == [1] * 10
-    blocks = Board(scene("rig"))
+    blocks = SimulatedBoard(scene("rig"))
     data = blocks.write(b"S\n") + blocks.samples(13) + blocks.write(b"X\n")
     assert [len(frame.up) for frame in frames_of(data)] == [8, 5]
     assert blocks.samples(5) == b""
 
 
 def test_a_second_start_counts_sequence_numbers_from_zero_and_the_motion_goes_on() -> None:
-    board = Board(scene("rig"))
+    board = SimulatedBoard(scene("rig"))
     first = Record.of(frames_of(board.write(b"S\n") + board.samples(1000) + board.write(b"X\n")))
     second = Record.of(frames_of(board.write(b"S\n") + board.samples(1000) + board.write(b"X\n")))
     assert second.seq[0] == 0
@@ -240,14 +240,14 @@ def test_a_second_start_counts_sequence_numbers_from_zero_and_the_motion_goes_on
     ],
 )
 def test_an_impossible_command_is_answered_and_changes_nothing(command: bytes, word: str) -> None:
-    board = Board(scene("rig"))
+    board = SimulatedBoard(scene("rig"))
     before = board.rate_hz, board.block
     assert word in notice(board.write(command))
     assert (board.rate_hz, board.block) == before
 
 
 def test_commands_may_come_in_pieces_and_not_while_sampling() -> None:
-    board = Board(scene("rig"))
+    board = SimulatedBoard(scene("rig"))
     assert board.write(b"R 2") + board.write(b"50") == b""
     assert board.rate_hz == 1000
     assert board.write(b"0\r\n\nS\n") == b""
@@ -256,7 +256,7 @@ def test_commands_may_come_in_pieces_and_not_while_sampling() -> None:
 
 
 def test_blocks_are_refused_where_their_time_difference_would_overflow() -> None:
-    board = Board(scene("rig"))
+    board = SimulatedBoard(scene("rig"))
     assert "single frames" in notice(board.write(b"R 20\nS\n"))
     assert not board.running
     taken = record(board, 5, b"B 1\nS\n")
@@ -264,7 +264,7 @@ def test_blocks_are_refused_where_their_time_difference_would_overflow() -> None
 
 
 def test_changing_the_decoder_starts_its_counters_again() -> None:
-    board = Board(scene("rig"))
+    board = SimulatedBoard(scene("rig"))
     board.write(b"M jk\n")
     (ident, _) = frames_of(board.write(b"I\n"))
     assert ident.decoder == "jk"
@@ -275,7 +275,7 @@ def test_changing_the_decoder_starts_its_counters_again() -> None:
 
 
 def test_a_motion_that_cannot_go_on_says_so() -> None:
-    board = Board(scene("rig", **{"friction.law": 3, "friction.G_slip": 5, "start.v": -2.0}))
+    board = SimulatedBoard(scene("rig", **{"friction.law": 3, "friction.G_slip": 5, "start.v": -2.0}))
     frames = frames_of(board.write(b"S\n") + board.samples(5000))
     assert isinstance(frames[-1], Notice)
     assert "force reversal" in frames[-1].text
@@ -284,7 +284,7 @@ def test_a_motion_that_cannot_go_on_says_so() -> None:
 
 def test_a_scene_without_an_encoder_cannot_be_recorded() -> None:
     with pytest.raises(InputError, match=r"no encoder.*encoder\.lines_per_rev"):
-        Board(scene("base"))
+        SimulatedBoard(scene("base"))
 
 
 # The port ------------------------------------------------------------------------------------------------------------
@@ -316,7 +316,7 @@ def test_the_rig_is_a_pyserial_url() -> None:
     assert isinstance(frames[0], Ident)
     assert isinstance(frames[1], Config)
     taken = Record.of(frames)
-    expected = record(Board(scene("rig", seed=4, **{"friction.law": 3})), len(taken.ticks))
+    expected = record(SimulatedBoard(scene("rig", seed=4, **{"friction.law": 3})), len(taken.ticks))
     np.testing.assert_array_equal(taken.ticks, expected.ticks)
     np.testing.assert_array_equal(taken.up, expected.up)
     with pytest.raises(serial.SerialException):
@@ -411,6 +411,6 @@ def test_the_port_needs_no_heavy_package() -> None:
 )
 def test_jitter_that_is_cut_off_is_said_in_the_boards_name(rms: float, rate: int, said: str) -> None:
     # It used to be capped silently.
-    board = Board(scene("rig", **{"jitter.rms": rms}))
+    board = SimulatedBoard(scene("rig", **{"jitter.rms": rms}))
     ident = frames_of(board.write(b"R %d\nI\n" % rate))[0]
     assert ident.name == f"simulated rig, scene rig{said}"

@@ -12,7 +12,7 @@ import pytest
 
 from daq.wire.frames import FrameReader, SampleBlock, Truth
 from daq.wire.quadrature import PHASE
-from rig_sim.board.board import Board
+from rig_sim.board.board import SimulatedBoard
 from rig_sim.board.gaps import SilentStretches
 from rig_sim.motion.file import write
 from rig_sim.motion.trajectory import Nodes
@@ -24,7 +24,7 @@ LOSSES: dict[str, object] = {"slip_loss.rate": 0.8, "slip_loss.counts": 60, "sli
 GAPS: dict[str, object] = {"gaps.rate": 0.5, "gaps.duration": 0.05}
 
 
-def frames_of(board: Board, samples: int, at_once: int = 1000) -> list:  # type: ignore[type-arg]
+def frames_of(board: SimulatedBoard, samples: int, at_once: int = 1000) -> list:  # type: ignore[type-arg]
     data = board.write(b"S\n")
     for first in range(0, samples, at_once):
         data += board.samples(min(at_once, samples - first))
@@ -58,7 +58,7 @@ def net(blocks: list[SampleBlock]) -> np.ndarray:
 
 
 def test_lost_counts_are_missing_for_good_and_against_the_motion() -> None:
-    whole, losing = (blocks_of(frames_of(Board(scene("rig", **also)), 20_000)) for also in ({}, LOSSES))  # type: ignore[arg-type]
+    whole, losing = (blocks_of(frames_of(SimulatedBoard(scene("rig", **also)), 20_000)) for also in ({}, LOSSES))  # type: ignore[arg-type]
     np.testing.assert_array_equal(ticks(whole), ticks(losing))
     missing = net(whole) - net(losing)
     assert abs(missing[0]) == 0
@@ -93,7 +93,7 @@ def test_a_loss_follows_the_cubic_over_its_samples() -> None:
 
 def test_a_mass_at_rest_loses_nothing() -> None:
     still: dict[str, object] = {"belt.start": 100, **LOSSES, "slip_loss.rate": 50}
-    assert np.ptp(net(blocks_of(frames_of(Board(scene("rig", **still)), 3000)))) == 0
+    assert np.ptp(net(blocks_of(frames_of(SimulatedBoard(scene("rig", **still)), 3000)))) == 0
 
 
 def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
@@ -101,7 +101,7 @@ def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
         np.array(
             [
                 row
-                for frame in frames_of(Board(scene("rig", **also)), 3000)
+                for frame in frames_of(SimulatedBoard(scene("rig", **also)), 3000)
                 if isinstance(frame, Truth)
                 for row in frame.rows
             ]
@@ -117,8 +117,8 @@ def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
 @pytest.mark.parametrize("at_once", [1000, 7])
 def test_samples_in_a_gap_are_missing_and_all_others_unchanged(at_once: int) -> None:
     told = {"tell.truth": True}
-    whole = frames_of(Board(scene("rig", **told)), 20_000)
-    gappy = frames_of(Board(scene("rig", **told, **GAPS)), 20_000, at_once)
+    whole = frames_of(SimulatedBoard(scene("rig", **told)), 20_000)
+    gappy = frames_of(SimulatedBoard(scene("rig", **told, **GAPS)), 20_000, at_once)
     all_blocks, blocks = blocks_of(whole), blocks_of(gappy)
     sent = numbers(blocks)
     np.testing.assert_array_equal(column(blocks, "up"), column(all_blocks, "up")[sent])
@@ -147,7 +147,7 @@ def test_gaps_come_at_their_rate() -> None:
 def test_the_seed_makes_an_effect_again_and_another_seed_another_one(effect: dict[str, object]) -> None:
     steady = {**effect, "scatter.Fs": 0, "jitter.rms": 0}
     first, again, other = (
-        blocks_of(frames_of(Board(scene("rig", seed=seed, **steady)), 10_000))
+        blocks_of(frames_of(SimulatedBoard(scene("rig", seed=seed, **steady)), 10_000))
         for seed in (3, 3, 4)  # type: ignore[arg-type]
     )
     assert first == again
@@ -155,8 +155,8 @@ def test_the_seed_makes_an_effect_again_and_another_seed_another_one(effect: dic
 
 
 def test_effects_draw_from_streams_of_their_own() -> None:
-    both = blocks_of(frames_of(Board(scene("rig", **LOSSES, **GAPS)), 10_000))
-    losing = blocks_of(frames_of(Board(scene("rig", **LOSSES)), 10_000))
+    both = blocks_of(frames_of(SimulatedBoard(scene("rig", **LOSSES, **GAPS)), 10_000))
+    losing = blocks_of(frames_of(SimulatedBoard(scene("rig", **LOSSES)), 10_000))
     np.testing.assert_array_equal(column(both, "up"), column(losing, "up")[numbers(both)])
 
 
@@ -191,8 +191,8 @@ def test_only_the_effects_a_scene_names_are_imported(
         )
     )
     code = (
-        "import sys; from rig_sim.board.board import Board; from rig_sim.scenes.scene import scene;"
-        f"board = Board(scene({str(path)!r}, **{changes!r})); board.write(b'S\\n'); board.samples(3000);"
+        "import sys; from rig_sim.board.board import SimulatedBoard; from rig_sim.scenes.scene import scene;"
+        f"board = SimulatedBoard(scene({str(path)!r}, **{changes!r})); board.write(b'S\\n'); board.samples(3000);"
         "optional = {'board': ('belt_encoder', 'gaps', 'jitter', 'slip_loss'),"
         " 'effects': ('joint', 'ripple', 'scatter', 'shaker', 'wear')};"
         "print(*sorted(m for folder in optional for m in optional[folder] if f'rig_sim.{folder}.{m}' in sys.modules))"
