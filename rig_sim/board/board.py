@@ -3,15 +3,15 @@
 Rules.  Time 0 is the first sample, where the device clock (1 us ticks) reads 0.  Sample i is taken at i/rate plus
 jitter, and the recorded time is that true instant, rounded down to its tick: jitter is recorded, not hidden.  The
 motion stands still while no samples are asked for.  Counters are 16 bits wide and wrap.  The simulated decoder follows
-any edge rate, so its illegal count stays 0, and the simulated line any frame rate.
+any edge rate, so its illegal count stays 0; the simulated line carries any frame rate.
 
 ``I`` identify, ``R <hz>`` rate, ``B <n>`` samples per frame, ``M <decoder>`` decoder (counters start again), ``S``
 start, ``X`` stop (flushes the partial block); a command that is unknown or impossible is answered by a NOTICE and
-changes nothing.  CONFIG is what a careful lab would have measured of this rig: each value drawn about the true one with
-the standard deviation it states.
+changes nothing.  CONFIG holds the rig's constants as a laboratory would have measured them: each is drawn about
+the true value with the standard deviation stated beside it.
 
-An encoder that loses counts, gaps in what is sent and counts of the belt are effects (`rig_sim.effects`), there when
-the scene names them.
+Lost counts (`slip_loss`), samples that are not sent (`gaps`) and the belt's counts (`belt_encoder`) exist when the
+scene names them.
 
 Not modelled: baud rate, a board that resets, drift of the device clock.
 """
@@ -45,7 +45,7 @@ BELT_PITCH_SD = 2e-4  # relative, of the metres per belt count
 
 
 class SimulatedBoard:
-    """A simulated board with a scene under it.
+    """A board that samples a simulated scene.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class SimulatedBoard:
         self._line = b""
 
     def power_up(self) -> bytes:
-        """Return what the board says by itself: its identification."""
+        """Return what the board sends at power-up: its identification."""
         return wire.encode_ident(self._ident())
 
     def write(self, data: bytes) -> bytes:
@@ -263,14 +263,14 @@ class SimulatedBoard:
         )
 
     def _cut_off(self) -> str:
-        """Return what to say where jitter is so large that it is cut off to keep the samples in order."""
+        """Return a note for the board's name where jitter is clipped to keep the samples in order, else nothing."""
         if self._jitter is None or not self._jitter.is_cut_off(1 / self.rate_hz):
             return ""
         return f" (jitter cut off at {self._jitter.longest(1 / self.rate_hz):.2g} s)"
 
 
 def calibration(scene: Scene, encoder: QuadratureEncoder) -> str:
-    """Return the CONFIG text: the rig as a careful lab measured it, drawn once per seed about the truth.
+    """Return the CONFIG text: the rig's constants with measuring errors, drawn once per seed about the true values.
 
     Position of the mass from the spring's rest = (up - down) * metres_per_count + datum, the middle of the count.
     """

@@ -1,10 +1,10 @@
-"""Gaps: stretches of samples that the board takes and never sends; their sequence numbers are missing on the wire.
+"""Gaps: samples that the board takes but never sends; their sequence numbers are missing on the wire.
 
 A gap begins at random, ``rate`` times per second of device time that is no gap, and lasts ``duration`` seconds.  The
-counters go on counting meanwhile: nothing of the motion is lost that the host cannot make out, as long as a 16-bit
-counter has not gone round more than half.
+counters go on counting meanwhile, so the position after the gap is right as long as a 16-bit counter has advanced by
+less than half its range.
 
-Not modelled: samples that the line damages (a CRC error), a board that starts again.
+Not modelled: samples that the line damages (a CRC error), a board that restarts.
 """
 
 import random
@@ -14,7 +14,7 @@ from rig_sim.scenes.sections import Gaps
 
 
 class SilentStretches:
-    """Says of each sampling instant, in order, whether its sample is sent.
+    """Decides for each sampling instant, in order, whether its sample is sent.
 
     Parameters
     ----------

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from rig_sim.scenes.sections import Jitter
 
-LARGEST = 0.45  # of a period, either way: samples stay in order
-SELDOM = 3  # standard deviations: what is cut off beyond is 0.3 % of the draws
+LARGEST = 0.45  # of a sampling period, either way: from 0.5 on, samples could change their order
+SELDOM = 3  # standard deviations: where the limit is farther out, at most 0.3 % of the draws are clipped
 
 
 class JitteringClock:
-    """Draws how far each sampling instant is off its grid.
+    """Draws the offset of each sampling instant from its grid.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class JitteringClock:
         self._draw = random.Random(f"{seed}/jitter")
 
     def offsets(self, count: int, period: float, *, first: bool) -> NDArray[np.float64]:
-        """Return ``count`` offsets (s), normal and cut off; the very ``first`` is 0, for it starts the clock."""
+        """Return ``count`` offsets (s), normal and clipped; the ``first`` is 0, as it starts the clock."""
         noise = np.array([self._draw.gauss(0.0, self._rms) for _ in range(count)])
         if first:
             noise[0] = 0.0
@@ -36,9 +36,9 @@ class JitteringClock:
         return offsets
 
     def longest(self, period: float) -> float:
-        """Return where offsets are cut off (s)."""
+        """Return the limit at which offsets are clipped (s)."""
         return LARGEST * period
 
     def is_cut_off(self, period: float) -> bool:
-        """Return whether more than a draw now and then is cut off."""
+        """Return whether more than 0.3 % of the offsets are clipped."""
         return SELDOM * self._rms > self.longest(period)

@@ -1,9 +1,9 @@
-"""Slip loss: now and then the encoder's cog slips on the beam and its counters miss some of the motion, for good.
+"""Slip loss: the encoder's cog slips on the beam at random times, and its counters miss some of the motion for good.
 
 The encoder then reads x minus what was lost.  Losses begin at random, ``rate`` per second of device time; each is
 ``counts`` x4 counts, spread over ``samples`` sampling periods from the first sample after its beginning, along a cubic
-3 s^2 - 2 s^3 (a cog neither grips nor slips at once, and a cubic in time is just what the encoder follows).  It goes
-against the motion of that first sample: what is lost is part of a movement.  A mass at rest loses nothing.
+3 s^2 - 2 s^3 (no jump of the speed, and the encoder interpolates by cubics).  Its sign is opposite to the motion of
+that first sample: part of a movement is lost.  A mass at rest loses nothing.
 
 Not modelled: a slip that the mass's acceleration brings about, a cog that jumps by whole teeth.
 """
@@ -18,7 +18,7 @@ from rig_sim.scenes.sections import SlipLoss
 
 
 class LosingCog:
-    """The cog at work: what it has lost so far and is losing now.
+    """The slipping cog: what it has lost so far and is losing now.
 
     Parameters
     ----------

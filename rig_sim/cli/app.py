@@ -12,9 +12,9 @@ from daq.console.application import Answer, Json, SetChanges
 if TYPE_CHECKING:
     from rig_sim.scenes.scene import Scene
 
-Until = Annotated[float, Parameter(help="Time to end at, in the scene's unit (s for SI scenes).")]
+Until = Annotated[float, Parameter(help="End of the run, in the scene's unit of time (s in SI scenes).")]
 MaxSteps = Annotated[
-    int, application.Whole, Parameter(help="Phases after which the run ends with the outcome 'step limit'.")
+    int, application.Whole, Parameter(help="Integrator steps after which the run ends with the outcome 'step limit'.")
 ]
 
 app = application.application(
@@ -39,7 +39,7 @@ def scenes(*, json: Json = False) -> Answer:
 
 @app.command
 def cycle(scene: str, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
-    """Find the periodic orbit that starts at the slip point; start, belt.start and every random section are ignored.
+    """Find the periodic orbit reached from the slip point; start, belt.start and the random sections are ignored.
 
     Example: rig-sim cycle base --set friction.law=6 --set friction.G_stick=-5e6
 
@@ -66,9 +66,10 @@ def events(
     max_steps: MaxSteps = 10**6,
     json: Json = False,
 ) -> Answer:
-    """List when the mass sticks and slips: N slip slower than the belt, P faster, S stick or ramp.
+    """List the events: transitions between N (slip slower than the belt), P (slip faster) and S (stick or ramp).
 
-    A motion that repeats itself bit for bit is integrated once; a list ends at 10^6 events ('event limit'): --since.
+    A motion that repeats bit for bit is integrated once. A list holds at most 10^6 events (outcome 'event limit'); use
+    --since to list a later part.
 
     Example: rig-sim events base --until 60 --set drive.u0=0.2 --set drive.omega=0.3
 
@@ -98,18 +99,18 @@ def run(
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="File to write, .h5 or .csv.")],
     method: Annotated[
         Literal["exact", "rk4-henon", "dop853"],
-        Parameter(help="exact; rk4-henon (the thesis's) or dop853 (scipy's), for comparison."),
+        Parameter(help="exact, or for comparison rk4-henon (Runge-Kutta with Henon's events) or dop853 (scipy)."),
     ] = "exact",
     step: Annotated[
-        float | None, Parameter(help="Of rk4-henon, in the scene's unit of time; default 0.01 sqrt(m/k).")
+        float | None, Parameter(help="Time step of rk4-henon, in the scene's unit of time; default 0.01 sqrt(m/k).")
     ] = None,
-    rtol: Annotated[float | None, Parameter(help="Of dop853, relative and absolute; default 2.3e-14.")] = None,
+    rtol: Annotated[float | None, Parameter(help="Relative and absolute tolerance of dop853; default 2.3e-14.")] = None,
     set_: SetChanges = None,
     max_steps: MaxSteps = 10**6,
     force: Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")] = False,
     json: Json = False,
 ) -> Answer:
-    """Write the exact motion t, x, v and friction force F on an even grid of times; or another method's, to compare.
+    """Write time t, position x, velocity v and friction force F at a constant rate to a file.
 
     Example: rig-sim run rig --until 20 --rate 1000 -o motion.h5
 
@@ -139,11 +140,11 @@ def run(
 
 @app.command
 def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json = False) -> Answer:
-    """Tabulate error against run time of every method: largest error of an event time, CPU time, and that per cycle.
+    """Compare the integration methods: largest error of an event time, CPU time, and CPU time per cycle.
 
     Example: rig-sim compare base --until 100 --set friction.law=6
 
-    The exact method steps through every cycle, interpreted and compiled; compiling is stated apart.
+    The exact method steps through every cycle, interpreted and compiled; compilation time is reported separately.
 
     Parameters
     ----------
@@ -160,9 +161,9 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
         error = row.note if row.error is None else f"{row.error:.1e}"
         per_cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"
         table.add_row(row.method, row.setting, error, f"{row.cpu_s:.2g}", per_cycle)
-    told = f"error: largest of an event time, against {found.reference}; {found.cycles} cycles"
+    what = f"error: largest error of an event time, against {found.reference}; {found.cycles} cycles"
     return Answer(
-        data, [table, told, f"compiling or loading compiled code: {found.compile_s:.1f} s of CPU, not counted"]
+        data, [table, what, f"compiling or loading compiled code: {found.compile_s:.1f} s of CPU, not counted"]
     )
 
 

@@ -1,7 +1,7 @@
-"""Error against run time: every method on one scene, measured against a reference that is none of them.
+"""Error against run time: every method on one scene, measured against an independent reference.
 
-The error of a method is the largest difference of an event time.  CPU time is the process's own, the least of several
-runs where one is short; compiling is stated apart.  The event list of the exact method is stepped through every cycle.
+The error of a method is the largest difference of an event time.  CPU time is that of this process, the minimum of
+several runs where one is short; compilation is reported separately.  The exact method steps through every cycle.
 """
 
 import math
@@ -25,20 +25,20 @@ RK4_STEPS = (0.1, 0.03, 0.01, 0.003)  # of sqrt(m/k)
 DOP853_RTOL = (1e-6, 1e-9, 1e-12, 2.3e-14)
 STIFF_RTOL = (1e-6, 1e-9)
 MOST_STEPS = 10**8
-LONGEST = 2000  # swings of the mass: the slowest method takes some minutes for them
-LONG_ENOUGH_S = 0.5  # of CPU: runs below are repeated until they have taken that
+LONGEST = 2000  # periods of the oscillator: the slowest method takes some minutes for them
+LONG_ENOUGH_S = 0.5  # of CPU: a run is repeated until all together have taken more; 0: each runs once
 NO_REFERENCE = (
-    "the tightest other method, as the multi-precision reference knows one equation of motion and no droop; "
-    "what changes between events is played interpreted"
+    "the tightest other method: the multi-precision reference covers neither droop nor an equation of motion that "
+    "changes between events; such scenes are played interpreted"
 )
-LAST = 1e-6  # of the time span: an event this near its end may be missing from a list
+LAST = 1e-6  # of the time span: an event this near its end may be missing from a list; not swept
 
 
 @dataclass(frozen=True)
 class MethodResult:
     """One method at one setting.
 
-    ``error`` is in the scene's unit of time, None when the list of events is another one (``note`` says how);
+    ``error`` is in the scene's unit of time; None when the list of events differs (``note`` says where);
     ``us_per_cycle`` is per beginning of slip out of stick or ramp in the reference.
     """
 
@@ -52,7 +52,7 @@ class MethodResult:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The rows, what they are measured against, and what compiling cost (s; loading, when it was cached)."""
+    """The rows, what they are measured against, and the CPU time of compiling (s; of loading, when it was cached)."""
 
     rows: tuple[MethodResult, ...]
     reference: str
@@ -72,7 +72,7 @@ def compare(
 ) -> Comparison:
     """Run every method on a scene from t = 0 to ``until`` and return errors and CPU times.
 
-    ``progress`` is told the share done, in percent, before each run.
+    ``progress`` is called before each run with the percentage done.
 
     Raises
     ------
@@ -86,8 +86,8 @@ def compare(
             raise InputError(f"unknown method {method!r}", "--methods", f"take some of {', '.join(METHODS)}")
     swing = 2.0 * math.pi * math.sqrt(scene.mass.m / scene.spring.k)
     if until > LONGEST * swing:
-        what = f"is {until:g}, {until / swing:.3g} swings of the mass: every method would step through all of them"
-        raise InputError(what, "--until", f"give {LONGEST * swing:.4g} ({LONGEST} swings) or less")
+        what = f"is {until:g}, {until / swing:.3g} periods of the mass: every method would step through all of them"
+        raise InputError(what, "--until", f"give {LONGEST * swing:.4g} ({LONGEST} periods) or less")
     whole = flow_never_changes(scene) and scene.droop is None
     runs = _runs(scene, until, methods, whole)
     compile_s = _compile(scene) if whole and "exact" in methods else 0.0
@@ -96,7 +96,7 @@ def compare(
         progress(100.0 * done / (len(runs) + 1))  # the reference is the last
         measured.append((method, setting, *_timed(run)))
     progress(100.0 * len(runs) / (len(runs) + 1))
-    expected, told = _reference(scene, until) if whole else ([], NO_REFERENCE)
+    expected, described = _reference(scene, until) if whole else ([], NO_REFERENCE)
     lists = {(method, setting): found for method, setting, found, _ in measured}
     if not (expected or next(iter(lists.values())).t):
         raise InputError("no event", "--until", "give a longer time")
@@ -107,7 +107,7 @@ def compare(
         cycles = sum(kind[:2] == "S>" for _, kind in against)
         error, note = difference(found, against, until)
         rows.append(MethodResult(method, setting, error, cpu_s, 1e6 * cpu_s / cycles if cycles else None, note))
-    return Comparison(tuple(rows), told, compile_s, cycles)
+    return Comparison(tuple(rows), described, compile_s, cycles)
 
 
 def _runs(scene: Scene, until: float, methods: Sequence[str], whole: bool) -> list[tuple[str, str, Run]]:
@@ -161,7 +161,7 @@ def _reference(scene: Scene, until: float) -> tuple[list[tuple[Any, str]], str]:
     try:
         found = reference.events(scene.flow(), float(scene.start.x), float(scene.start.v), until)
     except reference.Uncovered as why:
-        return [], f"the tightest other method, as the multi-precision reference does not cover {why}"
+        return [], f"the tightest other method: the multi-precision reference does not cover {why}"
     return [(t, kind) for t, kind, _ in found], f"Taylor series in {reference.DIGITS}-digit arithmetic (mpmath)"
 
 
@@ -176,7 +176,7 @@ def _tightest(lists: dict[tuple[str, str], EventList], method: str) -> list[tupl
 
 
 def difference(found: EventList, expected: Sequence[tuple[Any, str]], until: float) -> tuple[float | None, str]:
-    """Return the largest difference of an event time; or None, and where the lists part."""
+    """Return the largest difference of an event time; or None, and where the lists begin to differ."""
     if found.outcome != "completed":
         return None, found.outcome
     kinds = [kind for _, kind in expected]

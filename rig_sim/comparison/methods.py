@@ -10,8 +10,8 @@ from rig_sim.scenes.scene import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853")
 RK4_STEP = 0.01  # of sqrt(m/k)
-RK4_LONGEST = 1.0  # of sqrt(m/k): beyond, it follows no swing, and from 2.8 on it is unstable
-DOP853_RTOL = 2.3e-14  # 100 ulp: scipy does not go below, and above it misses touches of the edge in laws 1 and 2
+RK4_LONGEST = 1.0  # of sqrt(m/k): a sixth of a period; longer steps do not resolve it, and above 2.8 RK4 is unstable
+DOP853_RTOL = 2.3e-14  # 100 ulp: the least that scipy accepts; a larger one misses touches of the edge in laws 1 and 2
 
 
 def phases_by(
@@ -53,7 +53,7 @@ def phases_by(
             raise InputError(f"is {h:g}", "--step", "give a positive number")
         unit = math.sqrt(scene.mass.m / scene.spring.k)
         if h > RK4_LONGEST * unit:
-            what = f"is {h:g}, and the mass swings with a period of {2 * math.pi * unit:.4g}: no motion would be left"
+            what = f"is {h:g}, and the period of the mass is {2 * math.pi * unit:.4g}: too long a step to follow it"
             do = f"give {RK4_LONGEST * unit:.4g} (a sixth of it) or less; the default is {RK4_STEP * unit:.4g}"
             raise InputError(what, "--step", do)
         return partial(sample_by, by_steps(h)), f"h {h:g}"

@@ -1,11 +1,11 @@
 """Event times to more than 30 digits, by multi-precision arithmetic (mpmath): what the methods are measured against.
 
-Written apart from the kernels and sharing none of their formulas: states are (y, w) with y = x - x0 and
+Independent of the kernels, with no formula in common: states are (y, w) with y = x - x0 and
 w = x' - v_belt, every phase, stick included, is a Taylor series of its own step, and only a steep undriven ramp is
 taken as a sum of two exponentials.  A mirrored scene (belt running backwards) is mirrored first.
 
 Not covered: a driven ramp with a fast root (`Uncovered`); slips and touches that begin and end between two of the 32
-places at which a step is searched.
+points at which a step is searched.
 """
 
 import math

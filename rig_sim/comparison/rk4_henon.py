@@ -1,14 +1,14 @@
 """The thesis's own method: classical Runge-Kutta of fourth order, with Henon's exchange of time and velocity at events.
 
-Within a phase p and w advance by equal steps h of time.  When a step carries w past the edge of its mode it is taken
-back, and one step of the same formulas with w as the independent variable,
+Within a phase p and w advance by equal steps h of time.  When a step takes w past the edge of its mode it is
+undone, and one step of the same formulas with w as the independent variable,
 
     dt/dw = 1/w',     dp/dw = (w + v)/w',
 
 lands exactly on the edge (thesis 2.2; M. Henon, Physica D 5, 412, 1982).  Stick needs no integration.  The next phase
 starts from the event, so errors are those of the formulas: the event times converge as h^4.  Where w' nearly vanishes
-on the way to the edge the exchange leads out of the step; then the length of the step that ends there is bisected.
-Between steps the motion is one shorter step from the one before: it converges as h^4 too.
+before the edge the exchange leads out of the step; then the length of the step that ends there is bisected.
+Between steps the motion is one shorter step from the previous one: it converges as h^4 too.
 
 Not seen: a visit across an edge and back within one step; grazing, where w' vanishes at the edge, loses the order.
 """

@@ -1,7 +1,7 @@
-"""General solvers at the same task, for comparison only: scipy's DOP853, Radau and LSODA with event functions.
+"""General solvers, for comparison only: scipy's DOP853, Radau and LSODA with event functions.
 
 Each smooth phase of slip or ramp is one call of `scipy.integrate.solve_ivp` with a terminal event at the edge; stick
-needs no integration.  This is the favourable way to use them: they never step across a jump of the force.  Between
+needs no integration.  This favours them: they never step across a jump of the force.  Between
 steps the motion is the solver's own interpolant.
 """
 
@@ -69,7 +69,9 @@ def solve_phase(
         return PhaseResult(modes.STEP_LIMIT, 0, t, p, w, lambda _: (p, w))
 
     def at(t_at: float) -> tuple[float, float]:
-        p_at, w_at = found.sol(t_at - t) if found.sol is not None else found.y[:, -1]  # without, the end alone is asked
+        p_at, w_at = (
+            found.sol(t_at - t) if found.sol is not None else found.y[:, -1]
+        )  # without it only the end is requested
         return float(p_at), float(w_at)
 
     for (side, edge), times, states in zip(ends, found.t_events, found.y_events, strict=True):

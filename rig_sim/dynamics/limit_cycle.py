@@ -108,13 +108,13 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
     resting = None
     if turn.end == "fixed point":
         resting = position(fr, turn.p)
-        if turn.mode != modes.STICK:  # where the spring holds friction alone; heavy damping has left few digits in p
+        if turn.mode != modes.STICK:  # where the spring holds friction alone; heavy damping leaves few digits in p
             resting = flow.x0 + force(flow, mirrored(fr, turn.mode), resting, -flow.v_belt, 0.0) / flow.k
     return Orbit(turn.end, turn.advice, x_rest=resting)
 
 
 def is_grazing(fr: Frame) -> bool:
-    """Tell whether slip is an undamped circle about its fixed point, touching the edge of stick."""
+    """Return whether slip is an undamped circle about its fixed point that touches the edge of stick."""
     if fr.curve == HYPERBOLIC or fr.B != fr.A or fr.v <= fr.d:
         return False
     return linear_terms(fr, modes.NEGATIVE)[0] == 0.0

@@ -37,9 +37,9 @@ class Turn:
 
 
 def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
-    """Follow the motion to the next beginning of (backward) slip out of stick or ramp, noting its extremes.
+    """Follow the motion to the next beginning of (backward) slip out of stick or ramp, and record its extremes.
 
-    From within stick or ramp that is the way to its end.
+    A start in stick or ramp leads to the end of that stick.
     """
     phases: list[tuple[int, float, float]] = []
     p_seen = [p]
@@ -63,9 +63,8 @@ def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
         if mode in (modes.STICK, modes.RAMP) and entered == modes.NEGATIVE:
             return Turn("", "", p, tuple(phases), (min(p_seen), max(p_seen), min(w_seen), max(w_seen)))
         mode = entered
-    return Turn(
-        "no cycle", f"no end of stick within {PHASES_PER_TURN} phases: the mass swings to and fro past the belt", p
-    )
+    advice = f"no end of stick within {PHASES_PER_TURN} phases: the mass passes the belt's speed in both directions"
+    return Turn("no cycle", advice, p)
 
 
 def pass_phase(
@@ -141,9 +140,10 @@ def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Bu
 
 
 def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
-    """Tell whether a slip is so close to its stable fixed point, or so heavily damped, that it cannot get away.
+    """Return whether a slip is so close to its stable fixed point, or so heavily damped, that it cannot leave.
 
-    Close: u^2 + omega0^2 (p - p_rest)^2 only falls; it is compared with the way to the edge and the curve's own scale.
+    Close: u^2 + omega0^2 (p - p_rest)^2 only falls; it is compared with the distance to the edge and with the curve's
+    own scale.
     Heavily damped: see `creeps`.
     """
     if mode != modes.NEGATIVE:
@@ -164,7 +164,7 @@ def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
 
 
 def creeps(fr: Frame, u: float, a: float, damping: float) -> bool:
-    """Tell whether a slip with speed u (m/s) and acceleration a (m/s^2) only slows down from here, and never stops.
+    """Return whether a slip with speed u (m/s) and acceleration a (m/s^2) only slows down from here, and never stops.
 
     ``damping`` (N s/m) is the least, friction's slope taken off, that holds at any speed from 0 to u.  The rate
     r = -a/u obeys r' = r^2 - (C/m) r + k/m with C the damping of the moment.  With C >= ``damping`` > 2 sqrt(k m) that

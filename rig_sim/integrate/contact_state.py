@@ -6,7 +6,7 @@ from rig_sim.integrate.frame import Frame, curve_deficit, displacement, drive, f
 
 
 def classify(fr: Frame, p: float, w: float, t: float) -> int:
-    """Return the mode of a state in the frame."""
+    """Return the mode of the state (p m, w m/s) at time t (s) in the frame."""
     if fr.d > 0.0:
         if w < -fr.d:
             return modes.NEGATIVE

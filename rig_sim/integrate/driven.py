@@ -1,4 +1,4 @@
-"""Driven phases in closed form: stick, and the steep ramp in which a Taylor series would crawl.
+"""Driven phases in closed form: stick, and the steep ramp, in which a Taylor series would need very short steps.
 
 Drive u0 cos(omega t + phase).  In stick the load's margin g = k p - drive (between -2B and 0) is monotone between
 extremes known in closed form, and rises by k v T per period, so the right period is computed, not searched.  In an
@@ -14,12 +14,12 @@ from rig_sim.integrate.linear import LARGEST_EXPONENT, fundamental, roots
 from rig_sim.integrate.modes import RAMP
 from rig_sim.integrate.newton import EPS, newton_step
 
-PIECES = 500  # searched in one step of a driven ramp; the caller goes on from there
-STEEP = 4.0  # the ramp's fast root against the other rates: from here on the closed form is the cheaper one
+PIECES = 500  # searched in one step of a driven ramp; the caller continues from there; not swept
+STEEP = 4.0  # ratio of the ramp's fast root to the other rates above which the closed form is the cheaper one
 
 
 def is_steep(fr: Frame, mode: int) -> bool:
-    """Tell whether a driven ramp is taken in closed form."""
+    """Return whether a driven ramp is taken in closed form."""
     if mode != RAMP:
         return False
     C, _ = linear_terms(fr, mode)

@@ -1,4 +1,4 @@
-"""List the events of a flow: the Python face of `rig_sim.integrate.phases.run`, interpreted or compiled."""
+"""List the events of a flow: the Python interface of `rig_sim.integrate.phases.run`, interpreted or compiled."""
 
 import math
 from bisect import bisect_left
@@ -14,7 +14,7 @@ from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.flow import Flow, validate
 from rig_sim.integrate.phases import run
 
-ROOM = 1024  # events per call of the kernel
+EVENTS_PER_CALL = 1024  # of the kernel; not swept
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def list_events(
 
         step = compile_kernel(run)
     work = new_work(max_steps, compiled=compiled)
-    buffers = new_lists(ROOM, 4, compiled=compiled)
+    buffers = new_lists(EVENTS_PER_CALL, 4, compiled=compiled)
     mode = initial_mode(flow, x, v, t)
     w = v - flow.v_belt
     times: list[float] = []
@@ -93,7 +93,7 @@ def list_events(
     outcome = modes.LIST_FULL
     while outcome == modes.LIST_FULL:
         outcome, count, first, mode, x, w, t = step(
-            flow, mode, x, w, t, t_max, ROOM, *buffers, 0 if every_cycle else 1, work
+            flow, mode, x, w, t, t_max, EVENTS_PER_CALL, *buffers, 0 if every_cycle else 1, work
         )
         at, where, names = listed(buffers[0], count), listed(buffers[2], count), named(buffers[3], count)
         skipped = bisect_left(at, since)
@@ -142,7 +142,7 @@ def repeated(
 
 
 def listed(buffer: Any, count: int) -> list[float]:
-    """Return the first ``count`` numbers of a list or an array as a list of floats."""
+    """Return the first ``count`` numbers of a list or a (n,) array as a list of floats."""
     part = buffer[:count]
     return part if isinstance(part, list) else part.tolist()
 

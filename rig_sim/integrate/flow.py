@@ -24,7 +24,7 @@ class Flow(NamedTuple):
     u0, omega, phase : float
         Drive u0 cos(omega t + phase): N, rad/s, rad.
     droop : float
-        How much slower the belt runs when it carries the load Fs, m/s (>= 0).
+        Speed drop of the belt at the load Fs, m/s (>= 0); the drive's compliance is droop/Fs, m/s per N.
 
     Notes
     -----
@@ -65,7 +65,7 @@ def validate(flow: Flow) -> None:
     ValueError
         Naming the field: not finite; above `LARGEST`; m or k not above 0, or below `SMALLEST`; Fs, factor, gamma, d or
         droop below 0; static below 1; droop with static above 1, without friction, or with friction that falls faster
-        than the belt gives way.
+        than the belt yields.
     """
     for name, number in flow._asdict().items():
         if not math.isfinite(number):
@@ -82,17 +82,17 @@ def validate(flow: Flow) -> None:
         if flow.static != 1.0:
             raise ValueError(f"droop with static {flow.static} is not modelled; need static 1")
         if flow.Fs == 0.0:
-            raise ValueError("droop is a share of the load Fs, which is 0; need Fs above 0")
+            raise ValueError("droop is the speed drop at the load Fs, which is 0; need Fs above 0")
         fall = steepest_fall(flow)
         if flow.droop * fall >= 1.0:
             raise ValueError(
-                f"droop is {flow.droop:g} m/s: friction falls faster than the belt gives way, so the force is not one; "
+                f"droop is {flow.droop:g} m/s: friction falls faster than the belt yields, so the force is not unique; "
                 f"need less than {1.0 / fall:g}"
             )
 
 
 def steepest_fall(flow: Flow) -> float:
-    """Return how fast friction falls with speed where it does so fastest, over Fs (s/m)."""
+    """Return the steepest fall of friction with speed, divided by Fs (s/m)."""
     if flow.curve == HYPERBOLIC:
         return flow.gamma
     return flow.G_slip / flow.Fs if flow.curve == LINEAR and flow.Fs > 0.0 else 0.0

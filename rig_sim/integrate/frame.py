@@ -9,12 +9,12 @@ from rig_sim.integrate.flow import Flow
 
 
 class Frame(NamedTuple):
-    """A Flow as the kernels use it: belt forwards, slip point and levels worked out, the curve reduced.
+    """A Flow as the kernels use it: belt forwards, slip point and levels worked out, the curve simplified.
 
     ``mirror`` is -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1; ``A`` and ``B``
-    are the kinetic and the break-away level; ``d`` is 0 for a jump; ``G`` the linear curve's slope with the scatter;
-    ``s_max`` the relative speed of force reversal; ``omega2`` = k/m = omega0^2; ``slip`` = x_slip - x0 (mirrored);
-    ``lag`` = droop gamma on the hyperbola, else 0.
+    are the kinetic and the break-away friction level (N); ``d`` (m/s) is 0 for a jump; ``G`` (N s/m) the linear curve's
+    slope with the scatter; ``s_max`` (m/s) the relative speed of force reversal; ``omega2`` = k/m = omega0^2 (1/s^2);
+    ``slip`` = x_slip - x0 (m, mirrored); ``lag`` = droop gamma on the hyperbola, else 0.
     """
 
     mirror: float
@@ -108,7 +108,7 @@ def drive(fr: Frame, t: float) -> float:
 
 
 def linear_terms(fr: Frame, mode: int) -> tuple[float, float]:
-    """Return (C, e) of m w' = -C w - k p + e + D + drive in a slip or ramp; D = 0 except on the hyperbola.
+    """Return (C, e), N s/m and N, of m w' = -C w - k p + e + D + drive in a slip or ramp; D: see `curve_deficit`.
 
     The linear curve and the ramp are part of C; e is what remains at w = 0, relative to the slip point.
     """
@@ -122,16 +122,16 @@ def linear_terms(fr: Frame, mode: int) -> tuple[float, float]:
 
 
 def slip_speed(fr: Frame, r: float) -> float:
-    """Return the slip speed s on a drooping belt from r = s - lag s/(1 + gamma s), the speed beyond the edge (m/s)."""
+    """Return the slip speed s on a compliant belt from r = s - lag s/(1 + gamma s), the speed beyond the edge (m/s)."""
     # gamma s^2 + (1 - lag - gamma r) s - r = 0, by the root formula that does not cancel
     linear = 1.0 - fr.lag - fr.gamma * r
-    # below 0 only far before the edge, where a general solver's trial step may stray
+    # negative only far before the edge, where a trial step of a general solver may go
     root = math.sqrt(max(0.0, linear * linear + 4.0 * fr.gamma * r))
     return 2.0 * r / (root + linear) if linear > 0.0 else (root - linear) / (2.0 * fr.gamma)
 
 
 def curve_deficit(fr: Frame, mode: int, w: float) -> float:
-    """Return D, how far the hyperbola has fallen below its level at rest, signed as a force in slip (N)."""
+    """Return D (N): the hyperbola less its level at rest, with the sign of the force in slip; 0 on other curves."""
     if fr.curve != HYPERBOLIC or mode == modes.RAMP:
         return 0.0
     s = -w - fr.d if mode == modes.NEGATIVE else w - fr.d
@@ -142,7 +142,7 @@ def curve_deficit(fr: Frame, mode: int, w: float) -> float:
 
 
 def mode_bounds(fr: Frame, mode: int) -> tuple[float, float]:
-    """Return the interval of w a slip or ramp mode lives in."""
+    """Return the interval (lo, hi) of w, m/s, of a slip or ramp mode."""
     if mode == modes.NEGATIVE:
         return -fr.s_max, -fr.d
     if mode == modes.POSITIVE:
@@ -151,7 +151,7 @@ def mode_bounds(fr: Frame, mode: int) -> tuple[float, float]:
 
 
 def acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
-    """Return w' (m/s^2) in the given mode; on the mode's edge never pointing out of it by a rounding error."""
+    """Return w' (m/s^2) in the given mode; on the mode's edge it never points out of the mode."""
     if mode == modes.STICK:
         return 0.0
     C, e = linear_terms(fr, mode)

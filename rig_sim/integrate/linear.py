@@ -19,11 +19,11 @@ from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.frame import Frame
 from rig_sim.integrate.newton import EPS, newton_step
 
-LARGEST_EXPONENT = 700.0  # exp stays finite; growth that far is beyond every edge
+LARGEST_EXPONENT = 700.0  # below 709, so that exp stays finite; growth by e^700 is beyond every edge
 INVERSE = (0.0, *(1.0 / j for j in range(1, 16)))
-SPLITTER = 2.0**27 + 1.0  # halves a number's digits
+SPLITTER = 2.0**27 + 1.0  # splits a double into halves of 26 digits (Dekker 1971)
 SMALLEST_TERM = 1e-18
-NEAR_EXTREME = 1e-9  # relative: an extreme so close to an edge is worked out in full
+NEAR_EXTREME = 1e-9  # relative distance of an extreme from an edge below which it is computed from the full solution
 
 
 class FreeMotion(NamedTuple):

@@ -24,24 +24,26 @@ Fs the level of the curve at rest (factor applied), B = static Fs the break-away
     RAMP      w falls below -d, above +d   NEGATIVE, POSITIVE
     slip      linear curve at zero force   the end: outcome `force reversal`
 
-A mode is authoritative at its edge: on the edge with the wrong rounding of the acceleration, the acceleration counts
-as zero (slip that has just begun never falls back by an ulp).  A ramp of zero width is a jump.
+At its edge a mode is kept: where rounding makes the acceleration point back out of it, the acceleration counts as zero
+(slip that has just begun never returns by an ulp).  A ramp of zero width is a jump.
 
-Droop.  A belt that slows in proportion to the load it carries runs at v_belt - droop F/Fs (Fs with its factor: at the
-level of the moment it has lost ``droop``).  With u = x' - v_belt and the true relative velocity w = u + droop F/Fs,
-friction is a function of u alone, and again one of the six laws, to the letter for laws 1 to 4:
+Droop.  A compliant belt drive slows in proportion to the load: v_belt - droop F/Fs.  ``droop`` (m/s) is the speed drop
+at the present friction level Fs, so the drive's compliance is droop/Fs (m/s per N).  With u = x' - v_belt and the true
+relative velocity w = u + droop F/Fs, friction is a function of u alone, and again one of the six laws, exactly for
+laws 1 to 4:
 
     jump      stick, w = 0         u = -droop F/Fs: the ramp of half-width ``droop``
     ramp      w = -d F/Fs          the ramp of half-width d + droop
     slip      abs(u) = s + d + droop curve(s)/Fs, so beyond the ramp's edge r = s - droop (1 - curve(s)/Fs)
               linear               r = s (1 - droop G_slip/Fs): linear, G_slip/(1 - droop G_slip/Fs)
-              hyperbolic           `slip_speed` gives s from r: no hyperbola in r, the same recurrence one term longer
+              hyperbolic           `slip_speed` gives s from r: not a hyperbola in r; the recurrence has one term more
 
-So w means u here and the frame holds the laws so changed; events are those of stick and slip all the same.  Friction
-that falls faster than the belt gives way (droop curve'(0) >= Fs) has no single force at a speed: `validate` refuses.
+Kernels use u as their w, and the frame holds the laws so changed; the events are still those of stick and slip.
+Friction that falls faster than the drive yields (droop curve'(0) >= Fs) has no unique force at a speed: `validate`
+refuses it.
 
-Kernels work in a frame where nothing cancels: mirrored so that the belt moves forwards, with p = x - x_slip, the
-displacement from the slip point k (x_slip - x0) = B - c v_belt.  There L = B + k p - drive.
+Kernels work in a frame without cancellation of large numbers: mirrored so that the belt moves forwards, with
+p = x - x_slip, the displacement from the slip point k (x_slip - x0) = B - c v_belt.  There L = B + k p - drive.
 
 `rig_sim.integrate.flow` holds the numbers of the equation, `frame` its form in these coordinates, and `contact_state`
 the rules of the table as code.
@@ -56,7 +58,7 @@ RAMP = 3
 
 LETTERS = ("S", "N", "P", "S")
 
-# A kernel's `kind`: 0 when the time was up, 4 * (old mode) + (new mode) for a transition, an outcome's code at an end.
+# A kernel's `kind`: 0 when the end time was reached, 4 * (old mode) + (new mode) for a transition, else an outcome.
 COMPLETED = 0
 FORCE_REVERSAL = 20
 STEP_LIMIT = 21
@@ -86,11 +88,11 @@ OUTCOMES = {
     STEP_LIMIT: Outcome("step limit", "raise the number of steps allowed, or shorten the time"),
     EVENT_RATE: Outcome(
         "event-rate limit",
-        "events follow each other without time passing: the scene sits on an edge; move its start or its parameters",
+        "events follow each other in zero time: the motion stays on a mode's edge; change its start or parameters",
     ),
     NOT_FINITE: Outcome("not finite", "a number overflowed or was not a number: check the scene's magnitudes"),
     LIST_FULL: Outcome("list full", "take the events found so far and call again"),
-    RECURRED: Outcome("recurred", "the last events repeat for ever: `rig_sim.integrate.events` lists them"),
+    RECURRED: Outcome("recurred", "the last events repeat periodically: `rig_sim.integrate.events` lists them"),
     EVENT_LIMIT: Outcome("event limit", "raise the number of events allowed, shorten the time, or list a later part"),
 }
 

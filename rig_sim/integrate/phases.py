@@ -38,12 +38,12 @@ from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exi
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.taylor import changes, series_exit
 
-RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit
+RAPID_ALLOWED = 100  # events in a row, each within RAPID_TIME, before the event-rate limit; not swept
 RAPID_TIME = 1e-12  # x sqrt(m/k)
 
 
 def is_series(fr: Frame, mode: int) -> bool:
-    """Tell whether a mode is stepped by Taylor series: hyperbolic slip, and driven phases but stick and steep ramps."""
+    """Return whether a mode is stepped by series: hyperbolic slip; driven phases except stick and steep ramps."""
     if mode == modes.STICK:
         return False
     if fr.u0 != 0.0:
@@ -171,7 +171,9 @@ def phase(
         else:
             w = hi if side > 0 else lo
         work[buffer.W_REST] = 0.0
-        if mode == modes.STICK or mode == modes.RAMP:  # a slip begins in p alone, so that it can be told when it recurs
+        if (
+            mode == modes.STICK or mode == modes.RAMP
+        ):  # so that slip begins in p alone, and a recurrence can be recognised
             work[buffer.P_REST] = 0.0
         entered = transition(fr, mode, side, p, t)
         if entered == modes.FORCE_REVERSAL:
@@ -265,7 +267,7 @@ def run(
     w: float,
     t: float,
     t_max: float,
-    room: int,
+    capacity: int,
     out_t: Buffer,
     out_carry: Buffer,
     out_x: Buffer,
@@ -281,7 +283,7 @@ def run(
         The flow and the state to start from.
     t_max : float
         Where to stop, s.
-    room : int
+    capacity : int
         Entries that the four lists hold: ``out_t`` is the time of an event, ``out_carry`` what that cannot hold of it;
         then its position and its kind.
     recur : int
@@ -316,7 +318,7 @@ def run(
     turns = 0
     patience = 1
     outcome = modes.LIST_FULL
-    while count < room:
+    while count < capacity:
         kind, own, p, w, t, carry, _ = phase(fr, own, p, w, t, carry, t_max, idle, 0, 0, idle, idle, idle, work)
         if kind == modes.COMPLETED or kind >= modes.FORCE_REVERSAL:
             outcome = kind

@@ -1,6 +1,6 @@
-"""Play a scene: the exact motion at requested times, and the events, with what changes the flow between events.
+"""Play a scene: the exact motion at requested times, and the events.
 
-The integrator runs one phase at a time.  Between phases this driver changes its flow:
+The integrator runs one phase at a time.  What changes the equation of motion between phases:
 
     belt.start          the belt steps from rest to its speed; the mass keeps its velocity
     joint               the mass's velocity steps by ``kick`` each time belt.length has passed since the belt's start
@@ -10,10 +10,11 @@ The integrator runs one phase at a time.  Between phases this driver changes its
     shaker              tuned again to friction's slope at each such landing; off before belt.start
 
 Random numbers come from one stream per effect, seeded by the scene's ``seed`` and the effect's name, so that adding an
-effect does not change what another one draws.
+effect does not change the numbers of another one.
 
-Droop of the belt is part of the flow (`rig_sim.integrate.modes`), and so is its ripple, in coordinates that swing with
-the belt (`rig_sim.effects.ripple`).  Not modelled: creep in stick; the joint comes by as on a belt without ripple.
+The belt's compliance (droop) is part of the flow (`rig_sim.integrate.modes`), and so is its ripple, in coordinates that
+swing with the belt (`rig_sim.effects.ripple`).  Not modelled: creep in stick; the joint passes as on a belt without
+ripple.
 """
 
 import math
@@ -39,10 +40,10 @@ if TYPE_CHECKING:
     from rig_sim.motion.trajectory import Trajectory
 
 DEFAULT_MAX_STEPS = 1_000_000
-INTERPRETED_STEPS = 50_000  # a second or two; a motion that needs more is played by compiled code, from its start
+INTERPRETED_STEPS = 50_000  # some 1 to 2 s of CPU; a motion that needs more starts again in compiled code
 MOST_EVENTS = 1_000_000  # in a list, which repeats without steps
 SamplePhase = Callable[..., Any]  # the signature of `rig_sim.integrate.phases.sample_phase`
-LEAST_FACTOR = 0.05  # of Fs: friction that wear and scatter never go below
+LEAST_FACTOR = 0.05  # of Fs: lower limit of the factor; scatter of 30 % reaches it at 3.2 standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ class Event:
     """At time t (s) and position x (m) the mass went from one kind of contact to another.
 
     ``kind`` is 'N>S', 'S>N', 'N>P' ...: N slip slower than the belt, P faster, S stick or ramp; 'kick' where the belt's
-    joint came by.
+    joint passed.
     """
 
     t: float
@@ -73,7 +74,7 @@ class Events:
 
 
 class ScenePlayer:
-    """The mass on its belt, played forwards in time.
+    """Plays a scene forwards in time: the state of the mass, and what changes between phases.
 
     Parameters
     ----------
@@ -87,9 +88,9 @@ class ScenePlayer:
     Attributes
     ----------
     t, x, v : float
-        Where the motion stands: s, m, m/s.
+        The present state: s, m, m/s.
     outcome : Outcome
-        'completed' while it goes on; else why it ended, and what to do.
+        'completed' while the motion continues; else why it ended, and what to do.
     events : list of Event or None
         Set to a list to collect the events in it; None collects nothing.
     """
@@ -143,7 +144,7 @@ class ScenePlayer:
         return int(self._work[buffer.STEPS])
 
     def advance(self, until: float) -> bool:
-        """Play up to a time (s) and return whether the motion still goes on there."""
+        """Play up to a time (s) and return whether the motion continues there."""
         self._play([until], [])
         return self.outcome.name == modes.OUTCOMES[modes.COMPLETED].name
 
@@ -220,7 +221,7 @@ class ScenePlayer:
         return x, v, F, served
 
     def _next_change(self) -> float:
-        """Return when the belt starts or its joint comes by next (s)."""
+        """Return when the belt starts or its joint passes next (s)."""
         belt = self.scene.belt
         if belt is None:
             return math.inf
@@ -252,14 +253,14 @@ class ScenePlayer:
             self._note(f"{modes.LETTERS[was]}>{modes.LETTERS[self._mode]}")
 
     def _set_factor(self, factor: float) -> None:
-        """Put another factor on the friction curve; a shaker is tuned again to what is left."""
+        """Set the factor on the friction curve; a shaker is tuned again to it."""
         if self.scene.shaker is None:
             self.flow = self.flow._replace(factor=factor)
         else:
             self._set_flow(factor)
 
     def _set_flow(self, factor: float) -> None:
-        """Take the scene's flow of this moment; a shaker that cannot be tuned to it ends the motion."""
+        """Build the flow with this factor; a shaker that cannot be tuned to it ends the motion."""
         try:
             self.flow = self.scene.flow(belt_running=not self._belt_waits, factor=factor)
         except ValueError as error:
@@ -361,7 +362,7 @@ def play_events(scene: Scene, until: float, phases: SamplePhase = sample_phase, 
 
 
 def flow_never_changes(scene: Scene) -> bool:
-    """Tell whether one call of the integrator, which sums time with compensation, does for the whole run."""
+    """Return whether nothing changes the flow between events: then one call of the integrator plays the whole run."""
     effects = (scene.wear, scene.scatter, scene.joint)
     belt_changes = scene.belt is not None and (scene.belt.start > 0 or bool(scene.belt.ripple))
     return all(effect is None for effect in effects) and not belt_changes
