@@ -29,8 +29,9 @@ from hand.polynomial import (
 from numba import njit
 from numba.extending import register_jitable
 
+from daq.compute.compile import register
 from rig_sim.integrate.buffer import EXIT, EXIT_E, EXIT_S, LATE
-from rig_sim.integrate.compiled import register_kernels
+from rig_sim.integrate.compiled import JIT_OPTIONS, KERNEL_MODULES
 from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exit, stick_lateness
 from rig_sim.integrate.newton import EPS, newton_step
 from rig_sim.integrate.phases import sum_of
@@ -496,7 +497,8 @@ def specialised(terms: Terms) -> tuple[Callable[..., Any], Callable[..., Any]]:
                     zeta_ramp = 0.5 * C_ramp / con.m
                     disc_ramp = (zeta_ramp - omega0) * (zeta_ramp + omega0)
 
-    register_kernels()
+    for module in KERNEL_MODULES:
+        register(module, forceinline=True, **JIT_OPTIONS)
     for function in (reach, changes, deflated, survey, polish, first_root):
         register_jitable(function)
     return kernel, njit(kernel, error_model="numpy", _nrt=False)

@@ -118,7 +118,7 @@ def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], t
     path.write_text("mine")
     arguments = ("run", "rig", "--until", "1", "--rate", "10", "-o", str(path))
     error = answer(capsys, *arguments, code=2)["error"]
-    assert (error["what"], error["where"]) == ("exists", str(path))
+    assert (error["what"], error["where"]) == ("the output file exists", str(path))
     assert "--force" in error["do"]
     assert path.read_text() == "mine"
     answer(capsys, *arguments, "--force")
@@ -131,7 +131,7 @@ def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], t
         (["run", "rig", "--until", "1", "--rate", "10", "-o", "a.txt"], "a.txt"),
         (["run", "rig", "--until", "1", "--rate", "0", "-o", "a.csv"], "--rate"),
         (["run", "rig", "--until", "nan", "--rate", "10", "-o", "a.csv"], "--until"),
-        (["run", "rig", "--until", "1", "--rate", "10", "-o", "none/a.csv"], "none"),
+        (["run", "rig", "--until", "1", "--rate", "10", "-o", "none/a.csv"], "none/a.csv"),
         (["events", "rig", "--until", "0"], "--until"),
         (["events", "rig", "--until", "1", "--max-steps", "0"], "--max-steps"),
         (["cycle", "bass"], "scene"),
@@ -174,8 +174,8 @@ def test_bad_input_is_one_line_and_exit_2(
 @pytest.mark.parametrize("command", [["cycle", "base"], ["events", "rig", "--until", "20"], ["scenes"], ["--help"]])
 def test_light_commands_import_no_array_package(command: list[str]) -> None:
     code = (
-        "import sys; from daq import terminal; from rig_sim.cli.app import app;"
-        f"code = terminal.run(app, {command!r});"
+        "import sys; from daq.console import application; from rig_sim.cli.app import app;"
+        f"code = application.run(app, {command!r});"
         "heavy = ('numpy', 'scipy', 'numba', 'matplotlib', 'pandas', 'h5py');"
         "print([m for m in heavy if m in sys.modules], file=sys.stderr); sys.exit(code)"
     )

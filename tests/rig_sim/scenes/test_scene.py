@@ -170,3 +170,11 @@ def test_a_scene_is_frozen_and_its_sections_are_the_documented_ones() -> None:
         scene("base").mass.m = 2.0
     assert set(SECTIONS) == set(Scene.model_fields) - {"name", "title", "seed"}
     assert math.isfinite(scene("base").flow().m)
+
+
+def test_the_older_name_of_a_section_is_still_read(tmp_path: Path) -> None:
+    path = tmp_path / "old.toml"
+    path.write_text("[mass]\nm = 1.0\n[spring]\nk = 1.0\n[tell]\ntruth = true\n")
+    for found in (scene(path), scene("base", **{"tell.truth": True}), scene("base", tell={"truth": True})):
+        assert found.output is not None
+        assert found.output.truth
