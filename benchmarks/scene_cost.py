@@ -234,7 +234,7 @@ def left_out(name: str, folder: str) -> dict[str, list[str]]:
     code = (
         "import sys, json; from pathlib import Path; from rig_sim.scenes.scene import scene;"
         "from rig_sim.motion.file import write;"
-        f"write(scene('base', **{SCENES[name]!r}), Path('motion.h5'), until=20.0, rate=10.0);"
+        f"write(scene('base', **{SCENES[name]!r}), Path('motion.h5'), until=20.0, rate=10.0, force=True);"
         "print(json.dumps(sorted(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
