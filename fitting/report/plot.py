@@ -5,6 +5,7 @@ matplotlib is imported here and nowhere else in `fitting`; the look is that of p
 
 import io
 import math
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -28,86 +29,68 @@ MOST_POINTS = 12_000
 def svg(figure: Figure) -> str:
     """Return the figure as an ``<svg>`` element to stand inside a page: no prologue, no outside reference."""
     text = io.StringIO()
-    with mpl.rc_context(fname=str(STYLE)):
-        figure.savefig(text, format="svg", dpi=RESOLUTION, metadata={"Date": None, "Creator": None})
+    figure.savefig(text, format="svg", dpi=RESOLUTION, metadata={"Date": None, "Creator": None})
     drawn = text.getvalue()
     return drawn[drawn.index("<svg") :]
+
+
+def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+    """Return an empty figure, sizes in inches, and its axes."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.add_subplot()
 
 
 def portrait(ranking: Ranking) -> Figure:
     """Draw velocity against position: the whole record, and the best law's motion in every window."""
     motion, best = ranking.motion, ranking.best
-    with mpl.rc_context(fname=str(STYLE)):
-        figure = Figure(figsize=(5.4, 4.4), layout="constrained")
-        axes = figure.add_subplot()
-        x, v = motion.sign * motion.position, motion.sign * motion.velocity
-        axes.plot(100 * x, 100 * v, color=MEASURED, lw=1.6, alpha=0.55, label="measured", rasterized=True)
-        fit = best.fit
-        model = fit.windows.position + fit.residual
-        for number, (_, _, first, count, *_) in enumerate(fit.windows.table):
-            part = slice(first, first + count)
-            if count < 3:
-                continue
-            speed = np.gradient(model[part], fit.windows.time[part])
-            label = f"law {best.law}, fitted" if number == 0 else None
-            axes.plot(
-                100 * motion.sign * model[part],
-                100 * motion.sign * speed,
-                color=COLOURS[best.law],
-                lw=0.7,
-                label=label,
-                rasterized=True,
-            )
-        axes.axhline(100 * best.parameters["v_dr"].value, color=INK, lw=0.7, ls=(0, (4, 3)), label="belt speed")
-        axes.set(xlabel="position (cm)", ylabel="velocity (cm/s)")
-        axes.legend(loc="best")
+    figure, axes = _figure(5.4, 4.4)
+    x, v = motion.sign * motion.position, motion.sign * motion.velocity
+    axes.plot(100 * x, 100 * v, color=MEASURED, lw=1.6, alpha=0.55, label="measured", rasterized=True)
+    fit = best.fit
+    model = fit.windows.position + fit.residual
+    for number, (_, _, first, count, *_) in enumerate(fit.windows.table):
+        part = slice(first, first + count)
+        if count < 3:
+            continue
+        speed = np.gradient(model[part], fit.windows.time[part])
+        label = f"law {best.law}, fitted" if number == 0 else None
+        orbit = 100 * motion.sign * np.stack([model[part], speed])
+        axes.plot(*orbit, color=COLOURS[best.law], lw=0.7, label=label, rasterized=True)
+    axes.axhline(100 * best.parameters["v_dr"].value, color=INK, lw=0.7, ls=(0, (4, 3)), label="belt speed")
+    axes.set(xlabel="position (cm)", ylabel="velocity (cm/s)")
+    axes.legend(loc="best")
     return figure
 
 
 def friction(ranking: Ranking) -> Figure:
     """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest."""
     motion = ranking.motion
-    with mpl.rc_context(fname=str(STYLE)):
-        figure = Figure(figsize=(5.4, 4.4), layout="constrained")
-        axes = figure.add_subplot()
-        w, force, _ = curves.points(ranking)
-        thin = slice(None, None, max(1, w.size // MOST_POINTS))
-        axes.plot(
-            100 * w[thin],
-            force[thin],
-            ".",
-            ms=2.2,
-            color=MEASURED,
-            alpha=0.35,
-            mew=0,
-            label="measured",
-            rasterized=True,
-            zorder=4,
-        )
-        grid = curves.speeds(motion)
-        top = 0.0
-        for row in sorted(ranking.rows, key=lambda row: (row is ranking.best, row.law)):
-            f = curves.curve(row, motion, grid)
-            f[grid == 0] = np.nan
-            heavy = row is ranking.best
-            axes.plot(
-                100 * grid,
-                f,
-                color=COLOURS[row.law],
-                lw=2.2 if heavy else 1.0,
-                ls="-" if heavy or row.in_set else (0, (5, 2)),
-                label=f"law {row.law}",
-                zorder=3 if heavy else 2,
-            )
-            if heavy:
-                top = float(np.nanmax(np.abs(f)))
-        handles, labels = axes.get_legend_handles_labels()
-        order = sorted(range(len(labels)), key=lambda i: labels[i])
-        axes.legend([handles[i] for i in order], [labels[i] for i in order], ncols=2, loc="best", markerscale=5)
-        axes.set_ylim(-1.3 * top, 1.45 * top)
-        axes.axvline(0, color=INK, lw=0.6)
-        axes.axhline(0, color=INK, lw=0.6)
-        axes.set(xlabel="relative velocity: mass minus belt (cm/s)", ylabel=f"friction ({curves.unit(motion)})")
+    figure, axes = _figure(5.4, 4.4)
+    w, force, _ = curves.points(ranking)
+    thin = slice(None, None, max(1, w.size // MOST_POINTS))
+    cloud: dict[str, Any] = {"ms": 2.2, "mew": 0, "alpha": 0.35, "rasterized": True, "zorder": 4}
+    axes.plot(100 * w[thin], force[thin], ".", color=MEASURED, label="measured", **cloud)
+    grid = curves.speeds(motion)
+    top = 0.0
+    for row in sorted(ranking.rows, key=lambda row: (row is ranking.best, row.law)):
+        f = curves.curve(row, motion, grid)
+        f[grid == 0] = np.nan
+        heavy = row is ranking.best
+        style: dict[str, Any] = {
+            "lw": 2.2 if heavy else 1.0,
+            "ls": "-" if heavy or row.in_set else (0, (5, 2)),
+            "zorder": 2 + heavy,
+        }
+        axes.plot(100 * grid, f, color=COLOURS[row.law], label=f"law {row.law}", **style)
+        if heavy:
+            top = float(np.nanmax(np.abs(f)))
+    handles, labels = axes.get_legend_handles_labels()
+    order = sorted(range(len(labels)), key=lambda i: labels[i])
+    axes.legend([handles[i] for i in order], [labels[i] for i in order], ncols=2, loc="best", markerscale=5)
+    axes.set_ylim(-1.3 * top, 1.45 * top)
+    axes.axvline(0, color=INK, lw=0.6)
+    axes.axhline(0, color=INK, lw=0.6)
+    axes.set(xlabel="relative velocity: mass minus belt (cm/s)", ylabel=f"friction ({curves.unit(motion)})")
     return figure
 
 
@@ -116,104 +99,74 @@ def residuals(ranking: Ranking) -> Figure:
     motion, best = ranking.motion, ranking.best
     rival = next((row for row in ranking.rows[1:] if not row.in_set and row.rms_m > 1.2 * best.rms_m), None)
     shown = [row for row in (rival, best) if row is not None]
-    with mpl.rc_context(fname=str(STYLE)):
-        figure = Figure(figsize=(11.0, 3.3), layout="constrained")
-        left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
-        fit = best.fit
-        left.plot(fit.windows.time, 1e6 * fit.residual, ".", ms=1.5, mew=0, color=COLOURS[best.law], rasterized=True)
-        spread = 1e6 * float(np.percentile(np.abs(fit.residual), 99.5))
-        left.set_ylim(-1.6 * spread, 1.6 * spread)
-        left.set(xlabel="time (s)", ylabel="residual (um)", title=f"law {best.law} over the whole record")
-        for row in shown:
-            phase = _since_break_away(row.fit.windows.time, row.fit.rows, row.fit.cycles)
-            right.plot(
-                phase,
-                1e6 * row.fit.residual,
-                ".",
-                ms=1.6,
-                mew=0,
-                alpha=0.6,
-                color=COLOURS[row.law],
-                label=f"law {row.law}",
-                rasterized=True,
-            )
-        if rival is not None:
-            narrow = max(2 * spread, 1e6 * motion.resolution)
-            right.set_yscale("symlog", linthresh=narrow)
-            low = math.ceil(math.log10(narrow))
-            decades = 10.0 ** np.arange(low, max(low, math.ceil(math.log10(1e6 * rival.rms_m))) + 2)
-            right.set_yticks([*-decades[::-1], 0.0, *decades])
-            right.set_yticks([], minor=True)
-            right.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-            right.legend(markerscale=6)
-        title = f"all cycles, beside the next best law {rival.law}" if rival is not None else "all cycles"
-        right.set(xlabel="time since break-away (s)", ylabel="residual (um)", title=title)
+    figure = Figure(figsize=(11.0, 3.3), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+    fit = best.fit
+    left.plot(fit.windows.time, 1e6 * fit.residual, ".", ms=1.5, mew=0, color=COLOURS[best.law], rasterized=True)
+    spread = 1e6 * float(np.percentile(np.abs(fit.residual), 99.5))
+    left.set_ylim(-1.6 * spread, 1.6 * spread)
+    left.set(xlabel="time (s)", ylabel="residual (um)", title=f"law {best.law} over the whole record")
+    for row in shown:
+        phase = _since_break_away(row.fit.windows.time, row.fit.rows, row.fit.cycles)
+        cloud: dict[str, Any] = {"ms": 1.6, "mew": 0, "alpha": 0.6, "rasterized": True}
+        right.plot(phase, 1e6 * row.fit.residual, ".", color=COLOURS[row.law], label=f"law {row.law}", **cloud)
+    if rival is not None:
+        narrow = max(2 * spread, 1e6 * motion.resolution)
+        right.set_yscale("symlog", linthresh=narrow)
+        low = math.ceil(math.log10(narrow))
+        decades = 10.0 ** np.arange(low, max(low, math.ceil(math.log10(1e6 * rival.rms_m))) + 2)
+        right.set_yticks([*-decades[::-1], 0.0, *decades])
+        right.set_yticks([], minor=True)
+        right.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        right.legend(markerscale=6)
+    title = f"all cycles, beside the next best law {rival.law}" if rival is not None else "all cycles"
+    right.set(xlabel="time since break-away (s)", ylabel="residual (um)", title=title)
     return figure
 
 
 def evidence(ranking: Ranking) -> Figure:
     """Draw each cycle's error under each law: what the ranking is made of."""
     rows = list(reversed(ranking.rows))
-    with mpl.rc_context(fname=str(STYLE)):
-        figure = Figure(figsize=(5.4, 0.9 + 0.42 * len(rows)), layout="constrained")
-        axes = figure.add_subplot()
-        for height, row in enumerate(rows):
-            errors = 1e6 * row.fit.cycle_rms
-            axes.plot(errors, np.full(errors.size, height), "|", ms=11, mew=1.1, color=COLOURS[row.law])
-            axes.plot(np.exp(np.mean(np.log(errors))), height, "o", ms=5, color=COLOURS[row.law], mec="white", mew=0.8)
-        axes.set_xscale("log")
-        axes.set_yticks(range(len(rows)), [f"law {row.law}{' *' if row.in_set else ''}" for row in rows])
-        axes.set_ylim(-0.6, len(rows) - 0.4)
-        axes.grid(visible=False, axis="y")
-        axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.set(xlabel="error of each cycle (um rms); dot: their geometric mean")
+    figure, axes = _figure(5.4, 0.9 + 0.42 * len(rows))
+    for height, row in enumerate(rows):
+        errors = 1e6 * row.fit.cycle_rms
+        axes.plot(errors, np.full(errors.size, height), "|", ms=11, mew=1.1, color=COLOURS[row.law])
+        axes.plot(np.exp(np.mean(np.log(errors))), height, "o", ms=5, color=COLOURS[row.law], mec="white", mew=0.8)
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(rows)), [f"law {row.law}{' *' if row.in_set else ''}" for row in rows])
+    axes.set_ylim(-0.6, len(rows) - 0.4)
+    axes.grid(visible=False, axis="y")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set(xlabel="error of each cycle (um rms); dot: their geometric mean")
     return figure
 
 
 def cost(ranking: Ranking) -> Figure:
     """Draw each law's error against the CPU time of its fit."""
-    with mpl.rc_context(fname=str(STYLE)):
-        figure = Figure(figsize=(5.4, 2.6), layout="constrained")
-        axes = figure.add_subplot()
-        for row in ranking.rows:
-            axes.plot(row.cpu_s, 1e6 * row.rms_m, "o", ms=7 if row.in_set else 5, color=COLOURS[row.law])
-            axes.annotate(str(row.law), (row.cpu_s, 1e6 * row.rms_m), (6, 3), textcoords="offset points")
-        axes.set_yscale("log")
-        axes.yaxis.set_minor_formatter(NullFormatter())
-        axes.margins(0.12, 0.2)
-        axes.set_xlim(left=0)
-        axes.set(xlabel="CPU time of the fit (s)", ylabel="error (um rms)")
+    figure, axes = _figure(5.4, 2.6)
+    for row in ranking.rows:
+        axes.plot(row.cpu_s, 1e6 * row.rms_m, "o", ms=7 if row.in_set else 5, color=COLOURS[row.law])
+        axes.annotate(str(row.law), (row.cpu_s, 1e6 * row.rms_m), (6, 3), textcoords="offset points")
+    axes.set_yscale("log")
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.margins(0.12, 0.2)
+    axes.set_xlim(left=0)
+    axes.set(xlabel="CPU time of the fit (s)", ylabel="error (um rms)")
     return figure
 
 
 def levels(ranking: Ranking) -> Figure:
-    """Draw break-away and kinetic level of each cycle against time."""
+    """Draw the friction level of each cycle at break-away and in the slip, against time."""
     events = [event for event in ranking.events if np.isfinite(event.kinetic_scale)]
     time = np.array([event.t for event in events])
-    with mpl.rc_context(fname=str(STYLE)):
-        figure = Figure(figsize=(5.4, 3.4), layout="constrained")
-        axes = figure.add_subplot()
-        _level(axes, time, np.array([event.break_away_level for event in events]), "o", "break-away", COLOURS[4])
-        _level(axes, time, np.array([event.kinetic_scale for event in events]), "s", "sliding", COLOURS[2])
-        axes.set(xlabel="time (s)", ylabel="level / mean sliding level")
-        axes.legend(loc="best")
+    figure, axes = _figure(5.4, 3.4)
+    thin: dict[str, Any] = {"lw": 0.5, "ls": "-"}
+    above = [event.break_away_level for event in events]
+    axes.plot(time, above, "o", ms=5.5, mfc="none", color=COLOURS[4], label="break-away", **thin)
+    axes.plot(time, [event.kinetic_scale for event in events], "s", ms=3, color=COLOURS[2], label="sliding", **thin)
+    axes.set(xlabel="time (s)", ylabel="friction level / mean sliding level")
+    axes.legend(loc="best")
     return figure
-
-
-def _level(axes: Axes, time: Array, value: Array, marker: str, label: str, colour: str) -> None:
-    hollow = "none" if marker == "o" else colour
-    axes.plot(
-        time,
-        value,
-        marker,
-        ms=5.5 if marker == "o" else 3,
-        mfc=hollow,
-        mec=colour,
-        ls="-",
-        lw=0.5,
-        color=colour,
-        label=label,
-    )
 
 
 def _since_break_away(time: Array, rows: tuple[slice, ...], cycles: tuple[Cycle, ...]) -> Array:
@@ -223,13 +176,10 @@ def _since_break_away(time: Array, rows: tuple[slice, ...], cycles: tuple[Cycle,
     return phase
 
 
+PICTURES = (portrait, friction, residuals, evidence, levels, cost)
+
+
 def draw(ranking: Ranking) -> dict[str, str]:
     """Return every picture of the report as an ``<svg>`` element, by name."""
-    return {
-        "portrait": svg(portrait(ranking)),
-        "friction": svg(friction(ranking)),
-        "residuals": svg(residuals(ranking)),
-        "evidence": svg(evidence(ranking)),
-        "levels": svg(levels(ranking)),
-        "cost": svg(cost(ranking)),
-    }
+    with mpl.rc_context(fname=str(STYLE)):
+        return {picture.__name__: svg(picture(ranking)) for picture in PICTURES}

@@ -131,12 +131,13 @@ def rank(
         _refuse(screening.SINE_ALONE, sources)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
-    rows = tuple(_row(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered)
+    tables = [_rows(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered]
+    rows = tuple(table[-1] for table in tables)
     measured = all(run.motion.belt_measured for run in runs)
     words = verdict.verdict_sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
     sides = []
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
-        own = tuple(_side(row, run.motion, alpha, number, sustained=sustained) for row in rows)
+        own = tuple(table[number] for table in tables)
         events = break_aways.find_break_aways(own[0].fit, run.motion, run.cut)
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, sustained=sustained)
         sides.append(Ranking(words, chosen.members, own, events, said, run.motion, run.cut))
@@ -256,46 +257,34 @@ def _refuse(what: str, sources: Sequence[str]) -> None:
         raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
 
 
-def _row(fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool) -> LawResult:
-    parameters = derived.derived_parameters(fit, runs[0].motion, alpha, sustained=sustained)
+def _rows(fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool) -> list[LawResult]:
+    """Return a law's row for each run, and last the row for all of them together; one row for a single run."""
+    parts = [fit.for_run(number) for number in range(len(runs))]
+    parameters = [
+        derived.derived_parameters(fit, run.motion, alpha, number, sustained=sustained)
+        for number, run in enumerate(runs)
+    ]
+    orbits = [phase_distance.orbit_distance(part, run.motion) for part, run in zip(parts, runs, strict=True)]
     if len(runs) > 1:
-        every = [
-            derived.derived_parameters(fit, run.motion, alpha, number, sustained=sustained)
-            for number, run in enumerate(runs)
-        ]
-        parameters = {name: item for name, item in parameters.items() if name not in derived.RUNS_OWN}
-        for number, own in enumerate(every, start=1):
-            parameters |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
-    return LawResult(
-        law=fit.law,
-        name=LAWS[fit.law].name,
-        score=chosen.score[fit.law],
-        weight=chosen.weight[fit.law],
-        in_set=fit.law in chosen.members,
-        rms_m=fit.rms,
-        cycles=len(fit.rows),
-        parameters=parameters,
-        cpu_s=fit.cpu_s,
-        behind=chosen.behind[fit.law],
-        orbit=math.sqrt(
-            float(
-                np.mean([phase_distance.orbit_distance(fit.for_run(n), run.motion) ** 2 for n, run in enumerate(runs)])
-            )
-        ),
-        fit=fit,
-    )
-
-
-def _side(row: LawResult, motion: MeasuredMotion, alpha: float, run: int, *, sustained: bool) -> LawResult:
-    """Return a law's row as one of the runs sees it."""
-    if row.fit.runs == 1:
-        return row
-    part = row.fit.for_run(run)
-    return replace(
-        row,
-        orbit=phase_distance.orbit_distance(part, motion),
-        rms_m=part.rms,
-        cycles=len(part.rows),
-        parameters=derived.derived_parameters(row.fit, motion, alpha, run, sustained=sustained),
-        fit=part,
-    )
+        together = {name: item for name, item in parameters[0].items() if name not in derived.RUNS_OWN}
+        for number, own in enumerate(parameters, start=1):
+            together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
+        parts, parameters = [*parts, fit], [*parameters, together]
+        orbits.append(math.sqrt(float(np.mean(np.square(orbits)))))
+    return [
+        LawResult(
+            law=fit.law,
+            name=LAWS[fit.law].name,
+            score=chosen.score[fit.law],
+            weight=chosen.weight[fit.law],
+            in_set=fit.law in chosen.members,
+            rms_m=part.rms,
+            cycles=len(part.rows),
+            parameters=own,
+            cpu_s=fit.cpu_s,
+            behind=chosen.behind[fit.law],
+            orbit=orbit,
+            fit=part,
+        )
+        for part, own, orbit in zip(parts, parameters, orbits, strict=True)
+    ]

@@ -34,7 +34,7 @@ def recorded(tmp_path_factory):
     return of
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [1, 2, 3, 4, 5, 6])
 def test_a_backward_belt_gives_the_same_law(recorded, law, seed):
     forward, backward = (rank(smooth(store.load(recorded(law, seed, speed)))) for speed in (0.22, -0.22))

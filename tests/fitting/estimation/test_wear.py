@@ -68,7 +68,7 @@ def test_without_a_damping_calibration_the_linear_law_knows_its_slope_less_the_d
     assert slope.stderr < 0.05
 
 
-@pytest.mark.parametrize("seed", [5, 11, 16])
+@pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (11, 16))])
 def test_the_ramp_of_constant_friction_is_known_no_better_than_the_datum(simulated, seed):
     parameters = rank(simulated("friction.law=2", f"seed={seed}", "scatter.Fs=0")).best.parameters
     for name, truth in {"d": 0.03, "v_dr": 0.22, "Fs/k": 0.13068}.items():
