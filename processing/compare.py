@@ -23,8 +23,8 @@ ORDER = 4
 
 
 @dataclass(frozen=True)
-class Row:
-    """One method in one setting.
+class MethodError:
+    """The errors of one method in one setting.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Row:
     max_error: float | None
 
 
-def rows(recording: Recording, truth: Truth | None) -> list[Row]:
+def rows(recording: Recording, truth: Truth | None) -> list[MethodError]:
     """Run every method on the recording.
 
     Parameters
@@ -58,8 +58,8 @@ def rows(recording: Recording, truth: Truth | None) -> list[Row]:
 
     Returns
     -------
-    list of Row
-        Finite differences, Savitzky-Golay and both smoothers, on nominal and on recorded times.
+    list of MethodError
+        Finite differences, Savitzky-Golay, both smoothers and auto, on nominal and on recorded times.
     """
     for method in ("sg", "segment"):  # compiles what it needs now
         registry.estimate(method, series.from_recording(recording), Setting())
@@ -72,20 +72,22 @@ def rows(recording: Recording, truth: Truth | None) -> list[Row]:
         for window in (length for length in WINDOWS if length <= longest):
             found.append(_row("sg", f"{window},{ORDER} {times}", data, Setting(window, ORDER), true))
         found.append(_row("sg", f"auto {times}", data, parse_window("auto", None, data), true))
-        found += [_row(method, times, data, Setting(), true) for method in ("rts", "segment")]
+        found += [_row(method, times, data, Setting(), true) for method in ("rts", "segment", "auto")]
     return found
 
 
-def _row(method: str, setting: str, data: Series, asked: Setting, true: Array | None) -> Row:
+def _row(method: str, setting: str, data: Series, asked: Setting, true: Array | None) -> MethodError:
     begun = clock.process_time()
     motion = registry.estimate(method, data, asked)
     cpu = clock.process_time() - begun
     if setting.startswith("auto"):
         setting = f"auto = {motion.window},{motion.order}{setting[4:]}"
+    if method == "auto":
+        setting = f"{setting} = {motion.method}"
     rms, worst = _errors(motion, true) if true is not None else (None, None)
     known = np.isfinite(motion.velocity_errors)
     sigma = float(np.sqrt(np.mean(motion.velocity_errors[known] ** 2))) if known.any() else math.inf
-    return Row(method, setting, cpu, sigma, rms, worst)
+    return MethodError(method, setting, cpu, sigma, rms, worst)
 
 
 def _errors(motion: Motion, true: Array) -> tuple[float, float] | tuple[None, None]:

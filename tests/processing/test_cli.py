@@ -102,11 +102,13 @@ def test_what_is_no_run_is_refused_by_name(typed, tmp_path, command):
     assert list(tmp_path.iterdir()) == [foreign]
 
 
-def test_compare_states_true_errors_only_where_truth_was_told(typed, path, tmp_path, motion, run_data):
+def test_compare_states_true_errors_only_where_truth_was_recorded(typed, path, tmp_path, motion, run_data):
     rows = document(typed, "compare", path)["rows"]
     assert {"method", "setting", "cpu_s", "sigma_v", "rms_error", "max_error"} <= set(rows[0])
     by_name = {(row["method"], row["setting"]): row for row in rows}
     rough, smooth = by_name["fd", "recorded"], next(row for row in rows if row["setting"].startswith("auto"))
+    default = by_name["auto", "recorded = segment"]
+    assert default["rms_error"] == by_name["segment", "recorded"]["rms_error"] < smooth["rms_error"]
     assert 3e-3 < rough["rms_error"] < 4e-3
     assert (
         next(row for row in rows if row["setting"].startswith("auto") and "recorded" in row["setting"])["rms_error"]
@@ -120,7 +122,7 @@ def test_compare_states_true_errors_only_where_truth_was_told(typed, path, tmp_p
         assert row["sigma_v"] > 0
     code, out, _ = typed("compare", silent)
     assert code == 0
-    assert "no truth in this run" in out
+    assert "holds no exact motion" in out
 
 
 def test_smoothing_does_not_look_at_the_truth(typed, path, tmp_path, motion, run_data):

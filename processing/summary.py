@@ -1,0 +1,119 @@
+"""What a smoothed run says: as JSON, and in sentences for a person."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+from processing.record.kinematics import Kinematics, SmoothingSummary
+
+METHOD_NAMES = {
+    "segment": "sticks and slips smoothed apart, switching times fitted",
+    "rts": "fixed-interval smoother, noise levels by maximum likelihood",
+    "sg": "Savitzky-Golay",
+    "fd": "finite differences",
+}
+HEADER = ("method", "window", "order", "times", "belt_speed", "plateau_fraction", "lost_counts", "repaired", "cpu_s")
+
+
+def as_json(motion: Kinematics | SmoothingSummary) -> dict[str, Any]:
+    """Return what `process smooth --json` prints; the keys are fixed."""
+    return {name: getattr(motion, name) for name in HEADER} | {
+        "sticks": len(motion.sticks),
+        "slips": len(motion.slips),
+        "belt_channel": motion.belt_counted,
+        "losses": [vars(loss) for loss in motion.losses],
+        "kicks": [vars(step) for step in motion.kicks],
+        "phases": [
+            {name: getattr(phase, name) for name in ("kind", "start", "start_sd", "end", "end_sd")}
+            for phase in motion.phases
+        ],
+        "samples": motion.samples,
+        "warnings": warnings(motion),
+    }
+
+
+def run_as_json(motion: Kinematics) -> dict[str, Any]:
+    """Return what `process inspect --json` says of the run and its motion."""
+    recording = motion.recording
+    return as_json(motion) | {
+        "title": recording.title,
+        "started": recording.started,
+        "duration_s": motion.span,
+        "rate_hz": recording.rate_hz,
+        "segments": len(set(recording.segment.tolist())),
+        "unit": recording.unit,
+        "position_range": [float(motion.position.min()), float(motion.position.max())],
+        "velocity_range": [float(motion.velocity.min()), float(motion.velocity.max())],
+        "events": {kind: recording.event_kind.count(kind) for kind in sorted(set(recording.event_kind))},
+    }
+
+
+def warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
+    """Return what a person should know before using the motion."""
+    found = []
+    if motion.lost_counts:
+        found.append(
+            f"counts went missing {_count(motion.lost_counts, 'time')} "
+            f"({'put back' if motion.repaired else 'marked, not repaired'}): "
+            "look for a bouncing encoder wheel or a slipping coupling"
+        )
+    if motion.kicks:
+        found.append(
+            f"the velocity stepped {_count(len(motion.kicks), 'time')}, as at a belt joint "
+            f"(first by {motion.kicks[0].step:.2g} {motion.unit}/s); marked"
+        )
+    if motion.phases and not motion.sticks and math.isfinite(motion.plateau_speed):
+        found.append(
+            f"no stick at the belt speed of {motion.belt_speed:g}, but the mass sticks at {motion.plateau_speed:.5g}: "
+            "check --belt-speed and its sign, or leave it at auto"
+        )
+    if not motion.phases:
+        found.append("the mass never moves in this record")
+    return found
+
+
+def sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) -> list[str]:
+    """Return how the motion was made and what was found in it; ``chosen``: the window was left to the program."""
+    how = METHOD_NAMES[motion.method]
+    if motion.method == "sg":
+        span = 1e3 * (motion.window - 1) * motion.span / max(motion.samples - 1, 1)
+        how += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
+        how += ", chosen from the record" if chosen else ""
+    known = math.isfinite(motion.belt_speed)
+    belt = f"belt {motion.belt_speed:.5g} {motion.unit}/s" if known else "belt speed unknown"
+    belt += " (from its own encoder)" if motion.belt_counted else ""
+    lines = [
+        f"{how}; {motion.times} times",
+        f"{_count(len(motion.sticks), 'stick')} and {_count(len(motion.slips), 'slip')}; {belt}; "
+        f"stuck for {100 * motion.plateau_fraction:.0f} % of the record",
+    ]
+    if motion.method == "segment" and motion.sticks:
+        landing = _median_error([stick.start_sd for stick in motion.sticks])
+        leaving = _median_error([stick.end_sd for stick in motion.sticks])
+        lines.append(f"standard errors of switching times: {landing} (landings), {leaving} (break-aways)")
+    lines.append(f"{motion.samples} samples in {motion.cpu_s:.2f} s of CPU time")
+    return lines + [f"warning: {warning}" for warning in warnings(motion)]
+
+
+def run_sentences(motion: Kinematics, file: Path) -> list[str]:
+    """Return what a run holds and what its motion is."""
+    data = run_as_json(motion)
+    unit = data["unit"]
+    events = ", ".join(f"{count} {kind}" for kind, count in data["events"].items()) or "none"
+    segments = f" in {data['segments']} segments" if data["segments"] > 1 else ""
+    (low, high), (slow, fast) = data["position_range"], data["velocity_range"]
+    return [
+        f"{file}: {data['title']}, {data['started']}",
+        f"{data['samples']} samples at {data['rate_hz']:g} Hz, {data['duration_s']:.4g} s{segments}; events: {events}",
+        f"position {low:.4g} to {high:.4g} {unit}, velocity {slow:.4g} to {fast:.4g} {unit}/s",
+        *sentences(motion),
+    ]
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'s' if number != 1 else ''}"
+
+
+def _median_error(errors: list[float]) -> str:
+    known = sorted(error for error in errors if error < math.inf)
+    return f"{1e3 * known[len(known) // 2]:.2g} ms" if known else "unknown"
