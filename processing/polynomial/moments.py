@@ -85,40 +85,6 @@ def slide(count: Integers, half: int, weights: Array, even: Integers, values: Ar
     n = count.size
     window = np.int64(2 * half + 1)
     m0 = m1 = m2 = m3 = m4 = np.int64(0)
-    for k in range(2 * half + 1):
-        j, c = np.int64(k - half), count[k]
-        m0 += c
-        m1 += j * c
-        m2 += j * j * c
-        m3 += j * j * j * c
-        m4 += j * j * j * j * c
-    high, low = np.int64(half), np.int64(-half - 1)
-    high2, low2 = high * high, low * low
-    high3, low3, high4, low4 = high2 * high, low2 * low, high2 * high2, low2 * low2
-    s2, s4 = even[0], even[1]
-    w00, w02, w04 = weights[0, 0], weights[0, 2], weights[0, 4]
-    w11, w13 = weights[1, 1], weights[1, 3]
-    w20, w22, w24 = weights[2, 0], weights[2, 2], weights[2, 4]
-    for i in range(half, n - half):
-        c = count[i]
-        f0, f2, f4 = float(m0 - window * c), float(m2 - s2 * c), float(m4 - s4 * c)
-        values[0, i] = w00 * f0 + w02 * f2 + w04 * f4
-        values[1, i] = w11 * float(m1) + w13 * float(m3)
-        values[2, i] = w20 * f0 + w22 * f2 + w24 * f4
-        if i + 1 + half < n:
-            new, old = count[i + 1 + half], count[i - half]
-            m4 += 6 * m2 - 4 * (m3 + m1) + m0 + high4 * new - low4 * old
-            m3 += 3 * (m1 - m2) - m0 + high3 * new - low3 * old
-            m2 += m0 - 2 * m1 + high2 * new - low2 * old
-            m1 += high * new - low * old - m0
-            m0 += new - old
-
-
-def slide_wide(count: Integers, half: int, weights: Array, even: Integers, values: Array) -> None:
-    """As `slide`, for windows whose fourth moment needs more than 64 bits."""
-    n = count.size
-    window = np.int64(2 * half + 1)
-    m0 = m1 = m2 = m3 = m4 = np.int64(0)
     rounded = 0.0  # the fourth moment, seen from the centre
     for k in range(2 * half + 1):
         j, c = np.int64(k - half), count[k]

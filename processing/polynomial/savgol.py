@@ -80,8 +80,7 @@ def inside(position: Array, window: int, order: int, counted: Counted | None, va
     own = slice(half_window, position.size - half_window)
     if counted is not None and moments.fits(counted.count, window, order):
         weights, even = _power_weights(window, order)
-        slide = moments.slide_wide if moments.wide(window) else moments.slide
-        compiled(slide, KERNELS)(counted.count, half_window, weights, even, values)
+        compiled(moments.slide, KERNELS)(counted.count, half_window, weights, even, values)
         values[:, own] *= counted.pitch
         values[0, own] += position[own]
         return

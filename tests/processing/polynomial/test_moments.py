@@ -17,7 +17,7 @@ def counts(motion, pitch=7.67e-6, duration=5.0):
 
 def slid(count, window, order):
     values = np.empty((3, count.size))
-    run = compiled(moments.slide_wide if moments.wide(window) else moments.slide, savgol.KERNELS)
+    run = compiled(moments.slide, savgol.KERNELS)
     run(count, window // 2, moments.power_weights(window, order), moments.sums(window), values)
     return values[:, window // 2 : -(window // 2)]
 
