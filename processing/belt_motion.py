@@ -1,7 +1,7 @@
-"""The belt's own motion, where the board counts it: smoothed as the mass's is, and the mass as the belt sees it.
+"""The motion of a belt with an encoder, smoothed as the mass's is, and the motion of the mass relative to it.
 
-The mass seen from the belt is smoothed as one record, their difference: in stick it stands, whatever the belt does, and
-what a filter blurs at a corner it blurs in both alike.
+The relative motion is smoothed as one record, the difference of both: in stick it is at rest, whatever the belt does,
+and what a filter blurs at a corner it blurs in both alike.
 """
 
 from dataclasses import replace
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def has_belt_encoder(recording: "Recording") -> bool:
-    """Tell whether the recording has a belt's counts that `smooth_belt` can use."""
+    """Return whether the recording has belt counts that `smooth_belt` can use."""
     rig = recording.rig
     return recording.belt_count is not None and rig.belt_metres_per_count is not None and recording.unit == "m"
 

@@ -19,7 +19,7 @@ class Portrait:
     position, velocity : array of shape (n,)
         The whole record.
     stick : array of bool
-        Where it rides on the belt.
+        True in sticks.
     cycles : tuple of slice
         Samples of each complete cycle, from slip onset to slip onset.
     """

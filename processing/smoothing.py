@@ -202,7 +202,7 @@ class _Reader:
         self._anchors: dict[int, tuple[float, int]] = {}
         self._grid = None
         if times == "nominal" and store.load(path, slice(0, 1)).raw is None:
-            # An import has no sample numbers: only the whole record tells its even grid.
+            # An import has no sample numbers: its even grid follows from the whole record.
             self._grid = import_grid.learn(path, n, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
 
     def read(self, begin: int, end: int) -> "tuple[Recording, Series, int]":

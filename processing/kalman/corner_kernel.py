@@ -40,7 +40,7 @@ def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float,
     """Name the part of the motion every sample lies in (the interval that ends there), for `forward`.
 
     ``first`` is the label before the first corner: SLIP, STICK, RIDE or REST; the parts of a slip near its ends, and
-    of a ride, are told by their time from the corner in fractions of ``unit`` (s), the length of a slip.
+    of a stick on an uneven belt, follow from the time to the corner in fractions of ``unit`` (s), a slip's length.
     """
     c = 0
     state = first

@@ -1,12 +1,12 @@
 """Fixed-interval smoothing of a motion of white jerk, on the recorded times, its noise levels by likelihood.
 
 The jerk is taken for white noise of one density q over the whole record and the readings for independent, of one
-variance r; both are those under which the record is most likely.  Every sample then is told from all others, with
+variance r; both are those under which the record is most likely.  Every sample then is estimated from all others, with
 standard errors that are larger at the ends.  Equivalent to the quintic smoothing spline, and to a Savitzky-Golay
 window of `Motion.window` samples where times are even.
 
 Not modelled: corners of the velocity (they raise q for the whole record: `processing.segmentation.smoother` knows
-them), and counts that hardly change (the readings then err together).  Near a corner the readings surprise the filter;
+them), and counts that hardly change (the readings then err together).  Near a corner the innovations are large;
 the standard errors there are scaled up by how much.
 
 Source: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965) 1445.

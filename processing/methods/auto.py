@@ -1,4 +1,4 @@
-"""The default: by segments where the record shows sticks beyond doubt, else the smoother that knows no corners.
+"""The default: "segment" where the record shows sticks beyond doubt, else "rts".
 
 A stick is beyond doubt when it makes the record more likely by 1.5 ln n for each of its corners
 (`processing.segmentation.model_selection`).

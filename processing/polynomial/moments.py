@@ -31,7 +31,7 @@ def wide(window: int) -> bool:
 
 
 def fastest(window: int, order: int) -> float:
-    """Return the most counts per sample at which every moment, seen from its centre, can be told; 0 for none.
+    """Return the most counts per sample at which every moment, seen from its centre, is known exactly; 0 for none.
 
     A window that could not take `ENOUGH` takes none, so that hardly any record has windows of both kinds.
     """

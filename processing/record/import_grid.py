@@ -1,6 +1,6 @@
 """The even grid of a long import, learned in one pass over its times: the same as `series.nominal` gives.
 
-An import has no sample numbers: intervals are told as multiples of the usual one, and the grid runs from the first
+An import has no sample numbers: intervals are multiples of the usual one, and the grid runs from the first
 time to the last.
 """
 

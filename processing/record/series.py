@@ -83,7 +83,7 @@ def from_recording(
     anchor : (float, int), optional
         Time and number of the sample at which the first segment's even grid starts; by default the first.
     grid : array of shape (n,), optional
-        The even grid itself, where more than this recording tells it.
+        The even grid itself, where it follows from more than this recording.
 
     Raises
     ------

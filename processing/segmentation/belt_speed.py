@@ -12,7 +12,9 @@ from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from processing.record.motion import Motion
 
-SAME_SPEED = 0.4  # of the belt's speed: a ramp's creep is allowed for
+# Of the belt's speed: the most that a plateau may differ from it.  Under friction with a ramp the mass creeps by up to
+# the ramp's half-width d, so sticks are found for d up to 0.4 belt speeds and missed above.
+SAME_SPEED = 0.4
 
 
 def common_speed(motion: Motion, plateaus: list[tuple[int, int]]) -> float:

@@ -28,7 +28,7 @@ MOST = 64  # landings looked at
 def with_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) -> NoiseLevels:
     """Return the levels with the mean snap of a slip's parts near its landing on an even belt.
 
-    With n landings the means are (n - 1)/n of those of greatest likelihood: one alone tells nothing.
+    With n landings the means are (n - 1)/n of those of greatest likelihood: one alone carries no information.
     """
     unit = times.unit
     landings = np.flatnonzero(times.kind == LAND)

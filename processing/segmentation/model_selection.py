@@ -1,7 +1,7 @@
-"""The gate: a stick is kept only if it makes the record more likely by 1.5 ln n for each of its corners.
+"""Model selection: a stick is accepted if it raises the log likelihood by 1.5 ln n for each of its corners.
 
-Where two in three pass, the others are kept if they make it more likely at all; where most fail, all go.  What a stick
-is held against is a motion of white jerk or of white snap all through, whichever does better.
+Where two in three are accepted, the others need only raise it at all; where most fail, all are rejected.  The null
+model is a motion of white jerk or of white snap throughout, whichever is more likely.
 """
 
 import math
@@ -29,9 +29,21 @@ def accept_sticks(
     noise: white_jerk.Noise,
     first: SwitchingTimes,
 ) -> tuple[SwitchingTimes, NoiseLevels] | None:
-    """Keep the sticks that make the record more likely, each on the belt that does: even, or not.
+    """Return switching times and noise levels of the sticks accepted, each on an even belt or on an uneven one.
 
-    Without the sticks, the record is held to be white jerk or white snap all through, whichever does better.
+    Parameters
+    ----------
+    times, levels : SwitchingTimes, NoiseLevels
+        The estimates.
+    noise : white_jerk.Noise
+        Of the null model of white jerk.
+    first : SwitchingTimes
+        Where the estimation began: that of uneven sticks starts there again.
+
+    Returns
+    -------
+    (SwitchingTimes, NoiseLevels) or None
+        None where the null model is kept.
     """
     sticks = sticks_of(times)
     if not sticks:

@@ -1,15 +1,15 @@
-"""Where the mass stuck and where it slipped, and how fast the belt ran.
+"""Plateaus of the velocity: where the mass stuck and where it slipped, and how fast the belt ran.
 
 A stick is a plateau of the velocity: the acceleration stays near zero for 30 ms or more, at the belt's speed.
-Three rules tell it from what only looks like one:
+Three rules distinguish it from similar stretches:
 
 - the turning points of a swing are flat for a moment too, but their flat stretch grows fourfold when the tolerance
   does; a plateau hardly grows.  So laws 1 and 2, whose velocity only grazes the belt's, show no stick in the long run;
 - rest is not stick: before the belt starts (and after it stops) the count does not move at all;
 - sticks share one speed: a flat stretch at another one is left out.
 
-Where the belt has an encoder of its own, all this is asked of the mass as the belt sees it: a stick is then a plateau
-of their relative velocity at zero, however the belt swings or slows, and its speed is what its counts say.
+Where the belt has an encoder of its own, all this applies to the motion relative to the belt: a stick is then a plateau
+of the relative velocity at zero, however the belt speed varies, and the belt speed is that of its counts.
 
 Not modelled here: ripple of a belt without an encoder, and velocity steps of a belt joint, which split a stick in two
 when they exceed the tolerance.
@@ -36,10 +36,10 @@ from processing.segmentation.phase_layout import (
     segment_at_corners,
 )
 
-LEAST_STICK = 0.03  # s
-FLAT = 0.05  # of the largest accelerations: what counts as none
+LEAST_STICK = 0.03  # s: shorter plateaus are no sticks
+FLAT = 0.05  # of the largest accelerations (95th percentile): what counts as none; not swept
 ROUNDING = 1e-9  # of the fastest speed, gained in a sample: what rounded numbers make of a straight line
-CLEAR = 0.15  # of the largest accelerations: five standard errors must stay below it
+RESOLVED = 0.15  # of the largest accelerations: five standard errors must stay below it, else smooth more; not swept
 WIDER = 4.0  # the second tolerance of the plateau test
 PLATEAU = 0.5  # share of the wider stretch that must be flat already: 1/4 for a swing, near 1 for a plateau
 
@@ -86,7 +86,7 @@ def segment(
     sticks: list[Stick] = []
     for run in plateaus:
         speed = median_value(seen.velocity[run[0] : run[1] + 1])
-        # Seen from the belt, a mass that rides on it stands.
+        # Relative to the belt, a stick has no speed.
         aim, slack = (level, level) if belt is None else (0.0, median_value(belt.velocity[run[0] : run[1] + 1]))
         if abs(speed - aim) <= SAME_SPEED * abs(slack):
             start, end = corners_of_plateau(run, series, size, seen.window, tolerance, moving)
@@ -148,7 +148,7 @@ def _smooth_until_resolved(series: Series, motion: Motion, moving: Mask) -> tupl
     noise = None
     for attempt in range(7):
         scatter, peak = _noise(seen, moving), _peak(seen, moving)
-        if seen.order >= 2 and (5 * scatter <= CLEAR * peak or seen.window * 3 // 2 > longest or attempt == 6):
+        if seen.order >= 2 and (5 * scatter <= RESOLVED * peak or seen.window * 3 // 2 > longest or attempt == 6):
             break
         if noise is None:
             noise = white_jerk.fit(series)

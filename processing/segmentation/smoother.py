@@ -1,9 +1,9 @@
-"""Smoothing that knows sticks from slips: corners fitted to the record, the roughness of each part by likelihood.
+"""Smoothing of stick-slip: switching times fitted to the record, process noise of each part by likelihood.
 
-A stick on an even belt is a straight line; a slip is a motion of white snap (`processing.kalman.snap_kernel`), rougher
-near its ends, where friction changes fast, than in its middle.  The parts meet in corners: at a landing x and v go on
-and the acceleration drops to 0, at an onset the jerk jumps (the acceleration too, where the break-away level differs).
-A belt that does not run evenly is ridden, smoothly, instead of stuck to.
+A stick on an even belt is a straight line; a slip is a motion of white snap (`processing.kalman.snap_kernel`), of
+higher density near its ends, where friction changes fast, than in its middle.  The parts meet in corners: at a landing
+x and v are continuous and the acceleration drops to 0; at a break-away the jerk jumps (the acceleration too, where the
+break-away level differs from sliding friction).  A stick on an uneven belt is smoothed like a slip.
 
 1. A first motion (`processing.kalman.white_jerk`) shows sticks (`processing.segmentation.plateaus`), and rest before
    the belt starts.
@@ -35,8 +35,8 @@ from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, stretches
 
 WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop"}
-ORDER = 7  # of the spline
-LINE = 1 / 3  # of a slip: the longest straight line through a stick
+ORDER = 7  # of the equivalent spline
+LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit` says what longer ones do)
 
 
 def segmented(
@@ -64,8 +64,10 @@ def segmented(
 def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, window: int) -> Motion:
     """Smooth, averaging over the uncertainty of the switching times: each a standard deviation early, and late.
 
-    The smoother's variance is that of readings and of the motion's own noise.  A slip is smooth but for its ends, and
-    errs by the readings' share alone: about 1 - (2 d + 1)/8 of that variance in the d-th derivative.
+    The smoother's variance has a share of the readings and one of the process noise.  A slip is smooth but for its
+    ends, so there the readings' share alone is its error.  A smoother of white snap has the response
+    H = 1/(1 + w^8), the two variances are the integrals of w^(2d) H^2 and of w^(2d) H, and their ratio is
+    1 - (2 d + 1)/8 in the d-th derivative.
     """
     early, stick = _run(series, workspace, times, -1.0, levels)
     _straighten(series, stick, times, levels, early)
