@@ -1,10 +1,10 @@
-"""Decoding of sampled A, B levels: edges and samples per second of every decoder, beside sigrok's own.
+"""Decoding of sampled logic levels A, B: edges and samples per second of every decoder, compared with sigrok.
 
 ``python benchmarks/decoding.py [SAMPLES]`` (default 2^24): streams with an edge every other sample (dense) and every
-ten (ordinary), in the pieces in which a capture is read; steady swings, and a walk that turns at random.  "totals" only
-counts, as `daq decode` does; "steps" also says where each edge is, as `daq replay` needs.  CPU time of one core, best
-of `REPEATS`.  sigrok-cli decodes one capture of the same dense swing, cut to what it does in some seconds; its CPU
-time includes its start, which a run on an empty capture measures and takes off.
+ten (ordinary), in the pieces in which a capture is read; regular back-and-forth motion, and a random walk.  "totals"
+only counts, as `daq decode` does; "steps" also locates each edge, as `daq replay` requires.  CPU time of one core, best
+of `REPEATS`.  sigrok-cli decodes one capture of the same dense motion, shortened so that it takes some seconds; the
+CPU time of its start-up, measured on an empty capture, is subtracted.
 """
 
 import json
@@ -28,7 +28,7 @@ SIGROK_SAMPLES = 1 << 20
 
 
 def stream(samples: int, every: int, walk: bool) -> np.ndarray:
-    """Return levels with an edge every so many samples: swings of 5000 edges, or a random walk."""
+    """Return levels with an edge every so many samples: back and forth by 5000 edges, or a random walk."""
     edges = samples // every
     if walk:
         steps = np.random.default_rng(1).choice([-1, 1], edges)
@@ -38,7 +38,7 @@ def stream(samples: int, every: int, walk: bool) -> np.ndarray:
 
 
 def seconds(kind: str, levels: np.ndarray, what: str) -> tuple[float, Decoder]:
-    """Return the least CPU time of decoding ``levels``, and the decoder at its end."""
+    """Return the smallest CPU time of decoding ``levels``, and the decoder afterwards."""
     least = float("inf")
     for _ in range(REPEATS):
         decoder = Decoder(kind)
@@ -61,7 +61,7 @@ def capture(path: Path, levels: np.ndarray) -> None:
 
 
 def sigrok() -> dict[str, float] | None:
-    """Return what sigrok's Gray code decoder takes for a dense swing, or None where sigrok-cli is not installed."""
+    """Return the CPU time of sigrok's Gray code decoder for dense motion, or None if sigrok-cli is not installed."""
     tool = shutil.which("sigrok-cli")
     if tool is None:
         return None
@@ -72,7 +72,7 @@ def sigrok() -> dict[str, float] | None:
             capture(path, levels)
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
             line = [tool, "-i", str(path), "-P", "graycode:d0=A:d1=B", "-A", "graycode=count"]
-            # Debian 12's sigrok-cli decodes to the end and then aborts in Python's clean-up: judged by what it printed.
+            # Debian 12's sigrok-cli decodes to the end and then aborts in Python's clean-up, so its output is used.
             done = subprocess.run(line, capture_output=True, text=True, check=False)
             after = resource.getrusage(resource.RUSAGE_CHILDREN)
             return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done.stdout
@@ -113,7 +113,7 @@ def main(samples: int) -> None:
     ordinary = min(row["samples_per_s"] for row in rows if row["stream"] == "ordinary")
     print(f"slowest: {least / 1e6:.0f} M edges/s dense, {ordinary / 1e6:.0f} M samples/s ordinary")
     if peer is None:
-        print("sigrok-cli is not installed: no side by side")
+        print("sigrok-cli is not installed: no comparison")
     else:
         like = next(row for row in rows if row["decoder"] == "x4" and row["for"] == "totals")
         peer["ratio"] = like["edges_per_s"] / peer["edges_per_s"]

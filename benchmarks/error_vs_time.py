@@ -1,8 +1,8 @@
-"""Error against run time of every method, for the six laws and a driven one: tables, a picture and JSON.
+"""Error against run time of every method, for the six laws and a driven one: tables, a figure and JSON.
 
-``python benchmarks/error_vs_time.py [UNTIL]``: each scene runs for UNTIL time units (default 1000).  Error is the
-largest of an event time against 40-digit arithmetic; CPU leaves out compiling.  Every cycle is stepped.  heyoka, where
-it is installed, is an oracle from outside: it meets the reference, or the reference is wrong.
+``python benchmarks/error_vs_time.py [UNTIL]``: each scene runs for UNTIL time units (default 1000).  The error is
+the largest error of an event time, compared with 40-digit arithmetic; CPU times exclude compilation.  Every cycle is
+integrated.  heyoka, if installed, checks the reference independently: the two must agree.
 """
 
 import json
@@ -36,7 +36,7 @@ REPEATS = 5
 
 
 def ratios(found: Comparison) -> dict[str, float]:
-    """Return CPU of DOP853 at its tightest over that of the exact method, and the errors' ratio."""
+    """Return the ratios of CPU time and of error between DOP853 at its smallest tolerance and the exact method."""
     rows = {(row.method, row.setting): row for row in found.rows}
     peer, machine = rows["dop853", "rtol 2.3e-14"], rows["exact", "compiled"]
     answer = {
@@ -49,7 +49,7 @@ def ratios(found: Comparison) -> dict[str, float]:
 
 
 def by_heyoka(found: Scene, until: float, cycles: int) -> MethodResult:
-    """Return heyoka's row: the least CPU of `REPEATS`, without its compiling."""
+    """Return heyoka's row: the smallest CPU time of `REPEATS`, without its compilation."""
     flow = found.flow()
     rig = Rig(flow)
     least = math.inf
@@ -63,9 +63,9 @@ def by_heyoka(found: Scene, until: float, cycles: int) -> MethodResult:
 
 
 def main(until: float) -> None:
-    """Print the tables, write the picture and the JSON."""
+    """Print the tables, write the figure and the JSON."""
     if Rig is None:
-        print("heyoka is left out: it is not installed (pip install heyoka)")
+        print("heyoka is not installed and is omitted (pip install heyoka)")
     told = {}
     figure, axes = plt.subplots(2, 4, figsize=(12.0, 6.0), sharex=True, sharey=True, layout="constrained")
     for axis, (name, changes) in zip(axes.flat, SCENES.items(), strict=False):

@@ -1,13 +1,13 @@
-"""What ranking six laws costs: warm, by length of the record; on a machine's first call; and against scipy.
+"""CPU time of ranking six laws: compiled, by length of the record; on the first call; and compared with scipy.
 
 ``python benchmarks/fit_speed.py [--laws 3,5] [--lengths 30,60,120,300,600]``
 
     warm      CPU seconds of `fitting.rank` alone (user and system, all threads) on the scene `rig` at 1 kHz with 5 %
-              scatter, for a record of each law; compiled and called once before.  The longest three lengths: law 5
+              scatter, for a record of each law; compiled and called once before.  The longest three lengths: law 5 only
     first     wall and CPU seconds of the command `fit-friction` with an empty folder for machine code
     scipy     one slip window of law 5: the same residuals, priors and unknowns, from the same start to the same
-              minimum, by `solve_ivp` with an event at the landing under `least_squares`, against our minimiser on the
-              engine's flow.  Medians of CPU seconds
+              minimum, by `solve_ivp` with an event at the landing under `least_squares`, compared with this project's
+              minimiser and integrator.  Medians of CPU seconds
 """
 
 import argparse
@@ -42,7 +42,7 @@ from processing.record.kinematics import Kinematics
 
 RESULTS = Path(__file__).resolve().parent / "results"
 SCENE = ("scatter.Fs=0.05", "jitter.rms=50e-6", "damper.c=0.01")
-SHORT = 60  # s: up to there every law's record is measured, beyond that of law 5
+SHORT = 60  # s: up to this length a record of every law is measured, beyond it only law 5
 SOLVERS = ("RK45", "DOP853", "LSODA")  # solve_ivp's default, and the others that suit a smooth slip
 TIGHT = {"rtol": 1e-10, "atol": 1e-13}  # of solve_ivp: its positions good to well below a count
 
@@ -57,7 +57,7 @@ def recorded(law: int, seconds: float, folder: str) -> Path:
 
 
 def cpu_s(who: int = resource.RUSAGE_SELF) -> float:
-    """Return CPU seconds spent so far, of this process or of its children."""
+    """Return the CPU seconds used so far by this process or by its children."""
     used = resource.getrusage(who)
     return used.ru_utime + used.ru_stime
 
@@ -118,7 +118,7 @@ class OneWindow:
         self.start = np.r_[problem.start[self.index], self.local[0, self.own]]
 
     def ours(self) -> tuple[np.ndarray, float, float]:
-        """Return unknowns, cost and CPU seconds of our minimiser."""
+        """Return unknowns, cost and CPU seconds of this project's minimiser."""
         s = self.problem
         begun = clock.process_time()
         problem = levenberg_marquardt.LeastSquaresProblem(
@@ -181,7 +181,7 @@ class OneWindow:
 
 
 def against_scipy(folder: str) -> dict[str, Any]:
-    """Fit one window both ways."""
+    """Fit one window with both minimisers."""
     one = OneWindow(processing.smooth(store.load(recorded(5, 30, folder))))
     one.ours()
     mine, cost, _ = one.ours()
@@ -199,7 +199,7 @@ def against_scipy(folder: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measure, print, and keep the numbers."""
+    """Measure, print and store the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--laws", default="1,2,3,4,5,6")
     parser.add_argument("--lengths", default="30,60,120,300,600", help="seconds")
@@ -213,7 +213,7 @@ def main() -> None:
             spent = [row["cpu_s"] for row in rows if row["seconds"] == seconds]
             print(f"{seconds:5g} s: {np.mean(spent):6.2f} CPU s on average, {max(spent):6.2f} at most")
         cold = first_call(folder)
-        print(f"first call with nothing compiled: {cold['cpu_s']:.1f} CPU s, {cold['wall_s']:.1f} s; it says:")
+        print(f"first call with nothing compiled: {cold['cpu_s']:.1f} CPU s, {cold['wall_s']:.1f} s; output:")
         for line in cold["said"]:
             print(f"    {line}")
         one = against_scipy(folder)

@@ -1,19 +1,19 @@
-"""Which law was it: the identification study on the simulated rig, its accuracy, coverage and cost.
+"""Identification study on the simulated rig: accuracy of verdict and parameters, coverage and CPU time.
 
 ``python benchmarks/identify.py [--seeds N] [--first SEED] [--scenes nominal,harsh,...] [--jobs N]``: every law is
 recorded (30 s at 1 kHz, the scene `rig`), smoothed and ranked N times (default 20) in each scene:
 
     nominal     scatter 3-10 %, wear 3-15 % over the run, joint kicks to 20 mm/s, jitter to 100 us, counts of 7.67 or
-                50 um, damping 0.1-1 % of critical; calibrations as the board sends them, datum within 0.5 mm say
+                50 um, damping 0.1-1 % of critical; calibrations as the board sends them, datum to 0.5 mm (sd)
     harsh       scatter 12 %, wear 25 %, jitter 200 us, belt ripple 2 %; the rest as nominal
-    clean       nothing but counts of 7.67 um
+    clean       no disturbance except counts of 7.67 um
     droop       law 5 on a belt that loses 1 % of its speed under load, nominal noise: without belt counts
     tachometer  the same with belt counts
     speeds      three runs of 16 s at 0.1, 0.2 and 0.3 m/s, nominal noise, fitted together
 
-Scenes are named by ``--scenes`` (default nominal).  The truth is read here, by the benchmark, and nowhere in the pipe.
-Errors are relative to it; the truth of Fs/m is its mean level over the cycles' times, worn but without scatter.  CPU is
-user and system time of the ranking alone, compiling left out.
+``--scenes`` selects the scenes (default nominal).  Only the benchmark reads the true values; the commands do not.
+Errors are relative to them; the true Fs/m is its mean over the times of the cycles, with wear but without scatter.  CPU
+time is user and system time of the ranking alone, without compilation.
 """
 
 import argparse
@@ -53,7 +53,7 @@ LIMITS = {"k/m": 0.5, "v_dr": 0.15, "Fs/m": 3.0, "gamma": 5.5, "G_slip/m": 5.5, 
 
 
 def draw(scene: str, law: int, seed: int) -> dict[str, Any]:
-    """Return what is set in the scene `rig` for one run."""
+    """Return the values set in the scene `rig` for one run."""
     rng = np.random.default_rng([SCENES.index(scene) if scene != "tachometer" else SCENES.index("droop"), law, seed])
     changes: dict[str, Any] = {"friction.law": law, "seed": 100 * seed + law}
     if scene == "clean":
@@ -77,7 +77,7 @@ def draw(scene: str, law: int, seed: int) -> dict[str, Any]:
 
 
 def levels(changes: dict[str, Any], duration: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return when the mass broke away (s) and the friction then, over Fs."""
+    """Return the times of the break-aways (s) and the friction at these times divided by Fs."""
     motion = ScenePlayer(rig_sim.scene("rig", **changes))
     motion.events = []
     path = motion.follow(np.arange(0.0, duration, 1e-3))
@@ -98,7 +98,7 @@ def ranked(changes: dict[str, Any], duration: float, folder: str) -> Any:
 
 
 def run(case: tuple[str, int, int]) -> dict[str, Any]:
-    """Record, smooth and rank one case; return what came out beside the truth."""
+    """Record, smooth and rank one case; return the results together with the true values."""
     scene, law, seed = case
     changes = draw(scene, law, seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -130,7 +130,7 @@ def run(case: tuple[str, int, int]) -> dict[str, Any]:
     middle = float(np.mean([event.t for event in ranking.events if math.isfinite(event.kinetic_scale)]))
     rate = changes.get("wear.rate", 0.0)
     t, factor = levels(changes, DURATION)
-    # Constant friction hardly ever lands, so its level is the one it drew; elsewhere the scatter's mean is 1.
+    # With constant friction there is hardly any landing, so its friction level is the one drawn; else the mean is 1.
     worn = 1 - rate * middle if law > 2 else float(np.mean(factor[1:] if factor.size > 1 else factor))
     truth = {
         "k/m": K, "Fs/m": K * FS * worn, "Fs/k": FS * worn, "v_dr": 0.22, "gamma": GAMMA, "G_slip/m": G_SLIP / MASS,
@@ -138,7 +138,7 @@ def run(case: tuple[str, int, int]) -> dict[str, Any]:
         "G_slip": G_SLIP, "c": changes.get("damper.c", 0.0), "Fs0/m": K * FS,
     }  # fmt: skip
     if changes.get("scatter.Fs") and mine.law in (3, 4):
-        # the whole curve scatters and wears, its slope with it
+        # scatter and wear act on the whole curve, its slope included
         truth["G_slip/m"] *= worn
         truth["G_slip"] *= worn
     row["parameters"] = {
@@ -162,12 +162,12 @@ def run(case: tuple[str, int, int]) -> dict[str, Any]:
 
 
 def share(values: list[bool]) -> str:
-    """Return a share in words."""
+    """Return a share as text."""
     return f"{100 * sum(values) / len(values):5.1f} % ({sum(values)}/{len(values)})" if values else "-"
 
 
 def table(rows: list[dict[str, Any]], scene: str) -> None:
-    """Print what came out of one scene."""
+    """Print the results of one scene."""
     mine = [row for row in rows if row["scene"] == scene]
     print(f"\n{scene}: {len(mine)} rankings, median {np.median([row['cpu_s'] for row in mine]):.2f} CPU s")
     alone = [row for row in mine if len(row["set"]) == 1]
@@ -232,7 +232,7 @@ def main() -> None:
         for seed in range(given.first, given.first + given.seeds)
         for law in LAWS_OF.get(scene, (3, 4, 5, 6) if scene == "speeds" else laws)
     ]
-    run(cases[0])  # compile once, before processes compile side by side
+    run(cases[0])  # compile once, before several processes would compile at the same time
     with ProcessPoolExecutor(given.jobs, mp_context=get_context("spawn")) as pool:
         rows = []
         for row in pool.map(run, cases):

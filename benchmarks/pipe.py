@@ -1,9 +1,9 @@
-"""The whole pipe on the simulated rig: verdict, error of the fitted parameters and CPU time of each stage.
+"""All commands on the simulated rig: verdict, error of the fitted parameters and CPU time of each stage.
 
 ``python benchmarks/pipe.py [SEEDS]``: each of the six laws is recorded (20 s at 1 kHz), smoothed and fitted
 SEEDS times (default 3).  CPU is user + system time of the whole process, start-up included, in units of
-``python -c "import numpy"`` measured in the same run.  The scene's numbers are read here, by the benchmark,
-and nowhere in the pipe.
+``python -c "import numpy"`` measured in the same run.  Only the benchmark reads the values of
+the scene; the commands do not.
 """
 
 import json
@@ -29,7 +29,7 @@ def cpu(line: list[str], folder: str) -> tuple[float, str]:
 
 
 def run(law: int, seed: int, folder: str) -> dict[str, object]:
-    """Record, smooth and fit one run; return what each stage cost and said."""
+    """Record, smooth and fit one run; return the CPU time and the output of each stage."""
     changes = ["--set", f"friction.law={law}", "--set", f"seed={seed}"]
     recorder = [sys.executable, "-m", "daq.cli.app", "record", "--rate", "1000", "-o", "run.h5", "--force", *changes]
     record_s, _ = cpu(recorder, folder)

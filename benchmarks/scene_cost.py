@@ -1,10 +1,10 @@
-"""Leave out what a scene does not need: the engine's flow against a kernel written for exactly that scene.
+"""CPU time spent on terms that a scene does not have: the integrator against a kernel written for that scene alone.
 
-``python benchmarks/scene_cost.py [REPEATS]`` (default 25): CPU time of both over the same stretch, every cycle stepped,
-interleaved, the least of the repeats; the events are checked to be the same.  The kernels are those of
-`benchmarks/hand/kernels.py`.  Where a scene changes its friction or kicks the mass between events, the engine is called
-one phase at a time by a compiled loop that does what `rig_sim.motion.play.ScenePlayer` does.  Then each scene writes a
-file in a process of its own, which must load no module and store no channel of a term that the scene does not have.
+``python benchmarks/scene_cost.py [REPEATS]`` (default 25): CPU time of both over the same interval, every cycle
+integrated, alternating, the smallest of the repeats; both must find the same events.  The kernels are in
+`benchmarks/hand/kernels.py`.  If a scene changes its friction or the velocity of the mass between events, a compiled
+loop calls the integrator phase by phase, as `rig_sim.motion.play.ScenePlayer` does.  Then each scene writes a file in a
+process of its own, which must load no module and store no channel of a term that the scene does not have.
 """
 
 import json
@@ -38,7 +38,7 @@ from rig_sim.scenes.scene import Scene, scene
 RESULTS = Path(__file__).resolve().parent / "results"
 ROOM = 4096
 ASKED = 1.05
-LEAST_S = 0.01  # of CPU in one timed stretch: calls are repeated up to there
+LEAST_S = 0.01  # s of CPU time in one measurement: calls are repeated until it is reached
 DRIVE = {"drive.u0": 0.2, "drive.omega": 0.3}
 DAMPER = {"damper.c": 0.05}
 STATIC = {"friction.static": 1.2}
@@ -66,7 +66,7 @@ SCENES: dict[str, dict[str, object]] = {
     "scatter, wear, joint": {**SCATTER, **WEAR, **JOINT},
     "everything": {**DRIVE, **DAMPER, **DROOP, **SCATTER, **WEAR, **JOINT},
 }
-# a module that a term needs -> what the scene must have for it
+# module that implements a term -> section or key that the scene must have for it
 MODULES = {
     "rig_sim.effects.scatter": "scatter",
     "rig_sim.effects.wear": "wear",
@@ -85,7 +85,7 @@ CHANNELS = {"t", "x", "v", "F"}
 
 
 def constants(found: Scene) -> Constants:
-    """Return a scene's numbers for the kernels written by hand."""
+    """Return the numbers of a scene for the hand-written kernels."""
     flow = found.flow()
     fr = frame(flow)
     return Constants(
@@ -98,7 +98,7 @@ def constants(found: Scene) -> Constants:
 
 
 def terms(found: Scene) -> Terms:
-    """Return what a scene has, for the kernels written by hand."""
+    """Return which terms a scene has, for the hand-written kernels."""
     flow = found.flow()
     return Terms(
         hyperbola=flow.curve == HYPERBOLIC, linear=flow.curve == LINEAR, ramp=flow.ramp == 1, damper=flow.c > 0.0,
@@ -186,7 +186,7 @@ class Race:
         self.fresh()
 
     def fresh(self) -> None:
-        """Give the engine a new working buffer: it carries time's last digits from call to call."""
+        """Give the integrator a new working buffer: the old one holds the rounding error of the time between calls."""
         self.work = new_work(10**9, compiled=self.machine)
 
     def run_engine(self) -> int:
@@ -209,7 +209,7 @@ class Race:
         return count, max(abs(t + more - own) for t, more, own in pairs)
 
     def ratio(self, repeats: int) -> tuple[float, float, float]:
-        """Return (engine's CPU s, the hand kernel's, median of the pairs' ratios)."""
+        """Return (CPU s of the integrator, CPU s of the hand-written kernel, median of the ratios of the pairs)."""
         begun = time.process_time()
         self.run_hand()
         once = time.process_time() - begun
@@ -251,7 +251,7 @@ def left_out(name: str, folder: str) -> dict[str, list[str]]:
 
 
 def main(repeats: int) -> None:
-    """Print the table, write the picture and the JSON."""
+    """Print the table, write the figure and the JSON."""
     rows = []
     print(
         f"{'scene':22} {'events':>6} {'engine':>9} {'by hand':>9} {'ratio':>6} {'interpreted':>11}  not needed, there"
@@ -276,7 +276,7 @@ def main(repeats: int) -> None:
                 f"{engine_s / hand_s:6.3f} {slow_engine / slow_hand:11.3f}  {told}"
             )
     above = [row["scene"] for row in rows if row["ratio"] > ASKED]
-    print(f"CPU per event, compiled; ratio asked: {ASKED}; above it: {', '.join(above) or 'none'}")
+    print(f"CPU per event, compiled; required ratio: {ASKED}; above it: {', '.join(above) or 'none'}")
     figure, axis = plt.subplots(figsize=(7, 5), layout="constrained")
     names = [row["scene"] for row in rows]
     axis.plot([row["ratio"] for row in rows], names, "o", label="compiled")

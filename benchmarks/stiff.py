@@ -1,8 +1,8 @@
-"""Steep ramps: what slopes from -5 to -5e8 cost, and how right the position is where slip begins, for law 6.
+"""Steep ramps: CPU time for slopes from -5 to -5e8, and the error of the position at break-away, for law 6.
 
-``python benchmarks/stiff.py [UNTIL]`` (default 40 time units).  Beside the exact method stand scipy's Radau and LSODA
-at rtol 1e-9 and DOP853 at rtol 1e-12, phase by phase; one that needs more than `EVALUATIONS` of the right-hand side
-is stopped and has no error.  The reference is 40-digit arithmetic.
+``python benchmarks/stiff.py [UNTIL]`` (default 40 time units).  The exact method is compared with scipy's Radau and
+LSODA at rtol 1e-9 and DOP853 at rtol 1e-12, phase by phase; a method that needs more than `EVALUATIONS` of the right-hand
+side is stopped and has no error.  The reference is 40-digit arithmetic.
 """
 
 import json
@@ -26,13 +26,13 @@ from rig_sim.scenes.scene import scene
 RESULTS = Path(__file__).resolve().parent / "results"
 SLOPES = (-5.0, -5e2, -5e4, -5e6, -5e8)
 EVALUATIONS = 300_000
-LONG = 1000.0  # time units over which the exact method's cost is taken
+LONG = 1000.0  # time units over which the CPU time of the exact method is measured
 REPEATS = 7
 PEERS = (("radau", 1e-9), ("lsoda", 1e-9), ("dop853", 1e-12))
 
 
 def errors(found: EventList, expected: list[reference.Event]) -> tuple[float | None, float | None]:
-    """Return the largest errors of x where slip begins and of any event time; None when the events are others."""
+    """Return the largest errors of x at break-away and of any event time; None if the events differ."""
     if found.outcome != "completed" or list(found.kinds) != [kind for _, kind, _ in expected]:
         return None, None
     pairs = list(zip(found.t, found.x, expected, strict=True))
@@ -41,7 +41,7 @@ def errors(found: EventList, expected: list[reference.Event]) -> tuple[float | N
 
 
 def cost(compiled: bool, slope: float) -> tuple[float, float]:
-    """Return (least CPU s per cycle, steps per cycle) of the exact method with every cycle stepped."""
+    """Return (smallest CPU s per cycle, steps per cycle) of the exact method with every cycle integrated."""
     flow = scene("base", **{"friction.law": 6, "friction.G_stick": slope}).flow()
     least = float("inf")
     for _i in range(REPEATS):
@@ -53,7 +53,7 @@ def cost(compiled: bool, slope: float) -> tuple[float, float]:
 
 
 def main(until: float) -> None:
-    """Print the table, write the picture and the JSON."""
+    """Print the table, write the figure and the JSON."""
     rows = []
     for slope in SLOPES:
         played = scene("base", **{"friction.law": 6, "friction.G_stick": slope})
@@ -83,7 +83,7 @@ def main(until: float) -> None:
             x_error, t_error = row[f"{method}_error"], row[f"{method}_t_error"]
             told = f"{row[f'{method}_outcome']:>8}" if x_error is None else f"{x_error:8.1e} {t_error:8.1e}"
             print(f"{'':8} {method:8} {'':6} {row[f'{method}_s'] / row['compiled_s']:8.0f} {'':8} {told}")
-    print("exact: cost per cycle over that at G_stick = -5; the others: CPU over the exact method's, compiled")
+    print("exact: CPU time per cycle relative to G_stick = -5; others: relative to the compiled exact method")
     figure, (above, below) = plt.subplots(2, 1, figsize=(6, 6.5), sharex=True, layout="constrained")
     steepness = [-row["G_stick"] for row in rows]
     for name in ("compiled", "interpreted", *(method for method, _ in PEERS)):

@@ -1,10 +1,10 @@
-"""What reading costs: decoding of frames and lines per sample, and a recording at 5 kHz in real time.
+"""CPU time of reading: decoding of frames and lines per sample, and a recording at 5 kHz in real time.
 
-``python benchmarks/throughput.py [SECONDS]`` (default 10).  Decoding: CPU time per sample, best of `REPEATS`, of what
-runs while a recording does (the tally that counts what has come) and of what runs once at its end (the arrays of the
-run file).  Recording: a board in another process sends at 5 kHz through a pseudo-terminal, in real time; CPU of this
-process, as a share of one core, while samples come, and what the run file costs afterwards.  Last, all of
-`daq record --realtime`, whose process also holds the simulated rig.
+``python benchmarks/throughput.py [SECONDS]`` (default 10).  Decoding: CPU time per sample, best of `REPEATS`, of the
+work during a recording (the tally of received samples) and of the work at its end (the arrays of the run file).  Recording:
+a board in another process sends at 5 kHz through a pseudo-terminal, in real time; CPU time of this process as a share
+of one core during the recording, and CPU time of the run file afterwards.  Last, the complete command
+`daq record --realtime`, whose process also contains the simulated rig.
 """
 
 import json
@@ -55,7 +55,7 @@ while True:
 
 
 def frames(samples: int, block: int, rate_hz: int) -> bytes:
-    """Return so many samples as frames."""
+    """Return a number of samples as frames."""
     period = 1_000_000 // rate_hz
     dt = (0, *[period] * (block - 1))
     parts = []
@@ -68,14 +68,14 @@ def frames(samples: int, block: int, rate_hz: int) -> bytes:
 
 
 def lines(protocol: str, samples: int) -> bytes:
-    """Return so many samples as records of a QSB or as text lines."""
+    """Return a number of samples as records of a QSB or as text lines."""
     if protocol == "qsb":
         return b"".join(b"s0E%08X%08X!\n" % (3 * k, k) for k in range(samples))
     return b"".join(b"%d,%d,%d\r\n" % (1000 * k, 3 * k, 2 * k) for k in range(samples))
 
 
 def decoding() -> list[dict[str, object]]:
-    """Return CPU per sample of each protocol's tally and of its decoding."""
+    """Return the CPU time per sample of the tally and of the decoding, for each protocol."""
     rows = []
     for protocol, block, data, header in (
         ("frames", 1, frames(SAMPLES, 1, 1000), {}),

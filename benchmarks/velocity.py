@@ -1,11 +1,11 @@
-"""Velocity on the truth bench: error against run time of every method and of peers, and what is claimed of each.
+"""Velocity compared with the exact motion: error and run time of every method and of other packages.
 
 ``python benchmarks/velocity.py [SEEDS] [SAMPLES]``: the bench is law 5 in SI units for 60 s at 1 kHz (scene `rig`, belt
 running from the start), counts = floor(x/pitch), sample times with 30 us of jitter recorded to 1 us, for SEEDS seeds
-(default 2; `velocity_seeds.py` tells the claims of many); SAMPLES (default 2e6; 1e8 is the claim, and takes minutes) is
-the length of the record that is smoothed in chunks.  Errors are root mean square and largest of the velocity, mm/s.
-CPU is that of one run of one process, compiling left out, best of a few.  Peers have their knobs tuned on the truth,
-which no user can; those that are not installed (dependency group `bench`) are left out and named.
+(default 2; `velocity_seeds.py` uses more); SAMPLES (default 2e6; docs/velocity.md: 1e8, which takes minutes) is
+the length of the record that is smoothed in chunks.  Errors are root mean square and largest error of the velocity,
+mm/s.  CPU time is that of one process, without compilation, best of a few runs.  The parameters of other packages are
+tuned with the exact motion, which no user can do; packages not installed (dependency group `bench`) are listed.
 """
 
 import json
@@ -54,7 +54,7 @@ SCENES: dict[str, dict[str, object]] = {
 
 
 class Bench:
-    """One truth and what an encoder makes of it."""
+    """An exact motion, and the encoder record of it."""
 
     def __init__(self, seed: int, pitch: float, jitter: float, duration: float = 60.0, **changes: object) -> None:
         scene = rig_sim.scene("rig", **({"seed": seed, "belt.start": 0.0} | changes))
@@ -79,7 +79,7 @@ class Bench:
             self.near |= np.abs(instants - landing) < 0.01
 
     def run(self, count: np.ndarray | None = None) -> Recording:
-        """Return the record on its way into a run file."""
+        """Return the record in the form that is written to a run file."""
         count = self.count if count is None else count
         rig = Rig(metres_per_count=Measured(self.pitch))
         return Recording(
@@ -88,7 +88,7 @@ class Bench:
         )  # fmt: skip
 
     def series(self, times: str = "recorded", count: np.ndarray | None = None) -> series.Series:
-        """Return the record as smoothing sees it."""
+        """Return the record in the form that the smoothers take."""
         count = self.count if count is None else count
         time = self.time if times == "recorded" else self.grid
         steps = np.diff(time)
@@ -105,7 +105,7 @@ class Bench:
 
 
 def timed(function: Callable[[], Any], repeats: int = 5) -> tuple[float, Any]:
-    """Return the least CPU time of a few runs, s, and what the last one gave."""
+    """Return the smallest CPU time of a few runs, s, and the result of the last one."""
     function()
     best = np.inf
     for _ in range(repeats):
@@ -116,7 +116,7 @@ def timed(function: Callable[[], Any], repeats: int = 5) -> tuple[float, Any]:
 
 
 def ours(bench: Bench) -> dict[str, tuple[float, float, float]]:
-    """Return CPU ms, rms and largest error of each of our methods."""
+    """Return CPU ms, rms and largest error of each method of this project."""
     found = {}
     asked = [("fd", "nominal", Setting()), ("fd", "recorded", Setting()), ("sg", "nominal", Setting(41, 4))]
     asked += [("sg", "recorded", Setting(31, 4)), ("sg", "recorded", Setting())]
@@ -130,7 +130,7 @@ def ours(bench: Bench) -> dict[str, tuple[float, float, float]]:
 
 
 def peers(bench: Bench) -> tuple[dict[str, tuple[float, float, float]], list[str]]:
-    """Return the same for other packages, each at the best of a ladder of settings, and those not installed."""
+    """Return the same for other packages, each at the best of several settings, and the packages not installed."""
     x, t, h = bench.count * bench.pitch, bench.time, 1e-3
     found: dict[str, tuple[float, float, float]] = {}
     absent = []
@@ -171,7 +171,7 @@ def peers(bench: Bench) -> tuple[dict[str, tuple[float, float, float]], list[str
         absent.append("whittaker-eilers")
     try:
         dv = import_module("derivative")
-        few = slice(0, x.size // 10)  # it takes a polynomial fit a sample: a tenth of the record tells
+        few = slice(0, x.size // 10)  # one polynomial fit per sample: a tenth of the record suffices
 
         def derivative() -> np.ndarray:
             with warnings.catch_warnings():
@@ -188,7 +188,7 @@ def peers(bench: Bench) -> tuple[dict[str, tuple[float, float, float]], list[str
 
 
 def claims(bench: Bench) -> dict[str, float]:
-    """Return what is claimed of auto beside its error: coverage, corners, sticks."""
+    """Return further results of auto: coverage, switching times, sticks."""
     motion = registry.estimate("auto", bench.series(), Setting())
     inside = np.abs(motion.velocity - bench.v) <= 2 * motion.velocity_errors
     error = 1e3 * (motion.velocity - bench.v)
@@ -200,7 +200,7 @@ def claims(bench: Bench) -> dict[str, float]:
 
 
 def scenes(seed: int) -> dict[str, tuple[str, float, float]]:
-    """Return the method that auto chose and its rms error over that of rts, for scenes of many kinds."""
+    """Return the method that auto chose and its rms error divided by that of rts, for various scenes."""
     made = {name: Bench(seed, 7.67e-6, 30e-6, 30.0, **changes) for name, changes in SCENES.items()}
     found = {}
     for name, bench in made.items():
@@ -232,7 +232,7 @@ def _against_rts(bench: Bench, data: series.Series) -> tuple[str, float, float]:
 
 
 def chosen_windows(seed: int) -> dict[str, float]:
-    """Return the error of the window chosen over that of the best one known with the truth."""
+    """Return the error with the chosen window divided by that with the best window, found with the exact motion."""
     found = {}
     for pitch in (1e-6, 7.67e-6, 50e-6, 200e-6):
         for jitter in (0.0, 30e-6):
@@ -248,7 +248,7 @@ def chosen_windows(seed: int) -> dict[str, float]:
 
 
 def speed(bench: Bench) -> dict[str, float]:
-    """Return Msamples/s of x, v and a together: sg by the window beside scipy's three calls, rts, and segment's ms."""
+    """Return Msamples/s of x, v and a together: sg by window and three calls of scipy, rts; and the ms of segment."""
     from scipy.signal import savgol_filter
 
     even = bench.series("nominal")
@@ -271,7 +271,7 @@ def speed(bench: Bench) -> dict[str, float]:
 
 
 def exactness() -> float:
-    """Return the largest error of the coefficients against rational numbers, over the largest weight."""
+    """Return the largest error of the coefficients against rational arithmetic, divided by the largest weight."""
     from fractions import Fraction
 
     worst = 0.0
@@ -302,7 +302,7 @@ def _gram_exactly(window: int, order: int, s: Any, d: int, j: int) -> Any:
 
 
 def losses(seed: int) -> dict[str, float]:
-    """Return the share of losses found (of 10 and 40 counts, over 1 to 5 samples), and false ones on clean minutes."""
+    """Return the share of losses detected (10 and 40 counts, over 1 to 5 samples), and the false detections."""
     found: dict[str, float] = {}
     for size, width in ((10, 1), (10, 5), (40, 3)):
         bench = Bench(seed, 7.67e-6, 30e-6)
@@ -321,7 +321,7 @@ def losses(seed: int) -> dict[str, float]:
 
 
 def long_record(n: int) -> dict[str, float]:
-    """Smooth n samples in chunks: seconds of CPU, and of reading and writing the same alone."""
+    """Smooth n samples in chunks: return CPU seconds, and CPU seconds of reading and writing alone."""
     bench = Bench(1, 7.67e-6, 30e-6)
     found = {"samples": float(n)}
     with tempfile.TemporaryDirectory() as folder:
@@ -355,7 +355,7 @@ def long_record(n: int) -> dict[str, float]:
 
 
 def picture(bench: Bench, table: dict[str, tuple[float, float, float]], target: Path) -> None:
-    """Draw a re-stick as each method shows it, and error against run time."""
+    """Draw a landing as estimated by each method, and error against run time."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
     landing = bench.landings[3]
     own = np.abs(bench.time - landing) < 0.04
@@ -384,7 +384,7 @@ def picture(bench: Bench, table: dict[str, tuple[float, float, float]], target: 
 
 
 def main(seeds: int, samples: int) -> None:
-    """Print the tables, write the picture and the JSON."""
+    """Print the tables, write the figure and the JSON."""
     told: dict[str, Any] = {}
     for case, (pitch, jitter) in CASES.items():
         rows: dict[str, list[tuple[float, float, float]]] = {}
@@ -395,7 +395,7 @@ def main(seeds: int, samples: int) -> None:
             if seed == 1 and case == "7.67 um + 30 us":
                 others, absent = peers(bench)
                 if absent:
-                    print(f"not installed, left out: {', '.join(absent)}")
+                    print(f"not installed, omitted: {', '.join(absent)}")
                 found |= others
                 picture(bench, found, RESULTS / "velocity.png")
             for name, row in found.items():

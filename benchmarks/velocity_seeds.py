@@ -1,8 +1,8 @@
-"""What is claimed of the velocity, on many seeds of the truth bench, and how often each claim holds.
+"""Claims about the velocity, checked on many seeds of the benchmark, and how often each holds.
 
 ``python benchmarks/velocity_seeds.py [FIRST] [LAST] [SECTION ...]``: seeds FIRST to LAST (default 1 to 6); sections are
-`errors`, `sticks`, `scenes`, `windows`, `losses` and `kicks` (default all).  Every line tells mean, least and largest
-over the seeds, and how many of them keep the limit.
+`errors`, `sticks`, `scenes`, `windows`, `losses` and `kicks` (default all).  Every line gives mean, smallest and
+largest value over the seeds, and how many seeds are within the limit.
 """
 
 import json
@@ -28,7 +28,7 @@ Limits = dict[str, tuple[float, float]]
 
 
 def errors(seed: int) -> tuple[Row, Limits]:
-    """Return errors and coverage of `auto` in every case of the bench."""
+    """Return errors and coverage of `auto` in every case of the benchmark."""
     row: Row = {}
     limits: Limits = {}
     for case, (pitch, jitter) in CASES.items():
@@ -88,7 +88,7 @@ def _found(bench: Bench, times: str = "recorded", method: str = "auto") -> int:
 
 
 def sticks(seed: int) -> tuple[Row, Limits]:
-    """Return how many sticks `auto` misses (negative: invents) in 20 s at belts of many speeds, laws 3, 5 and 6."""
+    """Return how many sticks `auto` misses (negative: adds) in 20 s at many belt speeds, laws 3, 5 and 6."""
     row: Row = {}
     for law in (3, 5, 6):
         for speed in (0.1, 0.15, 0.2, 0.25, 0.3):
@@ -98,19 +98,19 @@ def sticks(seed: int) -> tuple[Row, Limits]:
 
 
 def against_rts(seed: int) -> tuple[Row, Limits]:
-    """Return the error of `auto` over that of `rts` in many scenes."""
+    """Return the error of `auto` divided by that of `rts` in many scenes."""
     row = {name: ratio for name, (_, _, ratio) in scenes(seed).items()}
     return row, dict.fromkeys(row, (0.0, 1.03))
 
 
 def window(seed: int) -> tuple[Row, Limits]:
-    """Return the error of `sg` with its own window over that with the best one."""
+    """Return the error of `sg` with the window it chooses divided by that with the best one."""
     row = chosen_windows(seed)
     return row, dict.fromkeys(row, (0.0, 1.08))
 
 
 def losses(seed: int) -> tuple[Row, Limits]:
-    """Return recall of lost counts at random places (corners too), sizes right away from corners, and false ones."""
+    """Return recall of lost counts at random places, correct sizes away from switching times, and false detections."""
     row: Row = {}
     limits: Limits = {}
     bench = Bench(seed, 7.67e-6, 30e-6)
@@ -136,7 +136,7 @@ def losses(seed: int) -> tuple[Row, Limits]:
 
 
 def kicked(seed: int) -> tuple[Row, Limits]:
-    """Return how many kicks of a belt joint are found, how many that are none, and the error over that of `rts`."""
+    """Return detected belt joint kicks, false detections, and the error divided by that of `rts`."""
     row: Row = {}
     limits: Limits = {}
     for kick in KICKS:
@@ -164,7 +164,7 @@ SECTIONS: dict[str, Callable[[int], tuple[Row, Limits]]] = {
 
 
 def main(seeds: Iterable[int], names: list[str]) -> None:
-    """Print every figure of the sections named, with the seeds that miss its limit, and write the JSON."""
+    """Print the results of the sections given, with the seeds outside their limits, and write the JSON."""
     seeds = list(seeds)
     RESULTS.mkdir(exist_ok=True)
     for name in names:
