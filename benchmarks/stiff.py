@@ -1,8 +1,8 @@
 """Steep ramps: CPU time for slopes from -5 to -5e8, and the error of the position at break-away, for law 6.
 
 ``python benchmarks/stiff.py [UNTIL]`` (default 40 time units).  The exact method is compared with scipy's Radau and
-LSODA at rtol 1e-9 and DOP853 at rtol 1e-12, phase by phase; a method that needs more than `EVALUATIONS` of the right-hand
-side is stopped and has no error.  The reference is 40-digit arithmetic.
+LSODA at rtol 1e-9 and DOP853 at rtol 1e-12, phase by phase; a method that needs more than `EVALUATIONS` evaluations of
+the right-hand side is stopped and has no error.  The reference is 40-digit arithmetic.
 """
 
 import json
