@@ -2,9 +2,9 @@
 
 ``python benchmarks/throughput.py [SECONDS]`` (default 10).  Decoding: CPU time per sample, best of `REPEATS`, of the
 work during a recording (the tally of received samples) and of the work at its end (the arrays of the run file).
-Recording: a board in another process sends at 5 kHz through a pseudo-terminal, in real time; CPU time of this process as a share
-of one core during the recording, and CPU time of the run file afterwards.  Last, the complete command
-`daq record --realtime`, whose process also contains the simulated rig.
+Recording: a board in another process sends at 5 kHz through a pseudo-terminal, in real time; CPU time of this process
+as a share of one core during the recording, and CPU time of the run file afterwards.  Last, the complete command `daq
+record --realtime`, whose process also contains the simulated rig.
 """
 
 import json
