@@ -16,8 +16,8 @@ BAUDS = (FIRST_BAUD, 250_000, 500_000, 1_000_000)
 
 
 @dataclass(frozen=True)
-class Board:
-    """One kind of board: its file, and how avrdude reaches its bootloader.
+class BoardFirmware:
+    """The firmware of one kind of board: its file, and how avrdude reaches its bootloader.
 
     Attributes
     ----------
@@ -44,8 +44,10 @@ class Board:
 BOARDS = {
     board.name: board
     for board in (
-        Board("uno", "stickslip-uno.hex", "atmega328p", "arduino", 115_200, "A to D2, B to D3", "up to D5, down to D4"),
-        Board(
+        BoardFirmware(
+            "uno", "stickslip-uno.hex", "atmega328p", "arduino", 115_200, "A to D2, B to D3", "up to D5, down to D4"
+        ),
+        BoardFirmware(
             "nano",
             "stickslip-uno.hex",
             "atmega328p",
@@ -55,14 +57,14 @@ BOARDS = {
             "up to D5, down to D4",
             "a Nano with the new bootloader wants -b 115200",
         ),
-        Board(
+        BoardFirmware(
             "mega", "stickslip-mega.hex", "atmega2560", "wiring", 115_200, "A to D2, B to D3", "up to D47, down to D38"
         ),
     )
 }
 
 
-def board(name: str) -> Board:
+def board(name: str) -> BoardFirmware:
     """Return a board by its name; InputError for another."""
     if name not in BOARDS:
         raise InputError(f"no firmware for a board {name!r}", "--board", nearest(name, list(BOARDS)))
@@ -84,7 +86,7 @@ def folder() -> Path:
     raise InputError("the firmware's files are missing", str(here / "firmware"), "install stickslip again")
 
 
-def write(kind: Board, target: Path, *, force: bool = False) -> tuple[Path, list[Path]]:
+def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Path, list[Path]]:
     """Write a board's .hex, and the source it was built from, into a folder.
 
     Parameters
@@ -127,7 +129,7 @@ def write(kind: Board, target: Path, *, force: bool = False) -> tuple[Path, list
     return target / kind.hex_name, [file for file in written if file.name != kind.hex_name]
 
 
-def command(kind: Board, hexfile: Path, port: str) -> str:
+def command(kind: BoardFirmware, hexfile: Path, port: str) -> str:
     """Return the avrdude command line that writes a .hex into the board at a port."""
     import shlex
 

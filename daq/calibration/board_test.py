@@ -1,7 +1,7 @@
-"""Is this board to be trusted: its pace, its line, its clock, its counting; from one short recording.
+"""Test of a board from one short recording: its sample rate, line, clock and counting.
 
-In its first seconds the mass is left alone: what is counted then was not there.  Then it is moved by hand towards +x:
-the count must follow, and both channels must change their levels.
+In the first seconds the mass is left alone: counts then are errors.  Then it is moved by hand towards +x: the count
+must follow, and both channels must change their levels.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from daq.finalise.quality import RecordingQuality
 from daq.runfile.recording import Recording
 from daq.wire.quadrature import EDGES_PER_COUNT
 
-PACE_WITHIN = 0.01  # of the commanded rate
+RATE_TOLERANCE = 0.01  # of the commanded rate; above the 0.5 % of a ceramic resonator, not swept
 PARKED_EDGES = 4  # a parked mass may dither about an edge
 MOVED_EDGES = 400  # by more than this a mass was not parked (an x4 count is never far off by itself)
 HAND_EDGES = 40  # a hand moves a mass by more
@@ -20,18 +20,18 @@ HAND_EDGES = 40  # a hand moves a mass by more
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at.
+    """The result of one check.
 
     Attributes
     ----------
     name : str
-        What.
+        Of the check.
     ok : bool or None
-        None when it could not be told.
+        None when it could not be checked.
     seen : str
-        With its number.
+        What was found, with its number.
     do : str
-        What to do where it is not well.
+        What to do when it failed.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Stretch:
+class CountedSpan:
     """What was counted in a stretch of the recording: the net count, and the span of all counts, in counts."""
 
     seconds: float
@@ -49,24 +49,24 @@ class Stretch:
     span: int
 
 
-def stretch(run: Recording, begin_s: float, end_s: float) -> Stretch:
+def stretch(run: Recording, begin_s: float, end_s: float) -> CountedSpan:
     """Return what was counted between two times of a run."""
     here = (run.time >= begin_s) & (run.time < end_s)
     if run.count is None or not here.any():
-        return Stretch(0.0, 0, 0)
+        return CountedSpan(0.0, 0, 0)
     count = run.count[here]
-    return Stretch(float(np.ptp(run.time[here])), int(count[-1] - count[0]), int(np.ptp(count)))
+    return CountedSpan(float(np.ptp(run.time[here])), int(count[-1] - count[0]), int(np.ptp(count)))
 
 
 def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list[Finding]:
-    """Judge a recording whose first ``parked_s`` seconds were parked, and whose rest was a move by hand."""
+    """Check a recording: the mass is left alone for ``parked_s`` seconds, then moved by hand."""
     parked = stretch(run, 0.0, parked_s)
     moved = stretch(run, parked_s, float("inf"))
     pace = summary.measured_rate_hz / summary.rate_hz - 1
     found = [
         Finding(
             "rate",
-            abs(pace) <= PACE_WITHIN,
+            abs(pace) <= RATE_TOLERANCE,
             f"{summary.measured_rate_hz:.6g} Hz by its own clock, {summary.rate_hz:.6g} asked for",
             "lower --rate, or update its firmware",
         ),
@@ -100,7 +100,7 @@ def _clock(summary: RecordingQuality) -> Finding:
     return Finding("clock", True, f"{summary.clock_ppm:+.0f} ppm against this machine's")
 
 
-def _parked(parked: Stretch, run: Recording) -> Finding:
+def _parked(parked: CountedSpan, run: Recording) -> Finding:
     edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
     seen = f"{parked.counts:+d} counts in {parked.seconds:.3g} s, within a span of {parked.span}"
     if parked.span * edges > MOVED_EDGES and run.rig.decoder in ("x4", "x1"):
@@ -109,7 +109,7 @@ def _parked(parked: Stretch, run: Recording) -> Finding:
     return Finding("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, seen, do)
 
 
-def _moved(moved: Stretch, run: Recording) -> Finding:
+def _moved(moved: CountedSpan, run: Recording) -> Finding:
     edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
     pitch = run.rig.metres_per_count
     sign = -1 if pitch is not None and pitch.value < 0 else 1
@@ -126,7 +126,7 @@ def _moved(moved: Stretch, run: Recording) -> Finding:
     return Finding("direction", moved.counts * sign > 0, seen, do)
 
 
-def _levels(run: Recording, parked_s: float, moved: Stretch) -> Finding | None:
+def _levels(run: Recording, parked_s: float, moved: CountedSpan) -> Finding | None:
     """Return whether both channels change while the mass moves; None when the board sends no levels."""
     if run.raw is None or moved.span * EDGES_PER_COUNT.get(run.rig.decoder, 1) < HAND_EDGES or not run.raw.levels.any():
         return None

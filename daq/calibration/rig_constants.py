@@ -1,10 +1,10 @@
-"""From a known distance and a ring-down to a rig.toml: what the lab knows of its rig, with standard deviations.
+"""Constants of a rig, with standard deviations, from a known distance and a ring-down.
 
 Count zero lies where the counters stand at zero: where the mass stood when the board was powered up or reset, which an
 Arduino does whenever its port is opened.  The datum found here is that of the mark at which the mass stood then; it
 holds for every recording that is opened with the mass at the same mark.
 
-Not measured here: the mass, which a balance tells better, and the belt's speed, which every stick shows.
+Not measured here: the mass, which a balance measures better, and the belt's speed, which every stick shows.
 """
 
 import math
@@ -102,7 +102,7 @@ def damping(ring: RingDown, mass: Measured) -> Measured:
 
 
 def datum(ring: RingDown, pitch: Measured) -> Measured:
-    """Return where count zero lies, seen from the spring's rest, m."""
+    """Return position of count zero, from the spring's rest position, m."""
     value = -ring.equilibrium.value * pitch.value
     return Measured(value, math.hypot(ring.equilibrium.sd * pitch.value, ring.equilibrium.value * pitch.sd))
 

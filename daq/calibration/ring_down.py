@@ -1,17 +1,18 @@
-"""A ring-down: omega0, damping and friction out of a mass that was pulled aside and let go, the belt at rest.
+"""Fit of a ring-down: omega0, damping and friction of a mass that was pulled aside and let go, the belt at rest.
 
 Model, with v = dx/dt and beta = zeta omega0::
 
     x'' = -omega0^2 (x - rest) - 2 beta v - omega0^2 a sgn(v) / (1 + g |v|)
 
-Viscous damping lets the swings shrink by a ratio, friction of the contact by a length (4 a a period): both are fitted
-together, or the one would be taken for the other.  ``a`` is the friction as a length, F/k, and ``g`` how fast it
-weakens with speed; ``g`` is fitted only when the motion asks for it.  Friction that changes in proportion to the speed
-cannot be told from damping: its slope is in the damping found.
+Viscous damping reduces the swings by a ratio, friction of the contact by a length (4 a per period); both are fitted
+together, because either alone would absorb the other.  ``a`` is the friction as a length, F/k, and ``g`` how fast it
+weakens with speed; ``g`` is fitted only when it lowers chi square enough
+(`LEAST_GAIN`).  Friction that changes in proportion to the speed
+cannot be distinguished from damping: its slope is part of the damping found.
 
 The mass is followed from shortly after its release to its last turning point before it rests.  Counts are taken in the
-middle of their cell, (n + 1/2).  Standard deviations are those of least squares, times the root of the time (in
-samples) over which the residuals hang together, so that what the model cannot follow widens them, and half a count at
+middle of their cell, (n + 1/2).  Standard deviations are those of least squares, times the root of the integrated
+autocorrelation time (in samples) of the residuals, so that model errors widen them, and half a count at
 the first and at the last turning point, which many samples share.
 
 Not modelled: a spring that is not linear, a belt that moves, friction that differs between the two directions.
@@ -28,20 +29,20 @@ from daq.compute.arrays import autocorrelation_time
 from daq.errors import DataError
 from daq.runfile.rig import Measured
 
-FEWEST_SWINGS = 3  # half-swings; with less, friction and damping cannot be told apart
-RELEASED = 0.97  # of the first amplitude: below it the hand has let go
-STEP = 0.03  # rad, between nodes
+FEWEST_SWINGS = 3  # half-swings; with fewer, friction and damping cannot be separated
+RELEASED = 0.97  # of the first amplitude: below it the mass is taken as released; chosen by judgement, not swept
+STEP = 0.03  # rad, between nodes; where friction weakens the error falls as its square
 STEP_ERROR = 1e-5  # of omega, where friction weakens within a step
 MOST_NODES = 400_000
-MOST_SAMPLES = 6000  # fitted; more tell nothing new
-LEAST_GAIN = 12.0  # a fit with g must lower chi square by so much, to be believed
+MOST_SAMPLES = 6000  # fitted; more take time in proportion and add little
+LEAST_GAIN = 12.0  # of chi square, by adding g: a likelihood ratio test, chi2 with 1 degree of freedom at 0.05 %
 NOISE_FLOOR = 0.32  # counts: 1 / sqrt(12) is what counting alone leaves
-POOR_FIT = 0.002  # rms over first amplitude: beyond it the model does not describe the motion
+POOR_FIT = 0.002  # residual rms over first amplitude, above which the model is rejected; chosen by judgement, not swept
 
 
 @dataclass(frozen=True)
 class RingDown:
-    """What a ring-down tells; lengths in the unit of the positions given, here called u.
+    """Result of a ring-down; lengths in the unit of the positions given, here called u.
 
     Attributes
     ----------
@@ -197,7 +198,7 @@ def _free_part(
     known = np.flatnonzero(after)
     flips = known[1:][np.diff(after[known]) != 0] + far
     if len(flips) < FEWEST_SWINGS:
-        what = f"{len(flips)} half-swings are too few to tell friction and damping apart"
+        what = f"{len(flips)} half-swings are too few to separate friction from damping"
         raise DataError(what, "ring-down", "pull it farther, lift it off the belt, or record longer (--duration)")
     let_go = far + int(np.flatnonzero(np.abs(off[far : flips[0]]) >= RELEASED * reach)[-1])
     crossings = np.array([_crossing(time, off, int(flip)) for flip in flips])

@@ -49,10 +49,9 @@ def check(
     yes: Yes = False,
     json: Json = False,
 ) -> Answer:
-    """Try a board: its rate, losses, clock and drift while the mass is parked, then its direction by hand.
+    """Test a board: rate, losses, clock and drift while the mass is at rest, then the direction by hand.
 
-    Exit code 4 when something is not well.  The simulated rig is parked until its belt starts, which then moves it:
-    0.4 s and 2 s.
+    Exit code 4 when a check fails.  The simulated rig is at rest until its belt starts: 0.4 s, then 2 s of motion.
 
     Example: daq check --port /dev/ttyACM0
     """
@@ -70,13 +69,13 @@ def check(
         raise InputError("nothing to look at", "--parked and --move", "give one of them more than 0 s")
     request = replace(request, duration_s=parked_s + move_s)
     _reach(request)
-    told = False
+    asked = False
 
     def progress(seconds: float) -> None:
-        nonlocal told
-        if move_s and not told and seconds >= parked_s:
+        nonlocal asked
+        if move_s and not asked and seconds >= parked_s:
             application.note(f"now move the mass by hand towards +x, within {move_s:g} s")
-            told = True
+            asked = True
 
     if parked_s:
         _ask(f"leave the mass alone for {parked_s:g} s", not (yes or json or simulated))
@@ -123,8 +122,7 @@ def calibrate(
 
     Begin with the mass at the mark from which every recording will start.  What is known already (by --rig, or from
     the board) is kept where nothing new was measured.  The belt must be at rest.  Without a port the simulated rig,
-    all but lifted off its belt, is struck and rings down; nobody moves it, so it has no --distance: its board knows its
-    metres per count.
+    almost lifted off its belt, is struck and rings down; it takes no --distance, its board knows its metres per count.
 
     Example: daq calibrate --port /dev/ttyACM0 --distance "100 mm +- 0.1 mm" --mass "300 g +- 1 g"
     Example: daq calibrate --mass "300 g +- 1 g"
@@ -168,7 +166,7 @@ def calibrate(
         warnings += summary.warnings
         if ring.poor:
             raise DataError(
-                f"the motion is not that of a spring with friction: off by {ring.rms:.3g} counts (rms) of "
+                f"the motion is not that of a spring with friction: residuals of {ring.rms:.3g} counts (rms) of "
                 f"{ring.amplitude:.4g}",
                 "ring-down",
                 "stop the belt, pull the mass aside, let it go and leave it alone; or --no-ring-down",
@@ -226,7 +224,7 @@ def _take(
 
 
 def _ask(line: str, wait: bool) -> None:
-    """Tell what to do, and wait for Enter where a person sits."""
+    """Print what to do, and wait for Enter on a terminal."""
     if wait and sys.stdin.isatty():
         sys.stderr.write(f"{line}; press Enter to begin ")
         sys.stderr.flush()

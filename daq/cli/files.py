@@ -141,8 +141,8 @@ def decode(
 
     capture = sigrok.read(file)
     wired = decoding.wiring(capture, channels, step, direction, decoder)
-    with application.progress("decoding", capture.samples, "samples") as tell:
-        totals = decoding.decode(capture, wired, tell)
+    with application.progress("decoding", capture.samples, "samples") as progress:
+        totals = decoding.decode(capture, wired, progress)
     names = [capture.probes[bit] for bit in wired.bits]
     data = vars(totals) | {
         "decoder": wired.decoder,
@@ -207,8 +207,8 @@ def _replay_capture(
         capture = replace(capture, rate_hz=capture_rate)
     wired = decoding.wiring(capture, *wires)
     rate_hz = rate or min(1000.0, capture.rate_hz or 1000.0)
-    with application.progress("replaying", capture.samples, "samples") as tell:
-        run, totals = again.from_capture(capture, wired, rate_hz, _rig(rig) or Rig(), tell)
+    with application.progress("replaying", capture.samples, "samples") as progress:
+        run, totals = again.from_capture(capture, wired, rate_hz, _rig(rig) or Rig(), progress)
     store.write(target, run, force=force)
     warnings = sentences.count_warnings(totals)
     if run.rig.metres_per_count is None:
@@ -219,7 +219,7 @@ def _replay_capture(
 
 def _default_output(source: Path, kind: str) -> Path:
     if kind == "run":
-        raise InputError("where to?", str(source), "give -o")
+        raise InputError("no output file was given", str(source), "give -o")
     return source.with_suffix("") if source.suffix == ".part" else source.with_suffix(".h5")
 
 

@@ -27,7 +27,7 @@ def firmware(
     force: Annotated[bool, cyclopts.Parameter(negative=(), help="Replace files that hold something else.")] = False,
     json: Json = False,
 ) -> Answer:
-    """Write the firmware of a board (built .hex and source), and say how to flash it.
+    """Write the firmware of a board (built .hex and source), and print how to flash it.
 
     Example: daq firmware --board uno -o firmware
     """

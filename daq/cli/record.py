@@ -98,7 +98,7 @@ def recover(
     from daq.finalise.run import finalise
 
     if journal.suffix != ".part":
-        raise InputError("is no journal", str(journal), "give the RUN.h5.part that the recording left")
+        raise InputError("is not a journal", str(journal), "give the RUN.h5.part that the recording left")
     found = finalise(journal, output or journal.with_suffix(""), finished_by="daq recover", force=force)
     return Answer(found.as_json(), sentences.recorded("recovered", found))
 

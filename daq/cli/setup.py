@@ -1,4 +1,4 @@
-"""`daq doctor`: is this machine ready; `daq demo`: the whole way from pulses to a law, in its own folder."""
+"""`daq doctor`: checks of the installation; `daq demo`: from pulses to a law, in a folder of its own."""
 
 import shutil
 import subprocess
@@ -19,7 +19,7 @@ DEMO_FOLDER = "stickslip-demo"
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the doctor's list: what was looked at, whether it is well, what was seen, what to do."""
+    """One check of the installation: its name, whether it passed, what was found, what to do."""
 
     name: str
     ok: bool

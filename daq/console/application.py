@@ -1,4 +1,4 @@
-"""How every command meets the terminal: results on stdout, progress and errors on stderr, one exit-code rule.
+"""The terminal: results on stdout, progress and errors on stderr, one exit-code rule.
 
 A command returns an `Answer`; `main` prints it as text, or under ``--json`` as one JSON document and nothing else.
 Errors of `daq.errors` become one line on stderr, or ``{"error": {"what", "where", "do"}}`` on stdout under ``--json``.
@@ -40,7 +40,7 @@ def whole(type_: type, tokens: Sequence[cyclopts.Token]) -> int:
     """Read a whole number for a flag (`1000`, `1e3`); a cyclopts converter.  ValueError for anything else."""
     value = float(tokens[0].value)
     if not value.is_integer():
-        raise ValueError(f"{tokens[0].value} is no whole number")
+        raise ValueError(f"{tokens[0].value} is not a whole number")
     return int(value)
 
 
@@ -60,7 +60,7 @@ class Answer:
 
 
 def application(name: str, summary: str, example: str) -> cyclopts.App:
-    """Return a cyclopts application with the house's settings; `main` runs it."""
+    """Return a cyclopts application with the settings common to all four commands; `main` runs it."""
     from daq.version import VERSION
 
     return cyclopts.App(
@@ -179,7 +179,7 @@ def _shown(answer: object, as_json: bool) -> int:
 
 def main(app: cyclopts.App) -> NoReturn:
     """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
-    if sys.stdout is None:  # closed by who called; there is nobody to tell, but files may be wanted
+    if sys.stdout is None:  # closed by the caller; nothing can be printed, but files may be wanted
         sys.stdout = open(os.devnull, "w")
     sys.exit(run(app, sys.argv[1:]))
 
@@ -199,7 +199,7 @@ def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
 def progress(description: str, total: float | None, unit: str = "") -> Iterator[Callable[[float], None]]:
     """Show a progress bar with ETA on stderr; yield a function that takes the amount done so far.
 
-    On a stderr that is no terminal nothing is drawn.
+    Nothing is drawn when stderr is not a terminal.
     """
     if not sys.stderr.isatty():
         yield lambda done: None

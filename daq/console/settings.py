@@ -1,4 +1,4 @@
-"""Where a setting comes from: flag > environment > rig.toml > user config > default.
+"""Settings: flag, else environment, else rig.toml, else user config, else default.
 
 ===============  =====================  ==================  ===========================================================
 flag             environment            [board] key         what
@@ -145,5 +145,5 @@ def _typed(text: str, kind: type, where: str) -> Any:
     if kind is str:
         return text
     if not text.isdecimal():
-        raise InputError(f"{text!r} is no whole number", where, "mend it, or unset it")
+        raise InputError(f"{text!r} is not a whole number", where, "correct or unset it")
     return int(text)

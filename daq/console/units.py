@@ -47,7 +47,7 @@ def quantity(text: str, dimension: str, where: str) -> float:
     Raises
     ------
     InputError
-        For what is no number, or a unit unknown for this dimension.
+        For what is not a number, or a unit unknown for this dimension.
     """
     value, unit = _split(text, dimension, where)
     return value * _size(unit, text, dimension, where)
@@ -68,7 +68,7 @@ def measured(text: str, dimension: str, where: str) -> Measured:
 
 
 def unit_size(text: str, dimension: str, where: str) -> float:
-    """Return the size in SI of a unit, or of a multiple of one: ``cm`` 0.01, ``0.25 mm`` 2.5e-4 (a pixel, say)."""
+    """Return the size in SI of a unit, or of a multiple of one: ``cm`` 0.01, ``0.25 mm`` 2.5e-4 (a pixel)."""
     if text.strip()[:1].isdigit() or text.strip()[:1] in (".", "-", "+"):
         size = quantity(text, dimension, where)
     else:
@@ -105,7 +105,7 @@ def _size(unit: str, text: str, dimension: str, where: str) -> float:
     table = UNITS[dimension]
     unit = _latin(unit)
     if unit not in table:
-        what = f"{unit!r} is no unit of {dimension}" + (f" (in {text!r})" if text.strip() != unit else "")
+        what = f"{unit!r} is not a unit of {dimension}" + (f" (in {text!r})" if text.strip() != unit else "")
         raise InputError(what, where, nearest(unit, list(table)))
     return table[unit]
 

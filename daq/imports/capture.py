@@ -66,7 +66,7 @@ def wiring(
         return Wiring(bits, decoder or "x4")
     if step is None or direction is None:
         listed = ", ".join(f"{bit} {name}" for bit, name in capture.probes.items())
-        raise InputError("which probes? its probes are: " + listed, str(capture.path), pair)
+        raise InputError("which probes? the capture has: " + listed, str(capture.path), pair)
     if decoder is not None:
         raise InputError("step and direction need no decoder", "--decoder", "leave it out, or give --channels")
     bits = (capture.bit(step, "--step"), capture.bit(direction, "--dir"))
@@ -87,8 +87,8 @@ def walk(capture: Capture, wired: Wiring) -> Iterator[tuple[NDArray[np.uint8], S
         yield levels, steps, _totals(quadrature, pulses)
 
 
-def decode(capture: Capture, wired: Wiring, tell: Callable[[float], None] = lambda done: None) -> Totals:
-    """Decode a whole capture; ``tell`` hears how many samples are done."""
+def decode(capture: Capture, wired: Wiring, progress: Callable[[float], None] = lambda done: None) -> Totals:
+    """Decode a whole capture; ``progress`` is called with the number of samples done."""
     quadrature = Decoder(wired.decoder) if wired.decoder != TWO_COUNTER else None
     pulses = PulseDecoder()
     done = 0
@@ -98,7 +98,7 @@ def decode(capture: Capture, wired: Wiring, tell: Callable[[float], None] = lamb
         else:
             pulses.feed(levels & 1, levels >> 1)
         done += levels.size
-        tell(done)
+        progress(done)
     return _totals(quadrature, pulses)
 
 
@@ -112,5 +112,5 @@ def _pair(channels: str) -> tuple[str, str]:
     found = dict(part.split("=", 1) for part in channels.split(",") if "=" in part)
     found = {key.strip().upper(): value.strip() for key, value in found.items()}
     if set(found) != {"A", "B"} or channels.count(",") != 1:
-        raise InputError(f"{channels!r} names no pair", "--channels", "write A=NAME,B=NAME")
+        raise InputError(f"{channels!r} does not name a pair", "--channels", "write A=NAME,B=NAME")
     return found["A"], found["B"]

@@ -61,13 +61,13 @@ def find(cells: Table, time: str | None, position: str | None, rate_known: bool)
     elif x_column is None and len(free) == 1:
         x_column = free[0]
     if x_column is None:
-        raise InputError(f"which column is the position? its columns are: {listed}", str(cells.path), "give --position")
+        raise InputError(f"which column is the position? the columns are: {listed}", str(cells.path), "give --position")
     if t_column is None and cells.width == 2 and not rate_known:
         t_column = 1 - x_column
     if t_column is None and cells.width > 2 and not rate_known:
-        raise InputError(f"which column is the time? its columns are: {listed}", str(cells.path), "give --time")
+        raise InputError(f"which column is the time? the columns are: {listed}", str(cells.path), "give --time")
     if t_column == x_column:
-        raise InputError("time and position are the same column", str(cells.path), f"its columns are: {listed}")
+        raise InputError("time and position are the same column", str(cells.path), f"the columns are: {listed}")
     return t_column, x_column, frames
 
 
@@ -79,11 +79,11 @@ def _named(cells: Table, name: str, flag: str) -> int:
                 return i
     if wanted.isdecimal() and 1 <= int(wanted) <= cells.width:
         return int(wanted) - 1
-    known = f"its columns are numbered 1 to {cells.width}"
+    known = f"the columns are numbered 1 to {cells.width}"
     if cells.names:
         near = nearest(wanted, cells.names)
-        known = (near + " " if near.startswith("did") else "") + f"its columns are: {', '.join(cells.names)}"
-    raise InputError(f"{flag}: there is no column {name!r}", str(cells.path), known)
+        known = (near + " " if near.startswith("did") else "") + f"the columns are: {', '.join(cells.names)}"
+    raise InputError(f"{flag}: no column {name!r}", str(cells.path), known)
 
 
 def _bare(name: str) -> str:
@@ -118,12 +118,12 @@ def unit(
     if flag_value is not None:
         size = units.unit_size(flag_value, dimension, flag)
         if stated and units.known(stated, dimension) and units.unit_size(stated, dimension, flag) != size:
-            warnings.append(f"{cells.label(column)} is read in {flag_value}, as {flag} says, not in {stated}")
+            warnings.append(f"{cells.label(column)} is read in {flag_value} ({flag}), not in {stated}")
         return size, flag_value
     if stated is None:
         return 1.0, units.si_unit(dimension)
     if not units.known(stated, dimension):
         example = f"{flag} '0.25 mm' for a pixel of that size" if dimension == "length" else f"{flag} ms"
-        what = f"{cells.label(column)} is in {stated!r}, which is no known unit of {dimension}"
+        what = f"{cells.label(column)} is in {stated!r}, which is not a known unit of {dimension}"
         raise InputError(what, str(cells.path), f"give {flag}, for example {example}")
     return units.unit_size(stated, dimension, flag), stated

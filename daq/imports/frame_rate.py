@@ -1,8 +1,8 @@
-"""The frame-rate check of a camera's track: a slip must take as long as mass and spring say.
+"""The frame-rate check of a camera's track: a slip must last as long as mass and spring imply.
 
 In a slip the mass swings from its turning point to the opposite one in pi sqrt(m/k): exactly with constant friction,
 and within 10 % for linear and hyperbolic velocity weakening from weak to strong, whatever the belt's speed.  A track in
-which that takes another time was filmed at another rate than its times say, or the mass or the stiffness is wrong.
+which that takes another time was filmed at another rate than its times imply, or the mass or the stiffness is wrong.
 
 Not modelled: strong damping, which lengthens the swing.
 """

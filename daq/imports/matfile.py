@@ -32,7 +32,7 @@ def read(path: Path) -> Table:
     except NotImplementedError as error:
         raise InputError("was saved with -v7.3", where, "save it again in MATLAB: save('FILE.mat', '-v7')") from error
     except (MatReadError, ValueError, TypeError, OSError, IndexError, KeyError) as error:
-        what = f"is no MATLAB file ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
+        what = f"is not a MATLAB file ({str(error).splitlines()[0] if str(error) else type(error).__name__})"
         raise InputError(what, where, "save it again in MATLAB: save('FILE.mat', '-v7')") from error
     columns: dict[str, list[str]] = {}
     for name, value in found.items():

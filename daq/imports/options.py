@@ -1,4 +1,4 @@
-"""What the user says about a table that is imported: an argument of `daq import`, each field one of its flags."""
+"""Options of an import: an argument of `daq import`, each field one of its flags."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -12,7 +12,7 @@ from daq.runfile.rig import Measured
 @Parameter(name="*")
 @dataclass(frozen=True)
 class ImportOptions:
-    """Columns, units and rig of a table; None where nothing was said.  Quantities are in SI."""
+    """Columns, units and rig of a table; None where not given.  Quantities are in SI."""
 
     position: Annotated[str | None, Parameter(help="Column of positions: its name, or its number from 1.")] = None
     time: Annotated[str | None, Parameter(help="Column of times: its name, or its number from 1.")] = None

@@ -1,6 +1,6 @@
-"""A run file made again from what was recorded: a journal, a run file, or a logic analyser's capture.
+"""A run file built again from what was recorded: a journal, a run file, or a logic analyser's capture.
 
-A journal goes through the recorder's own finaliser and stays where it is.  A run file is decoded anew from its raw
+A journal goes through the recorder's own finaliser and stays where it is.  A run file is decoded again from its raw
 counters, without the stages made from it; with another calibration its positions change, its raw data do not.  A
 capture becomes the run that a board sampling at ``rate_hz`` would have sent: 16-bit counters, levels, device time.
 """
@@ -57,7 +57,7 @@ def kind_of(source: Path) -> str:
 
 
 def from_run(source: Path) -> Recording:
-    """Decode a run file anew from its raw counters; an import, which has none, is taken as it stands."""
+    """Decode a run file again from its raw counters; an import, which has none, is taken as it is."""
     recording = store.load(source)
     count = recording.count
     if recording.raw is not None and count is not None:
@@ -82,7 +82,7 @@ def recalibrated(run: Recording, rig: Rig) -> Recording:
 
 
 def _belt_recounted(run: Recording) -> Recording:
-    """Return the run with its belt decoded anew from the raw counter; a run that has none keeps what it has."""
+    """Return the run with its belt decoded again from the raw counter; without one the run is unchanged."""
     if run.raw is None or run.raw.belt_count is None:
         return run
     starts = np.flatnonzero(np.diff(run.segment.astype(np.int64), prepend=-1))
@@ -91,7 +91,7 @@ def _belt_recounted(run: Recording) -> Recording:
 
 
 def findings(run: Recording) -> dict[str, int]:
-    """Return ``lost, crc_errors, illegal, phase_errors`` as the raw samples and events of a run tell them."""
+    """Return ``lost, crc_errors, illegal, phase_errors`` from the raw samples and events of a run."""
     found = {"lost": 0, "illegal": 0, "phase_errors": 0}
     if run.raw is not None:
         within = np.diff(run.segment) == 0
@@ -146,7 +146,7 @@ def from_capture(
     wired: decode.Wiring,
     rate_hz: float,
     rig: Rig,
-    tell: Callable[[float], None] = lambda done: None,
+    progress: Callable[[float], None] = lambda done: None,
 ) -> tuple[Recording, decode.Totals]:
     """Sample a capture as a board would.
 
@@ -158,8 +158,8 @@ def from_capture(
         Sample rate of the board, at most the capture's own.
     rig : Rig
         Calibration; without metres per count the run's positions are counts.
-    tell : callable
-        Hears how many capture samples are done.
+    progress : callable
+        Called with the number of capture samples done.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def from_capture(
         rows.append(sampler.take(levels, steps, before, offset))
         before = after
         offset += levels.size
-        tell(offset)
+        progress(offset)
     index, up, down, illegal, levels_at = np.concatenate(rows).T
     # As the board does: an x4 counter starts at the phase of the levels, so that both can be compared ever after.
     start = int(PHASE[levels_at[0]]) if wired.decoder == "x4" else 0

@@ -40,11 +40,11 @@ class Capture:
     unitsize : int
         Bytes a sample.
     rate_hz : float or None
-        Sample rate; None where the metadata do not say.
+        Sample rate; None where the metadata do not state it.
     samples : int
         How many.
     stamp : tuple of int
-        Year, month, day, hour, minute, second at which the capture was written, in a zone that the file does not say.
+        Year, month, day, hour, minute, second at which the capture was written, in a zone that the file does not state.
     entries : tuple of str
         Names of the zip entries with the samples, in order.
     """
@@ -72,7 +72,7 @@ class Capture:
             return int(probe)
         listed = ", ".join(f"{bit} {name}" for bit, name in self.probes.items())
         near = nearest(probe, tuple(self.probes.values()))
-        do = (near + " " if near.startswith("did") else "") + f"its probes are: {listed}"
+        do = (near + " " if near.startswith("did") else "") + f"the capture has: {listed}"
         raise InputError(f"{flag}: the capture has no probe {probe!r}", str(self.path), do)
 
     def levels(self, *bits: int) -> Iterator[NDArray[np.uint8]]:
@@ -104,7 +104,7 @@ def _pick(data: NDArray[np.uint8], bits: tuple[int, ...], unitsize: int) -> NDAr
 
 
 def read(path: Path) -> Capture:
-    """Read what a capture says of itself.
+    """Read the metadata of a capture; its samples stay on disk.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def _zip(path: Path) -> Iterator[zipfile.ZipFile]:
         with path.open("rb") as stream:
             head = stream.read(2)
         if head != b"PK":
-            raise InputError("is no sigrok capture (not a zip)", where, "give a .sr file") from error
+            raise InputError("is not a sigrok capture (not a zip file)", where, "give a .sr file") from error
         what = f"is damaged or cut short ({error})"
         raise InputError(what, where, "copy the capture again from its source") from error
 

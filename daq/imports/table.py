@@ -79,7 +79,7 @@ class Table:
             if value is None or value - value != 0:
                 cell = row[column].strip()
                 what = f"{self.label(column)} " + (f"holds {cell!r}, not a number" if cell else "is empty")
-                do = "mend that line, or delete it: times need not be even"
+                do = "correct or delete that line: times need not be even"
                 raise InputError(what, f"{self.path}, line {line}", do)
             out.append(value)
         return out
@@ -134,7 +134,7 @@ def read(path: Path) -> Table:
             raise InputError(
                 f"has {len(row)} columns where the others have {width}",
                 f"{path}, line {line}",
-                "mend that line; put # before lines that are no data",
+                "correct that line; put # before lines that hold no data",
             )
     return Table(path, names, rows, numbers, delimiter, decimal)
 
@@ -199,7 +199,7 @@ def _format(texts: list[str], named: str | None) -> tuple[str, str]:
         numbers = sum(number(cell, decimal) is not None for cell in cells)
         score = same / len(rows) * numbers / len(cells)
         if width == 1:
-            score *= 0.9  # "1,5" alone is two columns, unless a header of one name says otherwise
+            score *= 0.9  # "1,5" alone is two columns, unless there is a header of one name
         start = _first_data(texts, delimiter, decimal)
         if 0 < start < len(texts):
             names = header(texts[start - 1], delimiter, width)

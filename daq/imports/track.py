@@ -42,7 +42,7 @@ def read(path: Path, options: ImportOptions) -> Imported:
     Raises
     ------
     InputError
-        For an unreadable table, an unknown column or unit, a cell that is no number, or times that do not increase:
+        For an unreadable table, an unknown column or unit, a cell that is not a number, or times that do not increase:
         each naming the line and what to do.
     """
     cells = _cells(path)
@@ -112,7 +112,7 @@ def _increasing(time: NDArray[np.float64], cells: table.Table) -> None:
         raise InputError(
             f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
             f"{cells.path}, line {cells.lines[row]}",
-            "delete or correct that line; if these are no times, choose the column by --time",
+            "delete or correct that line; if these are not times, choose the column by --time",
         )
 
 
@@ -129,8 +129,8 @@ def _retimed(time: NDArray[np.float64], rate_hz: float, warnings: list[str]) -> 
     if 1 / FRAME_RATE_TOLERANCE <= ratio <= FRAME_RATE_TOLERANCE:
         return time
     warnings.append(
-        f"the column of times says {believed:.4g} frames/s, --frame-rate {rate_hz:.4g}: "
-        f"times were multiplied by {ratio:.6g} to fit the flag"
+        f"the column of times gives {believed:.4g} frames/s, --frame-rate {rate_hz:.4g}: "
+        f"times were multiplied by {ratio:.6g} to agree with the flag"
     )
     return time * ratio
 
@@ -169,5 +169,5 @@ def _start(text: str) -> datetime:
     except ValueError:
         start = None
     if start is None or start.tzinfo is None:
-        raise InputError(f"{text!r} is no time with zone", "--start", "write it like 2024-05-01T14:30:00+02:00")
+        raise InputError(f"{text!r} is not a time with a zone", "--start", "write it like 2024-05-01T14:30:00+02:00")
     return start

@@ -1,8 +1,8 @@
-"""A disk that refuses (full, read-only, gone): one error, whatever the libraries say of it, and it names the file.
+"""Refused writes (disk full, read-only, gone) as one error that names the file, whatever library met them.
 
 HDF5 must not meet such a disk: where a write fails as a file is closed it leaves objects behind that may end the
 process with a segmentation fault.  So a file is written through a `Sink`, which keeps the first refusal to itself, goes
-on in memory, and tells it when HDF5 is done.
+on in memory, and raises it when HDF5 is done.
 """
 
 import errno
@@ -43,7 +43,7 @@ def writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def hdf5(path: Path, mode: str) -> "Iterator[h5py.File]":
-    """Open an HDF5 file for writing, "w" or "r+"; OSError, when all is said and done, if the disk refused any of it."""
+    """Open an HDF5 file for writing, "w" or "r+"; OSError at the end if the disk refused any of it."""
     import h5py
 
     with path.open("w+b" if mode == "w" else "r+b", buffering=0) as file:

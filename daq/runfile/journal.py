@@ -3,8 +3,7 @@
 File: the magic line, then records.  A record is ``kind u8, length u32, stamp i64`` (host's monotonic clock, ns), its
 bytes, and a CRC-32 over all of that; little endian.  After a record that does not hold a reader goes on at the next
 place where a whole record holds, and counts what it passed over; a last record that is cut short is a crash's mark.
-Bytes received are kept even when their record does not hold but ends where it says: the frames in it have their own
-CRCs.
+Bytes received are kept when the CRC of their record fails but its length is right: its frames have their own CRCs.
 
 ::
 
@@ -13,7 +12,7 @@ CRCs.
     L  port lost     text: why
     O  port reopened text: its name; a new segment begins
     D  dropped       u64: bytes that the recorder itself could not keep, right before this record
-    C  configuration TOML text that replaces what the board's CONFIG says
+    C  configuration TOML text that replaces the board's CONFIG
     E  end           JSON: how the recording ended
 
 A marker comes from another process: one line ``<monotonic ns> <text>`` appended to ``RUN.h5.markers``.
@@ -136,7 +135,7 @@ def read(path: Path) -> Journal:
     if not content.startswith(MAGIC):
         if MAGIC.startswith(content):
             raise InputError("holds no record: the recording ended at once", str(path), "delete it and record again")
-        raise InputError("is no journal of ours", str(path), "give the .part file that the recording left")
+        raise InputError("is not a journal of daq", str(path), "give the .part file that the recording left")
     found = list(scan(content))
     if not found or found[0].record.kind != HEADER or found[0].at != len(MAGIC):
         raise InputError("was cut inside its header: it holds no samples", str(path), "delete it and record again")
@@ -180,7 +179,7 @@ def scan(content: bytes) -> Iterator[Place]:
 
 
 def _received_at(content: bytes, at: int) -> Record | None:
-    """Return a damaged record of received bytes that ends where it says: at the end, or where another one begins."""
+    """Return a damaged record of received bytes whose length is right: the end, or another record, follows it."""
     kind, length, stamp = _HEAD.unpack_from(content, at)
     end = at + _HEAD.size + length
     if kind != RECEIVED or length > _LONGEST or end + _CRC.size > len(content):

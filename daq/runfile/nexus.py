@@ -58,7 +58,7 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     data : array, number, str or sequence of str
         Arrays are stored in their own type, chunked by 16384, with gzip, shuffle and a checksum per chunk.
     units : str, optional
-        Stored as ``@units``; a float without units is refused, "" says dimensionless.
+        Stored as ``@units``; a float without units is refused; "" means dimensionless.
     **attributes
         Further attributes.
 
@@ -196,7 +196,7 @@ def read_number(entry: h5py.Group, name: str, where: Path) -> float:
     """Return a single number."""
     item = read_dataset(entry, name, where)
     if item.shape != () or item.dtype.kind not in "iuf":
-        raise InputError(f"/entry/{name} is no number", str(where), AGAIN)
+        raise InputError(f"/entry/{name} is not a number", str(where), AGAIN)
     return float(item[()])
 
 
@@ -204,7 +204,7 @@ def read_text(entry: h5py.Group, name: str, where: Path) -> str:
     """Return a single text."""
     item = read_dataset(entry, name, where)
     if item.shape != () or h5py.check_string_dtype(item.dtype) is None:
-        raise InputError(f"/entry/{name} is no text", str(where), AGAIN)
+        raise InputError(f"/entry/{name} is not text", str(where), AGAIN)
     return text(item[()])
 
 

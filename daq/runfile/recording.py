@@ -28,7 +28,7 @@ EVENT_NAMES = {code: name for name, code in EVENTS.items()}
 
 @dataclass(frozen=True)
 class Raw:
-    """The samples as the board sent them, each array of shape (n,).
+    """The samples as the board sent them; each array has shape (n,).
 
     Attributes
     ----------

@@ -10,7 +10,7 @@ The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.t
     [encoder]
     decoder = "x4"
     metres_per_count = 7.67e-6
-    datum = 0.0              # m: where count zero lies, seen from the spring's rest
+    datum = 0.0              # m: position of count zero, from the spring's rest position
     belt_metres_per_count = 7.67e-6  # where the belt has an encoder of its own
 
 A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` is one standard deviation.
@@ -60,7 +60,7 @@ class Rig:
 
     Notes
     -----
-    Not modelled: the correlation between these errors, and a cog whose pitch varies along the turn.
+    Not modelled: the correlation between these errors, and a cog whose pitch varies within a turn.
     """
 
     name: str = ""
@@ -149,7 +149,7 @@ def _section(section: str, content: Any, where: str) -> dict[str, Any]:
     for key in SECTIONS[section]:
         if key in QUANTITIES:
             if f"{key}_sd" in content and key not in content:
-                raise InputError(f"{section}.{key}_sd stands without {section}.{key}", where, f"add {key} or drop it")
+                raise InputError(f"{section}.{key}_sd is given without {section}.{key}", where, f"add {key} or drop it")
             if key in content:
                 found[key] = checked(
                     key,
@@ -167,7 +167,7 @@ def read_toml(text: str, where: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"broken TOML: {error}", where, "mend that line") from error
+        raise InputError(f"broken TOML: {error}", where, "correct that line") from error
 
 
 def check_keys(section: str, content: Any, known: list[str], where: str) -> dict[str, Any]:

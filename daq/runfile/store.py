@@ -157,7 +157,7 @@ def extend(
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
-    """Open a run file for reading, or raise an InputError that says what the file is instead."""
+    """Open a run file for reading, or raise an InputError that names what the file is instead."""
     where = str(path)
     if not path.exists():
         raise InputError("no such file", where, "check the path")
@@ -173,13 +173,13 @@ def opened(path: Path) -> Iterator[h5py.File]:
         found = _schema(file)
         if found is None:
             raise InputError(
-                "is HDF5 but no run file (it has no @stickslip_schema)",
+                "is HDF5 but not a run file (it has no @stickslip_schema)",
                 where,
                 "give a file made by daq record, daq import or daq replay",
             )
         if not isinstance(found, int | np.integer) or isinstance(found, np.bool_):
             raise InputError(f"@stickslip_schema is {found!r}, not a whole number", where, "record or import again")
-        what = f"has schema {int(found)}; this version reads schema {schema.SCHEMA}"
+        what = f"has schema {int(found)}; this version reads only schema {schema.SCHEMA}"
         if found > schema.SCHEMA:
             raise InputError(what, where, "install a newer stickslip")
         if found < schema.SCHEMA:

@@ -95,7 +95,7 @@ def test_what_is_no_run_is_refused_by_name(typed, tmp_path, command):
         file["x"] = np.arange(3)
     code, out, err = typed(command, foreign)
     assert (code, out) == (2, "")
-    assert "foreign.h5: is HDF5 but no run file" in err
+    assert "foreign.h5: is HDF5 but not a run file" in err
     code, out, err = typed(command, tmp_path / "none.h5", "--json")
     assert code == 2
     assert json.loads(out)["error"]["what"] == "no such file"

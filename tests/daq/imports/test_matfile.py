@@ -8,6 +8,7 @@ import daq
 import processing
 from daq.errors import InputError
 from daq.imports import track
+from daq.imports.options import ImportOptions
 
 
 @pytest.fixture
@@ -22,7 +23,7 @@ def path(tmp_path):
 
 
 def test_vectors_become_columns_bit_for_bit(path):
-    found = track.read(path[0], track.Wishes(time="t", position="qm")).run
+    found = track.read(path[0], ImportOptions(time="t", position="qm")).run
     assert np.array_equal(found.time, path[1])
     assert np.array_equal(found.position, path[2])
 
@@ -31,7 +32,7 @@ def test_process_smooths_what_daq_import_made_of_it(path, tmp_path):
     from daq.runfile import store
 
     target = tmp_path / "run.h5"
-    store.write(target, track.read(path[0], track.Wishes(time="t", position="qm")).run)
+    store.write(target, track.read(path[0], ImportOptions(time="t", position="qm")).run)
     motion = processing.smooth(daq.load(target))
     inner = slice(200, -200)
     assert np.abs(motion.velocity - 0.3 * np.cos(3 * path[1]))[inner].max() < 1e-4
@@ -39,16 +40,16 @@ def test_process_smooths_what_daq_import_made_of_it(path, tmp_path):
 
 def test_a_name_that_is_not_there_is_told_with_those_that_are(path):
     with pytest.raises(InputError, match="qm"):
-        track.read(path[0], track.Wishes(time="t", position="q"))
+        track.read(path[0], ImportOptions(time="t", position="q"))
 
 
 def test_what_is_no_matlab_file_is_refused(tmp_path):
     target = tmp_path / "fake.mat"
     target.write_text("t,x\n0,1\n")
-    with pytest.raises(InputError, match="is no MATLAB file"):
-        track.read(target, track.Wishes())
+    with pytest.raises(InputError, match="is not a MATLAB file"):
+        track.read(target, ImportOptions())
     savemat(tmp_path / "empty.mat", {"name": "nothing"})
     with pytest.raises(InputError, match="holds no vector"):
-        track.read(tmp_path / "empty.mat", track.Wishes())
+        track.read(tmp_path / "empty.mat", ImportOptions())
     with pytest.raises(InputError, match="no such file"):
-        track.read(tmp_path / "missing.mat", track.Wishes())
+        track.read(tmp_path / "missing.mat", ImportOptions())

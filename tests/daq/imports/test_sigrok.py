@@ -106,7 +106,7 @@ def test_step_and_direction_count_rises(path: Path, write_capture: Any) -> None:
         ({"step": "A"}, None, ["which probes"]),
         ({"channels": "A=A,B=B", "step": "A"}, None, ["exclude"]),
         ({"channels": "A,B"}, None, ["'A,B'", "A=NAME,B=NAME"]),
-        ({"channels": "A=A,C=B"}, None, ["names no pair"]),
+        ({"channels": "A=A,C=B"}, None, ["does not name a pair"]),
         ({"channels": "A=A,B=A"}, None, ["same probe"]),
         ({"channels": "A=A,B=Q"}, None, ["no probe 'Q'"]),
         ({"channels": "A=A,B=B"}, "x2", ["'x2'", "--decoder"]),

@@ -466,7 +466,7 @@ def test_missing_foreign_and_cut_files_are_named(tmp_path: Path) -> None:
     path.unlink()
     with h5py.File(path, "w") as file:
         file["numbers"] = [1, 2]
-    assert "no run file" in refused(path)
+    assert "not a run file" in refused(path)
     store.write(path, run(), force=True)
     whole = path.read_bytes()
     for kept in (len(whole) - 1, len(whole) // 2, 100):
@@ -515,8 +515,8 @@ LOG = "instrument/encoder/value_log"
         (f"{LOG}/raw_value", np.zeros(501), "not one column of int64"),
         ("raw/count_up", np.zeros((501, 2), np.uint16), "2-dimensional"),
         ("raw/levels", np.zeros(5, np.uint8), "has 5 values"),
-        ("sample/mass", "heavy", "is no number"),
-        ("title", 5, "is no text"),
+        ("sample/mass", "heavy", "is not a number"),
+        ("title", 5, "is not text"),
         ("events/kind", None, "has no /entry/events/kind"),
         ("raw/flags", None, "has no /entry/raw/flags"),
         ("clock_sync/sample", np.zeros(5, np.uint32), "has 2 values where 5 belong"),
