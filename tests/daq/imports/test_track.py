@@ -169,7 +169,7 @@ def test_uneven_times_are_kept_as_they_are(csv: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "changes", "words"),
     [
-        ("t,x\n0,1\n0.1,lost\n", {}, ["line 3", "column 'x'", "'lost'", "mend"]),
+        ("t,x\n0,1\n0.1,lost\n", {}, ["line 3", "column 'x'", "'lost'", "correct"]),
         ("t,x\n0,foo\n0.1,2\n", {}, ["line 2", "'foo'"]),
         ("0,1\n0.1,\n0.2,3\n", {}, ["line 2", "column 2", "empty"]),
         ("t,x\n0,1\n0.1,nan\n", {}, ["line 3", "'nan'"]),
