@@ -232,22 +232,8 @@ def sample_phase(
     fr = frame(flow)
     work[buffer.P_REST] = 0.0
     work[buffer.W_REST] = 0.0
-    kind, own, p, w, t, carry, i = phase(
-        fr,
-        mirrored(fr, mode),
-        displacement(fr, x),
-        fr.mirror * w,
-        t,
-        0.0,
-        t_max,
-        times,
-        i,
-        n,
-        out_x,
-        out_v,
-        out_mode,
-        work,
-    )
+    own, p, w = mirrored(fr, mode), displacement(fr, x), fr.mirror * w
+    kind, own, p, w, t, carry, i = phase(fr, own, p, w, t, 0.0, t_max, times, i, n, out_x, out_v, out_mode, work)
     return unmirrored_kind(fr, kind), mirrored(fr, own), position(fr, p), fr.mirror * w, t + carry, i
 
 

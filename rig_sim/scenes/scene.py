@@ -41,26 +41,8 @@ from pydantic import Field, ValidationError
 from daq.errors import InputError, nearest
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.flow import LARGEST, SMALLEST, Flow, steepest_fall, validate
-from rig_sim.scenes.sections import (
-    Belt,
-    Damper,
-    Drive,
-    Droop,
-    Encoder,
-    Friction,
-    Gaps,
-    Jitter,
-    Joint,
-    Mass,
-    Output,
-    Scatter,
-    Section,
-    Shaker,
-    SlipLoss,
-    Spring,
-    Start,
-    WearSection,
-)
+from rig_sim.scenes import sections
+from rig_sim.scenes.sections import Section
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive", "shaker")
@@ -76,23 +58,23 @@ class Scene(Section):
     name: str = ""
     title: str = ""
     seed: Annotated[int, Field(ge=0)] = 0
-    mass: Mass
-    spring: Spring
-    belt: Belt | None = None
-    friction: Friction | None = None
-    start: Start = Start()
-    damper: Damper | None = None
-    drive: Drive | None = None
-    shaker: Shaker | None = None
-    wear: WearSection | None = None
-    scatter: Scatter | None = None
-    joint: Joint | None = None
-    droop: Droop | None = None
-    slip_loss: SlipLoss | None = None
-    gaps: Gaps | None = None
-    encoder: Encoder | None = None
-    jitter: Jitter | None = None
-    output: Output | None = None
+    mass: sections.Mass
+    spring: sections.Spring
+    belt: sections.Belt | None = None
+    friction: sections.Friction | None = None
+    start: sections.Start = sections.Start()
+    damper: sections.Damper | None = None
+    drive: sections.Drive | None = None
+    shaker: sections.Shaker | None = None
+    wear: sections.WearSection | None = None
+    scatter: sections.Scatter | None = None
+    joint: sections.Joint | None = None
+    droop: sections.Droop | None = None
+    slip_loss: sections.SlipLoss | None = None
+    gaps: sections.Gaps | None = None
+    encoder: sections.Encoder | None = None
+    jitter: sections.Jitter | None = None
+    output: sections.Output | None = None
 
     def terms(self) -> list[str]:
         """Return the names of the sections the scene has, in the order of the table above."""
