@@ -326,18 +326,36 @@ def _accelerated_step(
 
 
 def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Array, gl: Array) -> Step:
-    """Return the step down the gradients g and gl; an unknown on its bound that is pushed outward stays."""
+    """Return the step down the gradients g and gl, within the bounds.
+
+    An unknown on its bound that is pushed outward stays.  One whose step would cross its bound goes onto it, and the
+    others step anew beside that: merely cut off, it would leave them a step made for another place, and a search next
+    to a bound would stop where no step helps.
+    """
     pull = damped.local_step(gl)
     g = damped.reduced_gradient(g, pull)
-    index = np.flatnonzero(~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0)))
     step = np.zeros_like(u)
-    if index.size:
-        H = damped.H[np.ix_(index, index)]
-        scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        size, axes = eigen(H * scale[:, None] * scale)
-        # A direction that only rounding holds is not followed; where that begins must be no cliff.
-        size = np.maximum(size, 0.0)
-        along = np.einsum("ij,i->j", axes, scale * g[index]) * size / (size**2 + (ROUNDED * size.max()) ** 2)
-        step[index] = -scale * np.einsum("ij,j->i", axes, along)
+    free = ~((u <= problem.lower) & (g > 0)) & ~((u >= problem.upper) & (g < 0))
+    while free.any():
+        slope = g + np.einsum("ij,j->i", damped.H[:, ~free], step[~free])
+        step[free] = _solve(damped.H[np.ix_(free, free)], -slope[free])
+        kept = np.clip(u + step, problem.lower, problem.upper) - u
+        crossing = free & (kept != (u + step) - u)
+        if not crossing.any():
+            break
+        step[crossing] = kept[crossing]
+        free &= ~crossing
     step = np.clip(u + step, problem.lower, problem.upper) - u
     return Step(step, damped.back_substitute(step, pull))
+
+
+def _solve(H: Array, target: Array) -> Array:
+    """Return x of H x = target, H (n, n) positive semidefinite, with nothing along directions that only rounding holds.
+
+    Where these begin must be no cliff: they fade out.
+    """
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    size, axes = eigen(H * scale[:, None] * scale)
+    size = np.maximum(size, 0.0)
+    along = np.einsum("ij,i->j", axes, scale * target) * size / (size**2 + (ROUNDED * size.max()) ** 2)
+    return np.asarray(scale * np.einsum("ij,j->i", axes, along))

@@ -174,3 +174,18 @@ def test_one_cycle_gone_astray_does_not_hold_up_the_others():
     )
     found = levenberg_marquardt.minimise(task, np.zeros(1), np.zeros((CYCLES, 1)), max_steps=20, tolerance=1e-10)
     assert found.u[0] == pytest.approx(3.0, abs=1e-3)
+
+
+def test_a_search_next_to_a_bound_goes_on_along_it(linear):
+    # A hair above its bound an unknown is free, and its step is cut off there: the others must step beside that.
+    evaluate, rows, full, data = linear
+    free = np.linalg.lstsq(full, data, rcond=None)[0]
+    lower = np.full(SHARED, -np.inf)
+    lower[1] = free[1] + 0.5
+    start = np.array([0.0, lower[1] + 1e-14, 0.0])
+    task = problem(evaluate, rows, lower=lower)
+    found = levenberg_marquardt.minimise(task, start, np.zeros((CYCLES, LOCAL)), max_steps=6, tolerance=1e-14)
+    kept = np.delete(np.arange(full.shape[1]), 1)
+    rest = np.linalg.lstsq(full[:, kept], data - full[:, 1] * lower[1], rcond=None)[0]
+    assert found.u[1] == lower[1]
+    assert found.u[[0, 2]] == pytest.approx(rest[:2], abs=1e-6)
