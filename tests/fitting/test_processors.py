@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.protocols.request import RecordRequest
 from daq.recorder import ports
-from daq.recorder.record import Request, record
+from daq.recorder.record import record
 from daq.runfile.rig import Measured, Rig
 
 KERNELS = {  # of OpenBLAS, and what a processor must have for them
@@ -85,7 +86,7 @@ def runs(tmp_path_factory, synthetic, strangers):
     }  # fmt: skip
     for name, changes in scenes.items():
         paths.append(folder / f"{name}.h5")
-        record(Request(ports.rig_url("rig", list(changes), False), paths[-1], 1000, 30.0))
+        record(RecordRequest(ports.rig_url("rig", list(changes), False), paths[-1], 1000, 30.0))
     blank = synthetic.recording(law=5, duration=1.0)
     known = Rig(mass=Measured(0.3, 1e-3), datum=Measured(0.0, 5e-4), belt_speed=Measured(0.22, 2e-3))
     for name, seed, rig in (("sine", 12, known), ("sawtooth", 1, Rig(mass=Measured(0.3)))):
