@@ -15,7 +15,7 @@ from daq.runfile.recording import EVENTS
 from daq.wire import counters, decode
 from daq.wire import frames as wire
 
-Event = tuple[int, int, str]
+RunEvent = tuple[int, int, str]
 
 
 def events_of(
@@ -24,7 +24,7 @@ def events_of(
     said: Sequence[decode.Stream],
     markers: Sequence[tuple[int, str]],
     rate_hz: float,
-) -> list[Event]:
+) -> list[RunEvent]:
     """Return everything that happened, in order of its sample.
 
     Parameters
@@ -34,18 +34,15 @@ def events_of(
     markers : sequence of (int, str)
         Stamp in monotonic ns, text; one that was set before or after the run is left out.
     """
-    found: list[Event] = []
+    found: list[RunEvent] = []
     for start, why in zip(checked.starts[1:].tolist(), checked.reasons[1:], strict=True):
         gap_ms = 1e3 * (samples.time[start] - samples.time[start - 1])
-        if why == "invalid":
-            note = f"{gap_ms:.0f} ms without a sample: the counters may have rolled over"
-            found.append((start, EVENTS["invalid"], note))
-        elif why == "reopened":
-            note = f"the port was lost for {gap_ms:.0f} ms: the position may start anew"
-            found.append((start, EVENTS["reopened"], note))
-        else:
-            note = f"the board restarted, {gap_ms:.0f} ms lost: the position starts anew"
-            found.append((start, EVENTS["reopened"], note))
+        note = {
+            "invalid": f"{gap_ms:.0f} ms without a sample: the counters may have rolled over",
+            "reopened": f"the port was lost for {gap_ms:.0f} ms: the position may start anew",
+            "restarted": f"the board restarted, {gap_ms:.0f} ms lost: the position starts anew",
+        }[why]
+        found.append((start, EVENTS["invalid" if why == "invalid" else "reopened"], note))
     for at in np.flatnonzero(checked.lost).tolist():
         found.append((at, EVENTS["gap"], f"{checked.lost[at]} samples lost"))
     for name, flag in (

@@ -68,13 +68,15 @@ def run_data(
     header = recorded.header
     rate_hz = float(header["rate_hz"])
     streams = timeline.connections(recorded)
+    if not any(len(stream.n) for stream in streams):
+        raise _no_samples(recorded)
     ident = timeline.first_ident(streams)
     tick_ns = ident.tick_ns if ident else 1000
     samples, truth_rows = timeline.assemble(streams, rate_hz, tick_ns)
     if header["samples"] is not None:
         samples = samples.take(timeline.run_index(samples, rate_hz) < header["samples"])
     if len(samples) == 0:
-        raise DataError("holds no samples", str(recorded.path), "see that the board sends, then record again")
+        raise _no_samples(recorded)
     config, rig, warnings = _calibration(recorded, streams, ident)
     checked = check(samples, ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
     position = positions(checked.count, rig)
@@ -116,6 +118,10 @@ def run_data(
     found = quality.from_run(recorded, samples, checked, streams, run)
     warnings = [*header["warnings"], *warnings, *quality.warnings(found, recorded, samples, checked, streams, rig)]
     return run, replace(found, warnings=tuple(warnings))
+
+
+def _no_samples(recorded: journal.Journal) -> DataError:
+    return DataError("holds no samples", str(recorded.path), "see that the board sends, then record again")
 
 
 def _raw(samples: Samples, checked: CheckedCounts, tick_ns: int) -> Raw:

@@ -100,7 +100,7 @@ def connections(taken: journal.Journal) -> list[decode.Stream]:
 
 
 def assemble(said: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[Samples, TruthRows]:
-    """Set the samples of all connections on one time axis."""
+    """Set the samples of all connections on one time axis; at least one of them must hold samples."""
     ticks_per_sample = 1e9 / (rate_hz * tick_ns)
     flat: list[Samples] = []
     truths: list[TruthRows] = []
@@ -113,9 +113,8 @@ def assemble(said: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[S
             connection.seq, connection.ticks, connection.n, ticks_per_sample, connection.idents
         )
         part = parts + np.cumsum(order.restart)
-        if np.any(order.keep):
-            chosen = _samples(connection, order, part, frames)
-            flat.append(chosen)
+        if len(part):
+            flat.append(_samples(connection, order, part, frames))
             truths.append(_truth(connection, order, part))
             reopened += [True] + [False] * int(np.count_nonzero(order.restart))
             parts = len(reopened)
@@ -124,8 +123,7 @@ def assemble(said: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[S
     samples = _joined(flat, tuple(reopened))
     samples = replace(samples, time=_times(samples, rate_hz, tick_ns))
     advances = np.ones(len(samples), dtype=np.bool_)
-    if len(samples):
-        advances[1:] = samples.time[1:] > np.maximum.accumulate(samples.time)[:-1]
+    advances[1:] = samples.time[1:] > np.maximum.accumulate(samples.time)[:-1]
     late += int(np.count_nonzero(~advances))
     return replace(samples.take(advances) if late else samples, repeated=late), _joined_truth(truths)
 
@@ -176,29 +174,10 @@ def _joined(flat: list[Samples], reopened: tuple[bool, ...]) -> Samples:
     columns: dict[str, Any] = {}
     for field in fields(Samples):
         pieces = [getattr(piece, field.name) for piece in flat]
-        if field.name in ("reopened", "repeated"):
-            continue
-        if pieces and all(isinstance(piece, np.ndarray) for piece in pieces):
-            columns[field.name] = np.concatenate(pieces)
-        elif field.name in ("belt", "edge"):
-            columns[field.name] = None
-        else:
-            columns[field.name] = np.empty(0, dtype=_TYPES[field.name])
+        if field.name not in ("reopened", "repeated"):
+            whole = all(isinstance(piece, np.ndarray) for piece in pieces)
+            columns[field.name] = np.concatenate(pieces) if whole else None
     return Samples(reopened=reopened, **columns)
-
-
-_TYPES = {
-    "time": "f8",
-    "part": "i8",
-    "index": "i8",
-    "ticks": "i8",
-    "frame": "i8",
-    "stamp_ns": "i8",
-    "up": "u2",
-    "down": "u2",
-    "status": "u1",
-    "illegal": "u2",
-}
 
 
 def _times(samples: Samples, rate_hz: float, tick_ns: int) -> NDArray[np.float64]:
@@ -235,8 +214,6 @@ def _truth(said: decode.Stream, order: counters.Order, part: NDArray[np.int64]) 
 
 
 def _joined_truth(truths: list[TruthRows]) -> TruthRows:
-    if not truths:
-        return TruthRows(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 4)))
     return TruthRows(
         np.concatenate([t.part for t in truths]),
         np.concatenate([t.index for t in truths]),

@@ -246,7 +246,7 @@ def _flags(
     flags = np.zeros(up.size, np.uint16)
     flags[1:][np.diff(illegal) > 0] |= counters.FLAG_ILLEGAL
     if decoder == "x4":
-        wrong = counters.check_phase(up.astype(np.uint16), down.astype(np.uint16), levels.astype(np.uint8))
+        wrong = counters.phase_error(up.astype(np.uint16), down.astype(np.uint16), levels.astype(np.uint8)) != 0
         flags[wrong] |= counters.FLAG_PHASE
     if decoder in ("jk", "jk-latched"):
         # Only behind a J-K box does it mean lost truth: the other decoders do it at every reversal.

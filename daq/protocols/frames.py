@@ -8,7 +8,7 @@ from daq.errors import DeviceError, InputError, nearest
 from daq.protocols import link_budget
 from daq.protocols import session as sessions
 from daq.protocols.request import RecordRequest
-from daq.protocols.session import Identity, Line, Plan, Port
+from daq.protocols.session import Identity, Plan, Port, Session, Tally
 from daq.wire import frames
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     return decode.decode(reads)
 
 
-class Frames(Line):
+class Frames(Session):
     """A session in our own protocol."""
 
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
@@ -153,13 +153,11 @@ class Frames(Line):
         return Identity(ident, config)
 
 
-class FrameTally:
+class FrameTally(Tally):
     """How far a stream of frames has come; see `daq.protocols.session.Tally`."""
 
     def __init__(self) -> None:
-        self.reached = 0
-        self.resets = 0  # identifications after the first sample: the board has restarted
-        self.notice = ""
+        super().__init__()
         self._frames = frames.FrameReader()
         self._next: int | None = None
 
@@ -173,7 +171,7 @@ class FrameTally:
                     self.reached += ahead + payload[2]
                     self._next = seq + payload[2] & 0xFFFF
             elif payload[0] == frames.IDENT and self._next is not None:
-                self.resets += 1
+                self.resets += 1  # identified after the first sample: it has restarted
                 self._next = None
             elif payload[0] == frames.NOTICE:
                 self.notice = payload[2:].decode(errors="replace")
@@ -182,4 +180,4 @@ class FrameTally:
         """Begin with sequence number 0 again, ``reached`` periods after the start."""
         self._frames = frames.FrameReader()
         self._next = None
-        self.reached = max(self.reached, reached)
+        super().begin_again(reached)

@@ -20,8 +20,9 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.protocols.session import Tally
 from daq.wire import frames
-from daq.wire.counters import LATE_FRAMES, increments
+from daq.wire.counters import LATE_FRAMES, moves, signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
 
@@ -101,13 +102,11 @@ class LineReader:
         return rows, others
 
 
-class LineTally:
+class LineTally(Tally):
     """How far a stream of lines has come, by their times; see `daq.protocols.session.Tally`."""
 
     def __init__(self, make_reader: Callable[[], LineReader], period_ticks: float) -> None:
-        self.reached = 0
-        self.resets = 0
-        self.notice = ""
+        super().__init__()
         self._make_reader = make_reader
         self._reader = make_reader()
         self._period = period_ticks
@@ -129,7 +128,7 @@ class LineTally:
         """Begin anew, ``reached`` periods after the start."""
         self._reader = self._make_reader()
         self._last, self._odd = None, 0
-        self.reached = max(self.reached, reached)
+        super().begin_again(reached)
 
     def _step(self, ticks: int) -> None:
         """Take the time of a line."""
@@ -137,7 +136,7 @@ class LineTally:
             self.reached += 1
             self._last = ticks
             return
-        periods = ((ticks - self._last + 0x80000000 & 0xFFFFFFFF) - 0x80000000) / self._period
+        periods = signed(ticks - self._last, 32) / self._period
         if 0 < periods <= LATE_FRAMES:
             self.reached += max(1, round(periods))
             self._last, self._odd = ticks, 0
@@ -183,12 +182,12 @@ def decode(
     ticks, up, down, status, illegal = columns
     keep = _in_time(ticks, period_ticks, begun)
     keep[keep] = ~_leaps(up[keep] - down[keep], ident.counter_bits)
-    periods = _elapsed(ticks[keep][1:], ticks[keep][:-1]) / period_ticks
+    periods = moves(ticks[keep], 32) / period_ticks
     keep[keep] = ~_spikes(period_ticks * (periods - np.round(periods)))  # lines that are missing are none
-    periods = _elapsed(ticks[keep][1:], ticks[keep][:-1]) / period_ticks
+    periods = moves(ticks[keep], 32) / period_ticks
     # [i + 1]: no line is missing among i - 2 ... i + 2, or the course would not be smooth.
     together = np.convolve(np.append(np.abs(periods - 1) < 0.5, False), np.ones(4)) == 4
-    moved = _signed(np.diff(up[keep] - down[keep]), ident.counter_bits)
+    moved = moves(up[keep] - down[keep], ident.counter_bits)
     keep[keep] = ~(_spikes(moved) & together[1 : len(moved) + 2])
     damaged = np.sort(np.concatenate((np.array(bad, dtype=np.int64), np.flatnonzero(~keep))))
     kept = np.concatenate(([0], np.cumsum(keep)))  # lines kept before each good one
@@ -197,7 +196,7 @@ def decode(
         up, down = _two_counters(up, ident.counter_bits)
     sequence, starts = _sequence(ticks, period_ticks, kept[np.array(begun, dtype=np.int64)])
     n = len(ticks)
-    nothing = np.empty(0, dtype=np.int64)
+    wide = ident.counter_bits > 16
     return Stream(
         first=np.arange(n),
         n=np.ones(n, dtype=np.int64),
@@ -206,55 +205,30 @@ def decode(
         illegal=illegal[keep],
         stamp_ns=np.array(stamps, dtype=np.int64)[keep],
         dt=np.zeros(n, dtype=np.uint16),
-        up=_as_wide_as(ident.counter_bits, up),
-        down=_as_wide_as(ident.counter_bits, down),
+        up=up.astype(np.uint32) if wide else up.astype(np.uint16),
+        down=down.astype(np.uint32) if wide else down.astype(np.uint16),
         status=status[keep].astype(np.uint8),
-        belt=None,
-        edge=None,
         ident=ident,
         idents=starts,
-        configs=(),
-        notices=(),
-        truth_seq=nothing,
-        truth_frame=nothing,
-        truth=np.empty((0, 4)),
         crc_frame=kept[damaged],
         crc_errors=len(damaged),
-        unknown=0,
         discarded_bytes=reader.discarded_bytes,
         length=np.zeros(n, dtype=np.int64),
-        part_stamp_ns=nothing,
-        part_frame=nothing,
-        part_bytes=nothing,
     )
 
 
 def _two_counters(count: NDArray[np.int64], bits: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the up and the down counter that a net count stands for: up - down is the count, and both only rise."""
-    step = _signed(increments(count, bits), bits)
+    step = moves(count, bits)
     down = np.concatenate(([0], np.cumsum(np.maximum(-step, 0))))[: len(count)]
     limit = (1 << bits) - 1
     return (count + down) & limit, down & limit
 
 
-def _as_wide_as(bits: int, values: NDArray[np.int64]) -> NDArray[np.uint16] | NDArray[np.uint32]:
-    return values.astype(np.uint32) if bits > 16 else values.astype(np.uint16)
-
-
-def _signed(steps: NDArray[np.int64], bits: int) -> NDArray[np.int64]:
-    half = 1 << (bits - 1)
-    return np.asarray((steps + half) % (1 << bits) - half)
-
-
-def _elapsed(later: NDArray[np.int64], earlier: NDArray[np.int64] | int) -> NDArray[np.int64]:
-    """Return the time between, ticks, from -2^31 to 2^31 - 1."""
-    return np.asarray((later - earlier + 0x80000000 & 0xFFFFFFFF) - 0x80000000)
-
-
 def _in_time(ticks: NDArray[np.int64], period: float, starts: Sequence[int]) -> NDArray[np.bool_]:
     """Return which lines do not stand out of time: a damaged time leaps away, and the lines after it leap back."""
     keep = np.ones(len(ticks), dtype=np.bool_)
-    step = _elapsed(ticks[1:], ticks[:-1])
+    step = moves(ticks, 32)
     odd = np.flatnonzero((step < -LATE_FRAMES * period) | (step > LATE_FRAMES * period)) + 1
     if len(odd) == 0:
         return keep
@@ -264,7 +238,7 @@ def _in_time(ticks: NDArray[np.int64], period: float, starts: Sequence[int]) -> 
         if line in fresh:
             last = line
             continue
-        ahead = _elapsed(ticks[line : line + LOOK_AHEAD + 1], int(ticks[last]))
+        ahead = (ticks[line : line + LOOK_AHEAD + 1] - ticks[last] + 0x80000000 & 0xFFFFFFFF) - 0x80000000
         near = np.abs(ahead) <= (LATE_FRAMES + np.arange(len(ahead))) * period
         if near[0] or not near.any():  # it follows, or nothing does: then it begins a new stretch
             last = line
@@ -278,7 +252,7 @@ def _leaps(count: NDArray[np.int64], bits: int) -> NDArray[np.bool_]:
     leaps = np.zeros(len(count), dtype=np.bool_)
     if len(count) < 3:
         return leaps
-    step = np.abs(_signed(np.diff(count), bits))
+    step = np.abs(moves(count, bits))
     # The typical step of five lines on either side, whichever is more: a mass may stop dead or start at once.
     padded = np.pad(step, 5, mode="edge")
     typical = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)  # [i]: steps i - 5 ... i - 1
@@ -318,7 +292,7 @@ def _sequence(
     ticks: NDArray[np.int64], period: float, starts: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return sequence numbers made from the times, and the lines at which they begin with 0 again."""
-    step = _elapsed(ticks[1:], ticks[:-1])
+    step = moves(ticks, 32)
     number = np.round(step / period).astype(np.int64)
     number[(step > 0) & (number < 1)] = 1
     anew = np.flatnonzero(step < -LATE_FRAMES * period) + 1

@@ -25,7 +25,7 @@ from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineReader, LineTally, Other, Row
 from daq.protocols.request import RecordRequest
-from daq.protocols.session import Identity, Line, Plan, Port
+from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
 from daq.wire.splitter import Splitter
 
@@ -101,7 +101,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     return lines.decode(reads, reader(), ident(header.get("decoder")), period_ticks, net=True)
 
 
-class Qsb(Line):
+class Qsb(Session):
     """A session with a QSB."""
 
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:

@@ -15,6 +15,7 @@ States of a session, and what moves it on::
 """
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
@@ -89,22 +90,35 @@ class Plan:
     comes_already: bool = False
 
 
-class Tally(Protocol):
-    """How far a stream has come, in sample periods from its start: lost samples count, gaps of a lost port too."""
+class Tally(ABC):
+    """How far a stream has come, in sample periods from its start: lost samples count, gaps of a lost port too.
 
-    reached: int
-    resets: int  # restarts of the board seen after the first sample
-    notice: str  # what the board said when it stopped by itself
+    Attributes
+    ----------
+    reached : int
+        Sample periods.
+    resets : int
+        Restarts of the board seen after the first sample.
+    notice : str
+        The board's message when it stopped by itself.
+    """
 
+    def __init__(self) -> None:
+        self.reached = 0
+        self.resets = 0
+        self.notice = ""
+
+    @abstractmethod
     def feed(self, data: bytes) -> None:
         """Take bytes as they came."""
 
     def begin_again(self, reached: int) -> None:
         """Begin anew with a stream that starts ``reached`` periods after the first one."""
+        self.reached = max(self.reached, reached)
 
 
-class Session(Protocol):
-    """One board on one port.
+class Session(ABC):
+    """One board on one port: what the recorder asks of every protocol, and the reading that all of them share.
 
     Attributes
     ----------
@@ -117,64 +131,39 @@ class Session(Protocol):
     The port may raise SerialException or OSError at any time: the session's owner handles both.
     """
 
-    port: Port
-    url: str
-    received: list[tuple[int, bytes]]
-
-    def identify(self) -> Identity:
-        """Find out who is there; DeviceError when nobody answers, or not in this protocol."""
-
-    def plan(self, identity: Identity) -> Plan:
-        """Return how the recording will go; InputError when it cannot."""
-
-    def prepare(self, plan: Plan) -> Identity:
-        """Set the board up; DeviceError when it refuses."""
-
-    def start(self) -> None:
-        """Start the samples."""
-
-    def restart(self) -> None:
-        """Set a board that has just reset back to work, without waiting for answers."""
-
-    def stop(self) -> None:
-        """Stop the samples; the rest of the stream may still come."""
-
-    def read(self) -> bytes:
-        """Wait for bytes, for the port's time-out at most, and return all that are there."""
-
-    def drain(self) -> bytes:
-        """Read until the line has run dry, and return what came."""
-
-    def close(self) -> None:
-        """Let go of the port; one that is gone already is no error."""
-
-    def tally(self) -> Tally:
-        """Return a new tally of what this session will read."""
-
-
-class Backend(Protocol):
-    """What a protocol's module offers."""
-
-    BAUD: int
-
-    def check(self, request: RecordRequest) -> None:
-        """Raise InputError for a request that this protocol can never carry out; nothing has been touched then."""
-
-    def session(self, port: Port, url: str, request: RecordRequest) -> Session:
-        """Return a session on an open port."""
-
-    def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
-        """Decode the reads of one connection out of a journal with this header."""
-
-
-class Line:
-    """Reading and writing that every session shares."""
-
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         self.port = port
         self.url = url
         self.request = request
         self.received: list[tuple[int, bytes]] = []
+
+    @abstractmethod
+    def identify(self) -> Identity:
+        """Find out who is there; DeviceError when nobody answers, or not in this protocol."""
+
+    @abstractmethod
+    def plan(self, identity: Identity) -> Plan:
+        """Return how the recording will go; InputError when it cannot."""
+
+    @abstractmethod
+    def prepare(self, plan: Plan) -> Identity:
+        """Set the board up; DeviceError when it refuses."""
+
+    @abstractmethod
+    def start(self) -> None:
+        """Start the samples."""
+
+    @abstractmethod
+    def restart(self) -> None:
+        """Set a board that has just reset back to work, without waiting for answers."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Stop the samples; the rest of the stream may still come."""
+
+    @abstractmethod
+    def tally(self) -> Tally:
+        """Return a new tally of what this session will read."""
 
     def read(self) -> bytes:
         """Wait for bytes, for the port's time-out at most, and return all that are there."""
@@ -212,3 +201,18 @@ class Line:
     def send(self, *commands: str) -> None:
         """Send command lines."""
         self.port.write("".join(f"{command}\n" for command in commands).encode())
+
+
+class Backend(Protocol):
+    """What a protocol's module offers."""
+
+    BAUD: int
+
+    def check(self, request: RecordRequest) -> None:
+        """Raise InputError for a request that this protocol can never carry out; nothing has been touched then."""
+
+    def session(self, port: Port, url: str, request: RecordRequest) -> Session:
+        """Return a session on an open port."""
+
+    def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
+        """Decode the reads of one connection out of a journal with this header."""

@@ -34,7 +34,7 @@ from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineReader, LineTally, Other, Row
 from daq.protocols.request import RecordRequest
-from daq.protocols.session import Identity, Line, Plan, Port
+from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
 
 if TYPE_CHECKING:
@@ -211,7 +211,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     return lines.decode(reads, reader(form), ident(form, header.get("decoder")), period_ticks, net=form.net)
 
 
-class Text(Line):
+class Text(Session):
     """A session with a sketch that prints lines; it is listened to, and nothing is said to it."""
 
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:

@@ -22,7 +22,7 @@ WRITE_TIMEOUT_S = 5.0
 
 
 @dataclass(frozen=True)
-class Found:
+class PortInfo:
     """One port that is there: its name, what the system says it is, whether it may be opened, what to do if not."""
 
     port: str
@@ -109,11 +109,11 @@ def explain(url: str, error: OSError) -> tuple[str, str, str]:
     return f"cannot open this port: {error}", url, f"check the name; {_present()}"
 
 
-def list_ports() -> list[Found]:
+def list_ports() -> list[PortInfo]:
     """Return the serial devices of this machine, and the simulated rig, which is always there."""
     from serial.tools.list_ports import comports
 
-    found = [Found(SIMULATED_RIG, "the simulated rig; 'daq record' takes it when no --port is given", True)]
+    found = [PortInfo(SIMULATED_RIG, "the simulated rig; 'daq record' takes it when no --port is given", True)]
     for info in sorted(comports()):
         device = Path(info.device)
         usable = os.name == "nt" or _allowed(device)
@@ -122,7 +122,7 @@ def list_ports() -> list[Found]:
         described = (
             info.description if info.description not in ("n/a", None) else "a serial port, nothing more is known"
         )
-        found.append(Found(info.device, described, usable, "" if usable else permission_fix(device)))
+        found.append(PortInfo(info.device, described, usable, "" if usable else permission_fix(device)))
     return found
 
 

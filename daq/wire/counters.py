@@ -183,13 +183,6 @@ def phase_error(
     return np.asarray(((up - down) - PHASE[levels & 3]) & 3).astype(np.uint8)
 
 
-def check_phase(
-    up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], levels: NDArray[np.uint8]
-) -> NDArray[np.bool_]:
-    """Return where an x4 count disagrees with the levels sent beside it: (up - down) mod 4 is not their phase."""
-    return np.asarray(phase_error(up, down, levels) != 0)
-
-
 def check_both_moved(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger]) -> NDArray[np.bool_]:
     """Return where both counters moved since the sample before; never at the first sample.
 

@@ -5,12 +5,16 @@ one array.  Where the reads ended makes no difference but for the stamps.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.wire import frames as wire
+
+
+def _nothing() -> NDArray[np.int64]:
+    return np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Stream:
     crc_errors, unknown, discarded_bytes : int
         See `daq.wire.frames.FrameReader`.
     length : (f,) int64
-        Each frame's bytes on the line.
+        Each frame's bytes on the line; 0 where that is not known.
     part_stamp_ns, part_frame, part_bytes : (p,) int64
         Reads that ended inside a frame: when, which frame, and how many of its bytes were there.
     """
@@ -57,23 +61,23 @@ class Stream:
     up: NDArray[np.uint16] | NDArray[np.uint32]
     down: NDArray[np.uint16] | NDArray[np.uint32]
     status: NDArray[np.uint8]
-    belt: NDArray[np.uint16] | None
-    edge: NDArray[np.uint16] | None
     ident: wire.Ident | None
     idents: NDArray[np.int64]
-    configs: tuple[tuple[int, str], ...]
-    notices: tuple[tuple[int, str], ...]
-    truth_seq: NDArray[np.int64]
-    truth_frame: NDArray[np.int64]
-    truth: NDArray[np.float64]
     crc_frame: NDArray[np.int64]
     crc_errors: int
-    unknown: int
     discarded_bytes: int
     length: NDArray[np.int64]
-    part_stamp_ns: NDArray[np.int64]
-    part_frame: NDArray[np.int64]
-    part_bytes: NDArray[np.int64]
+    belt: NDArray[np.uint16] | None = None
+    edge: NDArray[np.uint16] | None = None
+    configs: tuple[tuple[int, str], ...] = ()
+    notices: tuple[tuple[int, str], ...] = ()
+    unknown: int = 0
+    truth_seq: NDArray[np.int64] = field(default_factory=_nothing)
+    truth_frame: NDArray[np.int64] = field(default_factory=_nothing)
+    truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))
+    part_stamp_ns: NDArray[np.int64] = field(default_factory=_nothing)
+    part_frame: NDArray[np.int64] = field(default_factory=_nothing)
+    part_bytes: NDArray[np.int64] = field(default_factory=_nothing)
 
 
 # SAMPLES frames by bytes of payload and declared samples: their lines (k,) and payloads (k, size).
@@ -128,7 +132,7 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     unknown = size[~known & (size > 0)]
     damaged = np.flatnonzero(size == 0)
 
-    truths = [(line, frame) for line, frame in others if isinstance(frame, wire.Truth)]
+    truths = [(line, frame) for line, frame in others if isinstance(frame, wire.TruthFrame)]
     truth_n = [len(frame.rows) for _, frame in truths]
     truth_seq = [seq & 0xFFFF for _, frame in truths for seq in range(frame.seq, frame.seq + len(frame.rows))]
     part_ns, part_line, part_bytes = np.array(parts, dtype=np.int64).reshape(-1, 3).T

@@ -121,7 +121,7 @@ class Config:
 
 
 @dataclass(frozen=True, slots=True)
-class Truth:
+class TruthFrame:
     """Exact motion at sample times; only a simulated rig sends it, and only when its scene says so.
 
     ``rows`` holds (time s, x m, v m/s, F N) of the samples seq, seq + 1, ...: F is the friction force on the mass.
@@ -138,7 +138,7 @@ class Notice:
     text: str
 
 
-Frame = Ident | SampleBlock | Config | Truth | Notice
+Frame = Ident | SampleBlock | Config | TruthFrame | Notice
 
 _IDENT = struct.Struct("<BB3BBHBHBII")
 _SAMPLES = struct.Struct("<BBBHIH")
@@ -226,7 +226,7 @@ def _encode_text(kind: int, text: str) -> bytes:
     return line
 
 
-def encode_truth(truth: Truth) -> bytes:
+def encode_truth(truth: TruthFrame) -> bytes:
     """Return a TRUTH frame; ValueError for no or more than 255 rows."""
     n = len(truth.rows)
     if not 1 <= n <= 255:
@@ -285,8 +285,6 @@ def _decode_samples(payload: bytes, belt: bool, edge: bool) -> SampleBlock | Non
     if len(payload) != layout.size:
         return None
     flat = layout.unpack(payload)
-    if size == 4:
-        return SampleBlock(flat[3], flat[4], flat[5], flat[6::4], flat[7::4], flat[8::4], flat[9::4])
     seq, time, illegal = flat[3:6]
     dt, up, down, status, *optional = (flat[field::size] for field in range(6, 6 + size))
     belts = optional[0] if belt else None
@@ -300,13 +298,13 @@ def _layout(belt: bool, edge: bool, n: int) -> tuple[struct.Struct, int]:
     return struct.Struct(_SAMPLES.format + row * n), len(row)
 
 
-def _decode_truth(payload: bytes) -> Truth | None:
+def _decode_truth(payload: bytes) -> TruthFrame | None:
     if len(payload) < TRUTH_HEADER:
         return None
     _, _, n, seq = _TRUTH.unpack_from(payload)
     if n == 0 or len(payload) != TRUTH_HEADER + 32 * n:
         return None
-    return Truth(seq, tuple(struct.iter_unpack("<4d", payload[TRUTH_HEADER:])))
+    return TruthFrame(seq, tuple(struct.iter_unpack("<4d", payload[TRUTH_HEADER:])))
 
 
 class FrameReader:

@@ -239,7 +239,7 @@ class SimulatedBoard:
             block = wire.SampleBlock(seq, ticks[0] & 0xFFFFFFFF, 0, dt, up, down, status, belt)
             frames.append(wire.encode_samples(block))
             if self._sends_truth:
-                frames.append(wire.encode_truth(wire.Truth(seq, self._truth[sent : sent + self.block])))
+                frames.append(wire.encode_truth(wire.TruthFrame(seq, self._truth[sent : sent + self.block])))
             sent += len(rows)
         del self._pending[:sent]
         del self._truth[:sent]

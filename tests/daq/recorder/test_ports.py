@@ -7,8 +7,9 @@ import pytest
 
 from daq.errors import DeviceError, InputError
 from daq.protocols import link_budget
+from daq.protocols.frames import Frames
 from daq.protocols.request import RecordRequest
-from daq.protocols.session import Line, Plan
+from daq.protocols.session import Plan
 from daq.recorder import ports
 from daq.runfile.rig import Measured, Rig
 from daq.wire.frames import Capability, Ident
@@ -168,7 +169,7 @@ def test_a_socket_that_does_not_say_how_many_bytes_wait_is_read_in_large_pieces(
         with peer, port:
             sent = bytes(range(256)) * 40
             peer.sendall(sent)
-            line = Line(port, "socket", RecordRequest())
+            line = Frames(port, "socket", RecordRequest())
             reads = [line.read()]
             while sum(map(len, reads)) < len(sent):
                 reads.append(line.read())

@@ -99,14 +99,14 @@ def test_clean_counts_agree_with_their_levels(start, moves):
     forward = np.cumsum(np.maximum(np.diff(n, prepend=0), 0))
     backward = forward - n
     up, down = (forward % 65536).astype(np.uint16), (backward % 65536).astype(np.uint16)
-    assert not counters.check_phase(up, down, levels_of(n)).any()
+    assert not counters.phase_error(up, down, levels_of(n)).any()
 
 
 @pytest.mark.parametrize("error", [1, 2, 3])
 def test_a_lost_count_disagrees_with_the_levels(error):
     n = np.arange(101)
     up = np.where(n >= 40, n - error, n).astype(np.uint16)
-    flagged = counters.check_phase(up, np.zeros(101, dtype=np.uint16), levels_of(n))
+    flagged = counters.phase_error(up, np.zeros(101, dtype=np.uint16), levels_of(n)) != 0
     assert np.array_equal(flagged, n >= 40)
 
 

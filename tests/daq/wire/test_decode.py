@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from daq.protocols.frames import FrameTally
 from daq.wire import decode
 from daq.wire import frames as wire
-from daq.wire.frames import Capability, FrameReader, Ident, SampleBlock, Truth
+from daq.wire.frames import Capability, FrameReader, Ident, SampleBlock, TruthFrame
 
 IDENT = Ident((0, 0, 1), "x4", Capability.LEVELS, 16, 1000, 8, 1000, 100_000, "rig")
 COLUMNS = ("dt", "up", "down", "status")
@@ -32,7 +32,7 @@ def sent_line(seed, frames=40):
         if kind < 0.05:
             piece = wire.encode_notice("stopped" * draw.randrange(60))
         elif kind < 0.1:
-            piece = wire.encode_truth(Truth(seq & 0xFFFF, [(1.0, 2.0, 0.0, -1.0)] * draw.choice((1, 8))))
+            piece = wire.encode_truth(TruthFrame(seq & 0xFFFF, [(1.0, 2.0, 0.0, -1.0)] * draw.choice((1, 8))))
         elif kind < 0.12:
             piece = wire.encode_ident(IDENT)
         elif kind < 0.15:
@@ -80,7 +80,9 @@ def test_a_stream_holds_what_the_frame_reader_returns(seed, cuts):
     assert found.ticks.tolist() == [frame.time for frame in samples]
     for name in COLUMNS:
         assert getattr(found, name).tolist() == [value for frame in samples for value in getattr(frame, name)]
-    assert found.truth.tolist() == [list(row) for frame in frames if isinstance(frame, Truth) for row in frame.rows]
+    assert found.truth.tolist() == [
+        list(row) for frame in frames if isinstance(frame, TruthFrame) for row in frame.rows
+    ]
     assert [text for _, text in found.notices] == [frame.text for frame in frames if isinstance(frame, wire.Notice)]
     assert len(found.idents) == sum(isinstance(frame, Ident) for frame in frames)
     assert (found.crc_errors, found.unknown) == (reader.crc_errors, reader.unknown)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.wire import frames as wire
-from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
+from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, TruthFrame
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "wire.md"
 
@@ -44,7 +44,7 @@ def blocks(draw, belt=False, edge=False):
     )
 
 
-truths = st.builds(Truth, u16, st.lists(st.tuples(real, real, real, real), min_size=1, max_size=5).map(tuple))
+truths = st.builds(TruthFrame, u16, st.lists(st.tuples(real, real, real, real), min_size=1, max_size=5).map(tuple))
 
 
 def encoded(frame):
@@ -52,7 +52,7 @@ def encoded(frame):
         return wire.encode_ident(frame)
     if isinstance(frame, SampleBlock):
         return wire.encode_samples(frame)
-    if isinstance(frame, Truth):
+    if isinstance(frame, TruthFrame):
         return wire.encode_truth(frame)
     return wire.encode_config(frame.toml) if isinstance(frame, Config) else wire.encode_notice(frame.text)
 
@@ -185,7 +185,7 @@ def test_frames_of_a_newer_version_are_counted_and_skipped():
         (lambda: wire.encode_samples(SampleBlock(0, 0, 0, (), (), (), ())), "0 samples"),
         (lambda: wire.encode_samples(SampleBlock(70_000, 0, 0, (0,), (0,), (0,), (0,))), "70000"),
         (lambda: wire.encode_samples(SampleBlock(0, 0, 0, (0,), (0, 1), (0,), (0,))), "zip"),
-        (lambda: wire.encode_truth(Truth(0, ())), "0 rows"),
+        (lambda: wire.encode_truth(TruthFrame(0, ())), "0 rows"),
         (lambda: wire.encode_config("x" * 20_000), "20000"),
         (lambda: wire.encode_ident(Ident((0, 0, 300), "x4", Capability(0), 16, 1, 1, 1, 1, "")), "300"),
     ],
@@ -210,7 +210,7 @@ EXAMPLES = {
     "samples": SampleBlock(258, 1_000_000, 1, (0, 998), (1000, 1001), (65535, 65535), (1, 3)),
     "options": SampleBlock(7, 5000, 0, (0,), (3,), (0,), (6,), (12,), (65535,)),
     "config": Config("[rig]\nmass = 0.3\n"),
-    "truth": Truth(7, ((0.005, 0.25, -0.5, 1.5),)),
+    "truth": TruthFrame(7, ((0.005, 0.25, -0.5, 1.5),)),
     "notice": Notice("R 0: no such rate"),
 }
 

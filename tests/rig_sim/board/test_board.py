@@ -13,7 +13,7 @@ import serial
 
 from daq.errors import InputError
 from daq.runfile.rig import Rig
-from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, Truth
+from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, TruthFrame
 from daq.wire.quadrature import PHASE
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
@@ -194,7 +194,7 @@ def test_truth_comes_only_when_asked_and_is_exact() -> None:
     told = scene("rig", tell={"truth": True})
     board = SimulatedBoard(told)
     frames = frames_of(board.write(b"S\n") + board.samples(3000) + board.write(b"X\n"))
-    rows = np.array([row for frame in frames if isinstance(frame, Truth) for row in frame.rows])
+    rows = np.array([row for frame in frames if isinstance(frame, TruthFrame) for row in frame.rows])
     assert rows.shape == (3000, 4)
     taken = Record.of(frames)
     np.testing.assert_array_equal(np.floor(rows[:, 0] * 1e6 + 1e-6), taken.ticks)
@@ -204,7 +204,7 @@ def test_truth_comes_only_when_asked_and_is_exact() -> None:
     np.testing.assert_allclose(rows[stick, 3], told.spring.k * rows[stick, 1], rtol=1e-9, atol=1e-12)
     untold = SimulatedBoard(scene("rig"))
     silent = frames_of(untold.write(b"S\n") + untold.samples(3000))
-    assert not any(isinstance(frame, Truth) for frame in silent)
+    assert not any(isinstance(frame, TruthFrame) for frame in silent)
     np.testing.assert_array_equal(Record.of(silent).up, taken.up)
 
 

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.wire.frames import FrameReader, SampleBlock, Truth
+from daq.wire.frames import FrameReader, SampleBlock, TruthFrame
 from daq.wire.quadrature import PHASE
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.board.gaps import SilentStretches
@@ -102,7 +102,7 @@ def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
             [
                 row
                 for frame in frames_of(SimulatedBoard(scene("rig", **also)), 3000)
-                if isinstance(frame, Truth)
+                if isinstance(frame, TruthFrame)
                 for row in frame.rows
             ]
         )
@@ -127,8 +127,8 @@ def test_samples_in_a_gap_are_missing_and_all_others_unchanged(at_once: int) -> 
     lengths = jumps[jumps > 1] - 1
     assert 4 <= len(lengths) <= 20  # 0.5 a second for 20 s
     assert np.all(np.abs(lengths - 50) <= 1)
-    rows = [row for frame in gappy if isinstance(frame, Truth) for row in frame.rows]
-    every = [row for frame in whole if isinstance(frame, Truth) for row in frame.rows]
+    rows = [row for frame in gappy if isinstance(frame, TruthFrame) for row in frame.rows]
+    every = [row for frame in whole if isinstance(frame, TruthFrame) for row in frame.rows]
     np.testing.assert_allclose(rows, np.array(every)[sent], atol=1e-12)
 
 
