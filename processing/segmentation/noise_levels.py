@@ -27,7 +27,14 @@ from processing.kalman.snap_kernel import (
 )
 from processing.record.motion import Motion
 from processing.record.series import Series
-from processing.segmentation.switching_times import KERNELS, Labels, Stretch, SwitchingTimes, fit_stretches, without
+from processing.segmentation.switching_times import (
+    KERNELS,
+    FilterStretch,
+    Labels,
+    SwitchingTimes,
+    fit_stretches,
+    without,
+)
 
 UNEVEN = [RIDE, MET, LEAVING]  # labels of a stick on a belt that does not run evenly
 # Labels that share one reading variance: slips, sticks on an even belt (whose counts round alike), uneven ones.
@@ -69,7 +76,7 @@ def first_levels(series: Series, noise: white_jerk.Noise, pilot: Motion, unit: f
 
 
 def filter_stretch(
-    series: Series, times: SwitchingTimes, levels: NoiseLevels, stretch: Stretch, workspace: Workspace
+    series: Series, times: SwitchingTimes, levels: NoiseLevels, stretch: FilterStretch, workspace: Workspace
 ) -> tuple[Labels, Array]:
     """Filter a stretch of n samples; return its labels, (n,), and what was expected of each sample, (n, STORED)."""
     time, position = series.time[stretch.own], series.position[stretch.own]
@@ -83,7 +90,13 @@ def filter_stretch(
 
 
 def smooth_stretch(
-    series: Series, times: SwitchingTimes, levels: NoiseLevels, stretch: Stretch, workspace: Workspace, *, wanted: bool
+    series: Series,
+    times: SwitchingTimes,
+    levels: NoiseLevels,
+    stretch: FilterStretch,
+    workspace: Workspace,
+    *,
+    wanted: bool,
 ) -> tuple[Labels, Array, Array, Array]:
     """Filter a stretch of n samples and smooth it.
 
@@ -125,7 +138,7 @@ def reestimate_noise(
     used = fit_stretches(series, times)
     if null_model:
         times = without(times, np.ones(times.at.size, bool))
-        used = [Stretch(stretch.own, SLIP, slice(0, 0)) for stretch in used]
+        used = [FilterStretch(stretch.own, SLIP, slice(0, 0)) for stretch in used]
     least = 0.25 * white_jerk.least_variance(series)
     for _ in range(iterations):
         noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))

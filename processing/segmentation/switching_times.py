@@ -35,7 +35,7 @@ class SwitchingTimes:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class FilterStretch:
     """Samples filtered in one go, the label they begin with, and the corners among them."""
 
     own: slice
@@ -87,12 +87,12 @@ def initial_switching_times(series: Series, found: PhaseSegmentation) -> Switchi
     )
 
 
-def stretches(series: Series, times: SwitchingTimes) -> list[Stretch]:
+def stretches(series: Series, times: SwitchingTimes) -> list[FilterStretch]:
     """Return the pieces, with their corners."""
     made = []
     for piece, first in zip(series.pieces, times.first, strict=True):
         ends = np.searchsorted(times.at, (series.time[piece.start], series.time[piece.stop - 1]), side="right")
-        made.append(Stretch(piece, first, slice(int(ends[0]), int(ends[1]))))
+        made.append(FilterStretch(piece, first, slice(int(ends[0]), int(ends[1]))))
     return [own for own in made if own.own.stop - own.own.start >= white_jerk.SHORT]
 
 
@@ -101,7 +101,7 @@ def state_after(kind: int) -> int:
     return {LAND: STICK, MEET: RIDE, STOP: REST}.get(kind, SLIP)
 
 
-def fit_stretches(series: Series, times: SwitchingTimes) -> list[Stretch]:
+def fit_stretches(series: Series, times: SwitchingTimes) -> list[FilterStretch]:
     """Return the stretches that noise is learned from: of a long record a dozen slips and their surroundings."""
     whole = stretches(series, times)
     if sum(own.own.stop - own.own.start for own in whole) <= FIT_SAMPLES:
@@ -125,7 +125,7 @@ def fit_stretches(series: Series, times: SwitchingTimes) -> list[Stretch]:
             continue
         c, d = np.searchsorted(times.at, (series.time[i], series.time[j - 1]), side="right")
         first = state_after(int(times.kind[c - 1])) if c > stretch.corners.start else stretch.first
-        made.append(Stretch(slice(int(i), int(j)), first, slice(int(c), int(d))))
+        made.append(FilterStretch(slice(int(i), int(j)), first, slice(int(c), int(d))))
     return made
 
 
