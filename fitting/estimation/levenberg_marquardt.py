@@ -22,16 +22,15 @@ from daq.compute.arrays import Array, Integers
 from daq.compute.compile import compiled
 from fitting.estimation import elimination
 
-FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0
-CAUTIOUS_CUT = 3.0  # how far a step is eased that was first refused
+# Chosen on the runs of docs/identification.md, not swept one by one: they change the number of steps, not the minimum.
+FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
+CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
 PROBE_STEP = 0.1  # of the step: where the second derivative along it is measured
-OUTLIER_SHARE = 0.1  # of what all cycles lost: a cycle that lost as much is an outlier
-FEW = 0.35  # of the cycles: where more lost as much, the shared unknowns are at fault
+OUTLIER_SHARE = 0.1  # of the cost increase of all cycles: a cycle with more is an outlier and is damped by itself
+FEW = 0.35  # of the cycles: where more are outliers, the shared parameters are damped instead
 LARGEST_CYCLE_DAMPING = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
 ROUNDED = 1e-13  # of the largest eigenvalue: weaker directions are rounding; not swept
-LARGEST_ACCELERATION = (
-    0.75  # of the step: twice the acceleration may be as long, else the step is too far for a second order
-)
+LARGEST_ACCELERATION = 0.75  # of the step: twice the acceleration may be as long, else the step is too long for it
 
 # Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
 Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
@@ -163,7 +162,7 @@ class SchurComplement:
     Attributes
     ----------
     H : (p, p) f8
-        The information on the shared unknowns with every cycle's own unknowns fitted along.
+        The information on the shared unknowns with every cycle's own unknowns also fitted.
     """
 
     def __init__(self, blocks: NormalEquations, damping: Array | None = None) -> None:
@@ -184,7 +183,7 @@ class SchurComplement:
         return np.asarray(np.einsum("cij,cj->ci", self._inverse, gl))
 
     def reduced_gradient(self, g: Array, pull: Array) -> Array:
-        """Return the gradient (p,) with the cycles' unknowns fitted along."""
+        """Return the gradient (p,) with the cycles' unknowns eliminated."""
         return np.asarray(g - np.einsum("cpq,cq->p", self._cross, pull))
 
     def back_substitute(self, step: Array, pull: Array) -> Array:

@@ -28,8 +28,10 @@ from fitting.model.parameters import NUISANCE, PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows, evaluator
 
-FIRST_SCATTER = 0.1  # standard deviation of the levels before the fit has seen them
-OVERTAKING_LEVEL = 0.9  # of the load at landing: the first guess of the level where the mass overtakes the belt
+# Starting values and limits of the search.  Chosen on the runs of docs/identification.md, none swept by itself; those
+# named FIRST are replaced by what the passes before show, and change the number of steps.
+FIRST_SCATTER = 0.1  # standard deviation of the friction levels before the fit has seen them
+OVERTAKING_LEVEL = 0.9  # of the load at landing: starting value of the friction level where the mass overtakes the belt
 FIRST_SIGMA = 10.0  # of the resolution: nearly any misfit outweighs the calibrations in the first pass
 NARROW_RAMP = 0.02  # of the belt's speed: the second start of a ramp law
 COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
@@ -39,15 +41,13 @@ FADE_PASS = (40, 1e-5)
 FINE_PASS = (60, 1e-6)  # of a cost of some thousand: what is left to gain moves no parameter by a tenth of its error
 CYCLE_PASS = (15, 1e-4)  # of the cycles' own unknowns alone
 CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
-DEFAULT_FADE_SD = 0.01  # 1/s: what a level may fade by where a run has too few cycles to show wear
+DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear
 
 STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
-ALTERNATIVE_FACTOR = (
-    10.0  # times the best start's error after the first pass: so near a start may still turn out the better one
-)
+ALTERNATIVE_FACTOR = 10.0  # times the best start's error after the first pass: beyond it a start is given up
 SAME_MINIMUM = 1.001  # times the best start's error: a start that ends so near it has led to the same minimum
-OUTLIER_LEVEL_SD = 10.0  # standard deviation of a level that must not pull at the mean
-INLIER_WEIGHT = 0.2  # least weight of a cycle whose level counts: one that errs by three times the usual error
+OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
+INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 LEAST_FADE_SD = 1e-6  # 1/s
 
 

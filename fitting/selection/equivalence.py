@@ -23,8 +23,8 @@ from rig_sim.friction.law import LAWS
 
 WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
 SWINGING = 0.08  # of the belt's speed: the ramp that a belt whose speed swings by 3 % can imitate in half a second
-UNSTEADY = 1.3  # times the error of the whole record: what the drag on a steady belt stays below
-SAME = 0.05  # log error: what a drooping hyperbola and a ramp in front of one may differ by
+UNSTEADY = 1.3  # times the rms of the whole record; the drag on a steady belt stays below.  Not swept
+SAME = 0.05  # log error: a hyperbola on a compliant belt and a ramp differ by less.  Not swept
 
 
 def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:

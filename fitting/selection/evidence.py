@@ -1,8 +1,9 @@
 """Evidence between laws, and the model confidence set: the laws that it cannot distinguish.
 
 Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
-A law pays for what it may adjust: (p/2n) log n in log error for p parameters and n cycles, and for the strain it puts
-on the calibrations, spread over the cycles.  Cycles that not even the best law describes (a kick) are no evidence.
+The score is a BIC with the cycle as the unit: each of n cycles pays (p/2n) log n in log error for the law's p
+parameters, and 1/2n of the misfit to the calibrations.  Cycles that not even the best law describes (a kick) are no
+evidence.  The t-interval of a mean difference assumes that the cycles are independent of each other.
 
 Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
 zero, or when the difference, however regular, is next to nothing and the winner is no limit of it.  Inside the set a
@@ -26,9 +27,9 @@ NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws 
 FEWEST_CYCLES = 4
 DRAG_BLOCKS = 8
 RELATED_FACTOR = 2.0  # times the best law's error: a limit of it that is further off is no near relative
-CONSTANT_FRICTION_FACTOR = (
-    8.0  # times the encoder's error: constant friction leaves 2 even with 200 us of jitter and a belt that ripples
-)
+# Times the encoder's error.  Constant friction leaves 2 even with 200 us of jitter and a belt that ripples; the
+# shortest sticks tested leave 170 (test_ranking): half or twice the value changes neither.
+CONSTANT_FRICTION_FACTOR = 8.0
 TIE = 1.0  # score: laws with equally many parameters whose evidence differs by less are not distinguished by it
 
 
@@ -52,12 +53,12 @@ def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     are limits of each other differ there by where their minimisers ended, so near relatives must all describe it.
     """
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
-    kin = [
+    related = [
         fit
         for fit in fits
         if fit.geometric_mean_rms < RELATED_FACTOR * best.geometric_mean_rms and _related(fit.law, best.law)
     ]
-    trusted = np.logical_and.reduce([fit.inlier_cycles for fit in kin])
+    trusted = np.logical_and.reduce([fit.inlier_cycles for fit in related])
     return trusted if trusted.sum() >= FEWEST_CYCLES else np.ones_like(trusted)
 
 
