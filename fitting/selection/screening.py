@@ -36,8 +36,8 @@ WORST_FIT = 0.02  # of a slip's length: a best law that usually errs by more des
 LEAST_FRICTION = 1e-3  # of the spring's pull over a slip: with less, nothing holds the mass
 PURE_SINE = 8.0  # times the encoder's error: constant friction, which makes a sine, is not ruled out below that
 # Rough fits before the six laws: eight cycles and 30 steps cost 0.02 to 0.2 CPU s a law.  The first law tried leaves
-# below 0.02 of a slip on the sample runs, ripple and wide ramps included; noise, drives and hands leave 0.05 to 0.4
-# by every law.  Half the bound would still pass all samples; at twice the bound more noise reaches the full fits.
+# at most 0.004 of a slip on five sample runs and a rippled one; noise, drives and hands left 0.04 to 0.4 by the best
+# law, a triangular wave 0.007.  Half the bound would still pass those runs; at twice more noise reaches the full fits.
 SCREENED_MISFIT = 0.03
 SCREENED_CYCLES, SCREENING_STEPS = 8, 30
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
