@@ -24,13 +24,17 @@ def first_state(time: Array, position: Array, variance: float, derivatives: int)
     array
         The state, the upper triangle of its covariance row by row, and the time it holds for, s.
     """
-    near = slice(0, min(time.size, 9))
-    t, x = time[near], position[near]
-    h = (t[-1] - t[0]) / (t.size - 1)
-    slope = (x[-1] - x[0]) / (t[-1] - t[0])
-    spread = 2 * max(math.sqrt(variance) / h, float(np.abs(np.diff(x) / np.diff(t) - slope).max()))
+    k = min(time.size - 1, 8)
+    t, x = time[: k + 1], position[: k + 1]
+    h = (t[k] - t[0]) / k
+    slope = (x[k] - x[0]) / (t[k] - t[0])
+    speeds = (x[1:] - x[:-1]) / (t[1:] - t[:-1])
+    spread = 2 * max(math.sqrt(variance) / h, float(np.abs(speeds - slope).max()))
     size = 3 if derivatives == 2 else 4
-    sd = spread * h ** (1.0 - np.arange(size))
-    sd[derivatives + 1 :] = 0.0
-    covariance = np.diag(sd**2)[np.triu_indices(size)]
-    return np.concatenate(([x[0], slope], np.zeros(size - 2), covariance, [time[0]]))
+    state = np.zeros(size + size * (size + 1) // 2 + 1)
+    state[0], state[1], state[-1] = x[0], slope, t[0]
+    diagonal = size
+    for d in range(derivatives + 1):
+        state[diagonal] = (spread * h ** (1 - d)) ** 2
+        diagonal += size - d
+    return state
