@@ -12,8 +12,8 @@ from daq.compute.arrays import Array
 from fitting.data.cycles import BEFORE_ONSET_S, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
+from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway
-from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import PER_CYCLE, Global, PerCycle
 from fitting.model.shooting import ShootingWindows, evaluator
 from rig_sim.friction.law import LAWS

@@ -8,8 +8,8 @@ too small; the curvature at the noise level rms x sqrt(correlation time) is the 
 import numpy as np
 
 from daq.compute.arrays import Array
+from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import SchurComplement, eigen
-from fitting.estimation.trajectory import Fit
 
 ROUNDING = 1e-14  # of a curvature: as little left of it after elimination is rounding; sums of 1e4 terms err by less
 

@@ -14,8 +14,8 @@ from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import covariance
+from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
-from fitting.estimation.trajectory import Fit
 from fitting.model.parameters import PER_RUN, Global, Values, columns, values
 from fitting.model.problem import datum_calibration
 from rig_sim.friction.law import LAWS

@@ -9,7 +9,7 @@ from functools import partial
 
 from daq.compute.workers import workers
 from fitting.estimation import trajectory
-from fitting.estimation.trajectory import Fit
+from fitting.estimation.fit import Fit
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 

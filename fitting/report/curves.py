@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.trajectory import Fit
+from fitting.estimation.fit import Fit
 from fitting.model.parameters import PerCycle
 from fitting.selection.result import LawResult, Ranking
 from rig_sim.friction.contact import force

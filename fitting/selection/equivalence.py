@@ -16,7 +16,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.estimation import trajectory
-from fitting.estimation.trajectory import Fit
+from fitting.estimation.fit import Fit
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.trajectory import Fit
+from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key

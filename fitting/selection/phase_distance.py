@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.trajectory import Fit
+from fitting.estimation.fit import Fit
 
 MOST_POINTS = 4000
 
@@ -21,7 +21,7 @@ def orbit_distance(fit: Fit, motion: MeasuredMotion) -> float:
     Parameters
     ----------
     fit : Fit
-        Of this one run (`Fit.part`).
+        Of this one run (`Fit.for_run`).
     motion : MeasuredMotion
 
     Returns

@@ -17,7 +17,7 @@ from daq.runfile.rig import Rig
 from fitting.data import cycles, frame, ripple
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import break_aways, derived, search
-from fitting.estimation.trajectory import Fit
+from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence, phase_distance, screening, verdict
 from fitting.selection.evidence import FEWEST_CYCLES, Evidence, ModelSet

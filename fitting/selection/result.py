@@ -5,8 +5,8 @@ from typing import Any
 
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
+from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway, Parameter
-from fitting.estimation.trajectory import Fit
 
 
 @dataclass(frozen=True)

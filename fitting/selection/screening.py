@@ -15,7 +15,7 @@ from daq.compute.least_squares import least_squares
 from fitting.data.cycles import SLIPPING, Cycle, CycleSegmentation
 from fitting.data.frame import REST_FRACTION, MeasuredMotion
 from fitting.estimation import trajectory
-from fitting.estimation.trajectory import Fit
+from fitting.estimation.fit import Fit
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 

@@ -1,0 +1,161 @@
+"""What a search knows after a pass, and the fit that it ends in."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.arrays import Array
+from fitting.data.cycles import Cycle
+from fitting.estimation import levenberg_marquardt, wear
+from fitting.model import parameters
+from fitting.model.parameters import NUISANCE, PER_RUN, PerCycle
+from fitting.model.problem import EstimationProblem
+from fitting.model.shooting import ShootingWindows
+
+
+@dataclass(frozen=True, eq=False)
+class PassState:
+    """Where a pass ended: unknowns of all runs, the cycles' own, and what the next pass is to assume of the noise."""
+
+    u: Array
+    local: Array
+    first: Array  # the cycles' own by the smoothed motion
+    sigma: Array  # (runs,)
+    scatter: float
+    weights: Array
+    cycle_rms: Array
+    solution: levenberg_marquardt.Solution | None
+    fade_sd: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None before the last passes
+    prior: Array | None = None
+    precision: Array | None = None
+
+    @property
+    def geometric_mean_rms(self) -> float:
+        """Geometric mean of the cycles' errors, m."""
+        return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """One law fitted to one record, per unit mass and in the fit's frame.
+
+    Attributes
+    ----------
+    problem : EstimationProblem
+        The law and the runs.
+    u : (12 runs,) f8
+        Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
+        datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), give (belt speed lost per metre of
+        spring stretch, 1/s), and the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s); see
+        `fitting.model.parameters`.
+    active : tuple of int
+        Which of them this law has and the fit moves.
+    local : (cycles, 6) f8
+    residual : (N,) f8
+        Model minus measurement, m, cycle by cycle.
+    cycle_rms : (cycles,) f8
+        m.
+    inlier_cycles : (cycles,) bool
+        False where a cycle fits so badly (a kick, lost counts) that its level says nothing.
+    sigma : (runs,) f8
+        Effective standard deviation of one residual, m: rms x sqrt(correlation time in samples).
+    prior_deviations : (p,) f8
+        How far the active unknowns are from their calibrations, in standard deviations; 0 where there is none.
+    solution : Solution
+        In the active unknowns only.
+    precision : (p,) f8
+        1/sd^2 of the calibrations, for the active unknowns.
+    windows : ShootingWindows
+    cycles : tuple of Cycle
+    state : PassState
+        Where the last pass ended.
+    cpu_s : float
+    alternatives : tuple of PassState
+        Where other starts led after the first pass, if not much worse.
+    """
+
+    problem: EstimationProblem
+    u: Array
+    active: tuple[int, ...]
+    local: Array
+    residual: Array
+    cycle_rms: Array
+    inlier_cycles: NDArray[np.bool_]
+    sigma: Array
+    prior_deviations: Array
+    solution: levenberg_marquardt.Solution
+    precision: Array
+    windows: ShootingWindows
+    cycles: tuple[Cycle, ...]
+    state: PassState
+    cpu_s: float
+    alternatives: tuple[PassState, ...] = ()
+
+    @property
+    def values(self) -> parameters.Values:
+        """Global parameters by name; the first run's where there are several."""
+        return parameters.values(self.u[:PER_RUN])
+
+    @property
+    def law(self) -> int:
+        """The law's number."""
+        return self.problem.law
+
+    @property
+    def rows(self) -> tuple[slice, ...]:
+        """The residuals of each cycle."""
+        return self.windows.rows
+
+    @property
+    def outcome(self) -> str:
+        """How the last minimisation ended (`levenberg_marquardt.Solution`)."""
+        return self.solution.outcome
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of all residuals, m."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def geometric_mean_rms(self) -> float:
+        """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
+        return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
+    @property
+    def law_parameters(self) -> int:
+        """Number of the law's own shared unknowns; what every law has besides (datum, damping, fade, give) not."""
+        return sum(place % PER_RUN not in NUISANCE for place in self.active)
+
+    @property
+    def runs(self) -> int:
+        """How many runs were fitted together."""
+        return self.u.size // PER_RUN
+
+    def level_trend(self, run: int = 0) -> wear.Wear | None:
+        """Return the line through the friction levels of one run's inlier cycles (`fitting.estimation.wear`)."""
+        table = self.windows.table
+        own = (table[:, 1] == 0) & (table[:, 5] == run) & self.inlier_cycles[table[:, 0]]
+        return wear.level_trend(self.windows.level_epoch[own], np.exp(self.local[table[own, 0], PerCycle.LEVEL]))
+
+    def for_run(self, run: int) -> "Fit":
+        """Return what the fit says of one run: its unknowns, cycles and residuals; the solution stays that of all."""
+        if self.runs == 1:
+            return self
+        own = np.flatnonzero(self.windows.run == run)
+        windows = self.windows.parts[run]
+        slots = parameters.columns(self.active, self.runs)[run]
+        return replace(
+            self,
+            u=self.u[PER_RUN * run : PER_RUN * (run + 1)],
+            active=tuple(int(slot) for slot in slots if slot >= 0),
+            local=self.local[own],
+            residual=np.concatenate([self.residual[self.rows[k]] for k in own]),
+            cycle_rms=self.cycle_rms[own],
+            inlier_cycles=self.inlier_cycles[own],
+            sigma=self.sigma[[run]],
+            prior_deviations=self.prior_deviations[slots >= 0],
+            precision=self.precision[slots >= 0],
+            windows=windows,
+            cycles=tuple(self.cycles[k] for k in own),
+        )
