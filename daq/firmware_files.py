@@ -94,7 +94,7 @@ def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Pa
     target : Path
         Made when it is not there.
     force : bool
-        Replace files that hold something else.
+        Replace files with different content.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Pa
     Raises
     ------
     InputError
-        A file of that name holds something else, or the target is no folder.
+        A file of that name holds something else, or the target is not a folder.
     RefusedError
         The disk refuses; each file is there whole or not at all.
     """
@@ -115,11 +115,11 @@ def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Pa
     for file in files:
         existing = target / file.name
         if existing.exists() and not force and existing.read_bytes() != file.read_bytes():
-            raise InputError("exists and holds something else", str(existing), "give another -o, or --force")
+            raise InputError("exists with different content", str(existing), "give another -o, or --force")
     from daq.output import atomic
 
     if target.exists() and not target.is_dir():
-        raise InputError("is no folder", str(target), "give a folder, with -o")
+        raise InputError("is not a folder", str(target), "give a folder, with -o")
     with disk.writing(target):
         target.mkdir(parents=True, exist_ok=True)
     for file in files:

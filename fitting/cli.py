@@ -24,37 +24,39 @@ app = application.application(
 
 @app.default
 def fit(
-    file: Annotated[Path, Parameter(help="Run file, as daq record, import or replay made it.")],
+    file: Annotated[Path, Parameter(help="Run file written by daq record, import or replay.")],
     /,
-    *more: Annotated[Path, Parameter(help="More runs of the same contact, fitted together with the first.")],
+    *more: Annotated[Path, Parameter(help="More runs of the same contact, fitted jointly with the first.")],
     laws: Annotated[str, Parameter(help="Laws to fit: 1-6, or a list such as 3,5,6.")] = "1-6",
     mass: Annotated[str | None, Parameter(help="Mass, kg or with a unit and error: '300 g +- 1 g'.")] = None,
-    stiffness: Annotated[str | None, Parameter(help="Spring, N/m or with a unit, instead of the mass.")] = None,
+    stiffness: Annotated[
+        str | None, Parameter(help="Spring stiffness, N/m or with a unit, instead of the mass.")
+    ] = None,
     datum: Annotated[
         str | None,
         Parameter(help="Position of count zero relative to the spring's rest, m.", allow_leading_hyphen=True),
     ] = None,
-    datum_sd: Annotated[str | None, Parameter(help="Its standard deviation, m.")] = None,
+    datum_sd: Annotated[str | None, Parameter(help="Standard deviation of --datum, m.")] = None,
     damping: Annotated[float | None, Parameter(help="Viscous damping from a ring-down, N s/m.")] = None,
-    damping_sd: Annotated[float | None, Parameter(help="Its standard deviation, N s/m.")] = None,
+    damping_sd: Annotated[float | None, Parameter(help="Standard deviation of --damping, N s/m.")] = None,
     belt_speed: Annotated[
         str | None,
         Parameter(
-            help="Belt speed, m/s, with its sign; channel: the belt's own counts, the default where a run has them.",
+            help="Belt speed, m/s, signed; channel: from belt counts, the default if the run contains them.",
             allow_leading_hyphen=True,
         ),
     ] = None,
     exclude_cycles: Annotated[str, Parameter(help="Cycles to leave out, counted from 1: 3,7-9.")] = "",
-    alpha: Annotated[float, Parameter(help="1 - confidence of intervals and set.")] = 0.05,
+    alpha: Annotated[float, Parameter(help="1 - confidence level of the intervals and the set.")] = 0.05,
     report: Annotated[
-        Path | None, Parameter(help="Report to write; default RUN.report.html. Several runs: one each, numbered.")
+        Path | None, Parameter(help="Report to write; default RUN.report.html; with several runs one each, numbered.")
     ] = None,
-    csv: Annotated[Path | None, Parameter(help="Write the ranking as a table too: a row for each run and law.")] = None,
+    csv: Annotated[
+        Path | None, Parameter(help="Also write the ranking as a table with one row per run and law.")
+    ] = None,
     each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself: a batch.")] = False,
     jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1,
-    scheduler: Annotated[
-        str | None, Parameter(help="Fit on the workers of this dask scheduler instead: tcp://host:8786.")
-    ] = None,
+    scheduler: Annotated[str | None, Parameter(help="Fit on the workers of a dask scheduler: tcp://host:8786.")] = None,
     json: Json = False,
 ) -> Answer:
     """Fit the friction laws to a run, rank them, and write a report beside it.

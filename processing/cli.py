@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from processing.compare import MethodError
     from processing.record.kinematics import Kinematics, SmoothingSummary
 
-Run = Annotated[Path, Parameter(help="Run file, as daq record, import or replay made it.")]
+Run = Annotated[Path, Parameter(help="Run file written by daq record, import or replay.")]
 Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]
 
 app = application.application(
@@ -29,7 +29,7 @@ def smooth(
     method: Annotated[
         str,
         Parameter(
-            help="auto (segment where sticks are beyond doubt, else rts), segment, rts, "
+            help="auto (segment if the record clearly contains sticks, else rts), segment, rts, "
             "sg (Savitzky-Golay) or fd (finite differences, the baseline)."
         ),
     ] = "auto",
@@ -39,12 +39,12 @@ def smooth(
     order: Annotated[int | None, Parameter(help="Degree of the polynomial; default chosen with the window.")] = None,
     times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
     repair_counts: Annotated[
-        str, Parameter(help="Lost counts: off (not looked for), flag (marked), fix (marked and put back).")
+        str, Parameter(help="Lost counts: off (no search), flag (mark them) or fix (mark and correct them).")
     ] = "flag",
-    belt_speed: Annotated[str, Parameter(help="auto (belt counts, else plateaus), or m/s with its sign.")] = "auto",
+    belt_speed: Annotated[str, Parameter(help="auto (from belt counts, else from plateaus), or m/s, signed.")] = "auto",
     json: Json = False,
 ) -> Answer:
-    """Rebuild the motion, find sticks and slips, and write both into the run beside the untouched raw data.
+    """Estimate the motion, sticks and slips, and write them into the run file; the raw data do not change.
 
     Example: process smooth run.h5 --window 20ms
     """
@@ -71,7 +71,7 @@ def compare(file: Run, /, *, json: Json = False) -> Answer:
     """Run every method on the record: error against run time.
 
     The true errors are known only for a simulated run that holds its exact motion
-    (daq record --set tell.truth=true).
+    (daq record --set output.truth=true).
 
     Example: process compare run.h5
     """
@@ -90,14 +90,14 @@ def inspect(
     /,
     *,
     plot: Annotated[
-        Path | None, Parameter(help="Picture to write: .png, .svg or .pdf; default RUN.inspect.png.")
+        Path | None, Parameter(help="Figure to write: .png, .svg or .pdf; default RUN.inspect.png.")
     ] = None,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Show a run: what it holds, its time trace and its phase portrait.
+    """Show a run: contents, time series and phase portrait.
 
-    A run that was not smoothed yet is smoothed in memory.
+    A run that has not been smoothed is smoothed in memory.
 
     Example: process inspect run.h5 --plot portrait.png
     """
@@ -128,7 +128,7 @@ def export(
 ) -> Answer:
     """Write the motion as a table: time, position, velocity, acceleration, their errors, and the phase.
 
-    A run that was not smoothed yet is smoothed in memory.
+    A run that has not been smoothed is smoothed in memory.
 
     Example: process export run.h5 --csv motion.csv
     """
@@ -167,7 +167,7 @@ def _table(rows: "list[MethodError]", file: Path, unit: str, known: bool) -> Any
         table.add_row(row.method, row.setting, f"{1e3 * row.cpu_s:.1f}", *shown)
     if known:
         return table
-    return [table, "this run holds no exact motion; record it too with: daq record --set tell.truth=true"]
+    return [table, "this run holds no exact motion; record it too with: daq record --set output.truth=true"]
 
 
 def main() -> NoReturn:

@@ -67,7 +67,7 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
         Finding(
             "rate",
             abs(pace) <= RATE_TOLERANCE,
-            f"{summary.measured_rate_hz:.6g} Hz by its own clock, {summary.rate_hz:.6g} asked for",
+            f"{summary.measured_rate_hz:.6g} Hz by the board's clock, {summary.rate_hz:.6g} requested",
             "lower --rate, or update its firmware",
         ),
         Finding(
@@ -80,7 +80,7 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
         Finding(
             "counting",
             summary.illegal + summary.phase_errors == 0,
-            f"{summary.illegal} illegal transitions, {summary.phase_errors} samples that disagree with their levels",
+            f"{summary.illegal} illegal transitions, {summary.phase_errors} samples that contradict their levels",
             "check the encoder's plug and supply; move more slowly",
         ),
     ]
@@ -105,7 +105,11 @@ def _parked(parked: CountedSpan, run: Recording) -> Finding:
     seen = f"{parked.counts:+d} counts in {parked.seconds:.3g} s, within a span of {parked.span}"
     if parked.span * edges > MOVED_EDGES and run.rig.decoder in ("x4", "x1"):
         return Finding("parked drift", False, seen + ": the mass moved", "leave it alone while it is parked")
-    do = "it vibrates about an edge: a J-K box counts that; use x4" if "jk" in run.rig.decoder else "check its mount"
+    do = (
+        "it vibrates about an edge, which a J-K decoder counts; use x4"
+        if "jk" in run.rig.decoder
+        else "check its mount"
+    )
     return Finding("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, seen, do)
 
 

@@ -111,5 +111,7 @@ def _counts(run: Recording) -> NDArray[np.int64]:
     if run.count is None:
         raise DataError("holds no counts", str(run.source), "record from an encoder board")
     if run.segment[-1] > 0:
-        raise DataError("the port was lost on the way, and counts are not joined", str(run.source), "try again")
+        raise DataError(
+            "the port was lost in between, and counts are not connected across a gap", str(run.source), "try again"
+        )
     return run.count

@@ -192,14 +192,14 @@ def _free_part(
     far = int(np.argmax(np.abs(off)))
     reach = abs(off[far])
     if reach < 20 * resolution:
-        raise DataError("the mass was not moved", "ring-down", "pull it aside by a few millimetres and let it go")
+        raise DataError("the mass was not moved", "ring-down", "displace it by a few millimetres and release it")
     sides = np.sign(off) * (np.abs(off) > max(2 * resolution, 0.002 * reach))
     after = sides[far:]
     known = np.flatnonzero(after)
     flips = known[1:][np.diff(after[known]) != 0] + far
     if len(flips) < FEWEST_SWINGS:
         what = f"{len(flips)} half-swings are too few to separate friction from damping"
-        raise DataError(what, "ring-down", "pull it farther, lift it off the belt, or record longer (--duration)")
+        raise DataError(what, "ring-down", "displace it farther, lift it off the belt, or record longer (--duration)")
     let_go = far + int(np.flatnonzero(np.abs(off[far : flips[0]]) >= RELEASED * reach)[-1])
     crossings = np.array([_crossing(time, off, int(flip)) for flip in flips])
     # The last swing is fitted to its turning point: on the way to rest friction is no longer that of sliding.

@@ -29,7 +29,7 @@ PARKED_S, MOVED_S = 5.0, 5.0
 SIMULATED_PARKED_S, SIMULATED_MOVED_S = 0.4, 2.0  # the belt of the scene `rig` starts after 0.5 s
 RING_DOWN_S, DISTANCE_S = 20.0, 10.0
 DISTANCE = "Known distance to move the mass towards +x, '100 mm +- 0.1 mm'; --distance=-0.1 for towards -x."
-# The simulated rig in a ring-down: its belt at rest, the mass all but lifted off it, struck at its mark.
+# The simulated rig in a ring-down: belt at rest, mass nearly lifted off it, with an initial velocity at its mark.
 STRUCK = ("belt.speed=0.0", "friction.Fs=0.05", "start.v=0.6")
 
 Yes = Annotated[bool, Parameter(name=["--yes", "-y"], negative=(), help="Do not wait for Enter.")]
@@ -43,8 +43,10 @@ def register(app: cyclopts.App) -> None:
 
 def check(
     *,
-    parked: Annotated[float | None, Parameter(help="Seconds in which the mass is left alone; default 5.")] = None,
-    move: Annotated[float | None, Parameter(help="Seconds in which it is moved towards +x; default 5.")] = None,
+    parked: Annotated[float | None, Parameter(help="Seconds during which the mass is not touched; default 5.")] = None,
+    move: Annotated[
+        float | None, Parameter(help="Seconds during which the mass is moved towards +x; default 5.")
+    ] = None,
     board: BoardFlags = NO_FLAGS,
     yes: Yes = False,
     json: Json = False,
@@ -66,7 +68,7 @@ def check(
         if not 0 <= value < float("inf"):
             raise InputError(f"{value:g} s", flag, "give 0 or more seconds")
     if parked_s + move_s == 0:
-        raise InputError("nothing to look at", "--parked and --move", "give one of them more than 0 s")
+        raise InputError("nothing to check", "--parked and --move", "give one of them more than 0 s")
     request = replace(request, duration_s=parked_s + move_s)
     _reach(request)
     asked = False
@@ -78,7 +80,7 @@ def check(
             asked = True
 
     if parked_s:
-        _ask(f"leave the mass alone for {parked_s:g} s", not (yes or json or simulated))
+        _ask(f"do not touch the mass for {parked_s:g} s", not (yes or json or simulated))
     summary, run = _take(request, progress)
     found = board_test.findings(summary, run, parked_s)
     ok = all(finding.ok is not False for finding in found)
@@ -112,7 +114,7 @@ def calibrate(
         Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
     ] = None,
     duration: Annotated[float, Parameter(help="Seconds of the ring-down.")] = RING_DOWN_S,
-    move: Annotated[float, Parameter(help="Seconds in which the mass is moved by the distance.")] = DISTANCE_S,
+    move: Annotated[float, Parameter(help="Seconds during which the mass is moved by the distance.")] = DISTANCE_S,
     board: BoardFlags = NO_FLAGS,
     yes: Yes = False,
     force: Force = False,
@@ -120,7 +122,7 @@ def calibrate(
 ) -> Answer:
     """Measure a rig: metres per count over a known distance; datum, omega0 and damping by a ring-down.
 
-    Begin with the mass at the mark from which every recording will start.  What is known already (by --rig, or from
+    Start with the mass at the mark at which every recording will start.  What is known already (by --rig, or from
     the board) is kept where nothing new was measured.  The belt must be at rest.  Without a port the simulated rig,
     almost lifted off its belt, is struck and rings down; it takes no --distance, its board knows its metres per count.
 
@@ -140,7 +142,7 @@ def calibrate(
         raise InputError("the distance is zero", "--distance", "give for example '100 mm'")
     if "port" not in known:
         if distance is not None:
-            what = "nobody moves the simulated rig by hand, so it has no known distance"
+            what = "the simulated rig cannot be moved by hand, so --distance does not apply"
             raise InputError(what, "--distance", "give the --port of a board, or leave --distance out")
         request = replace(request, port=rig_port(None, list(STRUCK), realtime=False))
     for flag, seconds, needed in (("--move", move, distance is not None), ("--duration", duration, ring_down)):
@@ -153,14 +155,14 @@ def calibrate(
     warnings: list[str] = []
     if distance is not None:
         far = f"{1e3 * distance.value:g} mm"
-        _ask(f"let the mass stand; move it by {far} within {move:g} s, and let it stand again", wait)
+        _ask(f"let the mass rest; move it by {far} within {move:g} s, and let it rest again", wait)
         summary, found = _take(replace(request, duration_s=move))
         pitch = measure.metres_per_count(found, distance)
         warnings += summary.warnings
         if not measure.stands_at_first(found):
-            warnings.append("the mass moved from the very first sample on: the distance was counted from there")
+            warnings.append("the mass moved from the first sample on: the distance was counted from there")
     if ring_down:
-        _ask(f"pull the mass aside, let it go, and leave it alone for {duration:g} s", wait)
+        _ask(f"displace the mass, release it, and do not touch it for {duration:g} s", wait)
         summary, found = _take(replace(request, duration_s=duration))
         ring = measure.ring_down(found)
         warnings += summary.warnings
@@ -169,10 +171,10 @@ def calibrate(
                 f"the motion is not that of a spring with friction: residuals of {ring.rms:.3g} counts (rms) of "
                 f"{ring.amplitude:.4g}",
                 "ring-down",
-                "stop the belt, pull the mass aside, let it go and leave it alone; or --no-ring-down",
+                "stop the belt, displace the mass, release it and do not touch it; or --no-ring-down",
             )
     if found is None:
-        raise ValueError("neither step was taken")
+        raise ValueError("neither measurement was made")
     made = measure.calibrated(found.rig, pitch, ring, mass)
     if ring is not None and made.mass is None:
         warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
@@ -218,7 +220,7 @@ def _take(
             except RecordingInterruptedError as error:  # its journal goes with the folder
                 raise KeyboardInterrupt from error
             except disk.RefusedError as error:
-                do = "make room there, or set TMPDIR to a folder on another disk"
+                do = "free space there, or set TMPDIR to a folder on another disk"
                 raise disk.RefusedError(error.what.partition(";")[0], folder, do) from error
         return summary, store.load(output)
 

@@ -22,9 +22,9 @@ def firmware(
     board: Annotated[str, cyclopts.Parameter(help="uno, nano or mega.")],
     output: Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="Folder to write into.")] = DEFAULT_FOLDER,
     port: Annotated[
-        str | None, cyclopts.Parameter(help="The board's port; default the one serial port that is there.")
+        str | None, cyclopts.Parameter(help="Port of the board; default the only serial port connected.")
     ] = None,
-    force: Annotated[bool, cyclopts.Parameter(negative=(), help="Replace files that hold something else.")] = False,
+    force: Annotated[bool, cyclopts.Parameter(negative=(), help="Replace files with different content.")] = False,
     json: Json = False,
 ) -> Answer:
     """Write the firmware of a board (built .hex and source), and print how to flash it.

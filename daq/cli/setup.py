@@ -34,7 +34,7 @@ def register(app: cyclopts.App) -> None:
 
 
 def doctor(*, json: Json = False) -> Answer:
-    """Check that this machine is ready: our packages, their needs, ports, the simulated rig, a browser.
+    """Check that this machine is ready: packages, dependencies, ports, the simulated rig, a browser.
 
     Example: daq doctor
     """
@@ -158,7 +158,7 @@ def _folder() -> Check:
 
 
 def demo(*, json: Json = False) -> Answer:
-    """Record the simulated rig, rebuild its velocity and rank the six laws, in ./stickslip-demo/.
+    """Record the simulated rig, compute its velocity and rank the six laws, in ./stickslip-demo/.
 
     Example: daq demo
     """

@@ -113,7 +113,7 @@ def _cluster(address: str) -> Iterator[Map]:
         yield each
     except KilledWorker:
         do = "see the worker's log; short of memory, most likely"
-        raise DeviceError("a dask worker died of this work", f"{FLAG} {address}", do) from None
+        raise DeviceError("a dask worker died during this work", f"{FLAG} {address}", do) from None
     finally:
         client.cancel(futures)
         client.close()
@@ -131,7 +131,7 @@ def _knock(address: str) -> None:
     except ValueError:
         host, port = None, None
     if parts.scheme not in ("tcp", "tls") or not host or port is None:
-        raise InputError(f"{address!r} is no address", FLAG, "give the scheduler's, such as tcp://127.0.0.1:8786")
+        raise InputError(f"{address!r} is not an address", FLAG, "give the scheduler's, such as tcp://127.0.0.1:8786")
     try:
         socket.create_connection((host, port), PATIENCE_S).close()
     except OSError as error:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Json = Annotated[
     bool,
-    cyclopts.Parameter(name="--json", negative=(), help="One JSON document on stdout, nothing else there."),
+    cyclopts.Parameter(name="--json", negative=(), help="Print one JSON document to stdout and nothing else."),
 ]
 SetChanges = Annotated[
     list[str] | None,

@@ -37,22 +37,22 @@ FIELDS = {"rate": "rate_hz"}  # where a field of the request has another name th
 class BoardFlags:
     """The flags about the board and its rig, as typed; an argument of a command, a flag of each field."""
 
-    port: Annotated[str | None, Parameter(help="A device or URL; the simulated rig answers when none is given.")] = None
+    port: Annotated[str | None, Parameter(help="Device or URL; default the simulated rig.")] = None
     rate: Annotated[
-        int | None, Whole, Parameter(help="Samples per second; default 1000, 512 of a qsb, a text sketch's own.")
+        int | None, Whole, Parameter(help="Samples per second; default 1000, for qsb 512; a text sketch sets its own.")
     ] = None
     protocol: Annotated[
         str | None, Parameter(help="What the board sends: frames (our firmware, default), qsb or text.")
     ] = None
     columns: Annotated[str | None, Parameter(help="Columns of text lines, such as t_us,up,down or ticks,ms.")] = None
-    decoder: Annotated[
-        str | None, Parameter(help="What the board is to decode with: x4, x1, jk, jk-latched, two-counter.")
-    ] = None
+    decoder: Annotated[str | None, Parameter(help="Decoder of the board: x4, x1, jk, jk-latched or two-counter.")] = (
+        None
+    )
     rig: Annotated[
-        Path | None, Parameter(help="The rig.toml of 'daq calibrate': calibration, and how to reach the board.")
+        Path | None, Parameter(help="The rig.toml written by 'daq calibrate': calibration and settings of the board.")
     ] = None
     baud: Annotated[
-        int | None, Whole, Parameter(help="Bits per second of a serial line; default 115200, 230400 of a qsb.")
+        int | None, Whole, Parameter(help="Bits per second of a serial line; default 115200, for qsb 230400.")
     ] = None
 
 

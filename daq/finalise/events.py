@@ -39,8 +39,8 @@ def events_of(
         gap_ms = 1e3 * (samples.time[start] - samples.time[start - 1])
         note = {
             "invalid": f"{gap_ms:.0f} ms without a sample: the counters may have rolled over",
-            "reopened": f"the port was lost for {gap_ms:.0f} ms: the position may start anew",
-            "restarted": f"the board restarted, {gap_ms:.0f} ms lost: the position starts anew",
+            "reopened": f"the port was lost for {gap_ms:.0f} ms: the position may restart",
+            "restarted": f"the board restarted, {gap_ms:.0f} ms lost: the position restarts",
         }[why]
         found.append((start, EVENTS["invalid" if why == "invalid" else "reopened"], note))
     for at in np.flatnonzero(checked.lost).tolist():

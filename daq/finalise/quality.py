@@ -87,7 +87,7 @@ class RecordingQuality:
         low, high = (scale * edge for edge in self.travel)
         lost = f"{self.lost} samples lost" if self.lost else "no sample lost"
         lost += " while the port was there" if self.port_lost else ""
-        clock = "" if self.clock_ppm is None else f"; the board's clock is off by {self.clock_ppm:+.0f} ppm"
+        clock = "" if self.clock_ppm is None else f"; the board's clock deviates by {self.clock_ppm:+.0f} ppm"
         if clock and self.clock_ppm_error is not None:
             clock += f" (+- {self.clock_ppm_error:.0f})"
         lines = [
@@ -161,12 +161,12 @@ def _port_outages(records: Sequence[journal.Record]) -> list[str]:
             continue
         elif record.kind == journal.REOPENED:
             outages.append(
-                f"the port was lost ({lost}) and came back: {(record.stamp_ns - heard) / 1e6:.0f} ms are missing"
+                f"the port was lost ({lost}) and reopened: {(record.stamp_ns - heard) / 1e6:.0f} ms are missing"
             )
             lost = ""
         elif record.kind == journal.END and b"port lost" in record.data:
             outages.append(
-                f"the port was lost ({lost}) {(heard - first) / 1e9:.3g} s after the start and never came back"
+                f"the port was lost ({lost}) {(heard - first) / 1e9:.3g} s after the start and was not reopened"
             )
     return outages
 
@@ -184,7 +184,7 @@ def _data_warnings(
         (unknown, f"{unknown} frames were of an unknown kind or length"),
         (
             found.illegal,
-            f"{found.illegal} illegal transitions: the encoder outran its decoder, the count may be off by "
+            f"{found.illegal} illegal transitions: the encoder was too fast for its decoder; the count may be off by "
             f"{2 * found.illegal}",
         ),
         (found.phase_errors, f"{found.phase_errors} samples disagree with the levels sent beside them"),
@@ -193,7 +193,7 @@ def _data_warnings(
         (found.dropped_bytes, f"{found.dropped_bytes} bytes were dropped: this machine could not keep up"),
         (
             found.segments - 1,
-            f"{found.segments} segments: {'; '.join(sorted(set(checked.reasons[1:])))}; positions are not joined "
+            f"{found.segments} segments: {'; '.join(sorted(set(checked.reasons[1:])))}; positions are not connected "
             "across them",
         ),
     ]
@@ -203,8 +203,8 @@ def _data_warnings(
     lines.append(
         (
             moved > half,
-            f"the counters moved by {moved} of {2 * half} within one sample: they may have rolled over unseen, and "
-            "positions mean nothing then; record at a higher --rate",
+            f"the counters moved by {moved} of {2 * half} within one sample: they may have rolled over unnoticed, and "
+            "positions are then wrong; record at a higher --rate",
         )
     )
     if rig.decoder in ("jk", "jk-latched"):

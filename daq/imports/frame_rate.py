@@ -28,8 +28,8 @@ def check_half_period(
         return []
     rate = 1 / float(np.median(np.diff(time)))
     return [
-        f"the frame rate must be wrong: a slip swings over in {measured:.3g} s ({swings} found) where "
-        f"pi sqrt(m/k) = {wanted:.3g} s; the times say {rate:.4g} frames/s, {rate * ratio:.4g} would fit "
+        f"the frame rate must be wrong: a slip lasts {measured:.3g} s ({swings} found) where "
+        f"pi sqrt(m/k) = {wanted:.3g} s; the times give {rate:.4g} frames/s, {rate * ratio:.4g} would match "
         f"(or mass and stiffness are wrong); give the camera's true rate by --frame-rate"
     ]
 

@@ -17,9 +17,10 @@ class ImportOptions:
     position: Annotated[str | None, Parameter(help="Column of positions: its name, or its number from 1.")] = None
     time: Annotated[str | None, Parameter(help="Column of times: its name, or its number from 1.")] = None
     x_unit: Annotated[
-        str | None, Parameter(help="Unit of positions; default the header's, else m. '0.25 mm' for such a pixel.")
+        str | None,
+        Parameter(help="Unit of positions, such as cm or '0.25 mm' (per pixel); default from the header, else m."),
     ] = None
-    t_unit: Annotated[str | None, Parameter(help="Unit of times; default the header's, else s.")] = None
+    t_unit: Annotated[str | None, Parameter(help="Unit of times; default from the header, else s.")] = None
     frame_rate_hz: Annotated[
         float | None,
         flags.rate("--frame-rate", "The camera's true rate, '400 fps': makes or corrects the times."),
@@ -38,7 +39,7 @@ class ImportOptions:
         flags.measured("--datum", "length", "Position of the table's x = 0, from the spring's rest position.", "datum"),
     ] = None
     started: Annotated[
-        str | None, Parameter(name="--start", help="Start time, ISO 8601 with zone; default the file's date.")
+        str | None, Parameter(name="--start", help="Start time, ISO 8601 with time zone; default the file's date.")
     ] = None
     title: Annotated[str | None, Parameter(help="Title of the run.")] = None
 

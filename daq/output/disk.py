@@ -26,7 +26,7 @@ class RefusedError(DeviceError):
 def refusal(path: Path, error: OSError) -> RefusedError:
     """Return what an error of the operating system means for a file that was to be written."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return RefusedError("the disk is full", str(path), "make room, or give a place on another disk")
+        return RefusedError("the disk is full", str(path), "free space, or choose a folder on another disk")
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return RefusedError("may not be written", str(path), "give a place that you may write to")
     return RefusedError(f"cannot be written: {error.strerror or error}", str(path), "give another place")

@@ -21,7 +21,7 @@ RATE_HZ = 1000
 def check(request: RecordRequest) -> None:
     """Refuse columns, which frames declare themselves, and a decoder that there is not."""
     if request.columns is not None:
-        raise InputError("our frames declare their columns themselves", "--columns", "leave it out: it is for text")
+        raise InputError("frames declare their columns themselves", "--columns", "leave it out: it is for text")
     if request.decoder is not None and request.decoder not in frames.DECODERS:
         raise InputError(f"unknown decoder {request.decoder!r}", "--decoder", nearest(request.decoder, frames.DECODERS))
 
@@ -79,10 +79,10 @@ class Frames(Session):
         self.send(*self._settings)
         identity = self._ask(b"")
         if identity.ident.block_size != plan.block:
-            what = f"the board keeps {identity.ident.block_size} samples per frame where {plan.block} were asked for"
+            what = f"the board keeps {identity.ident.block_size} samples per frame where {plan.block} were requested"
             raise DeviceError(what, self.url, "update its firmware")
         if self.request.decoder not in (None, identity.ident.decoder):
-            what = f"the board decodes as {identity.ident.decoder} where {self.request.decoder} was asked for"
+            what = f"the board decodes as {identity.ident.decoder} where {self.request.decoder} was requested"
             raise DeviceError(what, self.url, "update its firmware, or leave --decoder out")
         return identity
 
@@ -133,10 +133,10 @@ class Frames(Session):
             raise DeviceError("the board announces a CONFIG and does not send it", self.url, "reset it and try again")
         if heard:
             what = f"no identification within {sessions.ANSWER_S:g} s, but {heard} bytes of something else"
-            do = "check the baud rate, and that the board runs our firmware; other boards need --protocol qsb or text"
+            do = "check the baud rate, and that the board runs stickslip firmware; others need --protocol qsb or text"
             raise DeviceError(what, self.url, do)
-        do = "check the port ('daq ports'), the cable, and that the board runs our firmware"
-        raise DeviceError(f"no answer within {sessions.ANSWER_S:g} s", self.url, do)
+        do = "check the port ('daq ports'), the cable, and that the board runs stickslip firmware"
+        raise DeviceError(f"no reply within {sessions.ANSWER_S:g} s", self.url, do)
 
     def _begin_with(self, ident: frames.Ident) -> None:
         """Drop what came before an identification: the noise of a board that had to find our baud rate."""

@@ -66,7 +66,7 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
         if load > room:
             raise InputError(said, "--rate", f"give --rate {most} or less, or a faster line")
         if load > TIGHT * room:
-            warnings.append(f"{said}: nothing may disturb it; {int(TIGHT * most)} Hz would leave room")
+            warnings.append(f"{said}: no reserve; {int(TIGHT * most)} Hz would leave a reserve")
     return warnings
 
 
@@ -106,6 +106,6 @@ def _check_edges(ident: frames.Ident, rig: Rig) -> list[str]:
     if peak <= ident.max_edge_rate_hz or ident.max_edge_rate_hz == 0:
         return []
     return [
-        f"a slip may reach {peak:.0f} edges/s ({SLIP_OVER_BELT:g} belt speeds) and this board follows "
+        f"a slip may reach {peak:.0f} edges/s ({SLIP_OVER_BELT:g} belt speeds) and this board can follow "
         f"{ident.max_edge_rate_hz}: counts may be lost; see the illegal count, or take an encoder with fewer lines"
     ]

@@ -55,7 +55,7 @@ def check(request: RecordRequest) -> None:
         what = f"a QSB has no decoder {request.decoder!r}"
         raise InputError(what, "--decoder", f"give {' or '.join(MODES)}")
     if request.columns is not None:
-        raise InputError("a QSB's records have no columns to declare", "--columns", "leave it out: it is for text")
+        raise InputError("records of a QSB have fixed columns", "--columns", "leave it out: it is for text")
 
 
 def session(port: Port, url: str, request: RecordRequest) -> "Qsb":
@@ -130,7 +130,7 @@ class Qsb(Session):
             what = f"no identity within {sessions.ANSWER_S:g} s, but {heard} bytes of something else"
             raise DeviceError(what, self.url, "check that it is a QSB, and --baud (230400 for a QSB)")
         do = "check the port ('daq ports'), the cable, and that it is a QSB"
-        raise DeviceError(f"no answer within {sessions.ANSWER_S:g} s", self.url, do)
+        raise DeviceError(f"no reply within {sessions.ANSWER_S:g} s", self.url, do)
 
     def plan(self, identity: Identity) -> Plan:
         """Return the rate 512/n Hz that is nearest to the wished one."""

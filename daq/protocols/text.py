@@ -147,15 +147,15 @@ def columns(declared: str | None) -> Columns:
         if name not in _PATTERNS:
             raise InputError(f"unknown column {name!r}", where, nearest(name, list(_PATTERNS)))
         if name in names and name != "-":
-            raise InputError(f"column {name!r} is there twice", where, "call what you do not need '-'")
+            raise InputError(f"column {name!r} occurs twice", where, "call what you do not need '-'")
         if width and (width not in ("16", "32") or name not in _COUNTS):
-            raise InputError(f"{part.strip()!r} is no width of a counter", where, "write up:16 or up:32")
+            raise InputError(f"{part.strip()!r} is not a width of a counter", where, "write up:16 or up:32")
         names.append(name)
         if name in _COUNTS:
             widths.add(int(width or 32))
     times = [name for name in names if name in _TIMES]
     if len(times) != 1:
-        what = "which column is the time?" if times else "there is no time column, and sample times matter"
+        what = "which column is the time?" if times else "there is no time column, which is required"
         raise InputError(what, where, "declare one of t_us, t_ms, t_s; a sketch prints it by micros()")
     counts = sorted(name for name in names if name in _COUNTS)
     if counts not in (["down", "up"], ["count"], ["ticks"]):
@@ -246,7 +246,7 @@ class Text(Session):
             raise DeviceError(*self._silent(heard, len(times), bad, listener.example))
         typical = median(steps)
         if typical == 0:
-            raise DeviceError("the time in the lines stands still", self.url, "print micros() with each sample")
+            raise DeviceError("the time in the lines does not change", self.url, "print micros() with each sample")
         if typical >= 1 << 31:
             what = f"the time in the lines runs backwards, by {(1 << 32) - typical:.0f} us from line to line"
             raise DeviceError(what, self.url, "check which of --columns is the time; print micros() with each sample")
@@ -267,14 +267,14 @@ class Text(Session):
         rate_hz, wished = self._rate_hz, self.request.rate_hz
         if wished is not None:
             if abs(rate_hz / wished - 1) > RATE_WITHIN:
-                what = f"the lines come at {rate_hz:.4g} Hz, not at {wished} Hz"
+                what = f"the lines arrive at {rate_hz:.4g} Hz, not at {wished} Hz"
                 raise InputError(what, "--rate", f"leave --rate out, or give {round(rate_hz)}, or change the sketch")
             rate_hz = float(wished) if abs(rate_hz / wished - 1) < 0.01 else rate_hz
         else:
             rate_hz = float(f"{rate_hz:.3g}") if abs(float(f"{rate_hz:.3g}") / rate_hz - 1) < 0.005 else rate_hz
         notes = []
         if self._coarse:
-            notes.append("the times are whole milliseconds, each wrong by up to 1 ms: let the sketch print micros()")
+            notes.append("the times are whole milliseconds, with errors up to 1 ms: let the sketch print micros()")
         return Plan(rate_hz, 1, rate_hz * self._line_bytes, tuple(notes), comes_already=True)
 
     def prepare(self, plan: Plan) -> Identity:
@@ -305,11 +305,11 @@ class Text(Session):
 
     def _silent(self, heard: int, good: int, bad: int, example: bytes) -> tuple[str, str, str]:
         if heard == 0:
-            do = "check the port ('daq ports'), the cable, and that the sketch prints by itself"
+            do = "check the port ('daq ports'), the cable, and that the sketch prints without a command"
             return f"nothing came within {sessions.ANSWER_S:g} s", self.url, do
         if bad > good:
             seen = example.rstrip(b"\r")[:60].decode("ascii", "backslashreplace")
             what = f"the lines are not of the columns {self.request.columns}; one is {seen!r}"
-            return what, self.url, "declare them by --columns as they are, and check --baud"
+            return what, self.url, "declare the actual columns by --columns, and check --baud"
         what = f"only {good} lines came within {sessions.ANSWER_S:g} s"
         return what, self.url, f"let the sketch print at least {FEWEST_LINES // 5 + 1} lines a second"

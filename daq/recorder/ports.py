@@ -103,9 +103,9 @@ def explain(url: str, error: OSError) -> tuple[str, str, str]:
     if code == errno.EBUSY or "exclusively lock" in str(error):
         return "another program holds this port", url, "close that program (a serial monitor?) and try again"
     if code == errno.ENOENT or (url.startswith("/dev/") and not device.exists()):
-        return "no such port", url, f"plug the board in; {_present()}"
+        return "no such port", url, f"connect the board; {_present()}"
     if "://" in url:
-        return f"cannot connect: {error}", url, "check that the other end is up, and its address"
+        return f"cannot connect: {error}", url, "check that the other end is running, and its address"
     return f"cannot open this port: {error}", url, f"check the name; {_present()}"
 
 
@@ -119,9 +119,7 @@ def list_ports() -> list[PortInfo]:
         usable = os.name == "nt" or _allowed(device)
         if info.description in ("n/a", "", None) and info.hwid in ("n/a", "", None) and not usable:
             continue  # a port of the machine itself with nothing behind it
-        described = (
-            info.description if info.description not in ("n/a", None) else "a serial port, nothing more is known"
-        )
+        described = info.description if info.description not in ("n/a", None) else "serial port, no further information"
         found.append(PortInfo(info.device, described, usable, "" if usable else permission_fix(device)))
     return found
 
@@ -157,4 +155,4 @@ def _user() -> str:
 
 def _present() -> str:
     devices = [found.port for found in list_ports() if found.port != SIMULATED_RIG]
-    return f"ports here: {', '.join(devices)}" if devices else "there is no serial port here now; see 'daq ports'"
+    return f"ports here: {', '.join(devices)}" if devices else "no serial port is connected; see 'daq ports'"

@@ -107,7 +107,7 @@ class Reader(threading.Thread):
                     if not self.waits:
                         time.sleep(PAUSE_S)
                 if self.tally.resets > resets:
-                    self._say("the board has restarted; its position starts anew")
+                    self._say("the board has restarted; its position restarts")
                     self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))
                     self.board.restart()
             except OSError as error:
@@ -140,7 +140,7 @@ class Reader(threading.Thread):
     def _recover(self, began: float, why: str) -> bool:
         """Try to get the port back; say so, and write it down."""
         self._keep(journal.LOST, why.encode())
-        self._say(f"the port is lost ({why}); waiting for it to come back")
+        self._say(f"the port was lost ({why}); waiting for it")
         self.board.close()
         until = time.monotonic() + REOPEN_S
         while time.monotonic() < until and not self._stopping.wait(REOPEN_EVERY_S):
@@ -153,7 +153,7 @@ class Reader(threading.Thread):
                 self.board.start()
             except (OSError, StickslipError):
                 continue
-            self._say("the port is back: a new segment begins")
+            self._say("the port is available again: a new segment begins")
             return True
         self.ended = "port lost"
         return False

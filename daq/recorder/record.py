@@ -51,7 +51,7 @@ def check_request(request: RecordRequest) -> None:
     refuse_existing(request.output, request.force)
     if request.part.exists():
         raise InputError(
-            "an earlier recording was not finished: its journal is still here",
+            "an earlier recording was not finished: its journal still exists",
             str(request.part),
             f"run 'daq recover {request.part}' to get its data, or delete it, or give another -o",
         )
@@ -121,11 +121,11 @@ def record(
         return finalise(request.part, request.output, finished_by="daq record", force=request.force)
     except KeyboardInterrupt as error:
         do = f"get its data with 'daq recover {request.part}'"
-        raise RecordingInterruptedError("interrupted; the journal is kept", str(request.part), do) from error
+        raise RecordingInterruptedError("interrupted; the journal was kept", str(request.part), do) from error
     except OSError as error:
         raise _disk(request, error) from error
     except disk.RefusedError as error:
-        do = f"mend that, then get the data with 'daq recover {request.part}'"
+        do = f"correct that, then get the data with 'daq recover {request.part}'"
         raise disk.RefusedError(f"{error.what}; the journal is kept", error.where, do) from error
     except DataError as error:
         request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
@@ -236,7 +236,7 @@ def _dismiss(reader: Reader) -> None:
 def _disk(request: RecordRequest, error: OSError) -> StickslipError:
     """Return what a refusing disk means, and that the journal is kept."""
     if request.part.exists():
-        do = f"mend that, then get the data with 'daq recover {request.part}'"
+        do = f"correct that, then get the data with 'daq recover {request.part}'"
     else:
         do = "record into a folder you may write to, with -o"
     refused = disk.refusal(request.part, error)

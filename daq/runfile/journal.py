@@ -134,7 +134,9 @@ def read(path: Path) -> Journal:
         raise InputError("is a folder", str(path), "give the .part file that the recording left") from error
     if not content.startswith(MAGIC):
         if MAGIC.startswith(content):
-            raise InputError("holds no record: the recording ended at once", str(path), "delete it and record again")
+            raise InputError(
+                "contains no record: the recording ended immediately", str(path), "delete it and record again"
+            )
         raise InputError("is not a journal of daq", str(path), "give the .part file that the recording left")
     found = list(scan(content))
     if not found or found[0].record.kind != HEADER or found[0].at != len(MAGIC):

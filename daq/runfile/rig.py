@@ -167,7 +167,7 @@ def read_toml(text: str, where: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"broken TOML: {error}", where, "correct that line") from error
+        raise InputError(f"invalid TOML: {error}", where, "correct that line") from error
 
 
 def check_keys(section: str, content: Any, known: list[str], where: str) -> dict[str, Any]:

@@ -366,7 +366,7 @@ def check(run: Recording) -> None:
         raise ValueError("belt_count without belt_velocity")
     for name in ("started", "ended"):
         if datetime.fromisoformat(getattr(run, name)).tzinfo is None:
-            raise ValueError(f"{name} is {getattr(run, name)!r}; it needs its zone")
+            raise ValueError(f"{name} is {getattr(run, name)!r}; it needs a time zone")
 
 
 def first_disorder(time: NDArray[np.float64]) -> int | None:

@@ -166,7 +166,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
     try:
         file = h5py.File(path, "r")
     except PermissionError as error:
-        raise InputError("may not be read", where, "check its permissions") from error
+        raise InputError("cannot be read", where, "check its permissions") from error
     except OSError as error:
         raise _unopened(path, error) from error
     with file:

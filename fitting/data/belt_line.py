@@ -54,7 +54,7 @@ class BeltLine:
 
     @property
     def is_unsteady(self) -> bool:
-        """Whether the belt's speed swings by more than the load explains."""
+        """Whether the belt's speed varies by more than the load explains."""
         return self.swing > SWING * abs(self.speed.value)
 
     def speed_without_load(self, rest: Measured) -> Measured:

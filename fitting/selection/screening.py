@@ -65,22 +65,22 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustaine
     reach = np.array([np.ptp(x[i : j + 1]) for i, j in zip(begin, end, strict=True)])
     back = (x[begin] - x[end]) / np.maximum(reach, motion.resolution)
     if sustained and float(np.median(back)) < COMES_BACK:
-        return "the mass never comes back against the belt, as a spring would make it"
+        return "the mass never moves back against the belt, as a spring would move it"
     few = len(seen) < FEW
     low, high = np.quantile(x[begin], (0, 1) if few else (0.1, 0.9))
     if high - low > ONE_PLACE * float(np.median(reach)):
         return (
-            f"the mass leaves the supposed belt anywhere over {1e3 * (high - low):.3g} mm, "
-            f"further than a slip is long ({1e3 * np.median(reach):.3g} mm)"
+            f"the break-aways are spread over {1e3 * (high - low):.3g} mm, "
+            f"more than the length of a slip ({1e3 * np.median(reach):.3g} mm)"
         )
     ends = [cycle.stick for cycle in seen if cycle.stick[1] - cycle.stick[0] >= LONG_STICK]
     speeds = np.array([(x[j - 1] - x[i]) / (time[j - 1] - time[i]) for i, j in ends])
     if sustained and speeds.size >= FEWEST_STICKS:
         off = np.abs(speeds / np.median(speeds) - 1)
         if float(np.quantile(off, 1.0 if few else 0.8)) > ONE_SPEED:
-            return f"its sticks run at {speeds.min():.3g} to {speeds.max():.3g} m/s, and a belt has one speed"
+            return f"its sticks run at {speeds.min():.3g} to {speeds.max():.3g} m/s, but a belt has one speed"
     if float(np.median(_speed_changes(motion, begin, end))) < EVEN_SLIP:
-        return "the mass slips back at an even speed, as no spring would pull it"
+        return "the mass slips back at constant speed, which a spring cannot cause"
     rested = len(seen) - len(cut.used)
     if 2 * rested >= len(seen):
         return f"the mass stands still in {rested} of {len(seen)} supposed slips"
@@ -142,9 +142,9 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
         return "no law comes near it"
     best = min(near, key=lambda fit: fit.geometric_mean_rms)
     if LAWS[best.law].ramp and best.values.d > best.values.v_dr:
-        return f"law {best.law} comes nearest, with a ramp wider than the belt is fast"
+        return f"law {best.law} fits best, with a ramp wider than the belt speed"
     if sustained and best.values.F < LEAST_FRICTION * best.values.K * longest:
-        return f"law {best.law} comes nearest, without any friction"
+        return f"law {best.law} fits best, without any friction"
     return ""
 
 

@@ -111,7 +111,7 @@ def warnings(
     if "ripple" in best.parameters:
         share, hertz = 100 * best.parameters["ripple"].value / motion.belt_speed, best.parameters["ripple_hz"].value
         warned.append(
-            f"the belt's speed swings by {share:.2g} % at {hertz:.3g} Hz: seen in the sticks, included in every law"
+            f"the belt's speed varies by {share:.2g} % at {hertz:.3g} Hz: detected in the sticks, included in every law"
         )
     elif motion.swing > 0:
         share = 100 * motion.swing / motion.belt_speed

@@ -122,7 +122,7 @@ def test_an_unplugged_board_is_found_again_and_the_gap_is_told_in_ms(make_fake, 
     note = run.event_note[run.event_kind.index("reopened")]
     gap_ms = float(note.split("lost for ")[1].split(" ms")[0])
     assert 1e3 * AWAY_S <= gap_ms < 1e3 * AWAY_S + 3000
-    assert any("came back" in warning and "ms are missing" in warning for warning in found.warnings)
+    assert any("reopened" in warning and "ms are missing" in warning for warning in found.warnings)
     assert np.ptp(offsets(fake, run, 0, first)) == 0
     assert np.ptp(offsets(fake, run, first)) == 0
     assert found.lost == 0

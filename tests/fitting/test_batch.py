@@ -183,7 +183,7 @@ def test_without_dask_the_extra_is_named(folder, monkeypatch):
 @needs_dask
 @pytest.mark.parametrize("address", ["nonsense", "foo://1:2", "tcp://host:port", "tcp://:8786"])
 def test_what_is_no_address_is_refused(folder, address):
-    with pytest.raises(InputError, match="is no address"):
+    with pytest.raises(InputError, match="is not an address"):
         cli.fit(folder / "five.h5", scheduler=address)
 
 

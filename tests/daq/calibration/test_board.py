@@ -211,7 +211,7 @@ def test_the_examples_of_calibrate_run_on_the_simulated_rig(capsys, tmp_path):
     assert found["rig"]["datum"] == pytest.approx(0.0, abs=5 * found["rig"]["datum_sd"])
     code, found, _ = said(capsys, "calibrate", "--distance", "100 mm +- 0.1 mm", "-o", "other.toml")
     assert (code, found["error"]["where"]) == (2, "--distance")
-    assert "nobody moves the simulated rig" in found["error"]["what"]
+    assert "the simulated rig cannot be moved" in found["error"]["what"]
 
 
 @pytest.mark.parametrize(
@@ -237,7 +237,7 @@ def test_nobody_is_asked_to_do_anything_before_the_request_is_known_to_be_possib
 
 def test_an_interrupted_check_names_no_journal_that_is_gone(capsys, monkeypatch):
     def interrupted(*_, **__):
-        raise record.RecordingInterruptedError("interrupted; the journal is kept", "/gone", "recover it")
+        raise record.RecordingInterruptedError("interrupted; the journal was kept", "/gone", "recover it")
 
     monkeypatch.setattr(record, "record", interrupted)
     assert application.run(app, ["check", "--parked", "0.1"]) == 130

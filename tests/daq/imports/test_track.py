@@ -223,7 +223,7 @@ def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> Non
     make(csv, "t,x\n", zip(time * 400 / 30, x, strict=True))  # a 400 fps film played at 30
     found = track.read(csv, options())
     assert "frame rate must be wrong" in found.warnings[0]
-    fitting = float(found.warnings[0].split(" would fit")[0].split()[-1])
+    fitting = float(found.warnings[0].split(" would match")[0].split()[-1])
     assert fitting == pytest.approx(400, rel=0.01)
 
 

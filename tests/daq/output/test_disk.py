@@ -51,7 +51,7 @@ def refused(capsys, application, *arguments):
 def test_a_motion_that_does_not_fit_leaves_nothing(full, tmp_path, name):
     # HDF5 used to print its library's own text, twice, and to end in a segmentation fault.
     with full(20_000):
-        with pytest.raises(disk.RefusedError, match=f"{name}: the disk is full; make room"):
+        with pytest.raises(disk.RefusedError, match=f"{name}: the disk is full; free space"):
             motion_file.write(rig_sim.scene("rig"), tmp_path / name, until=20.0, rate=1000.0)
         assert list(tmp_path.iterdir()) == []
 
@@ -61,7 +61,9 @@ def test_a_run_whose_disk_is_full_keeps_its_journal_and_says_how_to_go_on(full, 
     with full(30_000):  # the journal of two seconds is smaller, the run file larger
         code, line = refused(capsys, app, "record", "--duration", 2, "-o", "run.h5")
         assert code == 3
-        assert line.startswith("daq: run.h5: the disk is full; the journal is kept; mend that, then get the data with")
+        assert line.startswith(
+            "daq: run.h5: the disk is full; the journal is kept; correct that, then get the data with"
+        )
         assert [path.name for path in tmp_path.iterdir()] == ["run.h5.part"]
 
 
@@ -109,7 +111,7 @@ def test_firmware_on_a_full_disk_is_a_disks_failure_and_leaves_no_empty_file(ful
 def test_firmware_into_a_file_is_the_callers_mistake(tmp_path, capsys):
     (tmp_path / "fw").write_text("mine")
     code, line = refused(capsys, app, "firmware", "--board", "uno", "-o", tmp_path / "fw")
-    assert (code, line.endswith("fw: is no folder; give a folder, with -o")) == (2, True)
+    assert (code, line.endswith("fw: is not a folder; give a folder, with -o")) == (2, True)
     hexfile, _ = firmware_files.write(firmware_files.board("uno"), tmp_path / "new")
     assert hexfile.stat().st_size > 1000
 

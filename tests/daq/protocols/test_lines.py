@@ -268,7 +268,7 @@ def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
         (lambda k: b"Hello\n", "one is 'Hello'"),
         (lambda k: b"1,2,3,4\n", "not of the columns t_us,count"),
         (lambda k: b"", "nothing came"),
-        (lambda k: b"77,5\n", "stands still"),
+        (lambda k: b"77,5\n", "does not change"),
         (lambda k: b"%d,5\n" % (10_000_000 - 2000 * k), "runs backwards, by 2000 us"),  # used to blame --duration
     ],
 )

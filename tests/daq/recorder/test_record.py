@@ -257,7 +257,7 @@ def test_a_lost_port_is_opened_again_and_a_new_segment_begins(tmp_path, attach, 
     assert run.time[first] > run.time[first - 1]
     assert any("port is lost" in line for line in said)
     assert any("new segment" in line for line in said)
-    assert "positions are not joined" in " ".join(found.warnings)
+    assert "positions are not connected" in " ".join(found.warnings)
 
 
 def test_a_port_that_stays_away_leaves_what_came(tmp_path, attach):
@@ -350,7 +350,7 @@ def test_a_silent_port_is_a_device_error_and_leaves_nothing(tmp_path, attach):
             """Hear nothing."""
 
     attach(Mute())
-    with pytest.raises(DeviceError, match="no answer"):
+    with pytest.raises(DeviceError, match="no reply"):
         record(request(tmp_path))
     assert list(tmp_path.iterdir()) == []
 
@@ -739,5 +739,5 @@ def test_a_port_that_never_came_back_is_told_with_its_time(tmp_path, monkeypatch
 
     monkeypatch.setattr(ports, "open_port", once)
     found = record(RecordRequest("rig://rig?realtime=1", tmp_path / "run.h5", 1000, 5.0))
-    (told,) = [warning for warning in found.warnings if "never came back" in warning]
+    (told,) = [warning for warning in found.warnings if "not reopened" in warning]
     assert 0.1 < float(told.split(") ")[1].split(" s after")[0]) < 0.6

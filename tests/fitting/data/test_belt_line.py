@@ -94,7 +94,7 @@ def test_counts_that_are_not_there_are_refused(simulated):
 
 def test_a_belt_that_swings_is_told(simulated):
     ranking = rank(simulated("belt.channel=true", "belt.ripple=0.0044", "belt.ripple_hz=3"), laws=(5, 6))
-    assert any("swings by 2 % at 3 Hz" in warning for warning in ranking.warnings)
+    assert any("varies by 2 % at 3 Hz" in warning for warning in ranking.warnings)
     assert 5 in ranking.laws_in_set
 
 

@@ -51,7 +51,7 @@ def test_a_belt_that_swings_is_no_ramp(swinging, law):
     assert ranking.best.fit.geometric_mean_rms < 5e-6  # down to the counts, 2.2 um
     assert ranking.best.parameters["ripple"].value == pytest.approx(AMPLITUDE, rel=0.01)
     assert ranking.best.parameters["ripple_hz"].value == pytest.approx(HERTZ, abs=1e-3)
-    assert any("swings by 2 % at 2.3 Hz" in warning for warning in ranking.warnings)
+    assert any("varies by 2 % at 2.3 Hz" in warning for warning in ranking.warnings)
 
 
 def test_a_ramp_on_a_belt_that_swings_comes_back(swinging):

@@ -43,7 +43,7 @@ WHY = {
     "sine": "a sine without a start-up; constant friction is possible",
     "decay": "an oscillation that dies away",
     "coulomb_decay": "an oscillation that dies away",
-    "steps": "the mass never comes back",
+    "steps": "the mass never moves back",
 }
 
 
