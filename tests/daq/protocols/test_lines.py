@@ -182,7 +182,7 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
         ("t_us,cuont", "did you mean 'count'"),
         ("t_us,count,count", "twice"),
         ("t_us,up:16,down", "differ in width"),
-        ("t_us,count:12", "no width"),
+        ("t_us,count:12", "not a width"),
         ("t_us,count,a", "one level of two"),
     ],
 )
@@ -258,7 +258,7 @@ def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
     wish = RecordRequest(columns="t_us,count")
     assert planned(text_line, wish).rate_hz == 500.0
     assert planned(lambda k: b"%d,7\n" % (2013 * k), wish).rate_hz == pytest.approx(497, rel=2e-3)
-    with pytest.raises(InputError, match="come at 500 Hz, not at 1000 Hz"):
+    with pytest.raises(InputError, match="arrive at 500 Hz, not at 1000 Hz"):
         planned(text_line, RecordRequest(rate_hz=1000, columns="t_us,count"))
 
 
