@@ -33,7 +33,7 @@ def as_json(motion: Kinematics | SmoothingSummary) -> dict[str, Any]:
 
 
 def run_as_json(motion: Kinematics) -> dict[str, Any]:
-    """Return what `process inspect --json` says of the run and its motion."""
+    """Return the JSON of `process inspect`: the run and its motion."""
     recording = motion.recording
     return as_json(motion) | {
         "title": recording.title,

@@ -1,4 +1,4 @@
-"""Fit of a ring-down: omega0, damping and friction of a mass that was pulled aside and let go, the belt at rest.
+"""Fit of a ring-down: omega0, damping and friction of a mass that was displaced and released, with the belt at rest.
 
 Model, with v = dx/dt and beta = zeta omega0::
 

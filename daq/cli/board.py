@@ -122,9 +122,10 @@ def calibrate(
 ) -> Answer:
     """Measure a rig: metres per count over a known distance; datum, omega0 and damping by a ring-down.
 
-    Start with the mass at the mark at which every recording will start.  What is known already (by --rig, or from
-    the board) is kept where nothing new was measured.  The belt must be at rest.  Without a port the simulated rig,
-    almost lifted off its belt, is struck and rings down; it takes no --distance, its board knows its metres per count.
+    Start with the mass at the mark at which every recording will start.  The belt must be at rest.  Values known from
+    --rig or from the board are kept unless they are measured again.  Without a port, the simulated rig is used: nearly
+    lifted off its belt, it gets an initial velocity and rings down.  It takes no --distance, because its board sends
+    the metres per count.
 
     Example: daq calibrate --port /dev/ttyACM0 --distance "100 mm +- 0.1 mm" --mass "300 g +- 1 g"
     Example: daq calibrate --mass "300 g +- 1 g"

@@ -1,4 +1,4 @@
-"""The belt's own encoder: its count without roll-over, and the belt's speed as the counts tell it.
+"""The belt's own encoder: its count without roll-over, and the belt's speed computed from it.
 
 One up-and-down counter, as wide as the board's others.  Between two readings it is taken to have moved the shorter way
 round, which is right as long as it moves by less than half its range.
@@ -27,8 +27,8 @@ def decoded(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
     """Return the belt's count and speed, as `unwrapped` and `velocity` do.
 
-    Both are None where the board sends no belt counts, or nobody knows the metres of one: what was sent stays in the
-    raw columns.
+    Both are None if the board sends no belt counts, or if their metres per count are unknown; the data sent remain in
+    the raw columns.
     """
     pitch = rig.belt_metres_per_count
     if values is None or pitch is None:

@@ -23,7 +23,7 @@ each second the read that leaves least open had a latency at most `READ_LATENCY_
 is left, that is doubled until one is.
 
 Sign: a positive drift in ppm means that the device's clock runs fast.  Not modelled: a drift that changes during
-the run (temperature), and the constant part of the delay, which no one-way stream can tell from the offset.
+the run (temperature), and the constant part of the delay, which one-way data cannot distinguish from the offset.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """What happened during a run: sample, kind and a few words each, for the run file's events.
 
-Of samples that are flagged in a row only the first is an event; its note says how many there are, and the flags of the
-samples mark each one.
+Of consecutive flagged samples only the first is an event; its note gives their number, and the flags of the samples
+mark each one.
 """
 
 from collections.abc import Sequence

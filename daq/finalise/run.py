@@ -152,8 +152,8 @@ def _calibration(
     given = [
         record.data.decode(errors="replace") for record in recorded.records if record.kind == journal.CONFIGURATION
     ]
-    told = next((stream.configs for stream in streams if stream.configs), ())
-    config = (*given, *(text for _, text in told), "")[0]
+    sent = next((stream.configs for stream in streams if stream.configs), ())
+    config = (*given, *(text for _, text in sent), "")[0]
     warnings = []
     rig = Rig()
     try:
@@ -167,15 +167,15 @@ def _calibration(
     return config, rig, warnings
 
 
-def _truth(samples: Samples, told: TruthRows, tick_ns: int, scene: str) -> Truth | None:
-    """Return the truth of the samples that are there, its time on the run's axis; None when none was told."""
-    if len(told.rows) == 0:
+def _truth(samples: Samples, sent: TruthRows, tick_ns: int, scene: str) -> Truth | None:
+    """Return the exact motion at the received samples, its time on the run's axis; None if none was sent."""
+    if len(sent.rows) == 0:
         return None
     # One number for part and index: parts are few, and an index stays far below 2^48.
     key = samples.part << 48 | samples.index
-    _, at, row = np.intersect1d(key, told.part << 48 | told.index, return_indices=True)
+    _, at, row = np.intersect1d(key, sent.part << 48 | sent.index, return_indices=True)
     shift = np.zeros(len(samples))
     for _, here in timeline.parts_of(samples):
         shift[here] = samples.time[here.start] - samples.ticks[here.start] * tick_ns / 1e9
-    time, x, v, force = told.rows[row].T
+    time, x, v, force = sent.rows[row].T
     return Truth(time + shift[at], x, v, force, scene)

@@ -1,14 +1,14 @@
-"""Protocols: what a board may speak, one module each, imported when it is used.
+"""Protocols between a board and the host, one module each, imported when it is used.
 
 ========  ==================  =======================================================================================
-name      module              who speaks it
+name      module              used by
 ========  ==================  =======================================================================================
-frames    protocols.frames    boards with our firmware, and the simulated rig: binary frames with a CRC (docs/wire.md)
+frames    protocols.frames    stickslip firmware, and the simulated rig: binary frames with a CRC (docs/wire.md)
 qsb       protocols.qsb       US Digital's QSB quadrature-to-USB adapter: ASCII, at most 512 Hz
 text      protocols.text      any sketch that prints a line of numbers per sample; its columns are declared
 ========  ==================  =======================================================================================
 
-A journal's header says which one its bytes are in.  `daq.protocols.session` says what each module offers.
+The header of a journal names its protocol.  `daq.protocols.session` defines the interface of each module.
 """
 
 from typing import TYPE_CHECKING, cast

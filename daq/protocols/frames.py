@@ -62,7 +62,7 @@ class Frames(Session):
         return self._ask(b"")
 
     def plan(self, identity: Identity) -> Plan:
-        """Return the wished rate (1000 Hz) in frames as long as the rate allows."""
+        """Return the requested rate (1000 Hz) in frames as long as the rate allows."""
         rate_hz = float(self.request.rate_hz or RATE_HZ)
         block = link_budget.block_size(identity.ident, rate_hz)
         return Plan(rate_hz, block, link_budget.bytes_per_s(identity.ident, rate_hz, block))

@@ -30,7 +30,7 @@ LEAP_COUNTS = 32
 LEAP_MOTIONS = 8  # how much farther than the motion about it a line must leap to be damaged
 SPIKE_LEAST = 3.0  # counts, or us: how far off the course of its neighbours a value is damaged
 SPIKE_OVER_USUAL = 12  # and over what is usual about it
-SPIKE_AMONG = 16  # lines on either side that tell what is usual, but for the nearest
+SPIKE_AMONG = 16  # lines on either side, without the nearest, that define what is usual
 LOOK_AHEAD = 8  # lines among which the one must be that follows the last good one, where times disagree
 
 
@@ -39,7 +39,7 @@ class Other(IntFlag):
 
     REMARK = 0
     DAMAGED = 1
-    START = 2  # the board says that it has started; behind a line that its reset cut short, with `DAMAGED`
+    START = 2  # the board reports its start; with `DAMAGED` after a line that its reset cut short
 
 
 # What a sample's line holds, as far as the protocol has it: ticks, up, down, status, illegal, each modulo its width.  A

@@ -11,8 +11,8 @@ Records are the letter in lower case, the register, eight hex digits of data, ei
 Registers: 03 x1, x2 or x4; 0B least change that is sent (0: every sample); 0C interval in 1/512 s; 0D time reset;
 0E count; 14 identity; 15 reply format; 16 stop.  A stream also ends when its register is read.
 
-Not used: counting modulo N, index and trigger inputs, x2.  There is no checksum: `daq.protocols.lines` says what guards
-the records.  Written after descriptions and other people's programs, not tried on the device.
+Not used: counting modulo N, index and trigger inputs, x2.  There is no checksum: `daq.protocols.lines` describes
+how damage is detected.  Written from descriptions and other programs; not tested on the device.
 """
 
 import re
@@ -133,14 +133,14 @@ class Qsb(Session):
         raise DeviceError(f"no reply within {sessions.ANSWER_S:g} s", self.url, do)
 
     def plan(self, identity: Identity) -> Plan:
-        """Return the rate 512/n Hz that is nearest to the wished one."""
+        """Return the rate 512/n Hz that is nearest to the requested one."""
         check(self.request)
-        wished = self.request.rate_hz or TICK_HZ
-        self._interval = max(1, round(TICK_HZ / wished))
+        requested = self.request.rate_hz or TICK_HZ
+        self._interval = max(1, round(TICK_HZ / requested))
         rate_hz = TICK_HZ / self._interval
         notes = []
-        if rate_hz != wished:
-            notes.append(f"a QSB samples at 512/n Hz: {rate_hz:.6g} Hz is the nearest to {wished} Hz")
+        if rate_hz != requested:
+            notes.append(f"a QSB samples at 512/n Hz: {rate_hz:.6g} Hz is the nearest to {requested} Hz")
         return Plan(rate_hz, 1, rate_hz * RECORD_BYTES, tuple(notes))
 
     def prepare(self, plan: Plan) -> Identity:

@@ -59,7 +59,7 @@ class Port(Protocol):
 
 @dataclass(frozen=True)
 class Identity:
-    """What a board said about itself, or what its protocol says of it; and the rig's calibration when it holds one."""
+    """Identification sent by the board, or implied by its protocol; and the calibration, if the board has one."""
 
     ident: frames.Ident
     config: str | None = None
@@ -172,7 +172,7 @@ class Session(ABC):
         if data and not waiting:
             waiting = self.port.in_waiting
             data += self.port.read(waiting)
-        while waiting == 1 and len(data) < MOST_AT_ONCE:  # a socket says 1 for "some"
+        while waiting == 1 and len(data) < MOST_AT_ONCE:  # a socket returns 1 for "some"
             waiting = self.port.in_waiting
             data += self.port.read(waiting)
         return data

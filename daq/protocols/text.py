@@ -44,7 +44,7 @@ BAUD = 115_200
 TICK_NS = 1000
 LISTEN_S = 1.0  # of good lines, by their own times, before the rate is believed
 FEWEST_LINES = 20
-RATE_WITHIN = 0.1  # of the wished rate
+RATE_WITHIN = 0.1  # of the requested rate
 LONGEST_LINE = 256
 
 
@@ -212,7 +212,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
 
 
 class Text(Session):
-    """A session with a sketch that prints lines; it is listened to, and nothing is said to it."""
+    """A session with a sketch that prints lines; nothing is sent to it."""
 
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         super().__init__(port, url, request)
@@ -222,7 +222,7 @@ class Text(Session):
         self._coarse = False
 
     def identify(self) -> Identity:
-        """Listen until the lines tell their rate.
+        """Read lines until their rate is known.
 
         Raises
         ------
@@ -264,12 +264,12 @@ class Text(Session):
         InputError
             It is not the one asked for.
         """
-        rate_hz, wished = self._rate_hz, self.request.rate_hz
-        if wished is not None:
-            if abs(rate_hz / wished - 1) > RATE_WITHIN:
-                what = f"the lines arrive at {rate_hz:.4g} Hz, not at {wished} Hz"
+        rate_hz, requested = self._rate_hz, self.request.rate_hz
+        if requested is not None:
+            if abs(rate_hz / requested - 1) > RATE_WITHIN:
+                what = f"the lines arrive at {rate_hz:.4g} Hz, not at {requested} Hz"
                 raise InputError(what, "--rate", f"leave --rate out, or give {round(rate_hz)}, or change the sketch")
-            rate_hz = float(wished) if abs(rate_hz / wished - 1) < 0.01 else rate_hz
+            rate_hz = float(requested) if abs(rate_hz / requested - 1) < 0.01 else rate_hz
         else:
             rate_hz = float(f"{rate_hz:.3g}") if abs(float(f"{rate_hz:.3g}") / rate_hz - 1) < 0.005 else rate_hz
         notes = []

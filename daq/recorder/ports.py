@@ -23,7 +23,7 @@ WRITE_TIMEOUT_S = 5.0
 
 @dataclass(frozen=True)
 class PortInfo:
-    """One port that is there: its name, what the system says it is, whether it may be opened, what to do if not."""
+    """A port of this machine: its name, the system's description, whether it can be opened, and what to do if not."""
 
     port: str
     description: str

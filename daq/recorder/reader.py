@@ -20,7 +20,7 @@ from daq.runfile import journal
 QUEUE_READS = 20_000  # half a minute of a 5 kHz stream
 QUEUE_READS_WAITING = 8
 PAUSE_S = 0.02  # between reads: what came meanwhile is read at once, and each read costs as much as 100 samples
-SILENT_S = 5.0  # a board that streams and says nothing for so long is lost
+SILENT_S = 5.0  # a board that sends nothing for so long while sampling is lost
 REOPEN_S = 30.0
 REOPEN_EVERY_S = 0.25
 
@@ -39,7 +39,7 @@ class Reader(threading.Thread):
     rate_hz, samples : float, int
         Samples per second, and in all.
     say : callable
-        Is told in a line when the port is lost and when it is back.
+        Called with a line of text when the port is lost and when it is available again.
 
     Attributes
     ----------

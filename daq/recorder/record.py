@@ -77,9 +77,9 @@ def record(
     Parameters
     ----------
     progress : callable
-        Is told the seconds recorded so far, many times a second.
+        Called with the seconds recorded so far, many times a second.
     say : callable
-        Is told in a line what a person should know at once: who answers, a lost port.
+        Called with a line of text for the user: the identity of the board, a lost port.
     stop : Event
         Ends the recording when it is set; what came so far becomes the file.
 

@@ -4,7 +4,7 @@ Rules of the validators: free columns belong in NXdata or NXcollection; every fl
 dimensionless); ``NAME_errors`` draws error bars everywhere; no compression plugin, so that files open anywhere.
 No object stores its creation time, so equal data give equal bytes.
 
-The ``read_`` functions expect nothing of a file: every surprise is one InputError that names the field.  Their paths
+The ``read_`` functions assume nothing about a file: anything unexpected is an InputError naming the field.  Their paths
 are relative to /entry; ``where`` is the file, for the message.
 """
 

@@ -1,4 +1,4 @@
-"""The rig as its lab knows it: what was measured of encoder, mass, spring and belt, each with its error.
+"""Calibration of a rig: measured constants of encoder, mass, spring and belt, each with its standard deviation.
 
 The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.toml``::
 

@@ -106,8 +106,8 @@ def order_frames(
 ) -> Order:
     """Place the frames of a stream: roll-over undone, gaps sized, repeats and restarts found.
 
-    Device time says how often the sequence number rolled over between two frames, so a gap may be of any length below
-    2^31 ticks (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by
+    Device time determines how often the sequence number rolled over between two frames, so a gap may have any length
+    below 2^31 ticks (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by
     `LATE_FRAMES` at most, is a repeat or came late; any other step back, of either, is a restart of the board.
 
     Parameters

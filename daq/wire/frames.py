@@ -44,7 +44,7 @@ class Capability(IntFlag):
     BELT = 8  # every sample carries a belt-encoder count
     EDGE_TIME = 16  # every sample carries the ticks since the last edge
     CONFIG = 32  # the board answers `I` with a CONFIG frame too
-    TRUTH = 64  # TRUTH frames may come (a simulated rig that was asked to tell)
+    TRUTH = 64  # TRUTH frames may follow (a simulated rig with output.truth)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class Config:
 
 @dataclass(frozen=True, slots=True)
 class TruthFrame:
-    """Exact motion at sample times; only a simulated rig sends it, and only when its scene says so.
+    """Exact motion at sample times; only a simulated rig sends it, if its scene requests it.
 
     ``rows`` holds (time s, x m, v m/s, F N) of the samples seq, seq + 1, ...: F is the friction force on the mass.
     """

@@ -22,7 +22,7 @@ guessed, and move no counter.  One x4 count is one edge; x1, jk and jk-latched c
 
 x4          every edge, state-checked.
 x1          same edge: A rising with B low is up, A falling with B low is down: one physical edge, both ways.
-jk          the thesis's J-K box, first reading: every rise of A counts, and B at that moment says which way.
+jk          the thesis's J-K box, first reading: every rise of A counts, and B at that moment gives the direction.
             A dither about one A rise meets that rise in one direction only, and adds a line each time.
 jk-latched  second reading: a J-K flip-flop with J = A, K = not A, clocked by B's rise.  Its table
 

@@ -1,13 +1,13 @@
-"""What the belt's own counts say of the belt: how fast it runs without load, how much it gives, what else it does.
+"""Belt speed without load, give and remaining variation of the belt, estimated from belt counts.
 
-A belt that slows in proportion to the load it carries gives way by ``give`` metres a second per metre of spring
-stretch.  In stick the load is the spring's pull, so the belt's measured velocity against the mass's position is a
-straight line of slope -give, whatever the friction law: the calibration knows nothing of the fit and the fit takes it
-as a prior.  In the flow it is droop = give Fs/k (`rig_sim.integrate.flow.Flow`).
+A belt that slows in proportion to its load loses ``give`` metres a second per metre of spring extension.  In stick the
+load is the spring force, so the belt's measured velocity against the mass's position is a straight line of slope
+-give, whatever the friction law: this calibration does not depend on the fit, which uses it as a prior.  In the flow it
+is droop = give Fs/k (`rig_sim.integrate.flow.Flow`).
 
 Samples within half a smoothing window of a stick's ends are left out, where slip is blurred into it.  The error of the
-line is the larger of two: of residuals that are alike within a smoothing window, and of residuals that are alike within
-a stick (ripple, a joint).
+line is the larger of two: for residuals that are correlated within a smoothing window, and for residuals that are
+correlated within a stick (ripple, a joint).
 """
 
 import math
@@ -22,7 +22,7 @@ from daq.runfile.rig import Measured
 from processing.record.kinematics import Kinematics
 
 SURE = 3.0  # standard errors: a belt that gives by less is taken as stiff
-SWING = 2e-3  # of the belt's speed: residual swing worth a word
+SWING = 2e-3  # of the belt's speed: larger residual variation gives a warning
 LOUD = 2.0  # times the swing that counting alone would show
 
 

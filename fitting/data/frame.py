@@ -50,7 +50,7 @@ class MeasuredMotion:
     belt_measured : bool
         Whether the belt's own counts are used: then a ramp cannot be a belt that slows.
     swing : float
-        m/s rms: how far the belt's counted speed swings beside what load explains; 0 where that is too little to tell.
+        m/s rms: variation of the measured belt speed that load does not explain; 0 where it is not significant.
     """
 
     time: Array
@@ -97,7 +97,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     kinematics : Kinematics
         A Savitzky-Golay (or better) motion; accelerations of plain differences are too rough to start from.
     rig : Rig
-        The calibration to use, already changed by whatever the caller knows better.
+        The calibration to use, with the caller's changes already applied.
     belt_speed : float, "channel" or None
         m/s, signed, when the caller states it: it goes before the belt's own counts.  Otherwise these are used where
         there are any ("channel": there must be), else the plateaus and the calibration decide.

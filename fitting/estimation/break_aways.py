@@ -21,7 +21,7 @@ from rig_sim.friction.law import LAWS
 SEARCH_RANGE_S = 0.15  # about the smoothed onset
 AFTER_S = 0.05  # of the slip that the break-away is judged by
 ROUNDS, TRIALS = 3, 21  # of the search: each round looks closer, about the best trial before
-POOR_CYCLE = 3.0  # times the usual error of a cycle: so much says that something else happened in it
+POOR_CYCLE = 3.0  # times the usual error of a cycle: a larger one means that something else happened in it
 
 
 def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[BreakAway, ...]:

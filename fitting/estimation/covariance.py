@@ -1,8 +1,8 @@
 """Intervals: a sandwich over cycles, calibrations as priors, t quantile.
 
-Residuals of a wrong-by-a-little model are alike within a cycle and independent between cycles, so the spread of the
-cycles' own gradients says how far the estimate would move with other cycles.  With few cycles the sandwich can come out
-too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.
+Residuals of a slightly wrong model are correlated within a cycle and independent between cycles, so the spread of the
+gradients of the cycles shows how far the estimate would move with other cycles.  With few cycles the sandwich can come
+out too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.
 """
 
 import numpy as np

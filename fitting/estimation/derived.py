@@ -1,4 +1,4 @@
-"""What a fit says in the units of the rig: one table of derived quantities, each with its interval.
+"""Results of a fit in the units of the rig: one table of derived quantities, each with its interval.
 
 Errors are propagated to first order from the covariance of the fit (`fitting.estimation.covariance`), with a Student's
 t quantile over the cycles.  The error of the metres per count enters every quantity that has a length in its unit.

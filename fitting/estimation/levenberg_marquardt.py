@@ -236,7 +236,7 @@ def minimise(
             else:
                 cost_increase = step
             refused += 1
-            # One cycle gone astray (a kick, a corner on the wrong side) must not hold up all the others.
+            # One outlying cycle (a velocity step, a wrong switching time) must not slow down all the others.
             outlier_cycles = cost_increase > OUTLIER_SHARE * np.sum(np.maximum(cost_increase, 0.0))
             if (
                 0 < outlier_cycles.sum() <= FEW * outlier_cycles.size

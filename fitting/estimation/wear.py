@@ -1,8 +1,8 @@
 """Wear: how fast the friction level falls from cycle to cycle, by a straight line through the cycles' own levels.
 
-A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  What a level
-does within one cycle is another matter: the fit leaves it free (`fitting.model.parameters`, fade) and says nothing of
-wear by it, since a contact may well lose its strength only where it is made anew.
+A level is drawn anew at each landing, so the line's error comes from the scatter of the levels about it.  The change
+of a level within one cycle is a separate parameter of the fit (`fitting.model.parameters`, fade) and is not used for
+wear, since a contact may lose its strength only where it is formed anew.
 """
 
 from dataclasses import dataclass

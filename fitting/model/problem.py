@@ -112,7 +112,7 @@ class EstimationProblem:
                     spread**-2,
                     (RIPPLE_FREQUENCY_SD * 2 * math.pi / motion.span) ** -2,
                 )
-            # Constant friction knows only datum + Fs/k: let no scatter of levels tell the two apart.
+            # Constant friction determines only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
             prior[r, Global.DATUM], precision[r, Global.DATUM] = datum.value, _precision(datum_sd, 1e-6 * motion.travel)
             belt = motion.belt_prior
@@ -162,9 +162,9 @@ class EstimationProblem:
 
 
 def datum_calibration(motion: MeasuredMotion) -> Measured:
-    """Return what is known of the spring's rest position: the calibration, or the middle of the motion give or take it.
+    """Return the spring's rest position: the calibration, or the middle of the motion +- half its range.
 
-    Without a datum laws 1 and 3 know only datum + Fs/k; the wide prior keeps the fit finite and its interval wide.
+    Without a datum laws 1 and 3 determine only datum + Fs/k; the wide prior keeps the fit finite and its interval wide.
     """
     if motion.datum_prior is not None:
         return motion.datum_prior
@@ -173,7 +173,7 @@ def datum_calibration(motion: MeasuredMotion) -> Measured:
 
 
 def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
-    """Return c/m, 1/s: the ring-down's, or 0 give or take a hundredth of the critical damping."""
+    """Return c/m, 1/s: the ring-down's, or 0 +- a hundredth of the critical damping."""
     known = motion.damping_prior
     mass = motion.mass.value if motion.mass else motion.stiffness.value / K if motion.stiffness else None
     if known is None or mass is None:

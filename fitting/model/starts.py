@@ -18,7 +18,7 @@ from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2
-LOOSE = 0.05  # of the travel: a rest position known no better is fitted along
+LOOSE = 0.05  # of the travel: a rest position with a larger error is also fitted
 NO_REVERSAL = 0.8  # a linear curve starts with friction left at the fastest slip
 STICK_SLOPE_S = 0.06  # shortest stretch of stick whose slope is worth a fit
 

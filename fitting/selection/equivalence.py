@@ -2,9 +2,9 @@
 
 Without the belt's own counts the two are one observable (`rig_sim.integrate.modes`, droop): a belt that loses 1 % of
 its speed at the load Fs turns law 5 into a perfect law 6.  So where a ramp law is in the set and its ramp is no wider
-than a belt may well give, its jump law is fitted once more with a give of its own, and joins the set when it then
-errs no more.  A wider ramp is taken as one: no belt drive loses that much.  Runs at several belt speeds can split the
-two: a ramp is as wide at every speed, a belt gives as its drive makes it, so each run's give is its own.
+than the speed drop of a realistic belt, its jump law is fitted once more with a give of its own, and joins the set if
+its error is then no larger.  A wider ramp is taken as one: no belt drive loses that much.  Runs at several belt speeds
+can separate the two: a ramp has the same width at every speed, while each run has its own give.
 """
 
 import math
@@ -67,11 +67,11 @@ def mean_excess(twin: Array, ramp: Array) -> float:
 
 
 def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> bool:
-    """Return whether the ramp of constant friction may be a belt that swings.
+    """Return whether the ramp of constant friction may be a belt whose speed varies.
 
     Where the mass never sticks again, jump and ramp differ in the start-up drag alone: half a second in which a belt
-    whose speed swings looks much like a ramp.  So it may be, where the ramp is no wider than such a swing would make
-    it and where the drag fits worse than the rest of the record, which knows nothing of the belt.
+    whose speed varies looks much like a ramp.  This is possible if the ramp is no wider than such a variation would
+    make it, and if the drag fits worse than the rest of the record, which does not depend on the belt.
 
     Parameters
     ----------

@@ -49,8 +49,8 @@ def _log_error(residual: Array, motion: MeasuredMotion) -> float:
 def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     """Return which cycles are judged by, shape (cycles,): those that the best law describes, if these are enough.
 
-    A cycle with a kick in the middle of its slip is described by no law, and says nothing of which it is.  Laws that
-    are limits of each other differ there by where their minimisers ended, so near relatives must all describe it.
+    A cycle with a velocity step in its slip is described by no law, and does not help to decide between them.  Laws
+    that are limits of each other differ there by where their minimisers ended, so near relatives must all describe it.
     """
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
     related = [

@@ -56,8 +56,8 @@ def rank(
     laws : sequence of int
         Which of the laws 1 to 6 compete.
     belt_speed : float or "channel", optional
-        m/s, signed, when it is known better than the calibration knows it.  By default the belt's own counts are used
-        where the run has any; "channel" asks for them.
+        m/s, signed, if known better than from the calibration.  By default belt counts are used if the run contains
+        them; "channel" requires them.
     excluded : sequence of int
         Numbers of cycles to leave out (1 is the first break-away); of a run that is fitted alone.
     alpha : float

@@ -21,7 +21,7 @@ from rig_sim.friction.law import LAWS
 
 COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
 ONE_SPEED = 0.2  # of the usual stick's: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1
-FEWEST_STICKS = 2  # to tell one speed from several
+FEWEST_STICKS = 2  # to distinguish one speed from several
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
 FILLED = 0.5  # of a record that riding, slips and rest fill at least
 RIDING = (0.6, 1.2)  # of the belt's speed
@@ -54,7 +54,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustaine
     sustained : bool
         Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
     """
-    # What stands still half the time is left out of the fit, but says as much as any cycle about what drives the mass.
+    # Cycles at rest half the time are left out of the fit, but show as well as any other what drives the mass.
     seen = [cycle for cycle in cut.cycles if cycle.flag in ("", "rest")]
     if not seen:
         flags = ", ".join(dict.fromkeys(cycle.flag for cycle in cut.cycles))

@@ -39,7 +39,7 @@ class Counted:
 def fit(time: Array, position: Array, window: int, order: int, counted: Counted | None = None) -> tuple[Array, Array]:
     """Fit one piece; values and norms as in `processing.polynomial.uneven.fit`, a shorter piece as one polynomial.
 
-    A derivative that the samples cannot give has an infinite norm.  ``counted`` says the positions again as counts:
+    A derivative that the samples cannot give has an infinite norm.  ``counted`` gives the positions as counts:
     then even times take `processing.polynomial.moments`, whose cost does not depend on the window, wherever it is
     exact.
     """

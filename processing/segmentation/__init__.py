@@ -1,1 +1,1 @@
-"""Stick and slip: where each begins and ends, and the smoother that knows them."""
+"""Stick and slip: switching times, and the smoother with a model of each."""

@@ -2,7 +2,7 @@
 
 Friction rises ever faster as the mass comes up to the belt's speed, and does so at every landing alike.  A snap whose
 mean is taken for 0 there makes every landing seem late: by a tenth of a millisecond on the bench, and the velocity
-before it wrong by 1 mm/s.  One landing cannot tell its own time from its own snap; many can tell the snap they share.
+before it wrong by 1 mm/s.  One landing cannot separate its time from its snap; many determine the snap they share.
 
 What is expected of a sample moves in proportion to the means, so those of greatest likelihood solve normal equations.
 The time of each landing is left open by what it is uncertain by: it shifts the velocity behind it.

@@ -36,7 +36,7 @@ from processing.segmentation.switching_times import SwitchingTimes, initial_swit
 
 WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop"}
 ORDER = 7  # of the equivalent spline
-LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit` says what longer ones do)
+LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit` describes the effect of longer ones)
 
 
 def segmented(

@@ -111,7 +111,8 @@ class SimulatedBoard:
     def samples(self, count: int) -> bytes:
         """Take the next ``count`` samples and return the frames they fill; none unless started.
 
-        A motion that cannot go on (friction that changes its sign, say) stops the sampling with a NOTICE that says why.
+        A motion that cannot go on (friction that changes its sign, say) stops the sampling with a NOTICE that gives the
+        reason.
         """
         if not self.running or count <= 0:
             return b""

@@ -9,9 +9,9 @@ so omega > 0 is its frequency (rad/s) and delta its growth rate (1/s; > 0: it gr
 leads the velocity by phi, and phi = pi is a damper of a.  gamma_lin = dF/dw at w = -v_belt: how friction rises as the
 mass speeds up, > 0 on a falling curve, -Fs/d inside a ramp.
 
-A phasor says nothing of a motion that is no oscillation, and the filter before the phase shifter is not specified.
-Played here is the shifter that is tuned to Omega: the local term that does to this oscillation what the phasor does.
-It is a damper and a spring about x_e, exact because one complex equation settles two real numbers:
+A phasor does not define the force for a motion that is no oscillation, and the filter before the phase shifter is not
+specified.  Integrated here is a shifter tuned to Omega: the local term with the phasor's effect on this oscillation.
+It is a damper and a spring about x_e, exact because one complex equation determines two real numbers:
 
     m x'' + (c_eff - gamma_lin) x' + k_eff (x - x_e) = 0 has the root x' = -i Omega x:
     c_eff = gamma_lin - 2 m delta   (= c - a cos phi - a sin phi delta/omega),   may be negative

@@ -1,4 +1,4 @@
-"""Scenes: a TOML file, or a built-in name, says what exists on the rig; what it does not name does not exist.
+"""Scenes: a TOML file or a built-in name lists what exists on the rig; what is not listed does not exist.
 
 ========= ===================================== ========================================================================
 section   keys                                  meaning
