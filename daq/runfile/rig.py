@@ -89,7 +89,7 @@ class Rig:
         Raises
         ------
         InputError
-            For broken TOML, an unknown section or key (naming its nearest neighbour), or an impossible value.
+            For invalid TOML, an unknown section or key (naming its nearest neighbour), or an impossible value.
         """
         found: dict[str, Any] = {}
         for section, content in read_toml(text, where).items():

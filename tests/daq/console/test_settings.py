@@ -69,7 +69,7 @@ def test_the_rig_file_itself_may_come_from_the_environment(places, monkeypatch):
         ("[board]\nrate = 1.5\n", "whole number"),
         ("[board]\nport = 7\n", "text in quotes"),
         ("board = 1\n", "a value, not a section"),
-        ("[board\n", "broken TOML"),
+        ("[board\n", "invalid TOML"),
     ],
 )
 def test_what_is_wrong_with_a_rig_file_is_named(tmp_path, text, said):

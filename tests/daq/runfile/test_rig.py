@@ -63,7 +63,7 @@ def test_absent_quantities_stay_unknown() -> None:
         ("[encoder]\ncounter_bits = 17", ["17", "8, 16, 24, 32"]),
         ("[encoder]\ncounts_per_revolution = 1.5", ["1.5", "whole"]),
         ("[rig]\nname = 5", ["rig.name", "quotes"]),
-        ("[rig\n", ["broken TOML", "line 1"]),
+        ("[rig\n", ["invalid TOML", "line 1"]),
     ],
 )
 def test_bad_toml_is_refused_by_name(text: str, words: list[str]) -> None:
