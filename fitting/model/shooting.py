@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from daq.compute.arrays import Array
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.model import parameters
-from fitting.model.parameters import PER_CYCLE, PER_RUN
+from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values
 from rig_sim.integrate.buffer import STEPS, Buffer, new_work
 from rig_sim.integrate.compiled import compiled
 from rig_sim.integrate.flow import Flow
@@ -22,6 +23,39 @@ STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvatu
 STICK_LOCK = 10.0  # break-away level of a jump's stick inside a window: the break-away itself lies in no window
 FADE_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
+# Slots and columns as plain integers, for the kernels.
+V_DR, COMPLIANCE, OMEGA = int(Global.V_DR), int(Global.COMPLIANCE), int(Global.OMEGA)
+X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = (int(column) for column in PerCycle)
+
+
+class WindowArrays(NamedTuple):
+    """What the kernel reads of all windows; shapes and units as in `ShootingWindows`."""
+
+    table: NDArray[np.int64]
+    level_epoch: Array
+    earliest_landing: Array
+    time: Array
+
+
+class Window(NamedTuple):
+    """One window: what it is, the times (s) that `ShootingWindows` explains, and those of its samples (n,), s."""
+
+    stick: int
+    overtakes: int
+    level_epoch: float
+    earliest_landing: float
+    times: Array
+
+
+class Steps(NamedTuple):
+    """Steps of the derivatives: slot of each unknown in each run (runs, p), -1 where the run does not have it.
+
+    ``shared`` (p,) and ``local`` (6,) are the steps themselves, in the units of `Global` and `PerCycle`.
+    """
+
+    columns: NDArray[np.int64]
+    shared: Array
+    local: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +96,10 @@ class ShootingWindows:
         table, level_epoch, earliest_landing, source, rows, total = [], [], [], [], [], 0
         for k, cycle in enumerate(cycles):
             begin = total
-            for riding, (first, end) in ((1, cycle.stick), (0, cycle.slip)):
+            for stick, (first, end) in ((1, cycle.stick), (0, cycle.slip)):
                 if end > first:
                     taken = np.arange(first, end, stride)
-                    table.append((k, riding, total, taken.size, cycle.overtakes, 0))
+                    table.append((k, stick, total, taken.size, cycle.overtakes, 0))
                     level_epoch.append(cycle.onset)
                     earliest_landing.append(0.5 * (float(motion.time[first]) + cycle.landing))
                     source.append(taken)
@@ -115,10 +149,10 @@ class ShootingWindows:
     def starting_values(self, motions: Sequence[MeasuredMotion]) -> Array:
         """Return starting values of the cycles' own unknowns, from the smoothed motions; shape (cycles, 6)."""
         local = np.zeros((len(self.rows), PER_CYCLE))
-        for k, riding, first, _, _, run in self.table:
+        for k, stick, first, _, _, run in self.table:
             motion = motions[run]
             at = self.source[first]
-            column = 4 if riding else 0
+            column = 4 if stick else 0
             local[k, column] = motion.position[at]
             local[k, column + 1] = motion.velocity[at]
         return local
@@ -134,7 +168,8 @@ def evaluator(
     """
     runs = full.size // PER_RUN
     columns = parameters.columns(active, runs)
-    steps, local_steps = STEP * scale[active], STEP * local_scale
+    steps = Steps(columns, STEP * scale[active], STEP * local_scale)
+    arrays = WindowArrays(windows.table, windows.level_epoch, windows.earliest_landing, windows.time)
     n = windows.time.size
     whole = full.reshape(runs, PER_RUN).copy()
     known = columns >= 0
@@ -148,26 +183,9 @@ def evaluator(
         whole[run, slot] = u[place]
         model = np.empty(n)
         jacobian = np.zeros((n if derivatives else 0, columns.shape[1] + PER_CYCLE))
-        status = predict(
-            curve,
-            int(ramp),
-            whole,
-            np.array(local, order="C"),
-            windows.table,
-            windows.level_epoch,
-            windows.earliest_landing,
-            windows.time,
-            columns,
-            steps,
-            local_steps,
-            model,
-            jacobian,
-            room,
-            work,
-        )
-        if status != 0:
-            return None
-        return model - windows.position, jacobian
+        own = np.array(local, order="C")
+        status = predict(curve, int(ramp), whole, own, arrays, steps, model, jacobian, room, work)
+        return None if status != 0 else (model - windows.position, jacobian)
 
     return evaluate
 
@@ -177,13 +195,8 @@ def window_positions(
     ramp: int,
     u: Array,
     local: Array,
-    table: NDArray[np.int64],
-    level_epoch: Array,
-    earliest_landing: Array,
-    time: Array,
-    columns: NDArray[np.int64],
-    steps: Array,
-    local_steps: Array,
+    windows: WindowArrays,
+    steps: Steps,
     model: Array,
     jacobian: Array,
     room: Array,
@@ -191,77 +204,40 @@ def window_positions(
 ) -> int:
     """Fill ``model`` (N,) with the positions of all windows and ``jacobian`` (N, p + 6) with forward differences.
 
-    ``u`` (runs, 12), ``columns`` (runs, p) which of them each unknown is, -1 where the run does not know it.
-    Compiled as it stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.
-    ``jacobian`` of no rows: positions only.  Returns 0, or the outcome that ended the flow.
+    ``u`` (runs, 12) and ``local`` (cycles, 6) are the unknowns, ``room`` (3, N) is scratch space.  Compiled as it
+    stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.  ``jacobian`` of
+    no rows: positions only.  Returns 0, or the outcome that ended the flow.
     """
-    derivatives = jacobian.shape[0] > 0
-    p = columns.shape[1]
-    for row in range(table.shape[0]):
-        k = table[row, 0]
-        riding = table[row, 1]
-        first = table[row, 2]
-        end = first + table[row, 3]
-        part = local[k]
-        own = u[table[row, 5]]
-        which = columns[table[row, 5]]
-        times = time[first:end]
-        base = model[first:end]
-        bad = integrate_window(
-            curve,
-            ramp,
-            own,
-            part,
-            riding,
-            table[row, 4],
-            level_epoch[row],
-            earliest_landing[row],
-            times,
-            base,
-            room,
-            work,
-        )
+    p = steps.columns.shape[1]
+    for row in range(windows.table.shape[0]):
+        stick, first = windows.table[row, 1], windows.table[row, 2]
+        end = first + windows.table[row, 3]
+        run = windows.table[row, 5]
+        part, own = local[windows.table[row, 0]], u[run]
+        epoch, earliest = windows.level_epoch[row], windows.earliest_landing[row]
+        window = Window(stick, windows.table[row, 4], epoch, earliest, windows.time[first:end])
+        base, near = model[first:end], room[2, : end - first]
+        bad = integrate_window(curve, ramp, own, part, window, base, room, work)
         if bad != 0:
             return bad
-        if not derivatives:
-            continue
-        near = room[2, : end - first]
-        for j in range(p + PER_CYCLE):
-            # A jump's stick is a straight line: it knows its start and the belt's speed, nothing else.
-            line = riding == 1 and ramp == 0 and own[8] == 0.0 and own[11] == 0.0
-            if line and j != p + 4 and (j >= p or which[j] != 2):
-                continue
-            if j < p and which[j] < 0:
-                continue
+        # A jump's stick is a straight line: it knows its start and the belt's speed, nothing else.
+        line = stick == 1 and ramp == 0 and own[COMPLIANCE] == 0.0 and own[OMEGA] == 0.0
+        for j in range(p + PER_CYCLE if jacobian.shape[0] > 0 else 0):
             if j < p:
-                h = steps[j]
-                kept = own[which[j]]
-                own[which[j]] += h
+                vector, slot, h = own, steps.columns[run, j], steps.shared[j]
+                used = slot >= 0 and (not line or slot == V_DR)
             else:
-                i = j - p
-                if (riding == 1 and (i < 2 or i == 3)) or (riding == 0 and i > 3):
-                    continue
-                h = local_steps[i]
-                kept = part[i]
-                part[i] += h
-            bad = integrate_window(
-                curve,
-                ramp,
-                own,
-                part,
-                riding,
-                table[row, 4],
-                level_epoch[row],
-                earliest_landing[row],
-                times,
-                near,
-                room,
-                work,
-            )
-            if j < p:
-                own[which[j]] = kept
-            else:
-                part[j - p] = kept
+                vector, slot, h = part, j - p, steps.local[j - p]
+                if stick == 1:
+                    used = slot == X_STICK or (not line and (slot == V_STICK or slot == LEVEL))
+                else:
+                    used = slot <= NEXT_LEVEL
+            if not used:
+                continue
+            kept = vector[slot]
+            vector[slot] += h
+            bad = integrate_window(curve, ramp, own, part, window, near, room, work)
+            vector[slot] = kept
             if bad != 0:
                 return bad
             for m in range(end - first):
@@ -269,21 +245,15 @@ def window_positions(
     return 0
 
 
+def values_of(u: Array) -> Values:
+    """Return the global parameters u (12,) of one run by name, as `parameters.values`; for the kernels."""
+    return Values(u[0], math.exp(u[1]), u[2], u[3], u[4], u[5], u[6], u[7], u[8], u[9], u[10], u[11])
+
+
 def integrate_window(
-    curve: int,
-    ramp: int,
-    u: Array,
-    part: Array,
-    riding: int,
-    overtakes: int,
-    level_epoch: float,
-    earliest_landing: float,
-    times: Array,
-    out: Array,
-    room: Array,
-    work: Buffer,
+    curve: int, ramp: int, u: Array, part: Array, window: Window, out: Array, room: Array, work: Buffer
 ) -> int:
-    """Follow one window from its own start and store the position at ``times``; return 0 or an outcome.
+    """Follow one window from its own start and store the position at its times; return 0 or an outcome.
 
     The level is the cycle's own until the landing and the next one from there on, less what it has faded by.  A
     touch of the belt before ``earliest_landing`` is no landing: the mass slips on as soon as the load exceeds its
@@ -291,33 +261,46 @@ def integrate_window(
     whatever the load: its break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on
     forwards under the new level, until that stops it.
 
-    A belt that gives way under load is the flow's own droop, u[8] F/K: a jump then rides on the ramp that the belt
-    makes, and overtakes it as a ramp law would; before a break-away level and width are both raised, so that it holds
-    whatever the load.
+    A compliant belt is the flow's own droop, compliance F/K: a jump's contact then sticks on the ramp that the belt
+    makes, and overtakes it as a ramp law would; before a break-away, friction level and width are both raised, so that
+    it holds whatever the load.
 
-    A belt that ripples, by u[9] cos(u[11] t) + u[10] sin(u[11] t) in m/s, is followed in coordinates that swing with it
-    (`rig_sim.effects.ripple`): there it runs steadily and the mass is driven.  No ripple where u[11] is 0.
+    A belt that ripples, by cosine cos(omega t) + sine sin(omega t) in m/s, is followed in coordinates that move with
+    it (`rig_sim.effects.ripple`): there it runs steadily and the mass is driven.  No ripple where omega is 0.
+
+    Parameters
+    ----------
+    curve, ramp : int
+        Code of the law's curve; 1 for a ramp, 0 for a jump.
+    u : (12,) f8
+        The run's parameters, ordered and in the units of `Global`.
+    part : (6,) f8
+        The cycle's own, ordered and in the units of `PerCycle`.
+    window : Window
+        n samples.
+    out : (n,) f8
+        Filled with positions, m.
+    room : (2 or more, n or more) f8
+        Scratch space.
+    work : Buffer
     """
-    K, F, v_dr, shape, d = u[0], math.exp(u[1]), u[2], u[3], u[4]
-    n = times.size
-    at = 4 if riding == 1 else 0
-    x, v = part[at], part[at + 1]
-    u0, phase, omega = 0.0, 0.0, u[11]
+    p, times = values_of(u), window.times
+    stick, n, omega = window.stick == 1, times.size, p.omega
+    x, v = (part[X_STICK], part[V_STICK]) if stick else (part[X_SLIP], part[V_SLIP])
+    amplitude, phase = 0.0, 0.0
     if omega > 0.0:
         cosine, sine = math.cos(omega * times[0]), math.sin(omega * times[0])
-        x -= (u[9] * sine - u[10] * cosine) / omega
-        v -= u[9] * cosine + u[10] * sine
-        stiff = K / omega - omega
-        even, odd = u[10] * stiff - u[6] * u[9], -u[9] * stiff - u[6] * u[10]
-        u0, phase = math.hypot(even, odd), math.atan2(-odd, even)
-    level, following = math.exp(part[2]), math.exp(part[3])
-    w = v - v_dr
-    static = 1.0
-    hold = 1.0
-    droop = u[8] * F / K
+        x -= (p.cosine * sine - p.sine * cosine) / omega
+        v -= p.cosine * cosine + p.sine * sine
+        stiff = p.K / omega - omega
+        even, odd = p.sine * stiff - p.damping * p.cosine, -p.cosine * stiff - p.damping * p.sine
+        amplitude, phase = math.hypot(even, odd), math.atan2(-odd, even)
+    w = v - p.v_dr
+    static, hold = 1.0, 1.0
+    droop = p.compliance * p.F / p.K
     if droop > 0.0:
-        edge = droop + d if ramp == 1 else droop
-        if riding == 1 and ramp == 0:
+        edge = droop + p.d if ramp == 1 else droop
+        if stick and ramp == 0:
             hold = STICK_LOCK
             mode = RAMP
             w = min(max(w, -hold * edge), hold * edge)
@@ -325,44 +308,40 @@ def integrate_window(
             mode = RAMP
         else:
             mode = NEGATIVE if w <= 0.0 else POSITIVE
-    elif ramp == 1 and abs(w) <= d:
+    elif ramp == 1 and abs(w) <= p.d:
         mode = RAMP
-    elif ramp == 0 and riding == 1:
+    elif ramp == 0 and stick:
         mode = STICK
         static = STICK_LOCK
         w = 0.0
     else:
         mode = NEGATIVE if w <= 0.0 else POSITIVE
     work[STEPS] = 0.0
-    fade = u[7]
-    t = times[0]
-    last = times[n - 1]
-    i = 0
-    landed = riding == 1
-    base = level
+    t, last, i = times[0], times[n - 1], 0
+    landed, level = stick, math.exp(part[LEVEL])
     while i < n:
         # The level fades steadily; the flow's is constant, so it is lowered in small steps.
-        steady = fade == 0.0 or mode == STICK
+        steady = p.fade == 0.0 or mode == STICK
         end = last if steady else min(t + FADE_STEP_S, last)
-        factor = base * (1.0 - fade * (0.5 * (t + end) - level_epoch))
+        factor = level * (1.0 - p.fade * (0.5 * (t + end) - window.level_epoch))
         if not factor > 0.0:
             return NOT_FINITE
         factor *= hold
         # per unit mass; the curve reads the one shape parameter that it has
-        G, give = shape * F, hold * droop
-        flow = Flow(1.0, K, u[5], u[6], v_dr, curve, ramp, F, static, factor, G, shape, d, u0, omega, phase, give)
+        law = (curve, ramp, p.F, static, factor, p.shape * p.F, p.shape, p.d)
+        flow = Flow(1.0, p.K, p.datum, p.damping, p.v_dr, *law, amplitude, omega, phase, hold * droop)
         before = mode
         kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
         if kind >= FORCE_REVERSAL:
             return kind
-        if not landed and before == NEGATIVE and kind != 0 and t >= earliest_landing:
+        if not landed and before == NEGATIVE and kind != 0 and t >= window.earliest_landing:
             landed = True
-            base = following
+            level = math.exp(part[NEXT_LEVEL])
             if ramp == 0 and droop == 0.0:
                 static = STICK_LOCK
                 w = 0.0
-                mode = POSITIVE if overtakes == 1 else STICK
+                mode = POSITIVE if window.overtakes == 1 else STICK
     if omega > 0.0:
         for j in range(n):
-            out[j] += (u[9] * math.sin(omega * times[j]) - u[10] * math.cos(omega * times[j])) / omega
+            out[j] += (p.cosine * math.sin(omega * times[j]) - p.sine * math.cos(omega * times[j])) / omega
     return 0
