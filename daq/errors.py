@@ -48,7 +48,7 @@ class StickslipError(Exception):
 
 
 class InputError(StickslipError):
-    """Usage or bad input: the caller can mend it."""
+    """Usage or bad input: the caller can correct it."""
 
     exit_code = EXIT_INPUT
 

@@ -1,4 +1,4 @@
-"""The command `daq`: record a run, get runs from elsewhere, look after both."""
+"""The command `daq`: record runs, import them, and work with their files."""
 
 from typing import NoReturn
 

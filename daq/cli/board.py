@@ -190,7 +190,7 @@ def calibrate(
 
 
 def _reach(request: "RecordRequest") -> None:
-    """Refuse what cannot be recorded, and a port that cannot be opened, before a person is asked to do anything."""
+    """Refuse what cannot be recorded, and a port that cannot be opened, before the user is asked to do anything."""
     from daq import protocols
     from daq.recorder import ports
     from daq.recorder.record import check_request
@@ -203,7 +203,7 @@ def _reach(request: "RecordRequest") -> None:
 def _take(
     request: "RecordRequest", progress: Callable[[float], None] = lambda seconds: None
 ) -> "tuple[RecordingQuality, Recording]":
-    """Record into a folder of its own, and return what was found and the run."""
+    """Record into a temporary folder, and return the quality and the run."""
     from daq.output import disk
     from daq.recorder.record import RecordingInterruptedError, record
     from daq.runfile import store
@@ -218,7 +218,7 @@ def _take(
 
             try:
                 summary = record(replace(request, output=output), progress=both, say=application.note)
-            except RecordingInterruptedError as error:  # its journal goes with the folder
+            except RecordingInterruptedError as error:  # its journal is deleted with the folder
                 raise KeyboardInterrupt from error
             except disk.RefusedError as error:
                 do = "free space there, or set TMPDIR to a folder on another disk"

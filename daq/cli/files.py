@@ -40,10 +40,10 @@ def import_table(
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Make a run file of a table of times and positions: a CSV, from a camera for instance, or a MATLAB file.
+    """Make a run file from a table of times and positions: a CSV, for instance from a camera, or a MATLAB file.
 
-    Delimiter, decimal sign, header and units in it are found; bare numbers are SI.  With mass and stiffness the
-    frame rate is checked against the duration of the slips.
+    Delimiter, decimal sign, header and units in it are detected; numbers without a unit are SI.  With mass and
+    stiffness the frame rate is checked against the duration of the slips.
 
     Example: daq import track.csv -o run.h5 --x-unit cm --mass "300 g" --stiffness "10.5 N/m"
     """

@@ -1,4 +1,4 @@
-"""`daq firmware`: the program of a real board, and how to get it into one."""
+"""`daq firmware`: the firmware of a board, and the command that flashes it."""
 
 import os
 from pathlib import Path
@@ -37,7 +37,7 @@ def firmware(
     kind = firmware_files.board(board)
     hexfile, source = firmware_files.write(kind, output, force=force)
     if port is None:
-        # A ttyS is the machine's own: no board is behind it.
+        # A ttyS is a port of the machine itself, without a board.
         there = [found.port for found in list_ports() if found.port != SIMULATED_RIG and "ttyS" not in found.port]
         port = there[0] if len(there) == 1 else SOME_PORT
     flash = firmware_files.command(kind, hexfile, port)

@@ -37,14 +37,14 @@ def run_text(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> 
     """Return what is printed about a run that was written."""
     scale, unit = (1.0, "counts") if run.unit == "count" else (1e3, "mm")
     low, high = (scale * float(edge) for edge in (run.position.min(), run.position.max()))
-    said = [
+    printed = [
         f"{done} {data['samples']} samples in {data['duration_s']:.4g} s at {run.rate_hz:.6g} Hz",
         *lines,
         f"the mass moved between {low:.4g} and {high:.4g} {unit}",
         *warnings(data["warnings"]),
         *written(data["file"]),
     ]
-    return "\n".join(said)
+    return "\n".join(printed)
 
 
 def written(file: Path | None) -> list[str]:

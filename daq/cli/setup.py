@@ -1,4 +1,4 @@
-"""`daq doctor`: checks of the installation; `daq demo`: from pulses to a law, in a folder of its own."""
+"""`daq doctor`: checks of the installation; `daq demo`: from pulses to a law, in a new folder."""
 
 import shutil
 import subprocess
@@ -58,7 +58,7 @@ def _python() -> Check:
 
 
 def _packages() -> list[Check]:
-    """Check that each package found under our names is ours: the index has another `daq` and `fitting`."""
+    """Check that each package is that of stickslip: the package index has another `daq` and `fitting`."""
     from importlib.metadata import packages_distributions
     from importlib.util import find_spec
 
@@ -68,20 +68,20 @@ def _packages() -> list[Check]:
     for package in PACKAGES:
         spec = find_spec(package)
         origin = Path(spec.origin).resolve() if spec and spec.origin else None
-        strangers = sorted({owner for owner in owners.get(package, []) if owner != "stickslip"})
-        ours = origin is not None and origin.parent.parent == home and not strangers
+        others = sorted({owner for owner in owners.get(package, []) if owner != "stickslip"})
+        passed = origin is not None and origin.parent.parent == home and not others
         seen = str(origin.parent) if origin else "not found"
-        if strangers:
-            seen += f"; also installed by {', '.join(strangers)}"
+        if others:
+            seen += f"; also installed by {', '.join(others)}"
         remedy = "install stickslip again"
-        if strangers:
-            remedy = f"python -m pip uninstall {' '.join(strangers)}; then {remedy}"
-        checks.append(Check(f"package {package}", ours, seen, remedy))
+        if others:
+            remedy = f"python -m pip uninstall {' '.join(others)}; then {remedy}"
+        checks.append(Check(f"package {package}", passed, seen, remedy))
     return checks
 
 
 def _needs() -> Check:
-    """Check that every distribution we declare is installed in a version we accept."""
+    """Check that every required distribution is installed."""
     from importlib.metadata import PackageNotFoundError, requires, version
 
     seen, missing = [], []
@@ -144,7 +144,7 @@ def _browser() -> Check:
             found = webbrowser.get().__class__.__name__
         except webbrowser.Error:
             found = None
-    return Check("browser", True, found or "none found; reports are files that any browser opens elsewhere")
+    return Check("browser", True, found or "none found; reports are files; open them with a browser on any machine")
 
 
 def _folder() -> Check:
@@ -195,7 +195,7 @@ def demo(*, json: Json = False) -> Answer:
 
 
 class StepError(StickslipError):
-    """A step of the demo failed: its own message stands above."""
+    """A step of the demo failed: its own message was printed before."""
 
     exit_code = EXIT_DEVICE
 

@@ -1,1 +1,1 @@
-"""How every command meets a person: arguments, settings, units, errors, progress."""
+"""The command line of all four packages: arguments, settings, units, errors, progress."""

@@ -1,6 +1,6 @@
 """The terminal: results on stdout, progress and errors on stderr, one exit-code rule.
 
-A command returns an `Answer`; `main` prints it as text, or under ``--json`` as one JSON document and nothing else.
+A command returns an `Answer`; `main` prints it as text, or with ``--json`` as a single JSON document.
 Errors of `daq.errors` become one line on stderr, or ``{"error": {"what", "where", "do"}}`` on stdout under ``--json``.
 Nothing here imports numpy: arrays are written through their own ``tolist``.
 """
@@ -49,7 +49,7 @@ Whole = cyclopts.Parameter(converter=whole)
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found: its JSON document, its text, its exit code.
+    """Result of a command: its JSON document, its text, its exit code.
 
     ``text`` is a string or a rich renderable (or a sequence of them), printed when ``--json`` was not given.
     """
@@ -155,19 +155,19 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
         return _shown(answer, as_json)
     except BrokenPipeError:
         return _closed()
-    except OSError as error:  # not even an error in JSON could be written there
+    except OSError as error:  # an error in JSON could not be written there either
         do = "check the free space where stdout goes"
         return _fail(name, error.strerror or str(error), "stdout", do, EXIT_DEVICE, as_json=False)
 
 
 def _closed() -> int:
-    """Let nothing complain at exit about a stdout whose reader has gone, as `| head` does."""
+    """Avoid an error at exit when the reader of stdout has closed it, as `| head` does."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return EXIT_DONE
 
 
 def _shown(answer: object, as_json: bool) -> int:
-    """Print what a command returned; return its exit code (help and version return nothing and are done)."""
+    """Print what a command returned; return its exit code (help and version return no Answer)."""
     if not isinstance(answer, Answer):
         return EXIT_DONE
     if as_json:
@@ -179,7 +179,7 @@ def _shown(answer: object, as_json: bool) -> int:
 
 def main(app: cyclopts.App) -> NoReturn:
     """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
-    if sys.stdout is None:  # closed by the caller; nothing can be printed, but files may be wanted
+    if sys.stdout is None:  # closed by the caller; nothing can be printed, but files can be written
         sys.stdout = open(os.devnull, "w")
     sys.exit(run(app, sys.argv[1:]))
 

@@ -1,4 +1,4 @@
-"""Flags whose value is a quantity typed with its unit: a command gets it in SI, checked."""
+"""Flags whose value is a quantity with a unit: the command receives it in SI, checked."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -15,7 +15,7 @@ Force = Annotated[bool, Parameter(name="--force", negative=(), help="Replace an 
 def measured(name: str, dimension: str, text: str, key: str = "") -> Parameter:
     """Return the flag ``name`` for a `daq.runfile.rig.Measured`: '300 g', '300 g +- 1 g'.
 
-    ``key`` is the quantity of the rig whose range it must lie in; any value will do without.
+    ``key`` is the rig's quantity whose range the value must lie in; without it any value is accepted.
     """
 
     def convert(type_: Any, tokens: Sequence[cyclopts.Token]) -> Any:

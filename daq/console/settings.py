@@ -8,7 +8,7 @@ flag             environment            [board] key         what
 --columns        STICKSLIP_COLUMNS      columns             columns of text lines
 --baud           STICKSLIP_BAUD         baud                bits per second of a serial line
 --rate           STICKSLIP_RATE         rate                samples per second
---decoder        STICKSLIP_DECODER      decoder             what the board is to decode with
+--decoder        STICKSLIP_DECODER      decoder             the board's decoder
 --rig            STICKSLIP_RIG          (not there)         the rig.toml itself
 ===============  =====================  ==================  ===========================================================
 
@@ -35,7 +35,7 @@ FIELDS = {"rate": "rate_hz"}  # where a field of the request has another name th
 @Parameter(name="*")
 @dataclass(frozen=True)
 class BoardFlags:
-    """The flags about the board and its rig, as typed; an argument of a command, a flag of each field."""
+    """The flags about the board and its rig, as typed; an argument of a command, one flag for each field."""
 
     port: Annotated[str | None, Parameter(help="Device or URL; default the simulated rig.")] = None
     rate: Annotated[
@@ -60,14 +60,14 @@ NO_FLAGS = BoardFlags()
 
 
 def resolve(flags: BoardFlags) -> dict[str, Any]:
-    """Return the settings of a command that any place has, by the fields of `daq.protocols.request.RecordRequest`.
+    """Return the settings given by any source, by the fields of `daq.protocols.request.RecordRequest`.
 
     ``calibration`` is the text of the rig.toml.
 
     Raises
     ------
     InputError
-        A file that is missing or no TOML, an unknown key (with its nearest neighbour), a value of the wrong kind.
+        A file that is missing or not TOML, an unknown key (with its nearest neighbour), a value of the wrong kind.
     """
     user = _user()
     named = os.environ.get("STICKSLIP_RIG") or user.get("rig")
@@ -92,14 +92,14 @@ def board_section(text: str, where: str) -> dict[str, Any]:
 
 
 def board_toml(known: Mapping[str, Any]) -> str:
-    """Return a section [board] with what `resolve` found; nothing where it found nothing."""
+    """Return a section [board] with the result of `resolve`; empty when that is empty."""
     values = {key: known[FIELDS.get(key, key)] for key in KEYS if FIELDS.get(key, key) in known}
     lines = [f"{key} = {quoted(value) if isinstance(value, str) else value}" for key, value in values.items()]
     return "\n".join(["[board]", *lines]) + "\n" if lines else ""
 
 
 def user_config() -> Path:
-    """Return where the user's own configuration is looked for."""
+    """Return the path of the user's configuration."""
     home = os.environ.get("XDG_CONFIG_HOME")
     return (Path(home) if home else Path.home() / ".config") / "stickslip" / "config.toml"
 
@@ -109,7 +109,7 @@ def _user() -> dict[str, Any]:
     try:
         if not path.is_file():
             return {}
-    except OSError:  # a home that may not be looked into
+    except OSError:  # a home directory without read permission
         return {}
     where = str(path)
     content = read_toml(_read(path, where), where)

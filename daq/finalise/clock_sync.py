@@ -42,7 +42,7 @@ BELIEVABLE = 0.02  # a crystal is within 0.01 %, a ceramic resonator within 0.5 
 # A thread that waits for a read is woken within less, most of the time.  Twice as much moves each end of the drift's
 # interval by 0.25 ms over the length of the run, 4 ppm in a minute.
 READ_LATENCY_S = 2.5e-4
-LIKELY_PPM = 8.0  # wider than this, an interval tells of polls in step with the host
+LIKELY_PPM = 8.0  # a wider interval means polls in step with the host
 TOO_EARLY_S = 0.05  # below the robust line by more than this, a stamp is wrong and not early
 
 

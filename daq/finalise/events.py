@@ -1,4 +1,4 @@
-"""What happened during a run: sample, kind and a few words each, for the run file's events.
+"""Events of a run, for the run file: sample, kind and a short note each.
 
 Of consecutive flagged samples only the first is an event; its note gives their number, and the flags of the samples
 mark each one.
@@ -21,18 +21,20 @@ RunEvent = tuple[int, int, str]
 def events_of(
     samples: Samples,
     checked: CheckedCounts,
-    said: Sequence[decode.Stream],
+    streams: Sequence[decode.Stream],
     markers: Sequence[tuple[int, str]],
     rate_hz: float,
 ) -> list[RunEvent]:
-    """Return everything that happened, in order of its sample.
+    """Return the events in order of their samples.
 
     Parameters
     ----------
-    said : sequence of Stream
-        The connections: their notices, and the lines that were damaged.
+    streams : sequence of Stream
+        The connections, with their notices and damaged frames.
     markers : sequence of (int, str)
-        Stamp in monotonic ns, text; one that was set before or after the run is left out.
+        Stamp in monotonic ns, text; markers set before or after the run are omitted.
+    rate_hz : float
+        Nominal rate, Hz.
     """
     found: list[RunEvent] = []
     for start, why in zip(checked.starts[1:].tolist(), checked.reasons[1:], strict=True):
@@ -54,7 +56,7 @@ def events_of(
         for first, end in runs(checked.flags & flag > 0):
             found.append((first, EVENTS[name], f"{end - first} samples"))
     frames = 0
-    for connection in said:
+    for connection in streams:
         noted = [(int(frame), "crc", "") for frame in connection.crc_frame]
         noted += [(frame, "notice", text) for frame, text in connection.notices]
         for frame, name, note in noted:

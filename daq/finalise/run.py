@@ -1,7 +1,7 @@
-"""From a journal to a run file: the one finaliser behind ``daq record`` on stop and ``daq recover`` after a crash.
+"""From a journal to a run file: used by ``daq record`` on stop and by ``daq recover`` after a crash.
 
-Everything in the run comes out of the journal and its markers, times and provenance too, so that both ways give the
-same file byte for byte, but for who finished it.
+Everything in the run comes from the journal and its markers, times and provenance too.  So both commands write the same
+file byte for byte, except for the name of the command.
 """
 
 from collections.abc import Sequence
@@ -38,9 +38,9 @@ def finalise(part: Path, output: Path, *, finished_by: str, force: bool = False)
     Raises
     ------
     InputError
-        The journal is missing or none of ours, or ``output`` exists.
+        The journal is missing or not a journal, or ``output`` exists.
     DataError
-        The journal holds no samples.  It stays where it is, as after every other error.
+        The journal holds no samples.  It is kept, as after every other error.
     """
     atomic.refuse_existing(output, force)
     markers = journal.markers_path(part)
@@ -56,7 +56,7 @@ def finalise(part: Path, output: Path, *, finished_by: str, force: bool = False)
 def run_data(
     recorded: journal.Journal, markers: Sequence[tuple[int, str]] = (), finished_by: str = ""
 ) -> tuple[Recording, RecordingQuality]:
-    """Turn a journal into a run, and say what was found in it.
+    """Return the run in a journal, and its quality.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def run_data(
 
 
 def _no_samples(recorded: journal.Journal) -> DataError:
-    return DataError("holds no samples", str(recorded.path), "see that the board sends, then record again")
+    return DataError("holds no samples", str(recorded.path), "check that the board sends, then record again")
 
 
 def _raw(samples: Samples, checked: CheckedCounts, tick_ns: int) -> Raw:
@@ -140,7 +140,7 @@ def _raw(samples: Samples, checked: CheckedCounts, tick_ns: int) -> Raw:
 
 
 def _edge_us(edge: NDArray[np.uint16], tick_ns: int) -> NDArray[np.uint16]:
-    """Return the time since the last edge in us; "none" stays what it is on the wire."""
+    """Return the time since the last edge in us; "none" keeps its value on the wire."""
     us = edge.astype(np.int64) * tick_ns // 1000
     return np.where(edge == frames.NO_EDGE, frames.NO_EDGE, us).astype(np.uint16)
 
@@ -148,7 +148,7 @@ def _edge_us(edge: NDArray[np.uint16], tick_ns: int) -> NDArray[np.uint16]:
 def _calibration(
     recorded: journal.Journal, streams: Sequence[decode.Stream], ident: frames.Ident | None
 ) -> tuple[str, Rig, list[str]]:
-    """Return the configuration's text and the rig it describes; the decoder is the one that the board names."""
+    """Return the configuration's text and the rig it describes; the decoder is the one that the board reports."""
     given = [
         record.data.decode(errors="replace") for record in recorded.records if record.kind == journal.CONFIGURATION
     ]

@@ -1,8 +1,8 @@
-"""From a journal to one row of samples: connections decoded, frames placed, parts set on one time axis.
+"""From a journal to one sequence of samples: connections decoded, frames ordered, parts set on one time axis.
 
-A part is what one start of the board gave: it ends where the port was lost or the board restarted, and the next one
-begins with its own sequence numbers and device time.  The device's clock is the time axis.  A later part is placed on
-it by the host's clock, with the least delay seen in the last seconds before and the first seconds after the gap.
+A part holds the samples after one start of the board: it ends where the port was lost or the board restarted, and the
+next one begins with its own sequence numbers and device time.  The device's clock is the time axis.  A later part is
+placed on it by the host's clock, with the least delay of the last seconds before and the first seconds after the gap.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,9 @@ from daq.runfile import journal
 from daq.wire import counters, decode
 from daq.wire import frames as wire
 
-PLACE_S = 2.0  # seconds on either side of a gap in which the least delay is looked for
+# Seconds on either side of a gap in which the least delay is searched.  Half finds fewer undelayed reads; double lets
+# the drift of the clocks (100 ppm) add 0.2 ms more to the placement.  Not swept.
+PLACE_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Samples:
     reopened : tuple of bool
         Of each part: whether it follows a lost port (else a restart of the board).
     index, ticks : (n,) int64
-        Sequence number and device time without roll-over, as in the board's words.
+        Sequence number and device time without roll-over, in the board's units.
     frame : (n,) int64
         Which frame it came in, counted over all connections; frames that gave no sample are counted, too.
     stamp_ns : (n,) int64
@@ -63,7 +65,7 @@ class Samples:
         return len(self.time)
 
     def take(self, where: NDArray[np.bool_]) -> "Samples":
-        """Return the samples ``where`` holds."""
+        """Return the samples for which ``where``, (n,), is True."""
         chosen: dict[str, Any] = {}
         for field in fields(self):
             column = getattr(self, field.name)
@@ -74,7 +76,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class TruthRows:
-    """Rows of truth as sent, m of them: the part and sequence number they belong to, and time, x, v, F."""
+    """Rows of the exact motion as sent: part and sequence number, (m,); time, x, v, F in s, m, m/s, N, (m, 4)."""
 
     part: NDArray[np.int64]
     index: NDArray[np.int64]
@@ -82,7 +84,7 @@ class TruthRows:
 
 
 def connections(taken: journal.Journal) -> list[decode.Stream]:
-    """Return what each connection said: a new one begins where the port was reopened.
+    """Return the decoded stream of each connection: a new one begins where the port was reopened.
 
     Raises
     ------
@@ -99,8 +101,11 @@ def connections(taken: journal.Journal) -> list[decode.Stream]:
     return [backend.decode(part, taken.header) for part in reads]
 
 
-def assemble(said: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[Samples, TruthRows]:
-    """Set the samples of all connections on one time axis; at least one of them must hold samples."""
+def assemble(streams: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[Samples, TruthRows]:
+    """Set the samples of all connections on one time axis; at least one of them must hold samples.
+
+    ``rate_hz`` is the nominal rate, Hz; ``tick_ns`` the tick of the device's clock, ns.
+    """
     ticks_per_sample = 1e9 / (rate_hz * tick_ns)
     flat: list[Samples] = []
     truths: list[TruthRows] = []
@@ -108,7 +113,7 @@ def assemble(said: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[S
     frames = 0
     reopened: list[bool] = []
     late = 0
-    for connection in said:
+    for connection in streams:
         order = counters.order_frames(
             connection.seq, connection.ticks, connection.n, ticks_per_sample, connection.idents
         )
@@ -129,7 +134,7 @@ def assemble(said: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[S
 
 
 def run_index(samples: Samples, rate_hz: float) -> NDArray[np.int64]:
-    """Return the place of each sample in the run's own count of periods, lost ones and gaps included."""
+    """Return the sample periods from the start of the run to each sample, (n,), lost samples and gaps included."""
     place = samples.index.copy()
     for part, first in parts_of(samples):
         if part > 0:
@@ -138,7 +143,7 @@ def run_index(samples: Samples, rate_hz: float) -> NDArray[np.int64]:
 
 
 def parts_of(samples: Samples) -> Iterator[tuple[int, slice]]:
-    """Yield each part's number and where its samples are."""
+    """Yield each part's number and the slice of its samples."""
     cuts = np.flatnonzero(np.diff(samples.part)) + 1
     edges = [0, *cuts.tolist(), len(samples)]
     for k, start in enumerate(edges[:-1]):
@@ -146,31 +151,31 @@ def parts_of(samples: Samples) -> Iterator[tuple[int, slice]]:
             yield int(samples.part[start]), slice(start, edges[k + 1])
 
 
-def _samples(said: decode.Stream, order: counters.Order, part: NDArray[np.int64], frames: int) -> Samples:
+def _samples(stream: decode.Stream, order: counters.Order, part: NDArray[np.int64], frames: int) -> Samples:
     """Return the samples of the frames that are kept, their times still to be set."""
-    frame = np.repeat(np.arange(len(said.n)), said.n)
-    within = np.arange(len(frame)) - said.first[frame]
-    elapsed = np.cumsum(said.dt, dtype=np.int64)
+    frame = np.repeat(np.arange(len(stream.n)), stream.n)
+    within = np.arange(len(frame)) - stream.first[frame]
+    elapsed = np.cumsum(stream.dt, dtype=np.int64)
     made = Samples(
         time=np.zeros(len(frame)),
         part=part[frame],
         reopened=(),
         index=order.index[frame] + within,
-        ticks=order.ticks[frame] + elapsed - elapsed[said.first[frame]],
+        ticks=order.ticks[frame] + elapsed - elapsed[stream.first[frame]],
         frame=frames + frame,
-        stamp_ns=said.stamp_ns[frame],
-        up=said.up,
-        down=said.down,
-        status=said.status,
-        illegal=said.illegal[frame].astype(np.uint16),
-        belt=said.belt,
-        edge=said.edge,
+        stamp_ns=stream.stamp_ns[frame],
+        up=stream.up,
+        down=stream.down,
+        status=stream.status,
+        illegal=stream.illegal[frame].astype(np.uint16),
+        belt=stream.belt,
+        edge=stream.edge,
     )
     return made if np.all(order.keep) else made.take(order.keep[frame])
 
 
 def _joined(flat: list[Samples], reopened: tuple[bool, ...]) -> Samples:
-    """Return the samples of all connections in a row; an optional column stands only when all have it."""
+    """Return the samples of all connections in order; an optional column is kept only when all have it."""
     columns: dict[str, Any] = {}
     for field in fields(Samples):
         pieces = [getattr(piece, field.name) for piece in flat]
@@ -205,12 +210,12 @@ def _host_at(samples: Samples, here: slice, device: NDArray[np.float64], last: b
     return at + float(np.min(stamps[near] - device[near]))
 
 
-def _truth(said: decode.Stream, order: counters.Order, part: NDArray[np.int64]) -> TruthRows:
-    """Return the rows of truth, each placed by the sample frame it came after."""
-    beside = np.clip(said.truth_frame - 1, 0, None)
-    offset = (said.truth_seq - said.seq[beside] + 0x8000 & 0xFFFF) - 0x8000
+def _truth(stream: decode.Stream, order: counters.Order, part: NDArray[np.int64]) -> TruthRows:
+    """Return the rows of the exact motion, each placed by the sample frame before it."""
+    beside = np.clip(stream.truth_frame - 1, 0, None)
+    offset = (stream.truth_seq - stream.seq[beside] + 0x8000 & 0xFFFF) - 0x8000
     placed = order.keep[beside]
-    return TruthRows(part[beside][placed], (order.index[beside] + offset)[placed], said.truth[placed])
+    return TruthRows(part[beside][placed], (order.index[beside] + offset)[placed], stream.truth[placed])
 
 
 def _joined_truth(truths: list[TruthRows]) -> TruthRows:
@@ -221,6 +226,6 @@ def _joined_truth(truths: list[TruthRows]) -> TruthRows:
     )
 
 
-def first_ident(said: list[decode.Stream]) -> wire.Ident | None:
+def first_ident(streams: list[decode.Stream]) -> wire.Ident | None:
     """Return the board's first identification."""
-    return next((connection.ident for connection in said if connection.ident is not None), None)
+    return next((connection.ident for connection in streams if connection.ident is not None), None)

@@ -21,7 +21,7 @@ from daq.errors import InputError
 CANDIDATES = tuple((d, s) for d in "\t;, |" for s in ".," if (d, s) != (",", ","))
 DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
 COMMENTS = ("#", "%", "//")
-LOOKED_AT = 400  # lines from which delimiter and decimal sign are found
+FORMAT_LINES = 400  # lines from which delimiter and decimal sign are found; of a longer file, evenly spaced
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
 
@@ -62,7 +62,7 @@ class Table:
         return DELIMITER_NAMES[self.delimiter] if self.width > 1 else "none"
 
     def label(self, column: int) -> str:
-        """Return how a column is called in messages."""
+        """Return the name of a column in messages."""
         return f"column {self.names[column]!r}" if self.names else f"column {column + 1}"
 
     def numbers(self, column: int) -> list[float]:
@@ -71,7 +71,7 @@ class Table:
         Raises
         ------
         InputError
-            For the first cell that is no finite number, naming line, column and value.
+            For the first cell that is not a finite number, naming line, column and value.
         """
         out = []
         for line, row in zip(self.lines, self.rows, strict=True):
@@ -86,7 +86,7 @@ class Table:
 
 
 def number(cell: str, decimal: str) -> float | None:
-    """Return a cell as a number (which may be nan or inf), or None when it is none."""
+    """Return a cell as a number (which may be nan or inf), or None when it is not a number."""
     text = cell.strip().replace("\N{MINUS SIGN}", "-")
     if decimal == ",":
         if "." in text:
@@ -101,12 +101,12 @@ def read(path: Path) -> Table:
     Raises
     ------
     InputError
-        When the file is missing, no text, empty, or its lines differ in length, naming the line.
+        When the file is missing, not text, empty, or its lines differ in length, naming the line.
     """
     lines = _lines(path)
     named = None
     if lines and lines[0][1].lower().startswith("sep=") and len(lines[0][1]) == 5:
-        named = lines.pop(0)[1][4]  # a spreadsheet's own note
+        named = lines.pop(0)[1][4]  # written by spreadsheets
     texts = [text for _, text in lines]
     delimiter, decimal = _format(texts, named)
     start = _first_data(texts, delimiter, decimal)
@@ -147,7 +147,7 @@ def split(text: str, delimiter: str) -> list[str]:
 
 
 def header(text: str, delimiter: str, width: int) -> list[str]:
-    """Return the cells of a header; between spaces, ``x (cm)`` is one name; a closing delimiter is no column."""
+    """Return the cells of a header; between spaces, ``x (cm)`` is one name; a closing delimiter adds no column."""
     if delimiter == " " and len(text.split()) != width:
         wide = re.split(r"\s{2,}|\t", text.strip())
         return wide if len(wide) == width else re.split(r"\s+(?![(\[])", text.strip())
@@ -188,7 +188,7 @@ def _first_data(texts: list[str], delimiter: str, decimal: str) -> int:
 
 def _format(texts: list[str], named: str | None) -> tuple[str, str]:
     half = texts[len(texts) // 2 :]
-    sample = half[:: max(1, len(half) // LOOKED_AT)]
+    sample = half[:: max(1, len(half) // FORMAT_LINES)]
     best, best_score = CANDIDATES[0], 0.0
     for delimiter, decimal in CANDIDATES:
         if named is not None and delimiter != named:
@@ -203,7 +203,7 @@ def _format(texts: list[str], named: str | None) -> tuple[str, str]:
         start = _first_data(texts, delimiter, decimal)
         if 0 < start < len(texts):
             names = header(texts[start - 1], delimiter, width)
-            # One name that holds another delimiter is no single name.
+            # A name that contains another delimiter is more than one name.
             if len(names) != width or (width == 1 and any(mark in names[0] for mark in "\t;,|")):
                 score *= 0.5
         if score > best_score:

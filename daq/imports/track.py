@@ -1,6 +1,6 @@
 """A table of t, x (a CSV, a MATLAB file) made into a run file: columns and units are found, the frame rate is checked.
 
-Times must increase; they need not be even.  Nothing is repaired: a bad line is refused by its number.
+Times must increase; they need not be even.  Nothing is repaired: a bad line is refused, with its number.
 """
 
 import hashlib
@@ -20,8 +20,10 @@ from daq.output import provenance
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig, quoted
 
+# Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
+# is 1 % in velocity: double leaves 2 % uncorrected, half corrects what rounded times cause.  Not swept.
 FRAME_RATE_TOLERANCE = 1.01
-FARTHEST_M = 1e6  # no rig is larger: a position beyond is a typing error or a wrong unit
+FARTHEST_M = 1e6  # a larger position is a typing error or a wrong unit
 
 
 @dataclass(frozen=True)
@@ -123,13 +125,13 @@ def _rate(time: NDArray[np.float64]) -> float:
 
 
 def _retimed(time: NDArray[np.float64], rate_hz: float, warnings: list[str]) -> NDArray[np.float64]:
-    # The flag is the camera's own rate, the column is what the tracking program believed it to be.
-    believed = _rate(time)
-    ratio = believed / rate_hz
+    # The flag is the camera's true rate; the column of times uses the rate that the tracking program assumed.
+    assumed = _rate(time)
+    ratio = assumed / rate_hz
     if 1 / FRAME_RATE_TOLERANCE <= ratio <= FRAME_RATE_TOLERANCE:
         return time
     warnings.append(
-        f"the column of times gives {believed:.4g} frames/s, --frame-rate {rate_hz:.4g}: "
+        f"the column of times gives {assumed:.4g} frames/s, --frame-rate {rate_hz:.4g}: "
         f"times were multiplied by {ratio:.6g} to agree with the flag"
     )
     return time * ratio

@@ -26,7 +26,7 @@ PROTOCOLS = {
 
 
 def load(name: str, where: str = "--protocol") -> "Backend":
-    """Return a protocol's module; InputError for a name that is none."""
+    """Return a protocol's module; InputError for an unknown name."""
     from importlib import import_module
 
     if name not in PROTOCOLS:

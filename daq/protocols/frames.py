@@ -1,4 +1,4 @@
-"""Our own binary frames (`daq.wire.frames`): boards with our firmware and the simulated rig, byte for byte the same."""
+"""Binary frames (`daq.wire.frames`): boards with the project's firmware and the simulated rig, with the same bytes."""
 
 import time
 from collections.abc import Iterable, Mapping
@@ -19,7 +19,7 @@ RATE_HZ = 1000
 
 
 def check(request: RecordRequest) -> None:
-    """Refuse columns, which frames declare themselves, and a decoder that there is not."""
+    """Refuse columns, which frames declare themselves, and an unknown decoder."""
     if request.columns is not None:
         raise InputError("frames declare their columns themselves", "--columns", "leave it out: it is for text")
     if request.decoder is not None and request.decoder not in frames.DECODERS:
@@ -39,21 +39,21 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
 
 
 class Frames(Session):
-    """A session in our own protocol."""
+    """A session in the protocol of the project's firmware."""
 
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         super().__init__(port, url, request)
         self._settings: tuple[str, ...] = ()
 
     def identify(self) -> Identity:
-        """Stop whatever runs and ask the board who it is.
+        """Stop a running stream and ask for the identification.
 
         Raises
         ------
         DeviceError
-            No answer, or none in our protocol; or the board does not have the decoder.
+            No answer, or none in this protocol; or the board does not have the decoder.
         """
-        self.send("", "X")  # the empty line ends a half-sent command of somebody who crashed
+        self.send("", "X")  # the empty line ends an incomplete command of a program that crashed
         strange = self.drain()
         identity = self._ask(strange)
         if self.request.decoder in (None, identity.ident.decoder):
@@ -68,12 +68,12 @@ class Frames(Session):
         return Plan(rate_hz, block, link_budget.bytes_per_s(identity.ident, rate_hz, block))
 
     def prepare(self, plan: Plan) -> Identity:
-        """Set rate and samples per frame; the next identification is the receipt.
+        """Set rate and samples per frame; the next identification confirms them.
 
         Raises
         ------
         DeviceError
-            The board refuses; its own words are in the message.
+            The board refuses; the message contains its reason.
         """
         self._settings = f"R {round(plan.rate_hz)}", f"B {plan.block}"
         self.send(*self._settings)
@@ -91,12 +91,12 @@ class Frames(Session):
         self.send("S")
 
     def restart(self) -> None:
-        """Set a board that has just reset back to work, without waiting for answers."""
+        """Configure and start a board that has just reset, without waiting for answers."""
         decoder = [] if self.request.decoder is None else [f"M {self.request.decoder}"]
         self.send(*decoder, *self._settings, "S")
 
     def stop(self) -> None:
-        """Stop the samples; the partial block still comes."""
+        """Stop the samples; the board still sends the incomplete block."""
         self.send("X")
 
     def tally(self) -> "FrameTally":

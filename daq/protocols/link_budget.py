@@ -60,13 +60,15 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
         load = plan.bytes_per_s
         room = baud / BITS_PER_BYTE
         most = int(rate_hz * room / load)
-        said = f"{rate_hz:g} Hz in frames of {plan.block} is {load:.0f} bytes/s, and {baud} baud carries {room:.0f}"
+        load_text = (
+            f"{rate_hz:g} Hz in frames of {plan.block} is {load:.0f} bytes/s, and {baud} baud carries {room:.0f}"
+        )
         if load > room and plan.comes_already:
             return warnings  # more than a serial line carries: its baud rate is only a name, as with native USB
         if load > room:
-            raise InputError(said, "--rate", f"give --rate {most} or less, or a faster line")
+            raise InputError(load_text, "--rate", f"give --rate {most} or less, or a faster line")
         if load > TIGHT * room:
-            warnings.append(f"{said}: no reserve; {int(TIGHT * most)} Hz would leave a reserve")
+            warnings.append(f"{load_text}: no reserve; {int(TIGHT * most)} Hz would leave a reserve")
     return warnings
 
 
@@ -101,7 +103,7 @@ def _check_roll_over(ident: frames.Ident, rig: Rig, rate_hz: float) -> None:
 
 
 def _check_edges(ident: frames.Ident, rig: Rig) -> list[str]:
-    """Warn when a slip would outrun the decoder; refuse nothing: only the run tells how fast it will be."""
+    """Warn when a slip would outrun the decoder; refuse nothing, since the speed is known only after the run."""
     peak = SLIP_OVER_BELT * belt_edge_rate_hz(rig)
     if peak <= ident.max_edge_rate_hz or ident.max_edge_rate_hz == 0:
         return []

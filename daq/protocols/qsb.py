@@ -36,9 +36,9 @@ BAUD = 230_400
 TICK_HZ = 512
 TICK_NS = 1_000_000_000 // TICK_HZ  # 1.953125 ms, exactly
 RECORD_BYTES = 21
-LONGEST_RECORD = 64  # bytes; what is longer without a "!" is damage
+LONGEST_RECORD = 64  # bytes; a longer one without a "!" is damaged
 MODES = {"x1": "1", "x4": "3"}
-REPLY_S = 1.0
+REPLY_S = 1.0  # for the acknowledgement of one setting; not measured on the device
 _SAMPLE = re.compile(rb"s[0-9A-Fa-f]{18}")
 _RECORD = re.compile(rb"[rwse][0-9A-Fa-f]{10}(?:[0-9A-Fa-f]{8})?")
 _ERROR = re.compile(rb"e[0-9A-Fa-f]{0,18}")
@@ -47,7 +47,7 @@ _SPACE = b" \r\n"
 
 
 def check(request: RecordRequest) -> None:
-    """Refuse what no QSB can do."""
+    """Refuse what a QSB cannot do."""
     if request.rate_hz is not None and request.rate_hz > TICK_HZ:
         what = f"{request.rate_hz} Hz is more than a QSB can: its tick of 1/512 s allows at most {TICK_HZ} Hz"
         raise InputError(what, "--rate", f"give --rate {TICK_HZ} or less, or use a board with our firmware")
@@ -79,7 +79,7 @@ def ident(decoder: str | None, interval: int = 1) -> frames.Ident:
 
 
 def _parse(line: bytes) -> Row | Other:
-    """Return what a record holds; spaces in it mean nothing."""
+    """Return the values in a record; spaces in it are ignored."""
     record = line.translate(None, _SPACE)
     if _SAMPLE.fullmatch(record):
         return int(record[11:], 16), int(record[3:11], 16)
@@ -110,12 +110,12 @@ class Qsb(Session):
         self._settings: tuple[str, ...] = ()
 
     def identify(self) -> Identity:
-        """Stop a stream that runs and ask for the identity.
+        """Stop a running stream and ask for the identity.
 
         Raises
         ------
         DeviceError
-            No answer, or none of a QSB.
+            No answer, or not that of a QSB.
         """
         self.send("", "W160", "R0E")
         heard = len(self.drain())
@@ -149,10 +149,10 @@ class Qsb(Session):
         Raises
         ------
         DeviceError
-            It does not acknowledge a setting.
+            It did not acknowledge a setting.
         """
         mode = MODES[self.request.decoder or "x4"]
-        # 0B may be missing in older ones, which then send every sample anyway.
+        # Older devices may lack register 0B; they send every sample anyway.
         self._settings = ("W155", f"W03{mode}", "W0B0", f"W0C{self._interval:X}", "W0D1")
         for command in self._settings:
             self.send(command)
@@ -166,7 +166,7 @@ class Qsb(Session):
         self.send("S0E")
 
     def restart(self) -> None:
-        """Set a QSB that has just reset back to work."""
+        """Configure and start a QSB that has just reset."""
         self.send(*self._settings, "S0E")
 
     def stop(self) -> None:
@@ -178,7 +178,7 @@ class Qsb(Session):
         return LineTally(reader, self._interval)
 
     def _reply(self, begins: bytes, within_s: float) -> tuple[bytes | None, int]:
-        """Return the record that answers a command, None when none or an error comes; and the bytes read."""
+        """Return the record that answers a command, None for an error or no answer; and the number of bytes read."""
         splitter = Splitter(b"!", LONGEST_RECORD)
         until = time.monotonic() + within_s
         heard = 0

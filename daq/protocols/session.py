@@ -1,15 +1,15 @@
-"""A session with a board: what the recorder asks of every protocol, and the reading that all of them share.
+"""A session with a board: the interface of every protocol, and the reading that they share.
 
-States of a session, and what moves it on::
+States of a session, and the calls that change them::
 
-    silent     opened; the board may be anything: booting, still streaming for somebody who crashed
-      identify()  who is there
+    silent     opened; the board may be anything: booting, still streaming for a program that crashed
+      identify()  find out which board it is
     idle
-      plan()      what rate it will be, and what that costs the line; nothing is sent
+      plan()      choose the rate, and compute its load on the line; nothing is sent
       prepare()   set the board up; its answer is the receipt
     ready
       start()
-    streaming  read() belongs to the recorder now; restart() sets a board back to work that has reset
+    streaming  read() belongs to the recorder now; restart() starts a board again that has reset
       stop()
     idle       the rest of the stream may still come
 """
@@ -28,14 +28,16 @@ if TYPE_CHECKING:
     from daq.wire.decode import Stream
 
 ANSWER_S = 5.0  # an Arduino resets when its port is opened and boots for up to 2 s
-ASK_AGAIN_S = 0.5
-QUIET_S = 0.05  # a line this long without a byte has run dry
-DRAIN_S = 2.0
-MOST_AT_ONCE = 4096  # bytes of a read from a port that does not say how many wait
+ASK_AGAIN_S = 0.5  # between two requests for identification; a board that boots answers each of those it received
+# A line without a byte for so long is idle.  USB chips deliver in batches of at most 16 ms: half would still cover one,
+# double only makes each drain 50 ms longer.
+QUIET_S = 0.05
+DRAIN_S = 2.0  # a board that streams all the time is drained no longer than this
+MOST_AT_ONCE = 4096  # bytes of a read from a port that does not report how many are waiting
 
 
 class Port(Protocol):
-    """What a session needs of an open port: the part of pyserial that every one of its handlers has."""
+    """An open port: the part of pyserial's interface that all of its handlers have."""
 
     @property
     def in_waiting(self) -> int:
@@ -48,7 +50,7 @@ class Port(Protocol):
         """Send."""
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
 
     def __enter__(self) -> "Port": ...
 
@@ -78,9 +80,9 @@ class Plan:
     bytes_per_s : float
         Load on the line.
     notes : tuple of str
-        What the user should know, such as a rate that is not quite the one asked for.
+        Remarks for the user, such as a rate that differs slightly from the requested one.
     comes_already : bool
-        The load was measured, so the line carries it.
+        The load was measured on the line, so the line carries it.
     """
 
     rate_hz: float
@@ -100,7 +102,7 @@ class Tally(ABC):
     resets : int
         Restarts of the board seen after the first sample.
     notice : str
-        The board's message when it stopped by itself.
+        The board's message when it stopped on its own.
     """
 
     def __init__(self) -> None:
@@ -113,18 +115,18 @@ class Tally(ABC):
         """Take bytes as they came."""
 
     def begin_again(self, reached: int) -> None:
-        """Begin anew with a stream that starts ``reached`` periods after the first one."""
+        """Start again with a stream that starts ``reached`` periods after the first one."""
         self.reached = max(self.reached, reached)
 
 
 class Session(ABC):
-    """One board on one port: what the recorder asks of every protocol, and the reading that all of them share.
+    """One board on one port: the interface of every protocol, and the reading that they share.
 
     Attributes
     ----------
     received : list of (int, bytes)
-        What came before the start, from the last identification on, with the host's monotonic stamp in ns: it opens
-        the journal.
+        Bytes received before the start, from the last identification on, with the host's monotonic time stamp in ns.
+        They are the first in the journal.
 
     Notes
     -----
@@ -139,7 +141,7 @@ class Session(ABC):
 
     @abstractmethod
     def identify(self) -> Identity:
-        """Find out who is there; DeviceError when nobody answers, or not in this protocol."""
+        """Identify the board; DeviceError when there is no answer, or none in this protocol."""
 
     @abstractmethod
     def plan(self, identity: Identity) -> Plan:
@@ -155,7 +157,7 @@ class Session(ABC):
 
     @abstractmethod
     def restart(self) -> None:
-        """Set a board that has just reset back to work, without waiting for answers."""
+        """Configure and start a board that has just reset, without waiting for answers."""
 
     @abstractmethod
     def stop(self) -> None:
@@ -178,14 +180,14 @@ class Session(ABC):
         return data
 
     def close(self) -> None:
-        """Let go of the port; one that is gone already is no error."""
+        """Close the port; a port that is already gone raises nothing."""
         try:
             self.port.close()
         except OSError:
             return
 
     def drain(self) -> bytes:
-        """Read until the line has run dry, and return what came."""
+        """Read until the line is idle, and return the bytes."""
         parts = []
         until = time.monotonic() + DRAIN_S
         quiet = time.monotonic() + QUIET_S
@@ -204,7 +206,7 @@ class Session(ABC):
 
 
 class Backend(Protocol):
-    """What a protocol's module offers."""
+    """Functions that a protocol's module provides."""
 
     BAUD: int
 

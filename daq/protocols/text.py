@@ -2,7 +2,7 @@ r"""Lines of numbers, one per sample, as any sketch prints them; the user declar
 
 ``--columns t_us,up,down``: names in the order of the line, separated by commas; the line itself may use commas,
 semicolons, tabs or spaces.  A sign, a decimal point in a time, and ``\r\n`` are understood; a line that begins with
-``#`` is a remark.  Exactly one time, and either a net count or both counters:
+``#`` is a comment.  Exactly one time, and either a net count or both counters:
 
 ==================  ===================================================================================================
 column              holds
@@ -12,8 +12,8 @@ up  down            the two counters; ``up:16`` and ``down:16`` when they roll o
 count               net count, signed (also ticks); ``count:16`` when it rolls over at 2^16
 a  b                levels of the channels, 0 or 1
 illegal             illegal transitions counted so far
-xor                 two hex digits: XOR of the bytes before the separator in front of them, the one checksum there is
-``-``               anything: left out
+xor                 two hex digits: XOR of the bytes before the separator in front of them, the only checksum
+``-``               anything; ignored
 ==================  ===================================================================================================
 
 The rate is the sketch's own: it is measured before the recording starts.  Nothing is sent to the board.
@@ -63,7 +63,7 @@ _SEPARATOR = r"(?:[,;]|[ \t]+[,;]?)[ \t]*"
 
 
 def check(request: RecordRequest) -> None:
-    """Refuse columns that cannot be read, and a decoder that there is not."""
+    """Refuse columns that cannot be read, and an unknown decoder."""
     columns(request.columns)
     if request.decoder is not None and request.decoder not in frames.DECODERS:
         raise InputError(f"unknown decoder {request.decoder!r}", "--decoder", nearest(request.decoder, frames.DECODERS))
@@ -81,7 +81,7 @@ class Columns:
     Attributes
     ----------
     pattern : re.Pattern
-        Of a whole line; its last group is empty and stands for what is not declared.
+        Of a whole line; its last group is empty and takes the place of every column that is not declared.
     counts : tuple of int
         Groups that hold the time's whole part and fraction, up (or the net count) and down.
     checks : tuple of int
@@ -89,11 +89,11 @@ class Columns:
     us_per_unit : int
         Unit of the time, us.
     net : bool
-        There is but one count, signed.
+        There is only one count, signed.
     bits : int
         Width of the counters.
     capabilities : Capability
-        What the columns hold beside counts.
+        What the columns hold in addition to counts.
     """
 
     pattern: re.Pattern[bytes]
@@ -105,7 +105,7 @@ class Columns:
     capabilities: frames.Capability
 
     def read(self, line: bytes) -> Row | Other:
-        """Return what a line holds: 1.1 us for time, up and down."""
+        """Return the values in a line."""
         found = self.pattern.fullmatch(line)
         if found is None:
             return Other.REMARK if line.startswith(b"#") or not line.rstrip(b"\r") else Other.DAMAGED
@@ -126,7 +126,7 @@ class Columns:
         return ticks & 0xFFFFFFFF, up & limit - 1, down, levels, int(illegal or 0) & 0xFFFF
 
     def _guarded(self, found: re.Match[bytes]) -> bytes:
-        """Return the part of a line that its xor is of: what stands before the separator in front of it."""
+        """Return the part of a line that its xor covers: everything before the separator in front of it."""
         return found.string[: found.start(self.checks[-1])].rstrip(b" \t*")[:-1].rstrip(b" \t")
 
 
@@ -136,7 +136,7 @@ def columns(declared: str | None) -> Columns:
     Raises
     ------
     InputError
-        None are declared, one is unknown or twice there, or time or counts are missing.
+        None are declared, one is unknown or declared twice, or time or counts are missing.
     """
     where = "--columns"
     if not declared:
@@ -163,7 +163,7 @@ def columns(declared: str | None) -> Columns:
     if len(widths) > 1:
         raise InputError("up and down differ in width", where, "give both the same, as in up:16,down:16")
     if ("a" in names) != ("b" in names):
-        raise InputError("one level of two", where, "declare a and b, or none of them")
+        raise InputError("one level of two", where, "declare both a and b, or neither")
     group = {"": 1}  # of each column; of the time, a second one behind it holds the fraction
     for name in names:
         if name != "-":
@@ -185,7 +185,7 @@ def columns(declared: str | None) -> Columns:
 
 
 def ident(form: Columns, decoder: str | None) -> frames.Ident:
-    """Return what the declared columns say of the board."""
+    """Return the identification that follows from the declared columns."""
     return frames.Ident(
         firmware=(0, 0, 0),
         decoder=decoder or "x4",
@@ -200,7 +200,7 @@ def ident(form: Columns, decoder: str | None) -> frames.Ident:
 
 
 def reader(form: Columns) -> LineReader:
-    """Return a reader of lines; of a first one that has lost its beginning, the digits do not show it."""
+    """Return a reader of lines.  The first line is not used: digits missing at its beginning could not be detected."""
     return LineReader(b"\n", LONGEST_LINE, form.read, trusts_first=False)
 
 
@@ -227,7 +227,7 @@ class Text(Session):
         Raises
         ------
         DeviceError
-            Nothing comes, or nothing of the declared columns.
+            Nothing is received, or no line with the declared columns.
         """
         listener = reader(self._form)
         times: list[int] = []
@@ -262,7 +262,7 @@ class Text(Session):
         Raises
         ------
         InputError
-            It is not the one asked for.
+            It is not the requested one.
         """
         rate_hz, requested = self._rate_hz, self.request.rate_hz
         if requested is not None:
@@ -278,24 +278,24 @@ class Text(Session):
         return Plan(rate_hz, 1, rate_hz * self._line_bytes, tuple(notes), comes_already=True)
 
     def prepare(self, plan: Plan) -> Identity:
-        """Do nothing: the sketch is as it is."""
+        """Do nothing: a sketch takes no settings."""
         self._rate_hz = plan.rate_hz
         return Identity(ident(self._form, self.request.decoder))
 
     def start(self) -> None:
-        """Throw away what has waited since: the sketch prints all the time."""
+        """Discard the bytes received since then: the sketch prints all the time."""
         waiting = self.port.in_waiting
         if waiting:
             self.port.read(waiting)
 
     def restart(self) -> None:
-        """Do nothing: a sketch starts by itself."""
+        """Do nothing: a sketch starts on its own."""
 
     def stop(self) -> None:
-        """Do nothing: a sketch goes on."""
+        """Do nothing: a sketch continues to print."""
 
     def drain(self) -> bytes:
-        """Return what is there: the line never runs dry."""
+        """Return the bytes that are waiting: the line is never idle."""
         waiting = self.port.in_waiting
         return self.port.read(waiting) if waiting else b""
 

@@ -1,7 +1,7 @@
-"""Ports: open one by its name or URL, list those that are there, and say what is wrong with one that will not open.
+"""Ports: open one by its name or URL, list those present, and explain why one cannot be opened.
 
 A port is anything pyserial opens: ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, ``loop://``, and ``rig://SCENE``,
-the simulated rig.  pyserial finds the last one by name: this package never imports the simulator.
+the simulated rig.  pyserial finds the handler of the last one by name: this package never imports the simulator.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ def rig_url(scene: str, changes: list[str], realtime: bool) -> str:
 
 
 def waits_for_reader(url: str) -> bool:
-    """Return whether a port makes its bytes only when asked: the simulated rig out of real time, and nothing else."""
+    """Return whether a port produces bytes only when read: the simulated rig outside real time, and no other."""
     return url.startswith("rig://") and "realtime=1" not in url.partition("?")[2].split("&")
 
 
@@ -48,9 +48,9 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     Raises
     ------
     DeviceError
-        The port is not there, is busy, or may not be opened.
+        The port does not exist, is busy, or may not be opened.
     InputError
-        The URL is of no known kind, or the simulated rig's scene is wrong.
+        The URL has an unknown scheme, or the simulated rig's scene is wrong.
     """
     import serial
 
@@ -58,10 +58,10 @@ def open_port(url: str, baud: int = BAUD) -> Port:
         serial.protocol_handler_packages.append("rig_sim")
     try:
         port = serial.serial_for_url(url, baudrate=baud, timeout=READ_TIMEOUT_S, write_timeout=WRITE_TIMEOUT_S)
-    except ValueError as error:  # pyserial's word for a URL scheme or a setting it does not know
+    except ValueError as error:  # raised by pyserial for an unknown URL scheme or setting
         do = "give a device, rig://SCENE, socket://HOST:PORT or loop://; 'daq ports' lists the devices"
         raise InputError(f"cannot open such a port: {error}", url, do) from error
-    except OSError as error:  # SerialException is one, too
+    except OSError as error:  # SerialException is a subclass
         raise DeviceError(*explain(url, error)) from error
     _ask_for_low_latency(port)
     return cast(Port, port)
@@ -70,7 +70,7 @@ def open_port(url: str, baud: int = BAUD) -> Port:
 def _ask_for_low_latency(port: object) -> None:
     """Ask the driver of a USB serial chip to pass bytes on within 1 ms, where it would collect them for 16 ms.
 
-    Linux only, and not every driver can: the recording is the same without it, only the clocks compare less sharply.
+    Linux only, and not with every driver.  Without it only the clock comparison is less precise.
     """
     ask = getattr(port, "set_low_latency_mode", None)
     if ask is not None:
@@ -81,7 +81,7 @@ def _ask_for_low_latency(port: object) -> None:
 def line_baud(url: str, port: Port) -> int | None:
     """Return the baud rate that limits a port, or None for a URL, which has none.
 
-    A /dev/ttyACM has one, too: on most boards a second chip passes its bytes on through a serial line.
+    A /dev/ttyACM has one, too: on most boards a second chip forwards its bytes through a serial line.
     """
     if "://" in url:
         return None
@@ -95,7 +95,7 @@ def uart_baud(url: str, port: Port) -> int | None:
 
 
 def explain(url: str, error: OSError) -> tuple[str, str, str]:
-    """Return what is wrong with a port that would not open, its name, and what to do."""
+    """Return why a port could not be opened, its name, and what to do."""
     device = Path(url)
     code = error.errno
     if code == errno.EACCES or (device.exists() and not _allowed(device)):
@@ -110,7 +110,7 @@ def explain(url: str, error: OSError) -> tuple[str, str, str]:
 
 
 def list_ports() -> list[PortInfo]:
-    """Return the serial devices of this machine, and the simulated rig, which is always there."""
+    """Return the serial devices of this machine, and the simulated rig, which is always present."""
     from serial.tools.list_ports import comports
 
     found = [PortInfo(SIMULATED_RIG, "the simulated rig; 'daq record' takes it when no --port is given", True)]
@@ -134,7 +134,7 @@ def permission_fix(device: Path) -> str:
         group = grp.getgrgid(status.st_gid).gr_name
     except (ImportError, OSError, KeyError):
         return f"ask for read and write permission on {device}"
-    # The group helps where the device gives it both rights; else only the owner of the machine can.
+    # Joining the group helps only where the group may read and write; otherwise an administrator must grant it.
     if status.st_mode & 0o060 == 0o060 and group != "root":
         return f"run 'sudo usermod -a -G {group} {user}', then log out and in again"
     return f"run 'sudo chmod a+rw {device}' (until it is unplugged)"

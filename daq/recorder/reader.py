@@ -1,10 +1,9 @@
-"""The reading thread of a recording: it owns the port, and nothing it does waits for the disk.
+"""The reading thread of a recording: it owns the port, and never waits for the disk.
 
-What it reads goes into a bounded queue; what does not fit is counted and said, never silently lost.  (A simulated
-rig that runs as fast as it is read has no clock to miss: for it, and only for it, the queue is waited for.)  A port
-that is lost, in either of pyserial's ways (SerialException, or plain OSError out of ``in_waiting``), or that falls
-silent, is opened again and the board started anew; so is a board that identifies itself in mid-stream, because it has
-reset.
+What it reads goes into a bounded queue; bytes that do not fit are counted and reported.  (A simulated rig outside real
+time runs only as fast as it is read: for it alone, the thread waits for the queue.)  A port that is lost (pyserial
+raises SerialException, or a plain OSError from ``in_waiting``) or silent is opened again, and the board is started
+again.  A board that identifies itself during the stream has reset, and is started again too.
 """
 
 import queue
@@ -44,11 +43,11 @@ class Reader(threading.Thread):
     Attributes
     ----------
     items : Queue of Item or None
-        Journal records in order; None is the last.
+        Journal records in order; None ends them.
     tally : Tally
-        How far it has come.
+        Progress of the stream.
     failure : BaseException or None
-        Why the thread ended before its time.
+        Error that ended the thread early.
     ended : str
         "complete", "stopped", "board stopped" (with a NOTICE), or "port lost".
     """
@@ -75,14 +74,14 @@ class Reader(threading.Thread):
         self._dropped = 0
 
     def stop(self) -> None:
-        """Ask the thread to end: it stops the board and reads what is still to come."""
+        """Ask the thread to end: it stops the board and reads the rest of the stream."""
         self._stopping.set()
 
     def run(self) -> None:
-        """Read; every way out ends the queue with None."""
+        """Read; None ends the queue in every case."""
         try:
             self._read_all()
-        except BaseException as error:  # handed to the thread that waits for us, which raises it
+        except BaseException as error:  # raised in the thread that waits for this one
             self.failure = error
         finally:
             self.board.close()
@@ -138,7 +137,7 @@ class Reader(threading.Thread):
             self._keep(journal.RECEIVED, rest)
 
     def _recover(self, began: float, why: str) -> bool:
-        """Try to get the port back; say so, and write it down."""
+        """Try to open the port again; report and record the loss."""
         self._keep(journal.LOST, why.encode())
         self._say(f"the port was lost ({why}); waiting for it")
         self.board.close()

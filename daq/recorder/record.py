@@ -27,7 +27,7 @@ from daq.wire import frames
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
-MOST_SAMPLES = 2_000_000_000  # what the run file numbers its samples with holds twice as many
+MOST_SAMPLES = 2_000_000_000  # the run file's sample numbers (uint32) hold twice as many
 WAKE_S = 0.1  # how often the writer looks at the clock while nothing comes
 LEAVE_S = 3.0  # how long a leaving recorder waits for its reader
 
@@ -81,7 +81,7 @@ def record(
     say : callable
         Called with a line of text for the user: the identity of the board, a lost port.
     stop : Event
-        Ends the recording when it is set; what came so far becomes the file.
+        Ends the recording when it is set; the data received so far become the file.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def record(
         _take(reader, writer, lambda reached: progress(min(reached, samples) / plan.rate_hz), stop or threading.Event())
         if reader.failure is not None:
             if reader.tally.reached == 0:
-                request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
+                request.part.unlink(missing_ok=True)  # it is empty, and would block the next recording
             raise reader.failure
         return finalise(request.part, request.output, finished_by="daq record", force=request.force)
     except KeyboardInterrupt as error:
@@ -128,13 +128,13 @@ def record(
         do = f"correct that, then get the data with 'daq recover {request.part}'"
         raise disk.RefusedError(f"{error.what}; the journal is kept", error.where, do) from error
     except DataError as error:
-        request.part.unlink(missing_ok=True)  # there is nothing in it, and it would stand in the next one's way
+        request.part.unlink(missing_ok=True)  # it is empty, and would block the next recording
         why = f": {reader.tally.notice}" if reader.tally.notice else ""
         raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
 
 
 def _connect(request: RecordRequest) -> tuple[Session, Identity, Plan, list[str]]:
-    """Open the port, find out who is there, check that it can do what is asked, and set it up."""
+    """Open the port, identify the board, check that it can carry out the request, and configure it."""
     backend = protocols.load(request.protocol)
     port = ports.open_port(request.port, request.baud or backend.BAUD)
     try:
@@ -157,7 +157,7 @@ def _known(request: RecordRequest, identity: Identity) -> Rig:
     try:
         rig = Rig.from_toml(request.calibration or identity.config or "", "the board's CONFIG")
     except InputError:
-        rig = Rig()  # the finaliser reads the same text, and its warning tells what is wrong with it
+        rig = Rig()  # the finaliser reads the same text, and its warning names the error
     return replace(rig, decoder=identity.ident.decoder)
 
 
@@ -194,7 +194,7 @@ def _take(
     progress: Callable[[int], None],
     stop: threading.Event,
 ) -> None:
-    """Write what the reader brings until it ends; the journal is closed, and the reader gone, in every case."""
+    """Write the reader's records until it ends; the journal is closed and the reader ended in every case."""
     try:
         for stamp, data in reader.board.received:
             writer.append(journal.RECEIVED, stamp, data)
@@ -224,7 +224,7 @@ def _take(
 
 
 def _dismiss(reader: Reader) -> None:
-    """Let the reader end: empty its queue, so that it never waits for us, until it is gone."""
+    """Let the reader end: empty its queue, so that it never waits for this thread, until it is gone."""
     until = time.monotonic() + LEAVE_S
     while reader.is_alive() and time.monotonic() < until:
         try:
@@ -234,7 +234,7 @@ def _dismiss(reader: Reader) -> None:
 
 
 def _disk(request: RecordRequest, error: OSError) -> StickslipError:
-    """Return what a refusing disk means, and that the journal is kept."""
+    """Return the error of a disk that refuses; it mentions the journal when there is one."""
     if request.part.exists():
         do = f"correct that, then get the data with 'daq recover {request.part}'"
     else:

@@ -1,13 +1,13 @@
-"""Counters that roll over: unwrapped by subtracting modulo their width first, and checked against what came with them.
+"""Counters that roll over: unwrapped by differences modulo their width, and checked against the other data sent.
 
 Rule: the difference of two readings, taken modulo 2^bits, is the true increment as long as it is below 2^bits.  For a
 16-bit counter that holds across gaps shorter than 65,536 / peak count rate (0.6 s for x4 at 107 k edges/s).  Across a
-longer gap the counts are not known: a new segment begins there, marked invalid; nothing is guessed.
+longer gap the counts are unknown: a new segment begins there, marked invalid.
 
 The sequence number (16 bit) is unwrapped with the help of the device time (32 bit, 71.6 min at 1 us): a gap may be
-longer than 65,536 samples and is still sized rightly.
+longer than 65,536 samples and still gets its true length.
 
-The host's checks stand in the high byte of a sample's flags; the low byte is the status as sent (`daq.wire.frames`).
+The host's checks are in the high byte of a sample's flags; the low byte is the status as sent (`daq.wire.frames`).
 """
 
 from dataclasses import dataclass
@@ -17,31 +17,36 @@ from numpy.typing import NDArray
 
 from daq.wire.quadrature import PHASE
 
-LATE_FRAMES = 8  # a line repeats or delays no more than a few frames; what lies further back began anew
+# A frame up to so many frames back is a repeat or came late; further back, the board has restarted.  A line repeats or
+# delays only a few: half would take some of them for restarts, double more restarts for repeats.  Not swept.
+LATE_FRAMES = 8
 
 # The host's checks, one bit each.
 FLAG_ILLEGAL = 0x0100  # the illegal count rose within this sample's frame
-FLAG_PHASE = 0x0200  # (up - down) mod 4 is not the phase of the levels sent beside it
-FLAG_BOTH = 0x0400  # up and down both moved since the sample before
-FLAG_GAP = 0x0800  # samples are missing right before this one
+FLAG_PHASE = 0x0200  # (up - down) mod 4 is not the phase of the levels sent with it
+FLAG_BOTH = 0x0400  # up and down both changed since the previous sample
+FLAG_GAP = 0x0800  # samples are missing directly before this one
 FLAG_COUNT_UNCERTAIN = 0x1000  # illegal transitions came before this sample: its count may be off by two for each
 
 
 def increments(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
-    """Return how far a counter of ``bits`` moved up between neighbouring readings, (n - 1,), each 0 to 2^bits - 1."""
+    """Return the increments between neighbouring readings, (n,), of an up-counter, (n - 1,), each 0 to 2^bits - 1."""
     whole = values.astype(np.int64)
     return np.asarray(whole[1:] - whole[:-1] & (1 << bits) - 1, dtype=np.int64)
 
 
 def moves(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
-    """Return how far an up-and-down counter moved between neighbouring readings, (n - 1,): the shorter way round."""
+    """Return the signed increments between neighbouring readings, (n,), of an up-and-down counter, (n - 1,).
+
+    Of the two directions the shorter one is taken: each is -2^(bits-1) to 2^(bits-1) - 1.
+    """
     half = 1 << (bits - 1)
     whole = values.astype(np.int64)
     return np.asarray((whole[1:] - whole[:-1] + half & (1 << bits) - 1) - half, dtype=np.int64)
 
 
 def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
-    """Return an up-counter's readings without roll-over, starting at its first reading."""
+    """Return an up-counter's readings, counts, without roll-over, (n,), starting at its first reading."""
     out = np.empty(len(values), dtype=np.int64)
     if len(values):
         out[0] = int(values[0])
@@ -59,7 +64,7 @@ def signed(value: int, bits: int) -> int:
 def net_count(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], bits: int) -> NDArray[np.int64]:
     """Return the unwrapped net count up - down of one segment, (n,).
 
-    The first reading is taken as the signed difference, which is right when the counters have moved by less than half
+    The first value is the signed difference, which is correct when the counters have moved by less than half
     their range since power-up, net; it is off by a multiple of 2^bits otherwise.
     """
     if len(up) == 0:
@@ -70,7 +75,7 @@ def net_count(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger]
 
 
 def longest_gap_s(max_edge_rate_hz: float, edges_per_count: int, bits: int) -> float:
-    """Return the longest gap, s, across which a counter cannot have rolled over unseen; infinite for rate 0."""
+    """Return the longest gap, s, across which a counter cannot have rolled over undetected; infinite for rate 0."""
     if max_edge_rate_hz <= 0:
         return float("inf")
     return (1 << bits) * edges_per_count / max_edge_rate_hz
@@ -78,17 +83,17 @@ def longest_gap_s(max_edge_rate_hz: float, edges_per_count: int, bits: int) -> f
 
 @dataclass(frozen=True)
 class Order:
-    """Where the frames of one stream stand, f of them in their order of arrival.
+    """Order and place of the f frames of one stream, in order of arrival.
 
     Attributes
     ----------
     keep : (f,) bool
-        False for a repeated or late frame: what it holds is there already, or its place is gone.
+        False for a repeated or late frame, which is not used.
     restart : (f,) bool
-        The board began anew with this frame: neither sequence nor device time continues.
+        The board restarted with this frame: neither sequence nor device time continues.
     index, ticks : (f,) int64
         Sequence number and device time of the frame's first sample without roll-over: as sent at the first frame
-        after each restart, and counted on from there.  0 where ``keep`` is False.
+        after each restart, and continued from there.  0 where ``keep`` is False.
     """
 
     keep: NDArray[np.bool_]
@@ -104,7 +109,7 @@ def order_frames(
     ticks_per_sample: float,
     restarts: NDArray[np.int64],
 ) -> Order:
-    """Place the frames of a stream: roll-over undone, gaps sized, repeats and restarts found.
+    """Place the frames of a stream: undo roll-over, measure gaps, find repeats and restarts.
 
     Device time determines how often the sequence number rolled over between two frames, so a gap may have any length
     below 2^31 ticks (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by
@@ -168,7 +173,7 @@ def _repeats(
 
 
 def _sum_from(starts: NDArray[np.bool_], steps: NDArray[np.int64], first: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the running sum of ``steps`` (between neighbours), set anew to ``first`` wherever ``starts``."""
+    """Return the running sum of ``steps`` (between neighbours), reset to ``first`` where ``starts`` is True."""
     if len(starts) == 0:
         return np.empty(0, dtype=np.int64)
     total = np.concatenate(([0], np.cumsum(steps)))
@@ -179,14 +184,14 @@ def _sum_from(starts: NDArray[np.bool_], steps: NDArray[np.int64], first: NDArra
 def phase_error(
     up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], levels: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """Return by how much x4 counts differ from the phase of the levels sent beside them, 0 to 3."""
+    """Return the difference, modulo 4, of x4 counts from the phase of the levels sent with them, (n,), 0 to 3."""
     return np.asarray(((up - down) - PHASE[levels & 3]) & 3).astype(np.uint8)
 
 
 def check_both_moved(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger]) -> NDArray[np.bool_]:
-    """Return where both counters moved since the sample before; never at the first sample.
+    """Return where both counters changed since the previous sample, (n,); False at the first sample.
 
-    An x4 decoder does that at every reversal.  Behind a J-K box it means pulses that no count can be trusted with.
+    An x4 decoder does that at every reversal.  With a J-K box it means pulses for which the count cannot be trusted.
     """
     moved = np.zeros(len(up), dtype=np.bool_)
     moved[1:] = (np.diff(up) != 0) & (np.diff(down) != 0)
