@@ -60,5 +60,7 @@ def _commit(folder: Path) -> dict[str, str | int]:
 
 
 def _git(folder: Path, *arguments: str) -> str:
-    done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=True, timeout=5)
+    # Without the option `git status` rewrites the index too, and leaves its lock behind when the timeout kills it.
+    command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=5)
     return done.stdout.strip()
