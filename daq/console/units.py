@@ -92,7 +92,7 @@ def _split(text: str, dimension: str, where: str) -> tuple[float, str]:
     found = _QUANTITY.fullmatch(text.strip())
     if not found or found[2].startswith(","):
         hint = "with a decimal point, " if "," in text else ""
-        raise InputError(f"{text!r} is not a {dimension}", where, f"write it {hint}like {EXAMPLES[dimension]!r}")
+        raise InputError(f"{text!r} is not a valid {dimension}", where, f"write it {hint}like {EXAMPLES[dimension]!r}")
     value = float(found[1])
     if not math.isfinite(value):
         raise InputError(f"{text!r} is too large", where, f"write for example {EXAMPLES[dimension]!r}")

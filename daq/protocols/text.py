@@ -127,7 +127,8 @@ class Columns:
 
     def _guarded(self, found: re.Match[bytes]) -> bytes:
         """Return the part of a line that its xor covers: everything before the separator in front of it."""
-        return found.string[: found.start(self.checks[-1])].rstrip(b" \t*")[:-1].rstrip(b" \t")
+        before = found.string[: found.start(self.checks[-1])].removesuffix(b"*").rstrip(b" \t")
+        return (before[:-1] if before.endswith((b",", b";")) else before).rstrip(b" \t")
 
 
 def columns(declared: str | None) -> Columns:

@@ -206,6 +206,11 @@ def test_columns_that_cannot_be_read_are_refused(declared, said):
         ("t_us,count", b"-1,2", Other.DAMAGED),
         ("t_us,count,xor", b"10,2,1F", (10, 2, 0, 0, 0)),
         ("t_us,count,xor", b"10,3,1F", Other.DAMAGED),
+        # Separated by spaces or tabs alone, the last digit before them used to be left out, and the line refused.
+        ("t_us,count,xor", b"10 2 13", (10, 2, 0, 0, 0)),
+        ("t_us,count,xor", b"10\t2 \t*3A", (10, 2, 0, 0, 0)),
+        ("t_us,count,xor", b"10 2 ; *13", (10, 2, 0, 0, 0)),
+        ("t_us,count,xor", b"10 3 13", Other.DAMAGED),
         ("t_us,count", b"# a remark", Other.REMARK),
         ("t_us,count", b"\r", Other.REMARK),
     ],
