@@ -8,22 +8,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from daq import errors
 from daq.compute.workers import workers
-from daq.errors import (
-    EXIT_BUG,
-    EXIT_DATA,
-    EXIT_DEVICE,
-    EXIT_DONE,
-    EXIT_INPUT,
-    EXIT_UNDECIDED,
-    InputError,
-    StickslipError,
-)
+from daq.errors import InputError, StickslipError
 from fitting import job
 from fitting.job import FitOptions, FitOutput, LoadedRun
 from fitting.report import page
 
-WORST_FIRST = (EXIT_BUG, EXIT_DEVICE, EXIT_INPUT, EXIT_DATA)
+FAILURES = (errors.EXIT_DATA, errors.EXIT_INPUT, errors.EXIT_DEVICE, errors.EXIT_BUG)
+SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, *FAILURES)  # least first
 
 
 @dataclass(frozen=True)
@@ -49,7 +42,7 @@ class BatchRow:
         """The exit code that this run alone would end in."""
         if self.failure is not None:
             return self.failure.code
-        return EXIT_DONE if len(self.document["set"]) == 1 else EXIT_UNDECIDED
+        return errors.EXIT_DONE if len(self.document["set"]) == 1 else errors.EXIT_UNDECIDED
 
     def as_json(self) -> dict[str, Any]:
         """Return the run's part of the document."""
@@ -92,7 +85,7 @@ def fit(
     with workers(min(jobs, len(files)), scheduler) as each:
         found = each(partial(_fitted, options=options), _read(files, places, options))
         for file, place, one in zip(files, places, found, strict=True):
-            rows.append(_kept(file, place, one))
+            rows.append(_saved(file, place, one))
             if progress is not None:
                 progress(float(len(rows)))
     return rows
@@ -100,11 +93,7 @@ def fit(
 
 def exit_code(rows: Sequence[BatchRow]) -> int:
     """Return the worst failure's code, else 5 when a run is undecided, else 0."""
-    codes = {row.code for row in rows}
-    failed = [code for code in WORST_FIRST if code in codes]
-    if failed:
-        return failed[0]
-    return EXIT_UNDECIDED if EXIT_UNDECIDED in codes else EXIT_DONE
+    return max((row.code for row in rows), key=SEVERITY.index, default=errors.EXIT_DONE)
 
 
 def _read(files: Sequence[Path], places: Sequence[Path], options: FitOptions) -> Iterator[LoadedRun | Failure]:
@@ -126,7 +115,7 @@ def _fitted(run: LoadedRun | Failure, options: FitOptions) -> FitOutput | Failur
         return _failure(error, run.recording.source)
 
 
-def _kept(file: Path, place: Path, found: FitOutput | Failure) -> BatchRow:
+def _saved(file: Path, place: Path, found: FitOutput | Failure) -> BatchRow:
     """Write what was found where it belongs."""
     if isinstance(found, Failure):
         return BatchRow(file, {}, found)
@@ -143,7 +132,7 @@ def _failure(error: Exception, file: Path) -> Failure:
         return Failure(error.what, error.where, error.do, error.exit_code)
     if isinstance(error, OSError):
         do = "check the path, its permissions and the free space on the disk"
-        return Failure(error.strerror or str(error), os.fspath(error.filename or file), do, EXIT_DEVICE)
+        return Failure(error.strerror or str(error), os.fspath(error.filename or file), do, errors.EXIT_DEVICE)
     last = traceback.extract_tb(error.__traceback__)[-1]
     what = f"{type(error).__name__}: {error} ({Path(last.filename).name}, line {last.lineno})"
-    return Failure(what, str(file), "this is a bug: fit this run alone, without --json, and report it", EXIT_BUG)
+    return Failure(what, str(file), "this is a bug: fit this run alone, without --json, and report it", errors.EXIT_BUG)

@@ -50,15 +50,15 @@ class Values(NamedTuple):
     K: float
     F: float
     v_dr: float
-    shape: float
-    d: float
-    datum: float
-    damping: float
-    fade: float
-    compliance: float
-    cosine: float
-    sine: float
-    omega: float
+    shape: float = 0.0
+    d: float = 0.0
+    datum: float = 0.0
+    damping: float = 0.0
+    fade: float = 0.0
+    compliance: float = 0.0
+    cosine: float = 0.0
+    sine: float = 0.0
+    omega: float = 0.0
 
 
 PER_RUN, PER_CYCLE = len(Global), len(PerCycle)
@@ -91,6 +91,11 @@ def values(u: Array) -> Values:
     """Return the global parameters u (12,) of one run by name."""
     K, log_F, *others = (float(value) for value in u)
     return Values(K, math.exp(log_F), *others)
+
+
+def to_array(p: Values) -> Array:
+    """Return one run's global parameters (12,) in the order and units of `Global`."""
+    return np.array([p.K, math.log(p.F), *p[2:]])
 
 
 def columns(places: Sequence[int], runs: int) -> Integers:

@@ -59,71 +59,47 @@ class EstimationProblem:
             starts.regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_calibration(run.motion))
             for run in runs
         ]
-        K0, F, shape0, d = (
-            float(np.median([getattr(one, name) for one in first])) for name in ("K", "F", "shape", "d")
+        K, F, first_shape, d = (
+            float(np.median([getattr(own, name) for own in first])) for name in ("K", "F", "shape", "d")
         )
-        omega = math.sqrt(K0)
-        damping = damping_calibration(motions[0], K0)
+        omega = math.sqrt(K)
+        damping = damping_calibration(motions[0], K)
         speed = min(motion.belt_speed for motion in motions)
         travel = max(motion.travel for motion in motions)
-        shape = max(abs(shape0), 1e-3 / speed)
-        start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), PER_RUN))
-        upper[:] = np.inf
+        shape, steepest = max(abs(first_shape), 1e-3 / speed), np.inf
         if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
-            upper[:, Global.SHAPE] = LEAST_LINEAR_FRICTION / max(
-                float(np.max(m.belt_speed - m.velocity)) for m in motions
-            )
-        for r, (motion, own) in enumerate(zip(motions, first, strict=True)):
-            datum, v = datum_calibration(motion), motion.belt_speed
-            give = 0.0 if motion.give is None else motion.give.value
-            level = math.log(F)
-            start[r, : Global.COSINE] = (
-                K0,
-                level,
-                own.v_dr,
-                min(shape0, upper[0, Global.SHAPE]),
-                d,
-                own.datum,
-                damping.value,
-                0.0,
-                give,
-            )
-            scale[r, : Global.COSINE] = K0, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel
-            lower[r, : Global.COSINE] = (
-                1e-6 * K0,
-                level - LARGEST_LOG_DROP,
-                0.05 * v,
-                0,
-                NARROWEST_RAMP * speed,
-                -np.inf,
-                0,
-                -np.inf,
-                NARROWEST_RAMP * v / motion.travel,
-            )
-            lower[r, Global.COSINE :] = -np.inf, -np.inf, 0.0
-            ripple = runs[r].ripple
-            if ripple is not None:
-                start[r, Global.COSINE :] = ripple.cosine, ripple.sine, ripple.omega
-                scale[r, Global.COSINE :] = v, v, ripple.omega
-                prior[r, Global.COSINE :] = start[r, Global.COSINE :]
-                spread = RIPPLE_AMPLITUDE_SD * ripple.amplitude
-                precision[r, Global.COSINE :] = (
-                    spread**-2,
-                    spread**-2,
-                    (RIPPLE_FREQUENCY_SD * 2 * math.pi / motion.span) ** -2,
-                )
+            steepest = LEAST_LINEAR_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
+        start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), PER_RUN))
+        lower[:], upper[:] = -np.inf, np.inf
+        upper[:, Global.SHAPE] = steepest
+        for r, (run, own) in enumerate(zip(runs, first, strict=True)):
+            motion, ripple, v = run.motion, run.ripple, run.motion.belt_speed
+            datum, belt, give = datum_calibration(motion), motion.belt_prior, motion.give
             # Constant friction determines only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
-            prior[r, Global.DATUM], precision[r, Global.DATUM] = datum.value, _precision(datum_sd, 1e-6 * motion.travel)
-            belt = motion.belt_prior
+            known = {
+                Global.DATUM: (datum.value, _precision(datum_sd, 1e-6 * motion.travel)),
+                Global.DAMPING: (damping.value, _precision(damping.sd, 1e-6 * omega)),
+            }
+            begin = own._replace(K=K, F=F, shape=min(first_shape, steepest), d=d, damping=damping.value)
             if belt is not None and belt.sd > 0:
-                prior[r, Global.V_DR], precision[r, Global.V_DR] = belt.value, _precision(belt.sd, 0.0)
-            if motion.give is not None:
-                prior[r, Global.COMPLIANCE], precision[r, Global.COMPLIANCE] = (
-                    motion.give.value,
-                    _precision(motion.give.sd, 0.0),
-                )
-        prior[:, Global.DAMPING], precision[:, Global.DAMPING] = damping.value, _precision(damping.sd, 1e-6 * omega)
+                known[Global.V_DR] = belt.value, _precision(belt.sd, 0.0)
+            if give is not None:
+                begin = begin._replace(compliance=give.value)
+                known[Global.COMPLIANCE] = give.value, _precision(give.sd, 0.0)
+            if ripple is not None:
+                begin = begin._replace(cosine=ripple.cosine, sine=ripple.sine, omega=ripple.omega)
+                spread = (RIPPLE_AMPLITUDE_SD * ripple.amplitude) ** -2
+                known[Global.COSINE], known[Global.SINE] = (ripple.cosine, spread), (ripple.sine, spread)
+                known[Global.OMEGA] = ripple.omega, (RIPPLE_FREQUENCY_SD * 2 * math.pi / motion.span) ** -2
+            for slot, (value, weight) in known.items():
+                prior[r, slot], precision[r, slot] = value, weight
+            start[r] = parameters.to_array(begin)
+            scale[r] = K, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel, v, v, begin.omega
+            lowest = start[r, Global.LOG_F] - LARGEST_LOG_DROP
+            lower[r, : Global.DATUM] = 1e-6 * K, lowest, 0.05 * v, 0, NARROWEST_RAMP * speed
+            lower[r, [Global.DAMPING, Global.OMEGA]] = 0.0
+            lower[r, Global.COMPLIANCE] = NARROWEST_RAMP * v / motion.travel
         fastest = max(motion.belt_speed for motion in motions)
         return cls(
             law=law,

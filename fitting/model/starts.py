@@ -16,39 +16,12 @@ from daq.compute.least_squares import least_squares
 from daq.runfile.rig import Measured
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
+from fitting.model.parameters import Values
 
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2
 LOOSE = 0.05  # of the travel: a rest position with a larger error is also fitted
 NO_REVERSAL = 0.8  # a linear curve starts with friction left at the fastest slip
 STICK_SLOPE_S = 0.06  # shortest stretch of stick whose slope is worth a fit
-
-
-@dataclass(frozen=True)
-class StartingValues:
-    """Where the trajectory fit starts, per unit mass.
-
-    Attributes
-    ----------
-    K : float
-        k/m, 1/s^2.
-    F : float
-        Kinetic level Fs/m, m/s^2.
-    v_dr : float
-        Belt speed, m/s.
-    shape : float
-        gamma (hyperbolic) or G_slip/Fs (linear), s/m; 0 for the constant curve.
-    d : float
-        Half-width of the ramp, m/s; 0 for a jump.
-    datum : float
-        Position of the spring's rest in the record, m.
-    """
-
-    K: float
-    F: float
-    v_dr: float
-    shape: float
-    d: float
-    datum: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +65,8 @@ def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple
     return float(level), float(slope)
 
 
-def regress_start(
-    motion: MeasuredMotion, cut: CycleSegmentation, curve: int, ramp: bool, datum: Measured
-) -> StartingValues:
-    """Regress one law's starting values.
+def regress_start(motion: MeasuredMotion, cut: CycleSegmentation, curve: int, ramp: bool, datum: Measured) -> Values:
+    """Regress one law's starting values; damping, fade and what the belt does besides are 0.
 
     Parameters
     ----------
@@ -121,7 +92,7 @@ def regress_start(
         give = 0.0 if motion.give is None else motion.give.value  # that much of the slope is the belt's
         d = float(np.clip((-slope - give) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
         K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose)
-    return StartingValues(K, F, v_dr, shape, d, rest)
+    return Values(K, F, v_dr, shape, d, rest)
 
 
 def _curve(

@@ -121,8 +121,8 @@ def test_a_bug_in_one_run_is_told_as_one_and_stops_no_other(folder, capsys, monk
             raise ZeroDivisionError("by nothing")
         return done(runs, options)
 
-    done = job.fit
-    monkeypatch.setattr(job, "fit", broken)
+    done = job.fit_runs
+    monkeypatch.setattr(job, "fit_runs", broken)
     code, document = documents(capsys, "--each", folder / "five.h5", folder / "three.h5", "--laws", "3")
     assert "ZeroDivisionError" in document["runs"][0]["error"]["what"]
     assert document["runs"][1]["set"] == [3]
