@@ -65,6 +65,12 @@ class DataError(StickslipError):
     exit_code = EXIT_DATA
 
 
+def check_known(name: str, known: "list[str] | tuple[str, ...]", what: str, where: str) -> None:
+    """Raise InputError, which names the nearest known word, when ``name`` is unknown; ``what`` is its kind."""
+    if name not in known:
+        raise InputError(f"unknown {what} {name!r}", where, nearest(name, known))
+
+
 def nearest(word: str, known: "list[str] | tuple[str, ...]") -> str:
     """Return ``'; did you mean X?'`` for the closest known word, or an empty string."""
     from difflib import get_close_matches

@@ -4,7 +4,7 @@ The built files and their source stand beside each other: in ``firmware/`` of th
 ``daq/firmware``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from daq.errors import InputError, nearest
@@ -41,27 +41,14 @@ class BoardFirmware:
     other: str = ""
 
 
-BOARDS = {
-    board.name: board
-    for board in (
-        BoardFirmware(
-            "uno", "stickslip-uno.hex", "atmega328p", "arduino", 115_200, "A to D2, B to D3", "up to D5, down to D4"
-        ),
-        BoardFirmware(
-            "nano",
-            "stickslip-uno.hex",
-            "atmega328p",
-            "arduino",
-            57_600,
-            "A to D2, B to D3",
-            "up to D5, down to D4",
-            "a Nano with the new bootloader wants -b 115200",
-        ),
-        BoardFirmware(
-            "mega", "stickslip-mega.hex", "atmega2560", "wiring", 115_200, "A to D2, B to D3", "up to D47, down to D38"
-        ),
-    )
-}
+UNO = BoardFirmware(
+    "uno", "stickslip-uno.hex", "atmega328p", "arduino", 115_200, "A to D2, B to D3", "up to D5, down to D4"
+)
+NANO = replace(UNO, name="nano", bootloader_baud=57_600, other="a Nano with the new bootloader wants -b 115200")
+MEGA = BoardFirmware(
+    "mega", "stickslip-mega.hex", "atmega2560", "wiring", 115_200, "A to D2, B to D3", "up to D47, down to D38"
+)
+BOARDS = {board.name: board for board in (UNO, NANO, MEGA)}
 
 
 def board(name: str) -> BoardFirmware:

@@ -60,7 +60,7 @@ def check(
     from daq.calibration import board_test
     from daq.protocols.request import RecordRequest
 
-    request = RecordRequest(**({"port": rig_port(None, None, realtime=False)} | resolve(board)))
+    request = RecordRequest(**resolve(board))
     simulated = request.port.startswith("rig://")
     parked_s = parked if parked is not None else SIMULATED_PARKED_S if simulated else PARKED_S
     move_s = move if move is not None else SIMULATED_MOVED_S if simulated else MOVED_S
@@ -137,7 +137,7 @@ def calibrate(
     if not ring_down and distance is None:
         raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
     known = resolve(board)
-    request = RecordRequest(**({"port": rig_port(None, None, realtime=False)} | known))
+    request = RecordRequest(**known)
     atomic.refuse_existing(output, force)
     if distance is not None and distance.value == 0:
         raise InputError("the distance is zero", "--distance", "give for example '100 mm'")

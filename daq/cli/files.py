@@ -7,20 +7,16 @@ import cyclopts
 from cyclopts import Parameter
 
 from daq.cli import sentences
-from daq.console import application, flags
+from daq.console import application
 from daq.console.application import Answer, Json
 from daq.console.flags import Force
 from daq.errors import InputError
-from daq.imports.options import NO_OPTIONS, ImportOptions
+from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOptions, ImportOptions, ProbeOptions
 
 if TYPE_CHECKING:
     from daq.runfile.rig import Rig
 
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], help="Run file to write.")]
-Channels = Annotated[str | None, Parameter(help="Quadrature pair: A=NAME,B=NAME, by name or by index from 0.")]
-Step = Annotated[str | None, Parameter(help="Probe of the step pulses, by name or by index from 0.")]
-Direction = Annotated[str | None, Parameter(name="--dir", help="Probe of the direction; high counts up.")]
-DecoderName = Annotated[str | None, Parameter(name="--decoder", help="x4 (default), x1, jk or jk-latched.")]
 
 
 def register(app: cyclopts.App) -> None:
@@ -66,16 +62,7 @@ def replay(
     /,
     *,
     output: Output = None,
-    channels: Channels = None,
-    step: Step = None,
-    direction: Direction = None,
-    decoder: DecoderName = None,
-    rate: Annotated[
-        float | None, flags.rate("--rate", "Sample rate of a capture's run; default 1000, or the capture's.")
-    ] = None,
-    capture_rate: Annotated[
-        float | None, flags.rate("--capture-rate", "The capture's own rate, if its metadata do not hold it.")
-    ] = None,
+    options: CaptureOptions = NO_CAPTURE,
     rig: Annotated[Path | None, Parameter(help="Calibration (rig.toml) to use instead of the recorded one.")] = None,
     force: Force = False,
     json: Json = False,
@@ -93,17 +80,10 @@ def replay(
     atomic.refuse_existing(target, force, source)
     calibration = _rig(rig)
     if kind == "capture":
-        return _replay_capture(source, target, (channels, step, direction, decoder), rate, capture_rate, rig, force)
-    given = {
-        "--channels": channels,
-        "--step": step,
-        "--dir": direction,
-        "--decoder": decoder,
-        "--rate": rate,
-        "--capture-rate": capture_rate,
-    }
-    for flag, value in given.items():
+        return _replay_capture(source, target, options, rig, force)
+    for name, value in vars(options).items():
         if value is not None:
+            flag = "--dir" if name == "direction" else f"--{name.replace('_', '-')}"
             raise InputError(f"{flag} is for .sr captures; this is a {kind}", str(source), "leave it out")
     if kind == "journal":
         from daq.finalise import run as finalise
@@ -126,10 +106,7 @@ def decode(
     file: Path,
     /,
     *,
-    channels: Channels = None,
-    step: Step = None,
-    direction: Direction = None,
-    decoder: DecoderName = None,
+    options: ProbeOptions = NO_PROBES,
     json: Json = False,
 ) -> Answer:
     """Count the edges in a sigrok .sr capture: a quadrature pair, or step and direction.
@@ -140,7 +117,7 @@ def decode(
     from daq.imports import sigrok
 
     capture = sigrok.read(file)
-    wired = decoding.wiring(capture, channels, step, direction, decoder)
+    wired = decoding.wiring(capture, options)
     with application.progress("decoding", capture.samples, "samples") as progress:
         totals = decoding.decode(capture, wired, progress)
     names = [capture.probes[bit] for bit in wired.bits]
@@ -185,15 +162,7 @@ def export(
     return Answer(data, f"{', '.join(names)}: {len(rows)} rows")
 
 
-def _replay_capture(
-    source: Path,
-    target: Path,
-    wires: tuple[str | None, str | None, str | None, str | None],
-    rate: float | None,
-    capture_rate: float | None,
-    rig: Path | None,
-    force: bool,
-) -> Answer:
+def _replay_capture(source: Path, target: Path, options: CaptureOptions, rig: Path | None, force: bool) -> Answer:
     from dataclasses import replace
 
     from daq.imports import capture as decoding
@@ -203,10 +172,10 @@ def _replay_capture(
     from daq.runfile.rig import Rig
 
     capture = sigrok.read(source)
-    if capture_rate is not None:
-        capture = replace(capture, rate_hz=capture_rate)
-    wired = decoding.wiring(capture, *wires)
-    rate_hz = rate or min(1000.0, capture.rate_hz or 1000.0)
+    if options.capture_rate is not None:
+        capture = replace(capture, rate_hz=options.capture_rate)
+    wired = decoding.wiring(capture, options)
+    rate_hz = options.rate or min(1000.0, capture.rate_hz or 1000.0)
     with application.progress("replaying", capture.samples, "samples") as progress:
         run, totals = again.from_capture(capture, wired, rate_hz, _rig(rig) or Rig(), progress)
     store.write(target, run, force=force)

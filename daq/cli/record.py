@@ -65,8 +65,7 @@ def record(
             what = f"{given} is for the simulated rig, but --port {board.port} was given"
             raise InputError(what, given, "give one of the two")
         board = replace(board, port=rig_port(scene, set_, realtime))
-    known = {"port": rig_port(None, None, realtime=False)} | resolve(board)
-    wanted = RecordRequest(output=output, duration_s=duration, force=force, **known)
+    wanted = RecordRequest(output=output, duration_s=duration, force=force, **resolve(board))
     with _stop_on_interrupt() as stop, application.progress("recording", duration, "s") as show:
         found = take(wanted, progress=show, say=application.note, stop=stop)
     return Answer(found.as_json(), sentences.recorded("recorded", found))

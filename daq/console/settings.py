@@ -25,7 +25,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from daq.console.application import Whole
-from daq.errors import InputError, nearest
+from daq.errors import InputError, check_known
 from daq.runfile.rig import check_keys, quoted, read_toml
 
 KEYS: dict[str, type] = {"port": str, "protocol": str, "columns": str, "baud": int, "rate": int, "decoder": str}
@@ -114,8 +114,7 @@ def _user() -> dict[str, Any]:
     where = str(path)
     content = read_toml(_read(path, where), where)
     for section in content:
-        if section not in ("board", "rig"):
-            raise InputError(f"unknown key {section!r}", where, nearest(section, ["board", "rig"]))
+        check_known(section, ["board", "rig"], "key", where)
     found = _checked(content.get("board", {}), where)
     if "rig" in content:
         if not isinstance(content["rig"], str):

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError, nearest
+from daq.errors import InputError, check_known
+from daq.imports.options import ProbeOptions
 from daq.imports.sigrok import Capture
 from daq.wire.quadrature import DECODERS, Decoder, PulseDecoder, Steps
 
@@ -43,27 +44,26 @@ class Totals:
     edges: int
 
 
-def wiring(
-    capture: Capture, channels: str | None, step: str | None, direction: str | None, decoder: str | None
-) -> Wiring:
-    """Return the wiring that the flags --channels, or --step and --dir, ask for.
+def wiring(capture: Capture, options: ProbeOptions) -> Wiring:
+    """Return the wiring given by the flags --channels, or --step and --dir.
 
     Raises
     ------
     InputError
         For missing or mixed flags, an unknown decoder, or a probe that the capture does not have.
     """
+    channels, step, direction, decoder = options.channels, options.step, options.direction, options.decoder
     pair = "give --channels A=NAME,B=NAME or --step NAME --dir NAME"
     if channels is not None and (step is not None or direction is not None):
         raise InputError("--channels and --step or --dir exclude each other", "command line", pair)
     if channels is not None:
-        if decoder is not None and decoder not in DECODERS:
-            raise InputError(f"unknown decoder {decoder!r}", "--decoder", nearest(decoder, DECODERS))
+        decoder = "x4" if decoder is None else decoder
+        check_known(decoder, DECODERS, "decoder", "--decoder")
         a, b = _pair(channels)
         bits = (capture.bit(a, "--channels"), capture.bit(b, "--channels"))
         if bits[0] == bits[1]:
             raise InputError("A and B are the same probe", "--channels", pair)
-        return Wiring(bits, decoder or "x4")
+        return Wiring(bits, decoder)
     if step is None or direction is None:
         listed = ", ".join(f"{bit} {name}" for bit, name in capture.probes.items())
         raise InputError("which probes? the capture has: " + listed, str(capture.path), pair)

@@ -1,4 +1,4 @@
-"""Options of an import: an argument of `daq import`, each field one of its flags."""
+"""Options of imports and captures: arguments of `daq import`, `replay` and `decode`, one flag for each field."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -45,3 +45,33 @@ class ImportOptions:
 
 
 NO_OPTIONS = ImportOptions()
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ProbeOptions:
+    """The probes of a capture and what decodes them; None where not given."""
+
+    channels: Annotated[str | None, Parameter(help="Quadrature pair: A=NAME,B=NAME, by name or by index from 0.")] = (
+        None
+    )
+    step: Annotated[str | None, Parameter(help="Probe of the step pulses, by name or by index from 0.")] = None
+    direction: Annotated[str | None, Parameter(name="--dir", help="Probe of the direction; high counts up.")] = None
+    decoder: Annotated[str | None, Parameter(help="x4 (default), x1, jk or jk-latched.")] = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class CaptureOptions(ProbeOptions):
+    """How a capture becomes a run; None where not given."""
+
+    rate: Annotated[
+        float | None, flags.rate("--rate", "Sample rate of a capture's run; default 1000, or the capture's.")
+    ] = None
+    capture_rate: Annotated[
+        float | None, flags.rate("--capture-rate", "The capture's own rate, if its metadata do not hold it.")
+    ] = None
+
+
+NO_PROBES = ProbeOptions()
+NO_CAPTURE = CaptureOptions()

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import runs
 from daq.errors import InputError
 from daq.finalise import belt_counter
 from daq.imports import capture as decode
@@ -258,7 +259,6 @@ def _events(flags: NDArray[np.uint16]) -> tuple[NDArray[np.uint32], tuple[str, .
     """Return one event where each check begins to fail."""
     found = []
     for kind, flag in HOST_FLAGS.items():
-        on = (flags & flag) != 0
-        found += [(int(i), EVENTS[kind], kind) for i in np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))]
+        found += [(first, EVENTS[kind], kind) for first, _ in runs(flags & flag > 0)]
     found.sort()
     return np.array([i for i, _, _ in found], np.uint32), tuple(kind for _, _, kind in found)

@@ -13,7 +13,7 @@ The header of a journal names its protocol.  `daq.protocols.session` defines the
 
 from typing import TYPE_CHECKING, cast
 
-from daq.errors import InputError, nearest
+from daq.errors import check_known
 
 if TYPE_CHECKING:
     from daq.protocols.session import Backend
@@ -29,6 +29,5 @@ def load(name: str, where: str = "--protocol") -> "Backend":
     """Return a protocol's module; InputError for an unknown name."""
     from importlib import import_module
 
-    if name not in PROTOCOLS:
-        raise InputError(f"unknown protocol {name!r}", where, nearest(name, list(PROTOCOLS)))
+    check_known(name, list(PROTOCOLS), "protocol", where)
     return cast("Backend", import_module(PROTOCOLS[name]))

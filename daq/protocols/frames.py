@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from daq.errors import DeviceError, InputError, nearest
+from daq.errors import DeviceError, InputError, check_known
 from daq.protocols import link_budget
 from daq.protocols import session as sessions
 from daq.protocols.request import RecordRequest
@@ -22,13 +22,8 @@ def check(request: RecordRequest) -> None:
     """Refuse columns, which frames declare themselves, and an unknown decoder."""
     if request.columns is not None:
         raise InputError("frames declare their columns themselves", "--columns", "leave it out: it is for text")
-    if request.decoder is not None and request.decoder not in frames.DECODERS:
-        raise InputError(f"unknown decoder {request.decoder!r}", "--decoder", nearest(request.decoder, frames.DECODERS))
-
-
-def session(port: Port, url: str, request: RecordRequest) -> "Frames":
-    """Return a session on an open port."""
-    return Frames(port, url, request)
+    if request.decoder is not None:
+        check_known(request.decoder, frames.DECODERS, "decoder", "--decoder")
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
@@ -151,6 +146,9 @@ class Frames(Session):
         if rest:
             self.received.append((time.monotonic_ns(), rest))
         return Identity(ident, config)
+
+
+session = Frames
 
 
 class FrameTally(Tally):

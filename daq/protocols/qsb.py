@@ -58,11 +58,6 @@ def check(request: RecordRequest) -> None:
         raise InputError("records of a QSB have fixed columns", "--columns", "leave it out: it is for text")
 
 
-def session(port: Port, url: str, request: RecordRequest) -> "Qsb":
-    """Return a session on an open port."""
-    return Qsb(port, url, request)
-
-
 def ident(decoder: str | None, interval: int = 1) -> frames.Ident:
     """Return what is known of every QSB."""
     return frames.Ident(
@@ -193,3 +188,6 @@ class Qsb(Session):
                 elif _ERROR.fullmatch(record):
                     return None, heard
         return None, heard
+
+
+session = Qsb

@@ -214,7 +214,7 @@ class Backend(Protocol):
         """Raise InputError for a request that this protocol can never carry out; nothing has been touched then."""
 
     def session(self, port: Port, url: str, request: RecordRequest) -> Session:
-        """Return a session on an open port."""
+        """Return a session on an open port: the protocol's own class of sessions."""
 
     def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
         """Decode the reads of one connection out of a journal with this header."""

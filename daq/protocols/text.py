@@ -29,7 +29,7 @@ from operator import xor
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from daq.errors import DeviceError, InputError, nearest
+from daq.errors import DeviceError, InputError, check_known
 from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.lines import LineReader, LineTally, Other, Row
@@ -65,13 +65,8 @@ _SEPARATOR = r"(?:[,;]|[ \t]+[,;]?)[ \t]*"
 def check(request: RecordRequest) -> None:
     """Refuse columns that cannot be read, and an unknown decoder."""
     columns(request.columns)
-    if request.decoder is not None and request.decoder not in frames.DECODERS:
-        raise InputError(f"unknown decoder {request.decoder!r}", "--decoder", nearest(request.decoder, frames.DECODERS))
-
-
-def session(port: Port, url: str, request: RecordRequest) -> "Text":
-    """Return a session on an open port."""
-    return Text(port, url, request)
+    if request.decoder is not None:
+        check_known(request.decoder, frames.DECODERS, "decoder", "--decoder")
 
 
 @dataclass(frozen=True)
@@ -145,8 +140,7 @@ def columns(declared: str | None) -> Columns:
     names, widths = [], set()
     for part in declared.split(","):
         name, _, width = part.strip().partition(":")
-        if name not in _PATTERNS:
-            raise InputError(f"unknown column {name!r}", where, nearest(name, list(_PATTERNS)))
+        check_known(name, list(_PATTERNS), "column", where)
         if name in names and name != "-":
             raise InputError(f"column {name!r} occurs twice", where, "call what you do not need '-'")
         if width and (width not in ("16", "32") or name not in _COUNTS):
@@ -314,3 +308,6 @@ class Text(Session):
             return what, self.url, "declare the actual columns by --columns, and check --baud"
         what = f"only {good} lines came within {sessions.ANSWER_S:g} s"
         return what, self.url, f"let the sketch print at least {FEWEST_LINES // 5 + 1} lines a second"
+
+
+session = Text

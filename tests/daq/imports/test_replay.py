@@ -14,6 +14,7 @@ from daq.cli import files
 from daq.console import application
 from daq.errors import InputError
 from daq.imports import capture, replay, sigrok
+from daq.imports.options import ProbeOptions
 from daq.runfile import journal, store
 from daq.runfile.rig import Measured, Rig
 from daq.wire import frames
@@ -112,7 +113,7 @@ def test_step_pulses_become_two_counters(tmp_path: Path, write_capture: Callable
     step = np.tile([0, 1], 300)
     direction = np.repeat([1, 0], 300)
     path = write_capture(tmp_path / "s.sr", step + 2 * direction, {0: "step", 1: "dir"}, rate="1 kHz")
-    wired = capture.wiring(sigrok.read(path), None, "step", "dir", None)
+    wired = capture.wiring(sigrok.read(path), ProbeOptions(step="step", direction="dir"))
     run, totals = replay.from_capture(sigrok.read(path), wired, 1000.0, Rig())
     assert (totals.up, totals.down) == (150, 150)
     assert run.raw is not None

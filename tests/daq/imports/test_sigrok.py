@@ -16,6 +16,7 @@ from daq.cli import files
 from daq.console import application
 from daq.errors import InputError
 from daq.imports import capture, sigrok
+from daq.imports.options import ProbeOptions
 from daq.wire.quadrature import GRAY
 
 
@@ -76,7 +77,7 @@ def test_an_unknown_probe_lists_the_captures(path: Path, write_capture: Any) -> 
 
 def totals(path: Path, decoder: str | None = None, **probes: str) -> capture.Totals:
     found = sigrok.read(path)
-    wired = capture.wiring(found, probes.get("channels"), probes.get("step"), probes.get("direction"), decoder)
+    wired = capture.wiring(found, ProbeOptions(**probes, decoder=decoder))
     return capture.decode(found, wired)
 
 
