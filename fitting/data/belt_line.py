@@ -1,9 +1,9 @@
-"""Belt speed without load, give and remaining variation of the belt, estimated from belt counts.
+"""Belt speed without load, compliance and remaining variation of the belt, estimated from belt counts.
 
-A belt that slows in proportion to its load loses ``give`` metres a second per metre of spring extension.  In stick the
-load is the spring force, so the belt's measured velocity against the mass's position is a straight line of slope
--give, whatever the friction law: this calibration does not depend on the fit, which uses it as a prior.  In the flow it
-is droop = give Fs/k (`rig_sim.integrate.flow.Flow`).
+A belt that slows in proportion to its load loses ``compliance`` metres a second per metre of spring extension.  In
+stick the load is the spring force, so the belt's measured velocity against the mass's position is a straight line of
+slope -compliance, whatever the friction law: this calibration does not depend on the fit, which uses it as a prior.  In
+the flow it is droop = compliance Fs/k (`rig_sim.integrate.flow.Flow`).
 
 Samples within half a smoothing window of a stick's ends are left out, where slip is blurred into it.  The error of the
 line is the larger of two: for residuals that are correlated within a smoothing window, and for residuals that are
@@ -22,30 +22,30 @@ from daq.runfile.rig import Measured
 from processing.record.kinematics import Kinematics
 
 SURE = 3.0  # standard errors: a belt that gives by less is taken as stiff
-SWING = 2e-3  # of the belt's speed: larger residual variation gives a warning
-LOUD = 2.0  # times the swing that counting alone would show
+LEAST_VARIATION = 2e-3  # of the belt's speed: larger residual variation gives a warning
+LOUD = 2.0  # times the variation that counting alone would show
 
 
 @dataclass(frozen=True)
 class BeltLine:
-    """The belt's velocity against the mass's position while the mass rides on it, in the record's own signs.
+    """The belt's velocity against the mass's position in stick, in the record's own signs.
 
     Attributes
     ----------
     speed : Measured
         m/s, signed, at ``middle``: errors of speed and slope are then independent.
     slope : Measured
-        d(velocity)/d(position), 1/s; -give.
+        d(velocity)/d(position), 1/s; -compliance.
     middle : float
         m, the mean position of the samples.
-    swing : float
+    speed_variation : float
         m/s, root mean square of what the line leaves, less the noise of counting.
     """
 
     speed: Measured
     slope: Measured
     middle: float
-    swing: float
+    speed_variation: float
 
     @property
     def slows_under_load(self) -> bool:
@@ -55,7 +55,7 @@ class BeltLine:
     @property
     def is_unsteady(self) -> bool:
         """Whether the belt's speed varies by more than the load explains."""
-        return self.swing > SWING * abs(self.speed.value)
+        return self.speed_variation > LEAST_VARIATION * abs(self.speed.value)
 
     def speed_without_load(self, rest: Measured) -> Measured:
         """Return the belt's speed without load, where the spring rests (``rest``, m), with its error."""
@@ -74,7 +74,7 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
 
     Notes
     -----
-    Not modelled: a belt whose give is not proportional to the load, or lags behind it.
+    Not modelled: a belt whose compliance is not proportional to the load, or lags behind it.
     """
     velocity, errors = kinematics.belt_velocity, kinematics.belt_velocity_errors
     if velocity is None or errors is None:
@@ -92,11 +92,11 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
     spread = np.maximum(_alike_in_windows(columns, rest, kinematics.window), _alike_in_sticks(columns, rest, parts))
     noise = float(np.sqrt(np.mean(errors[index] ** 2)))
     seen = float(np.sqrt(np.mean(rest**2)))
-    swing = math.sqrt(max(seen**2 - noise**2, 0.0)) if seen > LOUD * noise else 0.0
+    variation = math.sqrt(max(seen**2 - noise**2, 0.0)) if seen > LOUD * noise else 0.0
     pitch = kinematics.recording.rig.belt_metres_per_count
     scale = 0.0 if pitch is None else abs(pitch.sd / pitch.value)
     speed = Measured(float(found[0]), math.hypot(float(spread[0]), scale * float(found[0])))
-    return BeltLine(speed, Measured(float(found[1]), float(spread[1])), middle, swing)
+    return BeltLine(speed, Measured(float(found[1]), float(spread[1])), middle, variation)
 
 
 def _alike_in_windows(columns: Array, rest: Array, window: int) -> Array:

@@ -1,4 +1,4 @@
-r"""Cuts a record into cycles: window A from slip onset to the middle of the next stick, window B on to the next onset.
+r"""Cuts a record into cycles: window A from break-away to mid-stick, window B from there to the next break-away.
 
 ::
 
@@ -20,13 +20,13 @@ import numpy as np
 from daq.compute.arrays import Array, runs
 from fitting.data.frame import REST_FRACTION, MeasuredMotion
 
-BEFORE_ONSET_S = 0.05
+BEFORE_BREAK_AWAY_S = 0.05
 SHORTEST_S = 0.03
 LEFT_THE_BELT = 0.05  # of the belt's speed
 SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
 OVERTAKING = 0.02  # of the belt's speed, above the plateau
 REST_S = 0.5  # a mass at rest for longer stands on a belt that stands; a sliding mass only turns there
-STILL = 0.05  # of the slip's acceleration: less than this, the mass rides (or crosses the top of a sine)
+STILL = 0.05  # of the slip's acceleration: less than this, the mass sticks (or crosses the top of a sine)
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Cycle:
     ----------
     number : int
         1, 2, 3 ... in order of time.
-    onset, landing : float
+    break_away, landing : float
         Break-away and return to the belt, s, as the smoothed motion shows them.
     stick, slip : (first, end)
         Samples of window B (before the break-away) and window A (after it).
@@ -48,7 +48,7 @@ class Cycle:
     """
 
     number: int
-    onset: float
+    break_away: float
     landing: float
     stick: tuple[int, int]
     slip: tuple[int, int]
@@ -65,7 +65,7 @@ class CycleSegmentation:
     cycles : tuple of Cycle
         In order of time, used or not.
     plateau_fraction : float
-        Share of the record spent riding on the belt, the drag of the start-up and rests left out.
+        Share of the record spent in stick, the drag of the start-up and rests left out.
     starts_at_rest : bool
         Whether the record begins before the belt does.
     drag : (first, end)
@@ -127,7 +127,7 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         if k == 0 and begin == 0:
             continue  # the start-up, or a slip whose beginning was not recorded
         onset = onsets[k]
-        last = int(np.searchsorted(time, time[onset] - BEFORE_ONSET_S))
+        last = int(np.searchsorted(time, time[onset] - BEFORE_BREAK_AWAY_S))
         if k == 0:
             first = _calm(motion, onset, still)
         elif k == 1 and starts_at_rest:
@@ -135,7 +135,7 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
             first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
             drag = (first, last) if last - first >= shortest else (0, 0)
         else:
-            first = _riding(motion, middles[k - 1], last)
+            first = _sticking(motion, middles[k - 1], last)
         stick = (first, last) if last - first >= shortest else (onset, onset)
         left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_THE_BELT * motion.belt_speed))
         slip = (left, min(middles[k], n))
@@ -156,14 +156,14 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         overtakes = _overtakes(motion, landings[k], sticks[k][1])
         cycles.append(Cycle(number, float(time[onset]), float(time[landings[k]]), stick, slip, overtakes, flag))
 
-    riding = sum(
+    stuck = sum(
         float(time[min(j, n - 1)] - time[min(i, n - 1)])
         for k, (i, j) in enumerate(sticks)
         if not (k == 0 and starts_at_rest)
     )
     first = min(sticks[0][1], n - 1) if starts_at_rest else 0
     span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
-    return CycleSegmentation(tuple(cycles), riding / span if span > 0 else 0.0, starts_at_rest, drag)
+    return CycleSegmentation(tuple(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
 
 
 def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:
@@ -174,8 +174,8 @@ def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:
     return int(np.searchsorted(motion.time, motion.time[restless[-1]] + motion.half_window))
 
 
-def _riding(motion: MeasuredMotion, middle: int, last: int) -> int:
-    """Return the first sample from ``middle`` on at which the mass rides: a long overtaking goes on past the middle."""
+def _sticking(motion: MeasuredMotion, middle: int, last: int) -> int:
+    """Return the first sample of stick from ``middle`` on: a long overtaking goes on past the middle."""
     v = motion.velocity[middle:last]
     if v.size < 4:
         return middle

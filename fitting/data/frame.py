@@ -45,11 +45,11 @@ class MeasuredMotion:
         Half of the smoothing window, s: how far a corner is blurred.
     length_error : float
         Relative standard error of every length: that of the metres per count.
-    give : Measured or None
+    compliance : Measured or None
         Belt speed lost per metre of spring stretch, 1/s, where the belt's own counts show that it slows under load.
     belt_measured : bool
         Whether the belt's own counts are used: then a ramp cannot be a belt that slows.
-    swing : float
+    speed_variation : float
         m/s rms: variation of the measured belt speed that load does not explain; 0 where it is not significant.
     """
 
@@ -69,9 +69,9 @@ class MeasuredMotion:
     resolution: float
     half_window: float
     length_error: float = 0.0
-    give: Measured | None = None
+    compliance: Measured | None = None
     belt_measured: bool = False
-    swing: float = 0.0
+    speed_variation: float = 0.0
 
     @property
     def span(self) -> float:
@@ -156,11 +156,11 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         resolution=resolution,
         half_window=kinematics.window * usual / 2,
         length_error=_length_error(recording.rig),
-        give=Measured(-channel.slope.value, channel.slope.sd)
+        compliance=Measured(-channel.slope.value, channel.slope.sd)
         if channel is not None and channel.slows_under_load
         else None,
         belt_measured=channel is not None,
-        swing=0.0 if channel is None or not channel.is_unsteady else channel.swing,
+        speed_variation=0.0 if channel is None or not channel.is_unsteady else channel.speed_variation,
     )
 
 

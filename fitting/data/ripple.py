@@ -1,7 +1,7 @@
-"""Ripple: a belt whose speed swings at one frequency, found where the mass rides on it.
+"""Ripple: a belt whose speed oscillates at one frequency, found in the sticks.
 
 In stick the mass moves as the belt does, so its velocity, less a straight line against its position (a ramp's, or a
-belt's that gives way), is the belt's swing seen through the windows of the sticks.  Its strongest harmonic is looked
+belt's compliance), is the belt's ripple seen through the windows of the sticks.  Its strongest harmonic is looked
 for on a grid by a Fourier transform with zeros where the mass slips, and settled by least squares on the samples
 themselves.  In the fit amplitude, phase and frequency are unknowns, with
 what the sticks show as a wide prior.
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from daq.compute.least_squares import least_squares
-from fitting.data.cycles import BEFORE_ONSET_S, CycleSegmentation
+from fitting.data.cycles import BEFORE_BREAK_AWAY_S, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 
 LEFT = 0.45  # of the velocity's variance in stick: a ripple worth the name leaves no more than this
@@ -33,7 +33,7 @@ SETTLED_S = 0.02  # after a landing, at the least
 
 @dataclass(frozen=True)
 class Ripple:
-    """The belt's speed swings by ``cosine`` cos(omega t) + ``sine`` sin(omega t); m/s, m/s, rad/s, t as recorded."""
+    """The belt's speed ripples by ``cosine`` cos(omega t) + ``sine`` sin(omega t); m/s, m/s, rad/s, t as recorded."""
 
     cosine: float
     sine: float
@@ -45,11 +45,11 @@ class Ripple:
         return math.hypot(self.cosine, self.sine)
 
     def removed(self, motion: MeasuredMotion) -> MeasuredMotion:
-        """Return the motion with the swing taken off its smoothed velocity and acceleration, where corners show."""
-        _, velocity, acceleration = self.swing(motion.time)
+        """Return the motion with the ripple taken off its smoothed velocity and acceleration, where corners show."""
+        _, velocity, acceleration = self.belt_motion(motion.time)
         return replace(motion, velocity=motion.velocity - velocity, acceleration=motion.acceleration - acceleration)
 
-    def swing(self, time: Array) -> tuple[Array, Array, Array]:
+    def belt_motion(self, time: Array) -> tuple[Array, Array, Array]:
         """Return position (m), velocity and acceleration of the belt beside its steady run; 0 where omega is."""
         if self.omega == 0:
             return np.zeros_like(time), np.zeros_like(time), np.zeros_like(time)
@@ -66,7 +66,7 @@ def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None
     motion, cut : MeasuredMotion, CycleSegmentation
         In the fit's frame.
     """
-    index = _riding(motion, cut)
+    index = _in_stick(motion, cut)
     if index is None:
         return None
     time, x, v = motion.time[index], motion.position[index], motion.velocity[index]
@@ -104,13 +104,13 @@ def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None
     return Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega)
 
 
-def _riding(motion: MeasuredMotion, cut: CycleSegmentation) -> NDArray[np.int64] | None:
-    """Return the samples in which the mass rides on the belt, well away from corners; None with too few sticks."""
+def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> NDArray[np.int64] | None:
+    """Return the samples in stick, well away from corners; None with too few sticks."""
     settle = max(motion.half_window, SETTLED_S)
     parts = []
     for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
         first = int(np.searchsorted(motion.time, before.landing + settle))
-        end = int(np.searchsorted(motion.time, after.onset - BEFORE_ONSET_S))
+        end = int(np.searchsorted(motion.time, after.break_away - BEFORE_BREAK_AWAY_S))
         if end > first:
             parts.append(np.arange(first, end))
     return np.concatenate(parts) if len(parts) >= FEWEST else None

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.data.cycles import BEFORE_ONSET_S, CycleSegmentation
+from fitting.data.cycles import BEFORE_BREAK_AWAY_S, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.estimation.fit import Fit
@@ -18,7 +18,7 @@ from fitting.model.parameters import PER_CYCLE, Global, PerCycle
 from fitting.model.shooting import ShootingWindows, evaluator
 from rig_sim.friction.law import LAWS
 
-SEARCH_RANGE_S = 0.15  # about the smoothed onset
+SEARCH_RANGE_S = 0.15  # about the smoothed break-away
 AFTER_S = 0.05  # of the slip that the break-away is judged by
 ROUNDS, TRIALS = 3, 21  # of the search: each round looks closer, about the best trial before
 POOR_CYCLE = 3.0  # times the usual error of a cycle: a larger one means that something else happened in it
@@ -41,7 +41,7 @@ def find_break_aways(fit: Fit, motion: MeasuredMotion, cut: CycleSegmentation) -
     for cycle in cut.cycles:
         k = place.get(cycle.number)
         if k is None:
-            rows.append(BreakAway(cycle.number, cycle.onset, math.nan, math.nan, cycle.flag))
+            rows.append(BreakAway(cycle.number, cycle.break_away, math.nan, math.nan, cycle.flag))
             continue
         rough = fit.cycle_rms[k] > POOR_CYCLE * max(usual, motion.resolution)
         scale = math.exp(float(fit.local[k, PerCycle.LEVEL]))
@@ -64,18 +64,18 @@ def _break_aways(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array]:
         best = trials[np.arange(count), np.argmin(_misfit(fit, motion, trials), axis=1)]
         step = (high - low) / (TRIALS - 1)
         low, high = np.maximum(best - step, earliest), best + step
-    place = np.array([_riding(fit, motion, k, best[k : k + 1])[0] for k in range(count)])
+    place = np.array([_in_stick(fit, motion, k, best[k : k + 1])[0] for k in range(count)])
     return best, _friction(fit, best, place) / fit.values.F
 
 
 def _belt_ripple(fit: Fit, time: Array) -> tuple[Array, Array, Array]:
     """Return position (m), velocity and acceleration of the belt's ripple at ``time`` (any shape), as fitted."""
     p = fit.values
-    return Ripple(p.cosine, p.sine, p.omega).swing(time)
+    return Ripple(p.cosine, p.sine, p.omega).belt_motion(time)
 
 
 def _edge_speed(fit: Fit, time: Array) -> Array:
-    """Return the velocity at which a stick ends, m/s: the belt's, less what ramp and belt give way at the level."""
+    """Return the velocity at which a stick ends, m/s: the belt's less `_width`."""
     return np.asarray(fit.values.v_dr - _width(fit) + _belt_ripple(fit, time)[1])
 
 
@@ -98,12 +98,12 @@ def _friction(fit: Fit, time: Array, x: Array) -> Array:
 
 
 def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
-    """Return when the friction of a riding mass reaches the level of the slip after it, s."""
-    onset = fit.cycles[k].onset
-    time = np.arange(onset - SEARCH_RANGE_S, onset + SEARCH_RANGE_S, 1e-4)
+    """Return when the friction in stick reaches the level of the slip after it, s."""
+    smoothed = fit.cycles[k].break_away
+    time = np.arange(smoothed - SEARCH_RANGE_S, smoothed + SEARCH_RANGE_S, 1e-4)
     level = math.exp(float(fit.u[Global.LOG_F] + fit.local[k, PerCycle.LEVEL]))
-    enough = _friction(fit, time, _riding(fit, motion, k, time)) >= level
-    return float(time[np.argmax(enough)]) if enough.any() else onset
+    enough = _friction(fit, time, _in_stick(fit, motion, k, time)) >= level
+    return float(time[np.argmax(enough)]) if enough.any() else smoothed
 
 
 def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
@@ -116,9 +116,9 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
     local: list[Array] = []
     total = 0
     for k, cycle in enumerate(fit.cycles):
-        first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_ONSET_S))
+        first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_BREAK_AWAY_S))
         last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + AFTER_S))
-        starts = zip(trials[k], _riding(fit, motion, k, trials[k]), _edge_speed(fit, trials[k]), strict=True)
+        starts = zip(trials[k], _in_stick(fit, motion, k, trials[k]), _edge_speed(fit, trials[k]), strict=True)
         for j, (begin, x, edge) in enumerate(starts):
             after = max(first, int(np.searchsorted(motion.time, begin, side="right")))
             if after >= last:
@@ -136,7 +136,7 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
         return errors
     windows = ShootingWindows(
         table=np.array(table, np.int64),
-        level_epoch=np.array([fit.cycles[row[0]].onset for row in owner]),
+        level_epoch=np.array([fit.cycles[row[0]].break_away for row in owner]),
         earliest_landing=np.full(len(table), np.inf),
         time=np.concatenate(time),
         position=np.zeros(total),
@@ -149,17 +149,17 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
         return errors
     model = found[0]
     for k, j, first, after, last, at in owner:
-        before = _riding(fit, motion, k, motion.time[first:after]) - motion.measured[first:after]
+        before = _in_stick(fit, motion, k, motion.time[first:after]) - motion.measured[first:after]
         slipping = model[at + 1 : at + 1 + last - after] - motion.measured[after:last]
         errors[k, j] = float(np.sum(before**2) + np.sum(slipping**2))
     return errors
 
 
-def _riding(fit: Fit, motion: MeasuredMotion, k: int, time: Array) -> Array:
+def _in_stick(fit: Fit, motion: MeasuredMotion, k: int, time: Array) -> Array:
     """Return where the mass would be at ``time`` had it not yet left the belt, m."""
     first, end = fit.cycles[k].stick
     if _width(fit) > 0 or end <= first:
         return np.interp(time, motion.time, motion.position)
     began = motion.time[first : first + 1]
-    swung = _belt_ripple(fit, time)[0] - _belt_ripple(fit, began)[0]
-    return np.asarray(fit.local[k, PerCycle.X_STICK] + fit.values.v_dr * (time - began) + swung)
+    ripple = _belt_ripple(fit, time)[0] - _belt_ripple(fit, began)[0]
+    return np.asarray(fit.local[k, PerCycle.X_STICK] + fit.values.v_dr * (time - began) + ripple)

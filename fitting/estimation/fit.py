@@ -46,8 +46,8 @@ class Fit:
         The law and the runs.
     u : (12 runs,) f8
         Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
-        datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), give (belt speed lost per metre of
-        spring stretch, 1/s), and the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s); see
+        datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), compliance (belt speed lost per metre
+        of spring stretch, 1/s), and the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s); see
         `fitting.model.parameters`.
     active : tuple of int
         Which of them this law has and the fit moves.
@@ -124,7 +124,7 @@ class Fit:
 
     @property
     def law_parameters(self) -> int:
-        """Number of the law's own shared unknowns; what every law has besides (datum, damping, fade, give) not."""
+        """Number of the law's own shared unknowns; what every law has besides (datum, damping, fade, belt) not."""
         return sum(place % PER_RUN not in NUISANCE for place in self.active)
 
     @property

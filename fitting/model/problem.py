@@ -74,7 +74,7 @@ class EstimationProblem:
         upper[:, Global.SHAPE] = steepest
         for r, (run, own) in enumerate(zip(runs, first, strict=True)):
             motion, ripple, v = run.motion, run.ripple, run.motion.belt_speed
-            datum, belt, give = datum_calibration(motion), motion.belt_prior, motion.give
+            datum, belt, compliance = datum_calibration(motion), motion.belt_prior, motion.compliance
             # Constant friction determines only datum + Fs/k: the scatter of levels must not separate the two.
             datum_sd = 0.0 if kind.curve == "constant" else datum.sd
             known = {
@@ -84,9 +84,9 @@ class EstimationProblem:
             begin = own._replace(K=K, F=F, shape=min(first_shape, steepest), d=d, damping=damping.value)
             if belt is not None and belt.sd > 0:
                 known[Global.V_DR] = belt.value, _precision(belt.sd, 0.0)
-            if give is not None:
-                begin = begin._replace(compliance=give.value)
-                known[Global.COMPLIANCE] = give.value, _precision(give.sd, 0.0)
+            if compliance is not None:
+                begin = begin._replace(compliance=compliance.value)
+                known[Global.COMPLIANCE] = compliance.value, _precision(compliance.sd, 0.0)
             if ripple is not None:
                 begin = begin._replace(cosine=ripple.cosine, sine=ripple.sine, omega=ripple.omega)
                 spread = (RIPPLE_AMPLITUDE_SD * ripple.amplitude) ** -2
@@ -105,7 +105,7 @@ class EstimationProblem:
             law=law,
             runs=tuple(runs),
             active=parameters.active_places(
-                law, [motion.give is not None for motion in motions], [run.ripple is not None for run in runs]
+                law, [motion.compliance is not None for motion in motions], [run.ripple is not None for run in runs]
             ),
             start=start.ravel(),
             scale=scale.ravel(),

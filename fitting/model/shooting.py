@@ -100,7 +100,7 @@ class ShootingWindows:
                 if end > first:
                     taken = np.arange(first, end, stride)
                     table.append((k, stick, total, taken.size, cycle.overtakes, 0))
-                    level_epoch.append(cycle.onset)
+                    level_epoch.append(cycle.break_away)
                     earliest_landing.append(0.5 * (float(motion.time[first]) + cycle.landing))
                     source.append(taken)
                     total += taken.size

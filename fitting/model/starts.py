@@ -48,7 +48,7 @@ def slip_samples(motion: MeasuredMotion, cut: CycleSegmentation) -> SlipSamples:
 def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple[float, float]:
     """Return (velocity at the record's zero, slope dv/dx) of the plateaus, in m/s and 1/s.
 
-    A jump contact rides at the belt's speed (slope 0); on a ramp the mass falls behind in proportion to the spring's
+    A jump contact sticks at the belt's speed (slope 0); on a ramp the mass falls behind in proportion to the spring's
     pull (slope -d K/F).  Without a plateau worth a fit the slope is 0 and the speed is the belt's first value.
     """
     rows: list[Array] = []
@@ -89,8 +89,8 @@ def regress_start(motion: MeasuredMotion, cut: CycleSegmentation, curve: int, ra
     K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose)
     if ramp:
         v_dr = level + slope * rest
-        give = 0.0 if motion.give is None else motion.give.value  # that much of the slope is the belt's
-        d = float(np.clip((-slope - give) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
+        belt_slope = 0.0 if motion.compliance is None else motion.compliance.value
+        d = float(np.clip((-slope - belt_slope) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
         K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose)
     return Values(K, F, v_dr, shape, d, rest)
 

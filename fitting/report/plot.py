@@ -172,7 +172,7 @@ def levels(ranking: Ranking) -> Figure:
 def _since_break_away(time: Array, rows: tuple[slice, ...], cycles: tuple[Cycle, ...]) -> Array:
     phase = np.empty(time.size)
     for part, cycle in zip(rows, cycles, strict=True):
-        phase[part] = time[part] - cycle.onset
+        phase[part] = time[part] - cycle.break_away
     return phase
 
 

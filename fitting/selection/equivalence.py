@@ -2,9 +2,9 @@
 
 Without the belt's own counts the two are one observable (`rig_sim.integrate.modes`, droop): a belt that loses 1 % of
 its speed at the load Fs turns law 5 into a perfect law 6.  So where a ramp law is in the set and its ramp is no wider
-than the speed drop of a realistic belt, its jump law is fitted once more with a give of its own, and joins the set if
-its error is then no larger.  A wider ramp is taken as one: no belt drive loses that much.  Runs at several belt speeds
-can separate the two: a ramp has the same width at every speed, while each run has its own give.
+than the speed drop of a realistic belt, its jump law is fitted once more with a compliance of its own, and joins the
+set if its error is then no larger.  A wider ramp is taken as one: no belt drive loses that much.  Runs at several belt speeds
+can separate the two: a ramp has the same width at every speed, while each run has its own compliance.
 """
 
 import math
@@ -22,13 +22,13 @@ from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
 WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
-SWINGING = 0.08  # of the belt's speed: the ramp that a belt whose speed swings by 3 % can imitate in half a second
+WIDEST_OF_RIPPLE = 0.08  # of the belt's speed: a ramp that a belt with 3 % ripple can imitate in half a second
 UNSTEADY = 1.3  # times the rms of the whole record; the drag on a steady belt stays below.  Not swept
 SAME = 0.05  # log error: a hyperbola on a compliant belt and a ramp differ by less.  Not swept
 
 
 def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Sequence[Run]) -> Fit | None:
-    """Fit the jump law of a narrow ramp on a belt that gives way.
+    """Fit the jump law of a narrow ramp on a compliant belt.
 
     Parameters
     ----------
@@ -53,11 +53,11 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     near = found[ramp]
     if near.values.d > WIDEST * min(run.motion.belt_speed for run in runs):
         return None
-    give = near.values.d * near.values.K / near.values.F
+    compliance = near.values.d * near.values.K / near.values.F
     start = near.u.copy()
-    start[Global.COMPLIANCE :: PER_RUN] = give
-    giving = [replace(run, motion=replace(run.motion, give=Measured(give, give))) for run in runs]
-    fit = trajectory.fit_from(EstimationProblem.build(ramp - 1, giving), replace(near, u=start))
+    start[Global.COMPLIANCE :: PER_RUN] = compliance
+    compliant = [replace(run, motion=replace(run.motion, compliance=Measured(compliance, compliance))) for run in runs]
+    fit = trajectory.fit_from(EstimationProblem.build(ramp - 1, compliant), replace(near, u=start))
     return None if fit is None else trajectory.final_fit(fit)
 
 
@@ -81,6 +81,6 @@ def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> boo
         Log error of the pieces of the drags.
     runs : sequence of Run
     """
-    narrow = ramp.values.d <= SWINGING * min(run.motion.belt_speed for run in runs)
+    narrow = ramp.values.d <= WIDEST_OF_RIPPLE * min(run.motion.belt_speed for run in runs)
     measured = any(run.motion.belt_measured for run in runs)
     return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY * ramp.geometric_mean_rms)

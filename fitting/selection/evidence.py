@@ -88,8 +88,8 @@ def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> boo
 
 def _drag_errors(fit: Fit, motion: MeasuredMotion, drag: tuple[int, int]) -> Array:
     """Return the log error of equal pieces of the start-up drag: the sine after it is the same under laws 1 and 2."""
-    _, riding, first, count, *_ = fit.windows.table[0]
-    if not riding or fit.cycles[0].stick != drag:
+    _, stick, first, count, *_ = fit.windows.table[0]
+    if not stick or fit.cycles[0].stick != drag:
         raise RuntimeError("the first window is not the start-up drag")
     end = first + count
     return np.array([_log_error(part, motion) for part in np.array_split(fit.residual[first:end], DRAG_BLOCKS)])

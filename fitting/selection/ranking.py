@@ -50,7 +50,7 @@ def rank(
     kinematics : Kinematics or sequence of Kinematics
         The smoothed record (`processing.smooth`); plain differences are smoothed again, in memory.  Several are taken
         as runs of one contact, at other belt speeds say: k/m, Fs/m, the curve, the ramp and the damping are one for
-        all; belt speed, rest position, wear and the belt's give are each run's own.
+        all; belt speed, rest position, wear and the belt's compliance are each run's own.
     rig : Rig or sequence of Rig, optional
         Calibration; the recording's own by default, one for all, or one for each run.
     laws : sequence of int
@@ -85,14 +85,14 @@ def rank(
 
     Notes
     -----
-    A belt that slows under load looks like a ramp.  With the belt's own counts its give is measured and part of the
-    flow; without, a ramp narrow enough to be such a belt brings its jump law into the set
+    A belt that slows under load looks like a ramp.  With the belt's own counts its compliance is measured and part of
+    the flow; without, a ramp narrow enough to be such a belt brings its jump law into the set
     (`fitting.selection.equivalence`).
 
-    A belt whose speed swings at one frequency is seen in the sticks, and its ripple is also fitted
+    A belt whose speed ripples at one frequency is seen in the sticks, and its ripple is also fitted
     (`fitting.data.ripple`).
 
-    Not modelled: a swing of several frequencies, friction that remembers, a mass or spring that changes between runs.
+    Not modelled: a ripple of several frequencies, friction that remembers, a mass or spring that changes between runs.
     """
     begun = clock.process_time()
     laws = tuple(dict.fromkeys(laws))
@@ -189,16 +189,16 @@ def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: boo
 
 
 def _run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
-    """Cut a record into cycles; where the belt's speed swings, as it would move on a steady belt."""
+    """Cut a record into cycles; where the belt's speed ripples, as it would move on a steady belt."""
     cut = cycles.segment_cycles(motion, excluded)
     beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
     if beyond and cut.cycles:
         what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
         raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
-    swing = ripple.find_ripple(motion, cut)
-    if swing is not None:
-        cut = cycles.segment_cycles(swing.removed(motion), excluded)
-    return Run(motion, cut, swing)
+    found = ripple.find_ripple(motion, cut)
+    if found is not None:
+        cut = cycles.segment_cycles(found.removed(motion), excluded)
+    return Run(motion, cut, found)
 
 
 def _smoothed(kinematics: Kinematics) -> Kinematics:

@@ -23,8 +23,8 @@ COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back b
 ONE_SPEED = 0.2  # of the usual stick's: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1
 FEWEST_STICKS = 2  # to distinguish one speed from several
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
-FILLED = 0.5  # of a record that riding, slips and rest fill at least
-RIDING = (0.6, 1.2)  # of the belt's speed
+FILLED = 0.5  # of a record that sticks, slips and rest fill at least
+STICK_SPEEDS = (0.6, 1.2)  # of the belt's speed
 SINE = 0.05  # of its amplitude: closer, a motion is a sine
 ONE_PLACE = 4.0  # of a slip's range: where friction hardly falls a slip is short, and scatter moves its start by more
 # Of the slip speed: least change of velocity in the middle half of a slip.  Spring and mass alone make 0.3 to 0.5, 39
@@ -60,7 +60,7 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustaine
         flags = ", ".join(dict.fromkeys(cycle.flag for cycle in cut.cycles))
         return f"every cycle is left out ({flags})" if flags else _of_motion(motion)
     time, x = motion.time, motion.position
-    begin = np.searchsorted(time, [cycle.onset for cycle in seen])
+    begin = np.searchsorted(time, [cycle.break_away for cycle in seen])
     end = np.minimum(np.searchsorted(time, [cycle.landing for cycle in seen]), time.size - 1)
     reach = np.array([np.ptp(x[i : j + 1]) for i, j in zip(begin, end, strict=True)])
     back = (x[begin] - x[end]) / np.maximum(reach, motion.resolution)
@@ -170,11 +170,11 @@ def _speed_changes(motion: MeasuredMotion, begin: Integers, end: Integers) -> Ar
 
 
 def _filled(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
-    """Return the share of the record in which the mass rides, slips in a cycle that was found, or stands still."""
+    """Return the share of the record in which the mass sticks, slips in a cycle that was found, or stands still."""
     speed = motion.velocity / motion.belt_speed
-    known = (np.abs(speed) < REST_FRACTION) | ((speed > RIDING[0]) & (speed < RIDING[1]))
+    known = (np.abs(speed) < REST_FRACTION) | ((speed > STICK_SPEEDS[0]) & (speed < STICK_SPEEDS[1]))
     for cycle in cut.cycles:
-        known |= (motion.time >= cycle.onset) & (motion.time <= cycle.landing)
+        known |= (motion.time >= cycle.break_away) & (motion.time <= cycle.landing)
     return float(np.mean(known))
 
 

@@ -104,7 +104,7 @@ def warnings(
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
             "may be laws 1, 3, 5 on such a belt"
         )
-    if motion.give is not None:
+    if motion.compliance is not None:
         droop = best.parameters["droop"]
         share = 100 * droop.value / motion.belt_speed
         warned.append(f"the belt slows under load, by {share:.2g} % at Fs: measured by its encoder, part of every law")
@@ -113,8 +113,8 @@ def warnings(
         warned.append(
             f"the belt's speed varies by {share:.2g} % at {hertz:.3g} Hz: detected in the sticks, included in every law"
         )
-    elif motion.swing > 0:
-        share = 100 * motion.swing / motion.belt_speed
+    elif motion.speed_variation > 0:
+        share = 100 * motion.speed_variation / motion.belt_speed
         warned.append(f"the measured belt speed varies by {share:.2g} % rms apart from load: the fit assumes it steady")
     if motion.datum_prior is None:
         warned.append(

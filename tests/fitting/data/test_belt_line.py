@@ -1,4 +1,4 @@
-"""A counted belt: its give under load is measured apart from any law, and tells a ramp from a belt that slows."""
+"""A counted belt: its compliance is measured apart from any law, and tells a ramp from a belt that slows."""
 
 from dataclasses import replace
 
@@ -98,7 +98,7 @@ def test_a_belt_that_swings_is_told(simulated):
     assert 5 in ranking.laws_in_set
 
 
-def test_measured_points_of_a_stick_lie_at_rest_on_the_giving_belt(simulated):
+def test_measured_points_of_a_stick_lie_at_rest_on_the_compliant_belt(simulated):
     ranking = rank(simulated("belt.channel=true", "droop.fraction=0.02", "friction.law=5"), laws=(5,))
     w, _, stick = points(ranking)
     assert abs(np.median(w[stick])) < 1e-4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fitting.data import cycles
-from fitting.data.cycles import BEFORE_ONSET_S
+from fitting.data.cycles import BEFORE_BREAK_AWAY_S
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def test_every_complete_cycle_is_found(law5, synthetic):
     _, events = synthetic.motion(synthetic.Scene(law=5))
     breaks = [t for t, _, kind in events if kind == "break" and t < 19]
     assert len(cut.used) == len(breaks)
-    assert [cycle.onset for cycle in cut.cycles] == pytest.approx(breaks, abs=0.04)
+    assert [cycle.break_away for cycle in cut.cycles] == pytest.approx(breaks, abs=0.04)
 
 
 def test_no_window_holds_a_break_away(law5, synthetic):
@@ -39,7 +39,7 @@ def test_stick_windows_end_before_the_onset(law5):
     for cycle in cut.used:
         first, end = cycle.stick
         if end > first:
-            assert motion.time[end - 1] <= cycle.onset - BEFORE_ONSET_S + 2e-3
+            assert motion.time[end - 1] <= cycle.break_away - BEFORE_BREAK_AWAY_S + 2e-3
 
 
 def test_the_start_up_drag_is_found(law5):

@@ -1,4 +1,4 @@
-"""A belt whose speed swings: seen in the sticks, fitted along, and never mistaken for a ramp."""
+"""A belt whose speed ripples: seen in the sticks, fitted along, and never mistaken for a ramp."""
 
 import math
 
@@ -17,21 +17,21 @@ def found_in(kinematics):
 
 
 @pytest.fixture(scope="module")
-def swinging(simulated):
-    """Give a function that records a law on a belt that swings by 2 %."""
+def rippled(simulated):
+    """Give a function that records a law on a belt that ripples by 2 %."""
     return lambda law: simulated(
         f"friction.law={law}", f"belt.ripple={AMPLITUDE}", f"belt.ripple_hz={HERTZ}", "scatter.Fs=0.1"
     )
 
 
 @pytest.mark.parametrize("law", [3, 4, 5, 6])
-def test_the_sticks_show_frequency_amplitude_and_phase(swinging, law):
-    swing = found_in(swinging(law))
-    assert swing.omega == pytest.approx(2 * math.pi * HERTZ, abs=2 * math.pi * 0.005)
-    assert swing.amplitude == pytest.approx(AMPLITUDE, rel=0.15)
-    # the scene's belt starts at 0.5 s: its swing is AMPLITUDE sin(2 pi f (t - 0.5)); compared in the middle of the run
+def test_the_sticks_show_frequency_amplitude_and_phase(rippled, law):
+    ripple = found_in(rippled(law))
+    assert ripple.omega == pytest.approx(2 * math.pi * HERTZ, abs=2 * math.pi * 0.005)
+    assert ripple.amplitude == pytest.approx(AMPLITUDE, rel=0.15)
+    # the scene's belt starts at 0.5 s: its ripple is AMPLITUDE sin(2 pi f (t - 0.5)); compared in the middle of the run
     t = 10.0 + np.linspace(0, 1 / HERTZ, 50)
-    seen = swing.cosine * np.cos(swing.omega * t) + swing.sine * np.sin(swing.omega * t)
+    seen = ripple.cosine * np.cos(ripple.omega * t) + ripple.sine * np.sin(ripple.omega * t)
     assert seen == pytest.approx(AMPLITUDE * np.sin(2 * math.pi * HERTZ * (t - 0.5)), abs=0.3 * AMPLITUDE)
 
 
@@ -40,13 +40,13 @@ def test_a_steady_belt_shows_none(simulated, law):
     assert found_in(simulated(f"friction.law={law}", "scatter.Fs=0.1")) is None
 
 
-def test_constant_friction_has_no_sticks_to_show_it(swinging):
-    assert found_in(swinging(1)) is None
+def test_constant_friction_has_no_sticks_to_show_it(rippled):
+    assert found_in(rippled(1)) is None
 
 
 @pytest.mark.parametrize("law", [3, 5])
-def test_a_belt_that_swings_is_no_ramp(swinging, law):
-    ranking = rank(swinging(law))
+def test_a_belt_that_ripples_is_no_ramp(rippled, law):
+    ranking = rank(rippled(law))
     assert ranking.laws_in_set[0] == law
     assert ranking.best.fit.geometric_mean_rms < 5e-6  # down to the counts, 2.2 um
     assert ranking.best.parameters["ripple"].value == pytest.approx(AMPLITUDE, rel=0.01)
@@ -54,8 +54,8 @@ def test_a_belt_that_swings_is_no_ramp(swinging, law):
     assert any("varies by 2 % at 2.3 Hz" in warning for warning in ranking.warnings)
 
 
-def test_a_ramp_on_a_belt_that_swings_comes_back(swinging):
-    ranking = rank(swinging(6))
+def test_a_ramp_on_a_belt_that_ripples_comes_back(rippled):
+    ranking = rank(rippled(6))
     assert ranking.laws_in_set == (6,)
     width = ranking.best.parameters["d"]
     assert width.lo <= 0.03 <= width.hi
@@ -70,9 +70,9 @@ def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
     assert 1 in rank(motion).laws_in_set
 
 
-@pytest.mark.parametrize("law", [3, 5])  # a ramp can be left, entered and left again within one swing
-def test_break_aways_from_a_belt_that_swings_carry_its_swing(swinging, law):
-    ranking = rank(swinging(law))
+@pytest.mark.parametrize("law", [3, 5])  # a ramp can be left, entered and left again within one ripple period
+def test_break_aways_from_a_belt_that_ripples_carry_its_ripple(rippled, law):
+    ranking = rank(rippled(law))
     events = [event for event in ranking.events if not event.flag]
     assert len(events) >= 10
     assert [event.break_away_level / event.kinetic_scale for event in events] == pytest.approx(

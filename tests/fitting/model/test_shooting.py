@@ -11,9 +11,9 @@ K, F, V = 35.184, 4.598, 0.22
 OMEGA = K**0.5
 
 
-def one_window(time, riding=0, overtakes=0, earliest_landing=0.0):
+def one_window(time, stick=0, overtakes=0, earliest_landing=0.0):
     return ShootingWindows(
-        table=np.array([[0, riding, 0, time.size, overtakes, 0]], np.int64),
+        table=np.array([[0, stick, 0, time.size, overtakes, 0]], np.int64),
         level_epoch=np.array([time[0]]),
         earliest_landing=np.array([earliest_landing]),
         time=time,
@@ -27,17 +27,17 @@ STEADY = (0.0, 0.0, 0.0)
 
 
 def predicted(
-    windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, fade=0.0, give=0.0, ripple=STEADY
+    windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, fade=0.0, compliance=0.0, ripple=STEADY
 ):
-    u = np.array([K, np.log(F), V, shape, d, datum, c, fade, give, *ripple])
+    u = np.array([K, np.log(F), V, shape, d, datum, c, fade, compliance, *ripple])
     evaluate = evaluator(curve, ramp, windows, u, list(range(PER_RUN)), np.ones(PER_RUN), np.ones(PER_CYCLE))
     return evaluate(u, local[None], False)[0]
 
 
-def start(x, v, riding=False, level=1.0, following=1.0):
+def start(x, v, stick=False, level=1.0, following=1.0):
     local = np.zeros(PER_CYCLE)
     local[2:4] = np.log(level), np.log(following)
-    local[4 if riding else 0], local[5 if riding else 1] = x, v
+    local[4 if stick else 0], local[5 if stick else 1] = x, v
     return local
 
 
@@ -55,7 +55,7 @@ def test_constant_slip_is_a_sine_about_its_level():
 
 def test_a_jumps_stick_is_a_straight_line_whatever_the_load():
     time = np.linspace(1.0, 2.5, 37)
-    x = predicted(one_window(time, riding=1), start(-0.1, 0.3, riding=True))
+    x = predicted(one_window(time, stick=1), start(-0.1, 0.3, stick=True))
     assert x == pytest.approx(-0.1 + V * (time - 1.0), abs=1e-14)
 
 
@@ -80,19 +80,19 @@ def test_fading_lowers_the_level_as_a_smaller_level_would():
     assert worn == pytest.approx(np.array(path)[::1000], abs=6e-6)  # at four times the nominal wear
 
 
-def test_riding_a_belt_that_ripples_is_its_own_motion():
+def test_stick_a_belt_that_ripples_is_its_own_motion():
     time = np.linspace(1.0, 1.7, 29)
     cosine, sine, omega = 3e-3, -2e-3, 17.0
     x = predicted(
-        one_window(time, riding=1),
-        start(-0.1, 0.3, riding=True),
+        one_window(time, stick=1),
+        start(-0.1, 0.3, stick=True),
         ripple=(cosine, sine, omega),
         c=0.1,
         shape=9.6,
         curve=2,
     )
-    swing = (cosine * np.sin(omega * time) - sine * np.cos(omega * time)) / omega
-    assert x == pytest.approx(-0.1 + V * (time - 1.0) + swing - swing[0], abs=1e-14)
+    ripple_path = (cosine * np.sin(omega * time) - sine * np.cos(omega * time)) / omega
+    assert x == pytest.approx(-0.1 + V * (time - 1.0) + ripple_path - ripple_path[0], abs=1e-14)
 
 
 def test_a_slip_on_a_belt_that_ripples_is_the_brute_force_motion():
@@ -108,16 +108,16 @@ def test_a_slip_on_a_belt_that_ripples_is_the_brute_force_motion():
     assert x == pytest.approx(exact, abs=1e-11)
 
 
-@pytest.mark.parametrize("riding", [0, 1])
-def test_a_linear_jump_on_a_giving_belt_is_the_ramp_law_of_the_flows_table(riding):
-    time = np.linspace(0.0, 1.0 if riding == 0 else 0.6, 161)
-    first = start(0.128, 0.1, level=1.05, following=0.97) if riding == 0 else start(-0.05, 0.219, riding=True)
-    windows = one_window(time, riding=riding, earliest_landing=0.3)
+@pytest.mark.parametrize("stick", [0, 1])
+def test_a_linear_jump_on_a_compliant_belt_is_the_ramp_law_of_the_flows_table(stick):
+    time = np.linspace(0.0, 1.0 if stick == 0 else 0.6, 161)
+    first = start(0.128, 0.1, level=1.05, following=0.97) if stick == 0 else start(-0.05, 0.219, stick=True)
+    windows = one_window(time, stick=stick, earliest_landing=0.3)
     slope, droop = 0.435, 0.004  # G_slip/Fs (s/m), m/s
-    giving = predicted(windows, first, curve=1, shape=slope, give=droop * K / F)
+    compliant = predicted(windows, first, curve=1, shape=slope, compliance=droop * K / F)
     steeper = slope / (1 - droop * slope)
-    assert giving == pytest.approx(predicted(windows, first, curve=1, ramp=True, shape=steeper, d=droop), abs=1e-12)
-    assert np.abs(giving - predicted(windows, first, curve=1, shape=slope)).max() > 1e-4
+    assert compliant == pytest.approx(predicted(windows, first, curve=1, ramp=True, shape=steeper, d=droop), abs=1e-12)
+    assert np.abs(compliant - predicted(windows, first, curve=1, shape=slope)).max() > 1e-4
 
 
 def test_derivatives_are_those_of_the_positions():
