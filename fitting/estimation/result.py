@@ -44,10 +44,4 @@ class BreakAway:
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
-        return {
-            "number": self.number,
-            "t": self.t,
-            "static_level": self.break_away_level,
-            "kinetic_scale": self.kinetic_scale,
-            "flag": self.flag,
-        }
+        return {"static_level" if name == "break_away_level" else name: item for name, item in vars(self).items()}

@@ -53,18 +53,11 @@ class LawResult:
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
-        return {
-            "law": self.law,
-            "name": self.name,
-            "score": self.score,
-            "weight": self.weight,
-            "in_set": self.in_set,
-            "rms_m": self.rms_m,
-            "cycles": self.cycles,
-            "parameters": {name: item.as_json() for name, item in self.parameters.items()},
-            "orbit_distance": self.orbit,
-            "cpu_s": self.cpu_s,
+        document = {
+            name: getattr(self, name) for name in ("law", "name", "score", "weight", "in_set", "rms_m", "cycles")
         }
+        document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
+        return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s}
 
 
 @dataclass(frozen=True, eq=False)

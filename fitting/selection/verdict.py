@@ -158,7 +158,7 @@ def _contradicted(best: LawResult, motion: MeasuredMotion) -> list[str]:
     u, warned = best.fit.u, []
     for name, index, prior, unit in (
         ("datum", Global.DATUM, motion.datum_prior, "m"),
-        ("belt speed", 2, motion.belt_prior, "m/s"),
+        ("belt speed", Global.V_DR, motion.belt_prior, "m/s"),
     ):
         if prior is None or prior.sd <= 0:
             continue
