@@ -71,10 +71,9 @@ def _packages() -> list[Check]:
         others = sorted({owner for owner in owners.get(package, []) if owner != "stickslip"})
         passed = origin is not None and origin.parent.parent == home and not others
         seen = str(origin.parent) if origin else "not found"
-        if others:
-            seen += f"; also installed by {', '.join(others)}"
         remedy = "install stickslip again"
         if others:
+            seen += f"; also installed by {', '.join(others)}"
             remedy = f"python -m pip uninstall {' '.join(others)}; then {remedy}"
         checks.append(Check(f"package {package}", passed, seen, remedy))
     return checks

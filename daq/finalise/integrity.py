@@ -6,6 +6,7 @@ over, nothing is filled in.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -95,8 +96,9 @@ def check(
     invalid = gap & (interval > safe) & ~fresh
     starts = np.flatnonzero(fresh | invalid)
     segment = np.cumsum(fresh | invalid) - 1
+    stretches = list(pairwise([*starts.tolist(), len(samples)]))
     count = np.empty(len(samples), dtype=np.int64)
-    for start, stop in zip(starts, [*starts[1:], len(samples)], strict=True):
+    for start, stop in stretches:
         count[start:stop] = counters.net_count(samples.up[start:stop], samples.down[start:stop], bits)
     flags = (samples.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
     flags[lost > 0] |= counters.FLAG_GAP
@@ -106,7 +108,7 @@ def check(
     if rig.decoder == "x4" and ident is not None and frames.Capability.LEVELS in ident.capabilities:
         wrong = counters.phase_error(samples.up, samples.down, samples.status)
         if not starts_at_phase:
-            for start, stop in zip(starts, [*starts[1:], len(samples)], strict=True):
+            for start, stop in stretches:
                 wrong[start:stop] -= np.bincount(wrong[start:stop], minlength=4).argmax().astype(np.uint8)
         flags[wrong & 3 != 0] |= counters.FLAG_PHASE
     rise = np.zeros(len(samples), dtype=np.int64)
@@ -119,20 +121,9 @@ def check(
         total = np.cumsum(rise)
         begun = np.maximum.accumulate(np.where(fresh, np.arange(len(samples)), 0))
         flags[total > total[begun]] |= counters.FLAG_COUNT_UNCERTAIN
-    part_reason: list[SegmentReason] = ["reopened" if reopened else "restarted" for reopened in samples.reopened]
-    reasons: tuple[SegmentReason, ...] = tuple(
-        "invalid" if invalid[s] else part_reason[samples.part[s]] for s in starts
-    )
-    return CheckedCounts(
-        count,
-        segment.astype(np.uint16),
-        flags,
-        lost,
-        int(rise.sum()),
-        peak,
-        tuple(reasons),
-        starts,
-    )
+    parts: list[SegmentReason] = ["reopened" if reopened else "restarted" for reopened in samples.reopened]
+    reasons: tuple[SegmentReason, ...] = tuple("invalid" if invalid[s] else parts[samples.part[s]] for s in starts)
+    return CheckedCounts(count, segment.astype(np.uint16), flags, lost, int(rise.sum()), peak, reasons, starts)
 
 
 def _peak_rate(time: NDArray[np.float64], moved: NDArray[np.int64], broken: NDArray[np.bool_], stride: int) -> float:

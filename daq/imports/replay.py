@@ -182,38 +182,31 @@ def from_capture(
         before = after
         offset += levels.size
         progress(offset)
-    index, up, down, illegal, levels_at = np.concatenate(rows).T
-    # As the board does: an x4 counter starts at the phase of the levels, so that both can be compared ever after.
-    start = int(PHASE[levels_at[0]]) if wired.decoder == "x4" else 0
     rig = replace(rig, decoder=wired.decoder, counter_bits=16)
-    return _captured(capture, wired, rate_hz, rig, index, up + start, down, illegal, levels_at), before
+    return _captured(capture, wired, rate_hz, rig, np.concatenate(rows)), before
 
 
 def _captured(
-    capture: sigrok.Capture,
-    wired: decode.Wiring,
-    rate_hz: float,
-    rig: Rig,
-    index: NDArray[np.int64],
-    up: NDArray[np.int64],
-    down: NDArray[np.int64],
-    illegal: NDArray[np.int64],
-    levels: NDArray[np.int64],
+    capture: sigrok.Capture, wired: decode.Wiring, rate_hz: float, rig: Rig, rows: NDArray[np.int64]
 ) -> Recording:
+    """Return the run of the rows of `_Sampler.take`, (n, 5)."""
+    index, up, down, illegal, levels = rows.T
+    if wired.decoder == "x4":
+        up = up + int(PHASE[levels[0]])  # as on the board, the counter starts at the phase of the levels
     time = index / float(capture.rate_hz or rate_hz)
     count = up - down
     names = [capture.probes[bit] for bit in wired.bits]
-    flags = _flags(wired.decoder, up, down, illegal, levels)
     raw = Raw(
         sample=np.arange(index.size, dtype=np.uint32),
         count_up=(up & 0xFFFF).astype(np.uint16),
         count_down=(down & 0xFFFF).astype(np.uint16),
         device_time=(np.round(time * 1e6).astype(np.int64) & 0xFFFFFFFF).astype(np.uint32),
         levels=levels.astype(np.uint8),
-        flags=flags,
+        flags=np.zeros(index.size, np.uint16),
         illegal=(illegal & 0xFFFF).astype(np.uint16),
     )
-    event_sample, event_kind = _events(flags)
+    raw = replace(raw, flags=_flags(wired.decoder, raw))
+    event_sample, event_kind = _events(raw.flags)
     started = datetime(*capture.stamp, tzinfo=UTC)
     roles = ("step", "direction") if wired.decoder == decode.TWO_COUNTER else ("a", "b")
     settings = f"[replay]\nsource = {quoted(capture.path.name)}\nrate_hz = {float(rate_hz)!r}\n"
@@ -237,21 +230,14 @@ def _captured(
     )
 
 
-def _flags(
-    decoder: str,
-    up: NDArray[np.int64],
-    down: NDArray[np.int64],
-    illegal: NDArray[np.int64],
-    levels: NDArray[np.int64],
-) -> NDArray[np.uint16]:
-    flags = np.zeros(up.size, np.uint16)
-    flags[1:][np.diff(illegal) > 0] |= counters.FLAG_ILLEGAL
+def _flags(decoder: str, raw: Raw) -> NDArray[np.uint16]:
+    flags = np.zeros_like(raw.flags)
+    flags[1:][np.diff(raw.illegal) > 0] |= counters.FLAG_ILLEGAL
     if decoder == "x4":
-        wrong = counters.phase_error(up.astype(np.uint16), down.astype(np.uint16), levels.astype(np.uint8)) != 0
-        flags[wrong] |= counters.FLAG_PHASE
+        flags[counters.phase_error(raw.count_up, raw.count_down, raw.levels) != 0] |= counters.FLAG_PHASE
     if decoder in ("jk", "jk-latched"):
         # Only behind a J-K box does it mean lost truth: the other decoders do it at every reversal.
-        flags[counters.check_both_moved(up.astype(np.uint16), down.astype(np.uint16))] |= counters.FLAG_BOTH
+        flags[counters.check_both_moved(raw.count_up, raw.count_down)] |= counters.FLAG_BOTH
     return flags
 
 

@@ -6,6 +6,7 @@ one array.  Where the reads ended makes no difference but for the stamps.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +112,6 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     others = [(line, frame) for line in rest if (frame := wire.decode_payload(payloads[line] or b"", False, False))]
     ident = _governing(others, samples)
     row = _row(ident)
-    names = row.names or ()
     ours = {key: group for key, group in samples.items() if _fits(*key, row)}
     count = np.zeros(len(size), dtype=np.int64)  # samples in each line
     for (_, each), (where, _) in ours.items():
@@ -137,6 +137,7 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     truth_seq = [seq & 0xFFFF for _, frame in truths for seq in range(frame.seq, frame.seq + len(frame.rows))]
     part_ns, part_line, part_bytes = np.array(parts, dtype=np.int64).reshape(-1, 3).T
     inside = np.isin(part_line, frame_line)
+    columns: dict[str, Any] = {name: rows[name].copy() for name in row.names or ()}
     return Stream(
         first=first,
         n=n,
@@ -144,12 +145,7 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
         ticks=heads["time"].astype(np.int64),
         illegal=heads["illegal"].astype(np.int64),
         stamp_ns=np.array(stamp_ns, dtype=np.int64)[frame_line],
-        dt=rows["dt"].copy(),
-        up=rows["up"].copy(),
-        down=rows["down"].copy(),
-        status=rows["status"].copy(),
-        belt=rows["belt"].copy() if "belt" in names else None,
-        edge=rows["edge"].copy() if "edge" in names else None,
+        **columns,
         ident=ident,
         idents=before[np.array([line for line, frame in others if isinstance(frame, wire.Ident)], dtype=np.int64)],
         configs=tuple((int(before[line]), frame.toml) for line, frame in others if isinstance(frame, wire.Config)),
