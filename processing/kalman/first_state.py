@@ -25,11 +25,11 @@ def first_state(time: Array, position: Array, variance: float, derivatives: int)
         The state, the upper triangle of its covariance row by row, and the time it holds for, s.
     """
     k = min(time.size - 1, 8)
-    t, x = time[: k + 1], position[: k + 1]
+    t, x = time[: k + 1].tolist(), position[: k + 1].tolist()  # so few are faster as plain numbers
     h = (t[k] - t[0]) / k
     slope = (x[k] - x[0]) / (t[k] - t[0])
-    speeds = (x[1:] - x[:-1]) / (t[1:] - t[:-1])
-    spread = 2 * max(math.sqrt(variance) / h, float(np.abs(speeds - slope).max()))
+    apart = max(abs((x[i + 1] - x[i]) / (t[i + 1] - t[i]) - slope) for i in range(k))
+    spread = 2 * max(math.sqrt(variance) / h, apart)
     size = 3 if derivatives == 2 else 4
     state = np.zeros(size + size * (size + 1) // 2 + 1)
     state[0], state[1], state[-1] = x[0], slope, t[0]

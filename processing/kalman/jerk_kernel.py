@@ -17,9 +17,12 @@ Source: G. J. Bierman, Automatica 9 (1973) 503 (the modified Bryson-Frazier smoo
 process: Wahba, J. R. Stat. Soc. B 40 (1978) 364.
 """
 
+import math
+
 from daq.compute.arrays import Array, Integers
 
 State = tuple[float, ...]  # x v a, and the six of p
+Sums = tuple[float, float, float]
 
 STATE = 10  # numbers in a filter's state: x v a, the six of p, and the time they hold for
 STORED = 11  # numbers kept of a sample: x v a and p as expected, 1/s, e/s
@@ -85,8 +88,11 @@ def forward(time: Array, position: Array, q: float, r: float, state: Array, stor
     state[9] = last
 
 
-def backward(time: Array, stored: Array, wanted: int, motion: Array) -> None:
-    """Smooth from the last sample back; the first ``wanted`` go into ``motion``, (6, n): x v a, their variances."""
+def backward(time: Array, stored: Array, wanted: int, motion: Array, begin: int) -> None:
+    """Smooth from the last sample back; write x v a and their variances of the first ``wanted``.
+
+    They go into ``motion``, (6, n), from its column ``begin`` on.
+    """
     l0 = l1 = l2 = 0.0
     m00 = m01 = m02 = m11 = m12 = m22 = 0.0
     for i in range(time.size - 1, -1, -1):
@@ -101,12 +107,12 @@ def backward(time: Array, stored: Array, wanted: int, motion: Array) -> None:
         m01 -= u1
         m02 -= u2
         if i < wanted:
-            motion[0, i] = w[0] - (p00 * l0 + p01 * l1 + p02 * l2)
-            motion[1, i] = w[1] - (p01 * l0 + p11 * l1 + p12 * l2)
-            motion[2, i] = w[2] - (p02 * l0 + p12 * l1 + p22 * l2)
-            motion[3, i] = p00 - quadratic_form(p00, p01, p02, m00, m01, m02, m11, m12, m22)
-            motion[4, i] = p11 - quadratic_form(p01, p11, p12, m00, m01, m02, m11, m12, m22)
-            motion[5, i] = p22 - quadratic_form(p02, p12, p22, m00, m01, m02, m11, m12, m22)
+            motion[0, begin + i] = w[0] - (p00 * l0 + p01 * l1 + p02 * l2)
+            motion[1, begin + i] = w[1] - (p01 * l0 + p11 * l1 + p12 * l2)
+            motion[2, begin + i] = w[2] - (p02 * l0 + p12 * l1 + p22 * l2)
+            motion[3, begin + i] = p00 - quadratic_form(p00, p01, p02, m00, m01, m02, m11, m12, m22)
+            motion[4, begin + i] = p11 - quadratic_form(p01, p11, p12, m00, m01, m02, m11, m12, m22)
+            motion[5, begin + i] = p22 - quadratic_form(p02, p12, p22, m00, m01, m02, m11, m12, m22)
         if i > 0:
             h = time[i] - time[i - 1]
             h2 = 0.5 * h * h
@@ -129,19 +135,30 @@ def quadratic_form(
     return a * (a * m00 + 2 * (b * m01 + c * m02)) + b * (b * m11 + 2 * c * m12) + c * c * m22
 
 
-def innovations(time: Array, position: Array, edges: Integers, states: Array, q: float, r: float, found: Array) -> None:
-    """Filter the stretches of samples edges[k]..edges[k + 1] - 1, each from its own of the ``states``, (k, STATE).
+def sum_likelihood(time: Array, position: Array, edges: Integers, every: int, q: float, states: Array) -> Sums:
+    """Filter the stretches of samples edges[k]..edges[k + 1] - 1 of every ``every``-th k, for readings of variance 1.
 
-    ``found`` (n, 2) gets 1/s and e/s: the inverse variance of the innovation, and it times the innovation.
+    Each begins in its own of the ``states``, (k, STATE).  Returned are sums over all samples but the first four of a
+    stretch, which only set its filter up: of the logarithm of the innovation's variance, of its square over that
+    variance, and of 1.
     """
-    for k in range(edges.size - 1):
+    logarithms = squares = samples = 0.0
+    product = 1.0
+    for k in range(0, edges.size - 1, every):
         w = states[k]
         S: State = (w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8])
         last = w[9]
         for i in range(edges[k], edges[k + 1]):
             S = predict(time[i] - last, q, S)
             last = time[i]
-            s = 1.0 / (S[3] + r)
+            s = 1.0 / (S[3] + 1.0)
             e = position[i] - S[0]
-            found[i, 0], found[i, 1] = s, e * s
-            S = update(e, s, r, S)
+            if i >= edges[k] + 4:
+                product *= s
+                squares += e * e * s
+                samples += 1.0
+                if product < 1e-200:
+                    logarithms -= math.log(product)
+                    product = 1.0
+            S = update(e, s, 1.0, S)
+    return logarithms - math.log(product), squares, samples

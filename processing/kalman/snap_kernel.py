@@ -207,13 +207,15 @@ def backward(
     stored: Array,
     wanted: bool,
     motion: Array,
+    begin: int,
     noise: Array,
     steps: Array,
 ) -> None:
     """Smooth from the last sample back.
 
-    ``motion`` (6, n) gets x v a and their variances, if ``wanted``; ``noise`` (labels, 4) is added sum(l3^2),
-    sum(m33), and the same for the readings; ``steps`` (JUMPS, 2) likewise for the corners' steps.
+    ``motion`` (6, n) gets x v a and their variances, if ``wanted``, from its column ``begin`` on; ``noise``
+    (labels, 4) is added sum(l3^2), sum(m33), and the same for the readings; ``steps`` (JUMPS, 2) likewise for the
+    corners' steps.
     """
     l0 = l1 = l2 = l3 = 0.0
     m00 = m01 = m02 = m03 = m11 = m12 = m13 = m22 = m23 = m33 = 0.0
@@ -233,12 +235,12 @@ def backward(
             noise[b, 2] += u * u
             noise[b, 3] += d
             if wanted:
-                motion[0, i] = w[0] - (p00 * l0 + p01 * l1)
-                motion[1, i] = w[1] - (p01 * l0 + w[8] * l1)
-                motion[2, i] = 0.0
-                motion[3, i] = p00 - (p00 * p00 * m00 + 2 * p00 * p01 * m01 + p01 * p01 * m11)
-                motion[4, i] = w[8] - (p01 * p01 * m00 + 2 * p01 * w[8] * m01 + w[8] * w[8] * m11)
-                motion[5, i] = 0.0
+                motion[0, begin + i] = w[0] - (p00 * l0 + p01 * l1)
+                motion[1, begin + i] = w[1] - (p01 * l0 + w[8] * l1)
+                motion[2, begin + i] = 0.0
+                motion[3, begin + i] = p00 - (p00 * p00 * m00 + 2 * p00 * p01 * m01 + p01 * p01 * m11)
+                motion[4, begin + i] = w[8] - (p01 * p01 * m00 + 2 * p01 * w[8] * m01 + w[8] * w[8] * m11)
+                motion[5, begin + i] = 0.0
             if i > 0 and (c < 0 or at[c] <= time[i - 1]):
                 h = time[i] - time[i - 1]
                 l1 += h * l0
@@ -263,24 +265,24 @@ def backward(
             noise[b, 2] += u * u
             noise[b, 3] += d
             if wanted:
-                motion[0, i] = w[0] - (p00 * l0 + p01 * l1 + p02 * l2 + p03 * l3)
-                motion[1, i] = w[1] - (p01 * l0 + p11 * l1 + p12 * l2 + p13 * l3)
-                motion[2, i] = w[2] - (p02 * l0 + p12 * l1 + p22 * l2 + p23 * l3)
+                motion[0, begin + i] = w[0] - (p00 * l0 + p01 * l1 + p02 * l2 + p03 * l3)
+                motion[1, begin + i] = w[1] - (p01 * l0 + p11 * l1 + p12 * l2 + p13 * l3)
+                motion[2, begin + i] = w[2] - (p02 * l0 + p12 * l1 + p22 * l2 + p23 * l3)
                 c0 = p00 * m00 + p01 * m01 + p02 * m02 + p03 * m03
                 c1 = p00 * m01 + p01 * m11 + p02 * m12 + p03 * m13
                 c2 = p00 * m02 + p01 * m12 + p02 * m22 + p03 * m23
                 c3 = p00 * m03 + p01 * m13 + p02 * m23 + p03 * m33
-                motion[3, i] = p00 - (p00 * c0 + p01 * c1 + p02 * c2 + p03 * c3)
+                motion[3, begin + i] = p00 - (p00 * c0 + p01 * c1 + p02 * c2 + p03 * c3)
                 c0 = p01 * m00 + p11 * m01 + p12 * m02 + p13 * m03
                 c1 = p01 * m01 + p11 * m11 + p12 * m12 + p13 * m13
                 c2 = p01 * m02 + p11 * m12 + p12 * m22 + p13 * m23
                 c3 = p01 * m03 + p11 * m13 + p12 * m23 + p13 * m33
-                motion[4, i] = p11 - (p01 * c0 + p11 * c1 + p12 * c2 + p13 * c3)
+                motion[4, begin + i] = p11 - (p01 * c0 + p11 * c1 + p12 * c2 + p13 * c3)
                 c0 = p02 * m00 + p12 * m01 + p22 * m02 + p23 * m03
                 c1 = p02 * m01 + p12 * m11 + p22 * m12 + p23 * m13
                 c2 = p02 * m02 + p12 * m12 + p22 * m22 + p23 * m23
                 c3 = p02 * m03 + p12 * m13 + p22 * m23 + p23 * m33
-                motion[5, i] = p22 - (p02 * c0 + p12 * c1 + p22 * c2 + p23 * c3)
+                motion[5, begin + i] = p22 - (p02 * c0 + p12 * c1 + p22 * c2 + p23 * c3)
         if i == 0:
             break
         now = time[i]

@@ -86,39 +86,31 @@ def _stretches(series: Series, length: int) -> list[tuple[Array, Array]]:
 
 def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
     """Return log rho of the greatest likelihood and the variance of a reading there."""
-    few, every = _Record(stretches[:: max(len(stretches) // 16, 1)]), _Record(stretches)
-    middle = lowest(lambda log_rho: few.cost(log_rho)[0], LOG_RHO, 6.0, 1.5)
-    log_rho = vertex(lambda log_rho: every.cost(log_rho)[0], middle, 1.5)
-    return log_rho, every.cost(log_rho)[1]
+    edges = np.cumsum([0, *(time.size for time, _ in stretches)])
+    time, position = (np.concatenate(own) for own in zip(*stretches, strict=True))
+    states = np.array([first_state(*stretch, 1.0, 2) for stretch in stretches])
+    run = compiled(jerk_kernel.sum_likelihood, KERNELS)
 
-
-class _Record:
-    """Stretches laid end to end, with the states of their filters for readings of variance 1."""
-
-    def __init__(self, stretches: list[tuple[Array, Array]]) -> None:
-        self.edges = np.cumsum([0, *(time.size for time, _ in stretches)])
-        self.time, self.position = (np.concatenate(own) for own in zip(*stretches, strict=True))
-        self.states = np.array([first_state(time, position, 1.0, 2) for time, position in stretches])
-        # The first four samples of a stretch only set its filter up.
-        self.settled = np.ones(self.time.size, bool)
-        self.settled[(self.edges[:-1, None] + np.arange(4)).ravel()] = False
-
-    def cost(self, log_rho: float) -> tuple[float, float]:
+    def cost(log_rho: float, every: int) -> tuple[float, float]:
         """Return minus the log likelihood, up to a constant, and the variance of a reading at which it is least."""
-        found = np.empty((self.time.size, 2))
-        run = compiled(jerk_kernel.innovations, KERNELS)
-        run(self.time, self.position, self.edges, self.states, math.exp(log_rho), 1.0, found)
-        s, scaled = found[self.settled].T
-        variance = max(float(np.mean(scaled**2 / s)), 1e-30)
-        return 0.5 * (s.size * math.log(variance) - float(np.log(s).sum())), variance
+        logarithms, squares, samples = run(time, position, edges, every, math.exp(log_rho), states)
+        variance = max(squares / samples, 1e-30)
+        return 0.5 * (samples * math.log(variance) + logarithms), variance
+
+    few = max(len(stretches) // 16, 1)
+    middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 6.0, 1.5)
+    log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
+    return log_rho, cost(log_rho, 1)[1]
 
 
-def innovations(time: Array, position: Array, noise: Noise) -> Array:
-    """Return 1/s and e/s of every sample of one piece, (n, 2): inverse variance, and it times the innovation e."""
-    edges, found = np.array([0, time.size]), np.empty((time.size, 2))
-    states = first_state(time, position, noise.reading, 2)[None]
-    compiled(jerk_kernel.innovations, KERNELS)(time, position, edges, states, noise.jerk, noise.reading, found)
-    return found
+def innovations(time: Array, position: Array, noise: Noise, stored: Array) -> Array:
+    """Return 1/s and e/s of every sample of one piece, (n, 2): inverse variance, and it times the innovation e.
+
+    They are the last columns of ``stored``, (n, STORED), which the filter overwrites.
+    """
+    state = first_state(time, position, noise.reading, 2)
+    compiled(jerk_kernel.forward, KERNELS)(time, position, noise.jerk, noise.reading, state, stored)
+    return stored[:, jerk_kernel.STORED - 2 :]
 
 
 def least_variance(series: Series) -> float:
@@ -175,8 +167,9 @@ def smooth(series: Series, noise: Noise) -> Motion:
         if time.size < SHORT:
             motion[:, piece] = parabola(time, position, noise.reading)
         else:
-            motion[:, piece] = smooth_piece(time, position, noise, max(BLOCK, 4 * behind), behind)
-    errors = np.sqrt(np.maximum(motion[3:], 0.0))
+            smooth_piece(time, position, noise, max(BLOCK, 4 * behind), behind, motion, piece.start)
+    errors = np.maximum(motion[3:], 0.0, out=motion[3:])
+    np.sqrt(errors, out=errors)
     return Motion(
         position=series.origin + motion[0],
         velocity=motion[1],
@@ -190,25 +183,24 @@ def smooth(series: Series, noise: Noise) -> Motion:
     )
 
 
-def smooth_piece(time: Array, position: Array, noise: Noise, block: int, behind: int) -> Array:
-    """Return x, v, a and their variances, (6, n), of one piece.
+def smooth_piece(
+    time: Array, position: Array, noise: Noise, block: int, behind: int, motion: Array, first: int = 0
+) -> None:
+    """Write x, v, a and their variances of one piece into ``motion``, from its column ``first`` on.
 
     Memory for the filter grows with the block alone: the smoother of a block starts ``behind`` samples after it, and
     what lies further on has faded by then.
     """
     forward, backward = compiled(jerk_kernel.forward, KERNELS), compiled(jerk_kernel.backward, KERNELS)
     n = time.size
-    motion, stored = np.empty((6, n)), np.empty((min(block + behind, n), jerk_kernel.STORED))
+    stored = np.empty((min(block + behind, n), jerk_kernel.STORED))
     state = first_state(time, position, noise.reading, 2)
     for begin in range(0, n, block):
         end = min(begin + block, n)
         far = min(end + behind, n)
         forward(time[begin:end], position[begin:end], noise.jerk, noise.reading, state, stored)
         forward(time[end:far], position[end:far], noise.jerk, noise.reading, state.copy(), stored[end - begin :])
-        own = np.empty((6, end - begin))  # not a part of motion: a kernel is compiled for one layout
-        backward(time[begin:far], stored[: far - begin], end - begin, own)
-        motion[:, begin:end] = own
-    return motion
+        backward(time[begin:far], stored[: far - begin], end - begin, motion, first + begin)
 
 
 def reach(rho: float) -> int:

@@ -4,53 +4,70 @@ A line through a whole stick would be the most likely motion, but trusts the bel
 belt that wanders by 0.02 mm/s, too little to be seen as uneven, its standard errors covered 6 % of the true velocities
 instead of 95 %.  So a line spans at most a third of a slip's length, and by how much the lines of neighbouring windows
 differ scales the errors.
+
+The kernel runs as written or compiled (`daq.compute.compile`).
 """
 
-import numpy as np
-
 from daq.compute.arrays import Array
-from processing.polynomial.uneven import starts
 
 
-def fit_lines(time: Array, position: Array, window: int, variance: float) -> tuple[Array, float]:
+def fit_lines(time: Array, position: Array, begin: int, end: int, window: int, variance: float, motion: Array) -> float:
     """Fit a line around every sample of a stick, centred, or up against an end of the stick.
 
     Parameters
     ----------
     time, position : array of shape (n,)
-        s and m.
+        Of the record, s and m.
+    begin, end : int
+        The stick's samples: begin..end-1.
     window : int
         Samples of each line, at most.
     variance : float
         Of a reading, m^2.
+    motion : array of shape (6, n)
+        Gets x, v, a and their variances of the stick's samples.  The acceleration is 0; its error is the slope's over
+        the length of the window.
 
     Returns
     -------
-    motion : array of shape (6, n)
-        x, v, a and their variances.  The acceleration is 0; its error is the slope's over the length of the window.
-    differing : float
+    float
         Mean square by which the slopes of neighbouring windows without a common sample differ, over what ``variance``
         makes them differ: 1 for a straight line; 0 where there is one window only.
     """
-    n = time.size
+    n = end - begin
     size = min(window, n)
-    t, x = time - time.mean(), position - position.mean()
-    speed = float(t @ x) / float(t @ t)
-    rest = x - speed * t  # small, so that differences of running sums keep their digits
-    low = starts(n, size)
-
-    def summed(values: Array) -> Array:
-        running = np.concatenate(([0.0], np.cumsum(values)))
-        return np.asarray(running[low + size] - running[low])
-
-    middle = summed(t) / size
-    spread = summed(t * t) - size * middle**2
-    slope = (summed(t * rest) - middle * summed(rest)) / spread
-    away, known = t - middle, variance / spread
-    fitted = position.mean() + speed * t + summed(rest) / size + slope * away
-    motion = np.stack(
-        (fitted, speed + slope, np.zeros(n), variance / size + known * away**2, known, known * size / spread)
-    )
-    apart = slice(size // 2, n - size + size // 2 + 1, size)
-    differing = np.diff(slope[apart]) ** 2 / (known[apart][1:] + known[apart][:-1])
-    return motion, float(differing.mean()) if differing.size else 0.0
+    t0, x0 = time[begin + n // 2], position[begin + n // 2]
+    speed = (position[end - 1] - position[begin]) / (time[end - 1] - time[begin])
+    first, last = begin, begin  # samples in the sums; they sum what is left of a chord, small, to keep their digits
+    st = sx = stt = stx = 0.0
+    differing = pairs = slope_before = known_before = 0.0
+    for i in range(begin, end):
+        low = min(max(i - size // 2, begin), end - size)
+        while last < low + size:
+            t = time[last] - t0
+            x = position[last] - x0 - speed * t
+            st, sx, stt, stx = st + t, sx + x, stt + t * t, stx + t * x
+            last += 1
+        while first < low:
+            t = time[first] - t0
+            x = position[first] - x0 - speed * t
+            st, sx, stt, stx = st - t, sx - x, stt - t * t, stx - t * x
+            first += 1
+        middle = st / size
+        spread = stt - st * middle
+        slope = (stx - middle * sx) / spread
+        known = variance / spread
+        t = time[i] - t0
+        away = t - middle
+        motion[0, i] = x0 + speed * t + sx / size + slope * away
+        motion[1, i] = speed + slope
+        motion[2, i] = 0.0
+        motion[3, i] = variance / size + known * away * away
+        motion[4, i] = known
+        motion[5, i] = known * size / spread
+        if (i - begin) % size == size // 2 and low == i - size // 2:
+            if known_before > 0.0:
+                differing += (slope - slope_before) ** 2 / (known + known_before)
+                pairs += 1
+            slope_before, known_before = slope, known
+    return differing / pairs if pairs else 0.0

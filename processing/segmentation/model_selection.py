@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
-from processing.kalman import white_jerk
+from processing.kalman import jerk_kernel, white_jerk
 from processing.kalman.snap_kernel import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch, merged, null_model, reestimate_noise
@@ -53,7 +53,7 @@ def accept_sticks(
     for _ in range(3):
         snap = reestimate_noise(series, workspace, times, snap, 1, null_model=True)
     spans = spans_of(series, times, sticks)
-    plain = _jerk_gains(series, noise, spans)
+    plain = _jerk_gains(series, noise, workspace, spans)
     smooth = _gains(series, bare, snap, workspace, spans)
     even = _gains(series, times, levels, workspace, spans)
     needed = BIC_FACTOR * math.log(series.time.size)
@@ -123,18 +123,20 @@ def _better_rounded(
     return even + more
 
 
-def _jerk_gains(series: Series, noise: white_jerk.Noise, spans: Integers) -> Array:
+def _jerk_gains(series: Series, noise: white_jerk.Noise, workspace: Workspace, spans: Integers) -> Array:
     """As `_gains`, for the motion of white jerk."""
     gain = np.zeros(series.time.size)
     for piece in series.pieces:
         if piece.stop - piece.start >= white_jerk.SHORT:
-            gain[piece] = _log_likelihood(white_jerk.innovations(series.time[piece], series.position[piece], noise))
+            stored = workspace.array(piece.stop - piece.start, jerk_kernel.STORED)
+            found = white_jerk.innovations(series.time[piece], series.position[piece], noise, stored)
+            gain[piece] = _log_likelihood(found)
     return _summed(gain, spans)
 
 
 def _log_likelihood(innovations: Array) -> Array:
     """Return the log likelihood of each sample, up to a constant, from 1/s and e/s, (n, 2)."""
-    s, scaled = innovations.T
+    s, scaled = np.ascontiguousarray(innovations.T)  # else every step reads the filter's whole memory
     return np.asarray(0.5 * (np.log(s) - scaled**2 / s))
 
 

@@ -95,26 +95,30 @@ def smooth_stretch(
     levels: NoiseLevels,
     stretch: FilterStretch,
     workspace: Workspace,
-    *,
-    wanted: bool,
-) -> tuple[Labels, Array, Array, Array]:
+    motion: Array | None = None,
+) -> tuple[Labels, Array, Array]:
     """Filter a stretch of n samples and smooth it.
+
+    Parameters
+    ----------
+    motion : array of shape (6, samples of the record), optional
+        Gets x, v, a and their variances of the stretch.
 
     Returns
     -------
     label : array of shape (n,)
-    motion : array of shape (6, n)
-        x, v, a and their variances, where ``wanted``.
     noise, steps : array of shape (LABELS, 4), (JUMPS, 2)
         Sums that tell how well each noise level fits (`processing.kalman.snap_kernel.backward`).
     """
     label, stored = filter_stretch(series, times, levels, stretch, workspace)
     at, kind = times.at[stretch.corners], times.kind[stretch.corners]
     noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
-    motion = np.empty((6, label.size if wanted else 0))
+    wanted = motion is not None
+    if motion is None:
+        motion = np.empty((6, 0))
     back = compiled(snap_kernel.backward, KERNELS)
-    back(series.time[stretch.own], label, at, kind, stored, wanted, motion, noise, steps)
-    return label, motion, noise, steps
+    back(series.time[stretch.own], label, at, kind, stored, wanted, motion, stretch.own.start, noise, steps)
+    return label, noise, steps
 
 
 def reestimate_noise(
@@ -143,9 +147,9 @@ def reestimate_noise(
     for _ in range(iterations):
         noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
         for stretch in used:
-            own = smooth_stretch(series, times, levels, stretch, workspace, wanted=False)
-            noise += own[2]
-            steps += own[3]
+            own = smooth_stretch(series, times, levels, stretch, workspace)
+            noise += own[1]
+            steps += own[2]
         density = levels.process_density * _ratio(levels.process_density, noise[:, 0], noise[:, 1])
         density[CUT : CUT + 4] = density[LANDING : LANDING + 4]
         reading = levels.reading_variance.copy()

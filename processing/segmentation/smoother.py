@@ -22,18 +22,19 @@ from dataclasses import replace
 import numpy as np
 
 from daq.compute.arrays import Array, Mask, runs
+from daq.compute.compile import compiled
 from processing.kalman import white_jerk
 from processing.kalman.snap_kernel import KICK, LAND, LEAVE, MEET, SLIP, START, STICK, STOP, NoiseLevels
 from processing.record.motion import Corner, Motion
 from processing.record.series import Series
 from processing.record.setting import Setting
-from processing.segmentation import model_selection, plateaus
+from processing.segmentation import line_fit, model_selection, plateaus
 from processing.segmentation.landing_snap import with_mean_snap
-from processing.segmentation.line_fit import fit_lines
 from processing.segmentation.noise_levels import Workspace, first_levels, reestimate_noise, smooth_stretch
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, stretches
 
+KERNELS = ("processing.segmentation.line_fit",)
 WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop"}
 ORDER = 7  # of the equivalent spline
 LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit` describes the effect of longer ones)
@@ -72,20 +73,22 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, level
     early, stick = _run(series, workspace, times, -1.0, levels)
     _straighten(series, stick, times, levels, early)
     late, stick_late = _run(series, workspace, times, 1.0, levels)
-    mean = (early[:3] + late[:3]) / 2
-    apart = (early[:3] - mean) ** 2 + (late[:3] - mean) ** 2
-    share = 1 - (2 * np.arange(3)[:, None] + 1) / 8
-    variance = (share * (early[3:] + late[3:]) + apart) / 2
-    both = stick & stick_late
-    x, v, a = np.where(both, early[:3], mean)
-    errors = np.sqrt(np.maximum(np.where(both, early[3:], variance), 0.0))
+    line = stick & stick_late
+    for derivative in range(3):  # one at a time, so that what is computed on the way stays in the processor's cache
+        share = 1 - (2 * derivative + 1) / 8
+        value, variance = early[derivative], early[3 + derivative]
+        half = (late[derivative] - value) / 2
+        np.copyto(half, 0.0, where=line)
+        value += half
+        np.copyto(variance, share * (variance + late[3 + derivative]) / 2 + half**2, where=~line)
+        np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
     return Motion(
-        position=series.origin + x,
-        velocity=v,
-        acceleration=a,
-        position_errors=errors[0],
-        velocity_errors=errors[1],
-        acceleration_errors=errors[2],
+        position=series.origin + early[0],
+        velocity=early[1],
+        acceleration=early[2],
+        position_errors=early[3],
+        velocity_errors=early[4],
+        acceleration_errors=early[5],
         window=window,
         order=ORDER,
         method="segment",
@@ -115,23 +118,21 @@ def _run(
                 series.time[piece], series.position[piece], float(levels.reading_variance[SLIP])
             )
     for stretch in stretches(series, times):
-        label, own, _, _ = smooth_stretch(series, times, levels, stretch, workspace, wanted=True)
-        motion[:, stretch.own], stick[stretch.own] = own, label == STICK
+        label, _, _ = smooth_stretch(series, times, levels, stretch, workspace, motion)
+        stick[stretch.own] = label == STICK
     return motion, stick
 
 
 def _straighten(series: Series, stick: Mask, times: SwitchingTimes, levels: NoiseLevels, motion: Array) -> None:
     """Replace what lies in sticks by straight lines; their errors are scaled to what neighbouring lines differ by."""
     window = max(int(LINE * times.unit / series.interval), 16)
+    variance = float(levels.reading_variance[STICK])
+    run = compiled(line_fit.fit_lines, KERNELS)
     for piece in series.pieces:
-        sticks = [slice(piece.start + i, piece.start + j) for i, j in runs(stick[piece]) if j - i >= 8]
-        differing = []
-        for own in sticks:
-            motion[:, own], ratio = fit_lines(
-                series.time[own], series.position[own], window, float(levels.reading_variance[STICK])
-            )
-            differing += [ratio] if ratio else []
+        sticks = [(piece.start + i, piece.start + j) for i, j in runs(stick[piece]) if j - i >= 8]
+        ratios = [run(series.time, series.position, i, j, window, variance, motion) for i, j in sticks]
+        differing = [ratio for ratio in ratios if ratio]
         # A prior of four sticks on an even belt: few windows do not scale the errors by chance.
         factor = (sum(differing) + 4.0) / (len(differing) + 4.0)
-        for own in sticks:
-            motion[3:, own] *= factor
+        for i, j in sticks:
+            motion[3:, i:j] *= factor

@@ -186,13 +186,13 @@ def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
         if kernel == "jerk":
             stored = np.empty((time.size, jerk_kernel.STORED))
             make(jerk_kernel.forward)(time, position, 100.0, 5e-12, state, stored)
-            make(jerk_kernel.backward)(time, stored, time.size, found)
+            make(jerk_kernel.backward)(time, stored, time.size, found, 0)
         else:
             label, stored = np.empty(time.size, np.uint8), np.empty((time.size, snap_kernel.STORED))
             make(corner_kernel.label_samples)(time, at, kind, snap_kernel.REST, 0.1, label)
             make(snap_kernel.forward)(time, position, label, at, kind, levels, state, stored)
             sums = np.zeros((snap_kernel.LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
-            make(snap_kernel.backward)(time, label, at, kind, stored, True, found, *sums)
+            make(snap_kernel.backward)(time, label, at, kind, stored, True, found, 0, *sums)
         outcomes.append(found)
     one, two = outcomes
     scale = np.abs(one).max(axis=1, keepdims=True)
@@ -219,7 +219,9 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
 def test_the_smoother_does_not_depend_on_its_blocks(motion, recorded):
     data = series.from_recording(recorded(motion(5, 6.0)))
     noise = white_jerk.Noise(100.0, 5e-12)
-    found = [white_jerk.smooth_piece(data.time, data.position, noise, block, 400) for block in (512, 100_000)]
+    found = np.empty((2, 6, data.time.size))
+    for motion_found, block in zip(found, (512, 100_000), strict=True):
+        white_jerk.smooth_piece(data.time, data.position, noise, block, 400, motion_found)
     assert np.abs(found[0] - found[1])[1, 20:].max() < 1e-12
 
 
