@@ -28,8 +28,9 @@ def first_state(time: Array, position: Array, variance: float, derivatives: int)
     t, x = time[: k + 1].tolist(), position[: k + 1].tolist()  # so few are faster as plain numbers
     h = (t[k] - t[0]) / k
     slope = (x[k] - x[0]) / (t[k] - t[0])
-    apart = max(abs((x[i + 1] - x[i]) / (t[i + 1] - t[i]) - slope) for i in range(k))
-    spread = 2 * max(math.sqrt(variance) / h, apart)
+    spread = 2 * math.sqrt(variance) / h
+    for i in range(k):
+        spread = max(spread, 2 * abs((x[i + 1] - x[i]) / (t[i + 1] - t[i]) - slope))
     size = 3 if derivatives == 2 else 4
     state = np.zeros(size + size * (size + 1) // 2 + 1)
     state[0], state[1], state[-1] = x[0], slope, t[0]
