@@ -255,7 +255,7 @@ def test_a_lost_port_is_opened_again_and_a_new_segment_begins(tmp_path, attach, 
     assert " ms" in run.event_note[run.event_kind.index("reopened")]
     assert run.raw.sample[first] == 0
     assert run.time[first] > run.time[first - 1]
-    assert any("port is lost" in line for line in said)
+    assert any("port was lost" in line for line in said)
     assert any("new segment" in line for line in said)
     assert "positions are not connected" in " ".join(found.warnings)
 
