@@ -35,16 +35,20 @@ def run_data(run: "Recording", target: Path, found: Sequence[str]) -> dict[str, 
 
 def run_text(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> str:
     """Return what is printed about a run that was written."""
-    scale, unit = (1.0, "counts") if run.unit == "count" else (1e3, "mm")
-    low, high = (scale * float(edge) for edge in (run.position.min(), run.position.max()))
     printed = [
         f"{done} {data['samples']} samples in {data['duration_s']:.4g} s at {run.rate_hz:.6g} Hz",
         *lines,
-        f"the mass moved between {low:.4g} and {high:.4g} {unit}",
+        travel(float(run.position.min()), float(run.position.max()), run.unit),
         *warnings(data["warnings"]),
         *written(data["file"]),
     ]
     return "\n".join(printed)
+
+
+def travel(low: float, high: float, unit: str) -> str:
+    """Return the line about the range of positions, in m or counts."""
+    scale, printed = (1e3, "mm") if unit == "m" else (1.0, "counts")
+    return f"the mass moved between {scale * low:.4g} and {scale * high:.4g} {printed}"
 
 
 def written(file: Path | None) -> list[str]:
@@ -54,7 +58,18 @@ def written(file: Path | None) -> list[str]:
 
 def recorded(done: str, found: "RecordingQuality") -> str:
     """Return what is printed about a recording."""
-    return found.as_text(done, f"process smooth {shlex.quote(str(found.file))}")
+    lost = f"{found.lost} samples lost" if found.lost else "no sample lost"
+    lost += " while the port was there" if found.port_lost else ""
+    clock = "" if found.clock_ppm is None else f"; the board's clock deviates by {found.clock_ppm:+.0f} ppm"
+    if clock and found.clock_ppm_error is not None:
+        clock += f" (+- {found.clock_ppm_error:.0f})"
+    lines = [
+        f"{done} {found.samples} samples in {found.duration_s:.1f} s at {found.rate_hz:g} Hz, {lost}{clock}",
+        f"{travel(*found.travel, found.unit)}, at most {found.peak_edge_rate_hz:.0f} edges/s",
+        *warnings(found.warnings),
+        *written(found.file),
+    ]
+    return "\n".join(lines)
 
 
 def columns(found: "Imported") -> str:

@@ -80,25 +80,6 @@ class RecordingQuality:
         kept = {name: value for name, value in vars(self).items() if name not in NOT_IN_JSON}
         return kept | {"warnings": list(self.warnings)}
 
-    def as_text(self, done: str, next_command: str) -> str:
-        """Return the few lines a person reads, the command to type next at their end."""
-        size = "mm" if self.unit == "m" else "counts"
-        scale = 1e3 if self.unit == "m" else 1.0
-        low, high = (scale * edge for edge in self.travel)
-        lost = f"{self.lost} samples lost" if self.lost else "no sample lost"
-        lost += " while the port was there" if self.port_lost else ""
-        clock = "" if self.clock_ppm is None else f"; the board's clock deviates by {self.clock_ppm:+.0f} ppm"
-        if clock and self.clock_ppm_error is not None:
-            clock += f" (+- {self.clock_ppm_error:.0f})"
-        lines = [
-            f"{done} {self.samples} samples in {self.duration_s:.1f} s at {self.rate_hz:g} Hz, {lost}{clock}",
-            f"the mass moved between {low:.4g} and {high:.4g} {size}, at most {self.peak_edge_rate_hz:.0f} edges/s",
-            *(f"warning: {warning}" for warning in self.warnings),
-            f"-> {self.file}",
-            f"next: {next_command}",
-        ]
-        return "\n".join(lines)
-
 
 def from_run(
     recorded: journal.Journal, samples: Samples, checked: CheckedCounts, streams: Sequence[Stream], run: Recording

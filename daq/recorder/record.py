@@ -166,11 +166,7 @@ def _header(
 ) -> dict[str, Any]:
     now = datetime.now().astimezone()
     offset = now.utcoffset()
-    return {
-        "protocol": request.protocol,
-        "columns": request.columns,
-        "decoder": request.decoder,
-        "port": request.port,
+    return {name: getattr(request, name) for name in ("protocol", "columns", "decoder", "port")} | {
         "baud": ports.uart_baud(request.port, board.port),
         "rate_hz": plan.rate_hz,
         "samples": samples,

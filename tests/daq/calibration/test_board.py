@@ -10,6 +10,7 @@ import pytest
 
 import daq
 from daq.calibration import board_test, rig_constants
+from daq.cli import sentences
 from daq.cli.app import app
 from daq.console import application
 from daq.errors import DataError
@@ -248,7 +249,6 @@ def test_a_lost_port_stands_beside_no_sample_lost(tmp_path):
     from daq.finalise.quality import RecordingQuality
 
     numbers = (100, 0, 0, 0, 0, 2, 1000.0, 1000.0, None, None, 0.1, 0.0, 0, 0, (0.0, 1.0), "m")
-    assert ", no sample lost while the port was there\n" in RecordingQuality(*numbers, port_lost=1).as_text(
-        "recorded", "x"
-    )
-    assert ", no sample lost\n" in RecordingQuality(*numbers).as_text("recorded", "x")
+    lost_port = sentences.recorded("recorded", RecordingQuality(*numbers, port_lost=1))
+    assert ", no sample lost while the port was there\n" in lost_port
+    assert ", no sample lost\n" in sentences.recorded("recorded", RecordingQuality(*numbers))
