@@ -21,8 +21,7 @@ from fitting.model.problem import datum_calibration
 from rig_sim.friction.law import LAWS
 
 # Of a default's variance: where more is left of it after the fit, the default still decides, and what depends on it is
-# not given.  Chosen between the two cases that occur: a datum that laws 1 and 3 leave as it was (share near 1) and one
-# that a hyperbola finds (share below 1e-3); not swept.
+# not given.  Chosen by trial; not swept.
 UNDETERMINED = 0.01
 
 

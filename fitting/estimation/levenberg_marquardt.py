@@ -22,7 +22,7 @@ from daq.compute.arrays import Array, Integers
 from daq.compute.compile import compiled
 from fitting.estimation import elimination
 
-# Chosen on the runs of docs/identification.md, not swept one by one: they change the number of steps, not the minimum.
+# Chosen by trial on the runs of docs/identification.md, not swept.  The objective does not depend on them.
 FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
 CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
 PROBE_STEP = 0.1  # of the step: where the second derivative along it is measured

@@ -14,9 +14,9 @@ from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
 LOCAL_MINIMUM = 0.995  # of a law's error: where its jump or ramp law errs less than that, it found a better place
-GIVE_UP_FACTOR = 30.0  # times the best law's error after the first pass: so far behind a law is not fitted any further
-# Times the best law's error: up to there a law is fitted to every sample, beyond only to the thinned record.  The
-# evidence of a law ten times worse cannot change the set; a smaller factor saves CPU time and nothing else.
+GIVE_UP_FACTOR = 30.0  # times the best law's error after the first pass: beyond, no more passes
+# Times the best law's error: up to there a law is fitted to every sample, beyond only to the thinned record,
+# which saves CPU time.  Chosen by trial; not swept.
 FULL_RECORD_FACTOR = 10.0
 
 

@@ -27,8 +27,8 @@ from fitting.model.parameters import PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows, evaluator
 
-# Starting values and limits of the search.  Chosen on the runs of docs/identification.md, none swept by itself; those
-# named FIRST are replaced by what the passes before show, and change the number of steps.
+# Starting values and limits of the search.  Chosen by trial on the runs of docs/identification.md; none was swept by
+# itself.  After the first pass, estimates from the fit replace those named FIRST.
 FIRST_SCATTER = 0.1  # standard deviation of the friction levels before the fit has seen them
 OVERTAKING_LEVEL = 0.9  # of the load at landing: starting value of the friction level where the mass overtakes the belt
 FIRST_SIGMA = 10.0  # of the resolution: nearly any misfit outweighs the calibrations in the first pass
@@ -37,7 +37,7 @@ COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
 FADE_PASS = (40, 1e-5)
-FINE_PASS = (60, 1e-6)  # of a cost of some thousand: what is left to gain moves no parameter by a tenth of its error
+FINE_PASS = (60, 1e-6)  # most steps, and the gain at which it stops; chosen by trial
 CYCLE_PASS = (15, 1e-4)  # of the cycles' own unknowns alone
 CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
 DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear

@@ -53,6 +53,7 @@ def write(page: str, path: Path) -> None:
     Parameters
     ----------
     page : str
+        The HTML that `render` returned.
     path : Path
         An older report there is replaced, any other file is not.
 

@@ -21,6 +21,7 @@ def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:
     Parameters
     ----------
     path : Path
+        Table to write; an older one is replaced.
     documents : sequence of (Path, dict)
         Run file and its JSON document; a run without a ranking has no rows.
     """
