@@ -37,7 +37,7 @@ class WindowArrays(NamedTuple):
     time: Array
 
 
-class Window(NamedTuple):
+class ShootingWindow(NamedTuple):
     """One window: what it is, the times (s) that `ShootingWindows` explains, and those of its samples (n,), s."""
 
     stick: int
@@ -47,7 +47,7 @@ class Window(NamedTuple):
     times: Array
 
 
-class Steps(NamedTuple):
+class DerivativeSteps(NamedTuple):
     """Steps of the derivatives: slot of each unknown in each run (runs, p), -1 where the run does not have it.
 
     ``shared`` (p,) and ``local`` (6,) are the steps themselves, in the units of `Global` and `PerCycle`.
@@ -168,7 +168,7 @@ def evaluator(
     """
     runs = full.size // PER_RUN
     columns = parameters.columns(active, runs)
-    steps = Steps(columns, STEP * scale[active], STEP * local_scale)
+    steps = DerivativeSteps(columns, STEP * scale[active], STEP * local_scale)
     arrays = WindowArrays(windows.table, windows.level_epoch, windows.earliest_landing, windows.time)
     n = windows.time.size
     whole = full.reshape(runs, PER_RUN).copy()
@@ -196,7 +196,7 @@ def window_positions(
     u: Array,
     local: Array,
     windows: WindowArrays,
-    steps: Steps,
+    steps: DerivativeSteps,
     model: Array,
     jacobian: Array,
     room: Array,
@@ -215,7 +215,7 @@ def window_positions(
         run = windows.table[row, 5]
         part, own = local[windows.table[row, 0]], u[run]
         epoch, earliest = windows.level_epoch[row], windows.earliest_landing[row]
-        window = Window(stick, windows.table[row, 4], epoch, earliest, windows.time[first:end])
+        window = ShootingWindow(stick, windows.table[row, 4], epoch, earliest, windows.time[first:end])
         base, near = model[first:end], room[2, : end - first]
         bad = integrate_window(curve, ramp, own, part, window, base, room, work)
         if bad != 0:
@@ -251,7 +251,7 @@ def values_of(u: Array) -> Values:
 
 
 def integrate_window(
-    curve: int, ramp: int, u: Array, part: Array, window: Window, out: Array, room: Array, work: Buffer
+    curve: int, ramp: int, u: Array, part: Array, window: ShootingWindow, out: Array, room: Array, work: Buffer
 ) -> int:
     """Follow one window from its own start and store the position at its times; return 0 or an outcome.
 
@@ -276,7 +276,7 @@ def integrate_window(
         The run's parameters, ordered and in the units of `Global`.
     part : (6,) f8
         The cycle's own, ordered and in the units of `PerCycle`.
-    window : Window
+    window : ShootingWindow
         n samples.
     out : (n,) f8
         Filled with positions, m.
