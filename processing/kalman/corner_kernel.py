@@ -111,6 +111,7 @@ def refine_switching_times(
     -----
     The grid of 9 times is refined threefold until the likelihood is wider than its step.
     """
+    q, u, r = levels.process_density, levels.mean_snap, levels.reading_variance
     n = 4
     gain, tried = np.empty(2 * n + 1), np.empty(2 * n + 1)
     for k in range(at.size):
@@ -120,14 +121,42 @@ def refine_switching_times(
         if end - begin < 8:
             continue
         least, most = max(bounds[k, 0], time[begin]), min(bounds[k, 1], time[end - 1])
-        own = time[begin:end], position[begin:end]
         for _ in range(12):
             best = 0
-            for i in range(2 * n + 1):
-                tried[i] = min(max(middle + (i - n) * step, least), most)
-                gain[i] = try_corner(*own, tried[i], what, edges, parts, corner, levels, stored[begin])
-                if gain[i] > gain[best]:
-                    best = i
+            for g in range(2 * n + 1):
+                tried[g] = min(max(middle + (g - n) * step, least), most)
+                # The log likelihood of the corner there, up to a constant.  Not a function of its own: numba would
+                # compile the functions it calls a second time.
+                S = unpacked(stored[begin])
+                last = time[begin]
+                total, product = 0.0, 1.0
+                ahead = True
+                part = 0
+                for i in range(begin, end):
+                    if ahead and tried[g] <= time[i]:
+                        part = max(part, corner)
+                        b = parts[part]
+                        S = predict(tried[g] - last, q[b], u[b], S)
+                        S = turn(what, levels.reset_variance, S)
+                        last = tried[g]
+                        ahead = False
+                    while part < edges.size and time[i] - tried[g] >= edges[part]:
+                        part += 1
+                    b = parts[part]
+                    still = b == STICK or b == REST
+                    S = line_predict(time[i] - last, S) if still else predict(time[i] - last, q[b], u[b], S)
+                    last = time[i]
+                    s = 1.0 / (S[4] + r[b])
+                    e = position[i] - S[0]
+                    total -= e * e * s
+                    product *= s
+                    if product > 1e200 or product < 1e-200:
+                        total += math.log(product)
+                        product = 1.0
+                    S = line_update(e, s, r[b], S) if still else update(e, s, r[b], S)
+                gain[g] = 0.5 * (total + math.log(product))
+                if gain[g] > gain[best]:
+                    best = g
             weight, mean, square = 0.0, 0.0, 0.0
             for i in range(2 * n + 1):
                 w = math.exp(gain[i] - gain[best])
@@ -142,49 +171,3 @@ def refine_switching_times(
             middle = tried[best]
             if 0 < best < 2 * n:
                 step /= 3
-
-
-def try_corner(
-    time: Array,
-    position: Array,
-    tried: float,
-    what: int,
-    edges: Array,
-    parts: Labels,
-    corner: int,
-    levels: NoiseLevels,
-    stored: Array,
-) -> float:
-    """Return the log likelihood, up to a constant, of one corner at the time ``tried``, s.
-
-    ``stored`` is what the filter expected of the first sample; the rest as for `refine_switching_times`.
-    """
-    q, u, r = levels.process_density, levels.mean_snap, levels.reading_variance
-    S = unpacked(stored)
-    last = time[0]
-    total, product = 0.0, 1.0
-    ahead = True
-    part = 0
-    for i in range(time.size):
-        if ahead and tried <= time[i]:
-            part = max(part, corner)
-            b = parts[part]
-            S = predict(tried - last, q[b], u[b], S)
-            S = turn(what, levels.reset_variance, S)
-            last = tried
-            ahead = False
-        while part < edges.size and time[i] - tried >= edges[part]:
-            part += 1
-        b = parts[part]
-        still = b == STICK or b == REST
-        S = line_predict(time[i] - last, S) if still else predict(time[i] - last, q[b], u[b], S)
-        last = time[i]
-        s = 1.0 / (S[4] + r[b])
-        e = position[i] - S[0]
-        total -= e * e * s
-        product *= s
-        if product > 1e200 or product < 1e-200:
-            total += math.log(product)
-            product = 1.0
-        S = line_update(e, s, r[b], S) if still else update(e, s, r[b], S)
-    return 0.5 * (total + math.log(product))

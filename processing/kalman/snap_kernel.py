@@ -136,7 +136,7 @@ def line_update(e: float, s: float, r: float, S: State) -> State:
     return (S[0] + S[4] * g, S[1] + S[5] * g, 0.0, 0.0, S[4] * f, S[5] * f, 0.0, 0.0, p11, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def turn(kind: int, jump: Array, S: State) -> State:
+def turn(kind: int | np.int64, jump: Array, S: State) -> State:
     """Go through a corner."""
     x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = S
     if kind == LAND or kind == STOP:
@@ -184,7 +184,7 @@ def forward(
         while c < at.size and at[c] <= time[i]:
             b = label[max(i - 1, 0)]
             S = predict(at[c] - last, q[b], u[b], S)
-            S = turn(int(kind[c]), levels.reset_variance, S)
+            S = turn(np.int64(kind[c]), levels.reset_variance, S)
             last = at[c]
             c += 1
         b = label[i]
