@@ -28,7 +28,7 @@ def test_a_missing_port_is_named_with_what_is_there():
         ports.open_port("/dev/ttyNONE7")
     assert caught.value.where == "/dev/ttyNONE7"
     assert "no such port" in caught.value.what
-    assert "plug the board in" in caught.value.do
+    assert "connect the board" in caught.value.do
 
 
 def test_an_unknown_kind_of_url_is_bad_input():
