@@ -167,7 +167,7 @@ def _table(rows: "list[MethodError]", file: Path, unit: str, known: bool) -> Any
         table.add_row(row.method, row.setting, f"{1e3 * row.cpu_s:.1f}", *shown)
     if known:
         return table
-    return [table, "this run holds no exact motion; record it too with: daq record --set output.truth=true"]
+    return [table, "this run contains no exact motion; record it with: daq record --set output.truth=true"]
 
 
 def main() -> NoReturn:

@@ -67,7 +67,7 @@ def replay(
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Make a run file again from a journal, a run file, or a sigrok .sr capture.
+    """Rebuild a run file from a journal, a run file, or a sigrok .sr capture.
 
     Example: daq replay capture.sr --channels A=XA,B=XB -o run.h5
     """
@@ -142,7 +142,7 @@ def export(
     force: Force = False,
     json: Json = False,
 ) -> Answer:
-    """Write a run as a flat table, one row a sample, units in the column names.
+    """Write a run as a flat table, one row per sample, units in the column names.
 
     Example: daq export run.h5 --csv run.csv
     """

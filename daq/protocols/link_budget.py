@@ -61,7 +61,7 @@ def check(ident: frames.Ident, rig: Rig, plan: Plan, baud: int | None) -> list[s
         room = baud / BITS_PER_BYTE
         most = int(rate_hz * room / load)
         load_text = (
-            f"{rate_hz:g} Hz in frames of {plan.block} is {load:.0f} bytes/s, and {baud} baud carries {room:.0f}"
+            f"{rate_hz:g} Hz in frames of {plan.block} is {load:.0f} bytes/s, and {baud} baud can transfer {room:.0f}"
         )
         if load > room and plan.comes_already:
             return warnings  # more than a serial line carries: its baud rate is only a name, as with native USB

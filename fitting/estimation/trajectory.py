@@ -8,7 +8,7 @@ that Fs/m means the mean level and its interval the error of that mean.
 
 The noise of a position is not white: a law that is slightly wrong errs for many samples in a row.  Residuals therefore
 count with sigma^2 = mean square x correlation time, found from the fit before, and a cycle that fits far worse than
-the others (a kick, lost counts) counts less.
+the others (a velocity step, lost counts) counts less.
 """
 
 import math
@@ -223,7 +223,7 @@ def _minimise(
 def _restart_cycles(problem: EstimationProblem, windows: ShootingWindows, state: PassState) -> PassState:
     """Let outlying cycles start again from the smoothed motion, the shared unknowns held, and keep what fits better.
 
-    A cycle with a kick in it has several minima, and one pass can leave it in a poor one: from there it distorts the
+    A cycle with a velocity step has several minima, and one pass can leave it in a poor one: from there it distorts the
     law's error although its weight is low.
     """
     if state.solution is None or state.weights.min() > INLIER_WEIGHT:

@@ -78,14 +78,14 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustaine
     if sustained and speeds.size >= FEWEST_STICKS:
         off = np.abs(speeds / np.median(speeds) - 1)
         if float(np.quantile(off, 1.0 if few else 0.8)) > ONE_SPEED:
-            return f"its sticks run at {speeds.min():.3g} to {speeds.max():.3g} m/s, but a belt has one speed"
+            return f"its sticks have speeds of {speeds.min():.3g} to {speeds.max():.3g} m/s, but a belt has one speed"
     if float(np.median(_speed_changes(motion, begin, end))) < EVEN_SLIP:
         return "the mass slips back at constant speed, which a spring cannot cause"
     rested = len(seen) - len(cut.used)
     if 2 * rested >= len(seen):
         return f"the mass stands still in {rested} of {len(seen)} supposed slips"
     if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
-        return "an oscillation that dies away, without a start-up; constant friction with damping is possible"
+        return "a decaying oscillation, without a start-up; constant friction with damping is possible"
     drag = cut.starts_at_rest and not sustained  # constant friction with damping: a start-up, then less and less motion
     if not drag and _filled(motion, cut) < FILLED:
         return f"only {len(seen)} cycle{'' if len(seen) == 1 else 's'} like it in {motion.span:.3g} s"

@@ -75,7 +75,7 @@ def verdict_sentence(
     rival = min(rest, key=lambda row: row.score)
     ratio = rival.rms_m / best.rms_m
     if ratio > 1.2:
-        return f"{named}: {fit}; the next best, law {rival.law}, errs {ratio:.3g} times as much"
+        return f"{named}: {fit}; the next best, law {rival.law}, has {ratio:.3g} times the error"
     more = rival.fit.law_parameters > best.fit.law_parameters
     lag = "does not fit better despite its extra parameter" if more else "fits slightly worse"
     return f"{named}: {fit}; law {rival.law} {lag}"

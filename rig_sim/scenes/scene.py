@@ -316,7 +316,7 @@ def _check_together(found: Scene, where: str) -> None:
         if found.belt.ripple_hz is None:
             raise InputError("belt.ripple_hz is missing", where, "give the ripple's frequency in Hz")
         if found.drive is not None:
-            raise InputError("belt.ripple beside a drive", where, "drop one: the integrator knows one harmonic")
+            raise InputError("belt.ripple beside a drive", where, "drop one: the integrator supports one harmonic")
     if found.droop is not None:
         if found.belt is None or friction is None:
             raise InputError("droop without belt and friction", where, "add them or drop droop")

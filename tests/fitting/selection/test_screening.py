@@ -41,8 +41,8 @@ WHY = {
     "constant": "nothing moves",
     "ramp": "the mass (moves on at|never moves with)",
     "sine": "a sine without a start-up; constant friction is possible",
-    "decay": "an oscillation that dies away",
-    "coulomb_decay": "an oscillation that dies away",
+    "decay": "a decaying oscillation",
+    "coulomb_decay": "a decaying oscillation",
     "steps": "the mass never moves back",
 }
 
