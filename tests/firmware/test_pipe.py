@@ -15,6 +15,7 @@ from rig_sim.scenes.scene import scene
 
 SECONDS = 30
 SEED = 5
+pytestmark = pytest.mark.slow  # a minute of an emulated board
 
 
 def run(folder, module, *words, codes=(0,)):

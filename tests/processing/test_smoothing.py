@@ -114,6 +114,7 @@ def test_a_counted_belt_is_smoothed_in_blocks_too(tmp_path, small_blocks, method
         assert file["entry/smooth/kinematics/belt_velocity"].dims[0].keys() == ["time"]
 
 
+@pytest.mark.slow
 def test_memory_stays_below_300_mb_however_long_the_record(tmp_path):
     if not Path("/proc/self/status").exists():
         pytest.skip("the peak of a process's own memory is read from Linux's /proc")

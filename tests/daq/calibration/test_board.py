@@ -204,6 +204,7 @@ def test_a_motion_that_is_no_ring_down_writes_no_calibration(tmp_path, capsys):
     assert not kept.exists()
 
 
+@pytest.mark.slow
 def test_the_examples_of_calibrate_run_on_the_simulated_rig(capsys, tmp_path):
     # Without a port the ring-down used to be tried on a mass that the belt drags, and failed.
     code, found, _ = said(capsys, "calibrate", "--mass", "300 g +- 1 g")

@@ -57,6 +57,7 @@ def test_damping_is_not_biased_by_friction(zeta, friction):
     assert found.omega0.sd < 1e-4 * W
 
 
+@pytest.mark.slow
 def test_an_exponential_alone_would_have_been_far_off():
     """The logarithmic decrement of the first and the last peak, which most labs take, for comparison."""
     t, x = recorded(0.002, 100.0)
@@ -79,6 +80,7 @@ def test_friction_that_weakens_with_speed_is_seen_and_does_not_bias_either():
     assert found.omega0.value == pytest.approx(W, rel=5e-5)
 
 
+@pytest.mark.slow
 def test_a_hand_that_pulls_first_is_not_taken_for_the_motion():
     t, x = recorded(hold_s=3.0)
     x[t < 2] = np.floor(37.25 + (X0 - 37.25) * np.clip(t[t < 2] - 0.5, 0, 1)) + 0.5

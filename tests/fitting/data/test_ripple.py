@@ -44,7 +44,7 @@ def test_constant_friction_has_no_sticks_to_show_it(rippled):
     assert found_in(rippled(1)) is None
 
 
-@pytest.mark.parametrize("law", [3, 5])
+@pytest.mark.parametrize("law", [3, pytest.param(5, marks=pytest.mark.slow)])
 def test_a_belt_that_ripples_is_no_ramp(rippled, law):
     ranking = rank(rippled(law))
     assert ranking.laws_in_set[0] == law
@@ -62,7 +62,7 @@ def test_a_ramp_on_a_belt_that_ripples_comes_back(rippled):
     assert width.value == pytest.approx(0.03, rel=0.015)
 
 
-@pytest.mark.parametrize("seed", [0, 4])
+@pytest.mark.parametrize("seed", [4, pytest.param(0, marks=pytest.mark.slow)])
 def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
     motion = simulated(
         f"seed={100 + seed}", "friction.law=1", "belt.ripple=0.0044", "belt.ripple_hz=1.3", "scatter.Fs=0.1"
@@ -70,7 +70,9 @@ def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
     assert 1 in rank(motion).laws_in_set
 
 
-@pytest.mark.parametrize("law", [3, 5])  # a ramp can be left, entered and left again within one ripple period
+@pytest.mark.parametrize(
+    "law", [5, pytest.param(3, marks=pytest.mark.slow)]
+)  # a ramp can be left, entered and left again within one ripple period
 def test_break_aways_from_a_belt_that_ripples_carry_its_ripple(rippled, law):
     ranking = rank(rippled(law))
     events = [event for event in ranking.events if not event.flag]

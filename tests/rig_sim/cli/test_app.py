@@ -220,6 +220,7 @@ def test_a_scene_file_without_an_end_is_not_read_to_it(
     assert "larger than any scene: over 1048576 bytes" in error["what"]
 
 
+@pytest.mark.slow
 def test_a_long_list_of_events_is_the_same_by_compiled_code(monkeypatch: pytest.MonkeyPatch) -> None:
     # A step limit of a million interpreted steps used to take most of a minute.
     forced = rig_sim.scene("base", **{"drive.u0": 0.2, "drive.omega": 0.3})
