@@ -56,12 +56,10 @@ def fit_laws(
             done += len(own)
             if progress is not None:
                 progress(float(done))
-        nearest = min((fit.geometric_mean_rms for fit in found), default=0.0)
-        chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
-        found = [fit for own in each(partial(_refined, limit=GIVE_UP_FACTOR * nearest), chains) for fit in own]
-        nearest = min((fit.geometric_mean_rms for fit in found), default=0.0)
-        chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
-        found = [fit for own in each(partial(_final, limit=FULL_RECORD_FACTOR * nearest), chains) for fit in own]
+        for step, factor in ((_refined, GIVE_UP_FACTOR), (_final, FULL_RECORD_FACTOR)):
+            limit = factor * min((fit.geometric_mean_rms for fit in found), default=0.0)
+            chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
+            found = [fit for own in each(partial(step, limit=limit), chains) for fit in own]
     return sorted(found, key=lambda fit: (LAWS[fit.law].ramp, fit.law))
 
 

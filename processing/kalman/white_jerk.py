@@ -170,17 +170,8 @@ def smooth(series: Series, noise: Noise) -> Motion:
             smooth_piece(time, position, noise, max(BLOCK, 4 * behind), behind, motion, piece.start)
     errors = np.maximum(motion[3:], 0.0, out=motion[3:])
     np.sqrt(errors, out=errors)
-    return Motion(
-        position=series.origin + motion[0],
-        velocity=motion[1],
-        acceleration=motion[2],
-        position_errors=errors[0],
-        velocity_errors=errors[1],
-        acceleration_errors=errors[2],
-        window=equivalent_window(rho, n),
-        order=ORDER,
-        method="rts",
-    )
+    window = equivalent_window(rho, n)
+    return Motion.from_rows(series, motion[:3], errors, window=window, order=ORDER, method="rts")
 
 
 def smooth_piece(

@@ -51,14 +51,4 @@ def estimate(series: Series, setting: Setting) -> Motion:
             length,
             floor,
         )
-    return Motion(
-        position=series.origin + values[0],
-        velocity=values[1],
-        acceleration=values[2],
-        position_errors=errors[0],
-        velocity_errors=errors[1],
-        acceleration_errors=errors[2],
-        window=length,
-        order=order,
-        method="sg",
-    )
+    return Motion.from_rows(series, values, errors, window=length, order=order, method="sg")

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -48,6 +48,35 @@ class Motion:
     order: int
     method: str
     corners: tuple[Corner, ...] = ()
+
+    @classmethod
+    def from_rows(
+        cls,
+        series: Series,
+        values: Array,
+        errors: Array,
+        *,
+        window: int,
+        order: int,
+        method: str,
+        corners: tuple[Corner, ...] = (),
+    ) -> Self:
+        """Return the motion whose x (without the origin of ``series``), v and a are the rows of ``values``.
+
+        ``values`` and ``errors``, the standard errors of the same three, are of shape (3, n).
+        """
+        return cls(
+            position=series.origin + values[0],
+            velocity=values[1],
+            acceleration=values[2],
+            position_errors=errors[0],
+            velocity_errors=errors[1],
+            acceleration_errors=errors[2],
+            window=window,
+            order=order,
+            method=method,
+            corners=corners,
+        )
 
 
 @dataclass(frozen=True)

@@ -82,21 +82,11 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, level
         value += half
         np.copyto(variance, share * (variance + late[3 + derivative]) / 2 + half**2, where=~line)
         np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
-    return Motion(
-        position=series.origin + early[0],
-        velocity=early[1],
-        acceleration=early[2],
-        position_errors=early[3],
-        velocity_errors=early[4],
-        acceleration_errors=early[5],
-        window=window,
-        order=ORDER,
-        method="segment",
-        corners=tuple(
-            Corner(float(at), float(sd), WHAT[int(kind)])
-            for at, sd, kind in zip(times.at, times.sd, times.kind, strict=True)
-        ),
+    corners = tuple(
+        Corner(float(at), float(sd), WHAT[int(kind)])
+        for at, sd, kind in zip(times.at, times.sd, times.kind, strict=True)
     )
+    return Motion.from_rows(series, early[:3], early[3:], window=window, order=ORDER, method="segment", corners=corners)
 
 
 def _run(
