@@ -26,8 +26,8 @@ def node_of(module: str) -> Node | None:
     return (parts[0], parts[1]) if place.is_dir() or place.with_suffix(".py").is_file() else None
 
 
-def imports_of(path: Path) -> set[Node]:
-    """Return the boxes that a file imports."""
+def imported_names(path: Path) -> set[str]:
+    """Return the dotted names that a file imports, at any depth, those for the type checker alone left out."""
     names: set[str] = set()
     tree = ast.parse(path.read_text())
     checks = [node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
@@ -36,8 +36,13 @@ def imports_of(path: Path) -> set[Node]:
         if isinstance(statement, ast.Import):
             names |= {alias.name for alias in statement.names}
         elif isinstance(statement, ast.ImportFrom) and statement.module:
-            names |= {f"{statement.module}.{alias.name}" for alias in statement.names}
-    return {node for name in names if (node := node_of(name)) is not None}
+            names |= {statement.module, *(f"{statement.module}.{alias.name}" for alias in statement.names)}
+    return names
+
+
+def imports_of(path: Path) -> set[Node]:
+    """Return the boxes that a file imports."""
+    return {node for name in imported_names(path) if (node := node_of(name)) is not None}
 
 
 def read() -> tuple[dict[Node, tuple[int, int]], dict[Node, set[Node]]]:

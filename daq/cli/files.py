@@ -154,7 +154,7 @@ def export(
         raise InputError("nothing to write", "command line", "give --csv FILE or --parquet FILE")
     for target in targets.values():
         atomic.refuse_existing(target, force, file)
-    rows = tables.frame(store.load(file))
+    rows = store.load(file).to_dataframe()
     for form, target in targets.items():
         tables.write(rows, target, form, force=force)
     names = [str(target) for target in targets.values()]

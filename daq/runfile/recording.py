@@ -3,12 +3,15 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.runfile.rig import Rig
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 # What can happen to a run, with the code its event is stored under.
 EVENTS = {
@@ -160,6 +163,28 @@ class Recording:
     def unit(self) -> str:
         """Of `position`: "m", or "count" for counts of a rig whose metres per count nobody measured."""
         return "count" if self.count is not None and self.rig.metres_per_count is None else "m"
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the run as a pandas table, one row a sample.
+
+        Columns: ``time_s``, ``position_m`` (``position_count`` for a rig without metres per count), then what the run
+        has of ``count``, ``segment``, ``belt_velocity_m_per_s`` and the raw columns as sent.
+        """
+        import pandas as pd
+
+        columns: dict[str, NDArray[np.generic]] = {"time_s": self.time, f"position_{self.unit}": self.position}
+        if self.count is not None:
+            columns["count"] = self.count
+        if self.raw is not None:
+            columns["segment"] = self.segment
+        if self.belt_velocity is not None:
+            columns["belt_velocity_m_per_s"] = self.belt_velocity
+        if self.raw is not None:
+            units = {"device_time": "device_time_us", "edge_time": "edge_time_us"}
+            for name, values in vars(self.raw).items():
+                if values is not None:
+                    columns[units.get(name, name)] = values
+        return pd.DataFrame(columns)
 
 
 def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:
