@@ -18,6 +18,7 @@ from processing.defects import lost_counts, velocity_steps
 from processing.methods import registry
 from processing.record.lost_counts import LostCounts, counts_missing, restore_counts
 from processing.record.motion import Phase, VelocityStep
+from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.segmentation import plateaus
@@ -48,6 +49,7 @@ class BlockSmoother:
         self._windows: list[tuple[int, int]] = []
         self._belt_speeds: list[float] = []
         self._plateau_speeds: list[float] = []
+        self._noises: list[float] = []
         self._behind = 0  # counts lost so far in this segment
 
     def smooth(self, recording: "Recording", data: Series, own: slice, low: int = 0) -> dict[str, Any]:
@@ -70,6 +72,7 @@ class BlockSmoother:
         losses = lost_counts.losses(data) if self.repair != "off" else ()
         behind = counts_missing(recording.segment, losses)
         data = restore_counts(data, behind)
+        self._noises.append(position_noise(data))
         motion = registry.estimate(self.method, data, self.setting)
         belt = belt_motion.smooth_belt(recording, data, motion)
         found = plateaus.segment(data, motion, recording.rig.belt_speed, self.setting.belt_speed, belt)
@@ -118,8 +121,14 @@ class BlockSmoother:
             "phases": tuple(self._phases),
             "losses": tuple(self._losses),
             "kicks": tuple(self._steps),
+            "noise": self._noise(),
             "repaired": self.repair == "fix" and bool(self._losses),
         }
+
+    def _noise(self) -> float:
+        """Return the median noise of the blocks in which anything changes."""
+        changing = [noise for noise in self._noises if noise > 0]
+        return float(np.median(changing)) if changing else 0.0
 
     def _lost_before(self, recording: "Recording", own: slice, losses: tuple[LostCounts, ...]) -> Array:
         """Return the counts lost in the segment before the first sample read, for every sample of the block."""

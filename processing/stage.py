@@ -10,6 +10,7 @@
       phases          NXdata      one row a stick or slip: start, end, their errors, first, last, stick (1) or slip (0)
       losses          NXdata      one row a place where counts went missing: first, last, counts (absent without any)
       kicks           NXdata      one row a step of the velocity: sample, step (absent without any)
+      findings        NXcollection  one row a contradiction or fault: code, text, value, expected, sigmas (likewise)
 """
 
 from collections.abc import Mapping
@@ -21,9 +22,13 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.errors import InputError
 from daq.runfile import nexus, store
+from daq.runfile.recording import Recording
+from processing.record import series
+from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.lost_counts import LostCounts
 from processing.record.motion import Phase, VelocityStep
+from processing.record.noise import position_noise
 
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 
@@ -78,6 +83,7 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
     nexus.field(parameters, "belt_speed", np.float64(motion.belt_speed), f"{unit}/s")
     nexus.field(parameters, "lost_counts", np.int64(motion.lost_counts))
     nexus.field(parameters, "repaired", np.int64(motion.repaired))
+    nexus.field(parameters, "noise", np.float64(motion.noise), unit)
     nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
     nexus.field(parameters, "sha256_input", digest)
     portrait = nexus.group(
@@ -128,6 +134,12 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
             signal="step",
             title="steps of the velocity",
         )
+    if motion.findings:
+        made = nexus.group(smooth, "findings", "NXcollection")
+        for name in ("code", "text"):
+            nexus.field(made, name, [getattr(finding, name) for finding in motion.findings])
+        for name in ("value", "expected", "sigmas"):
+            nexus.field(made, name, np.array([getattr(finding, name) for finding in motion.findings]), "")
 
 
 def load(path: Path) -> Kinematics | None:
@@ -154,20 +166,41 @@ def load(path: Path) -> Kinematics | None:
             columns[name] = nexus.read_array(entry, f"smooth/kinematics/{name}", np.float64, path)
             nexus.check_length(columns[name].size, recording.time.size, f"smooth/kinematics/{name}", path)
         parameters = "smooth/parameters"
+        times = nexus.read_text(entry, f"{parameters}/times", path)
         return Kinematics(
             recording=recording,
             **columns,
             method=nexus.read_text(entry, f"{parameters}/method", path),
             window=int(nexus.read_number(entry, f"{parameters}/window", path)),
             order=int(nexus.read_number(entry, f"{parameters}/order", path)),
-            times=nexus.read_text(entry, f"{parameters}/times", path),
+            times=times,
             belt_speed=nexus.read_number(entry, f"{parameters}/belt_speed", path),
             phases=_phases(entry, path),
             losses=_losses(entry, path),
             kicks=_kicks(entry, path),
+            noise=_noise(entry, recording, times, path),
+            findings=_findings(entry, path),
             repaired="repaired" in entry[parameters] and bool(nexus.read_number(entry, f"{parameters}/repaired", path)),
             cpu_s=nexus.read_number(entry, f"{parameters}/cpu_time", path),
         )
+
+
+def _noise(entry: h5py.Group, recording: Recording, times: str, path: Path) -> float:
+    """Return the noise of a position; of a stage written before it was kept, estimated from the record."""
+    if "noise" in entry["smooth/parameters"]:
+        return nexus.read_number(entry, "smooth/parameters/noise", path)
+    return position_noise(series.from_recording(recording, times))
+
+
+def _findings(entry: h5py.Group, path: Path) -> tuple[Finding, ...]:
+    if "smooth/findings" not in entry:
+        return ()
+    code, text = (nexus.read_texts(entry, f"smooth/findings/{name}", path) for name in ("code", "text"))
+    numbers = [
+        nexus.read_array(entry, f"smooth/findings/{name}", np.float64, path).tolist()
+        for name in ("value", "expected", "sigmas")
+    ]
+    return tuple(Finding(*row) for row in zip(code, text, *numbers, strict=True))
 
 
 def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:

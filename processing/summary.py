@@ -12,7 +12,18 @@ METHOD_NAMES = {
     "sg": "Savitzky-Golay",
     "fd": "finite differences",
 }
-HEADER = ("method", "window", "order", "times", "belt_speed", "plateau_fraction", "lost_counts", "repaired", "cpu_s")
+HEADER = (
+    "method",
+    "window",
+    "order",
+    "times",
+    "belt_speed",
+    "plateau_fraction",
+    "lost_counts",
+    "repaired",
+    "noise",
+    "cpu_s",
+)
 
 
 def as_json(motion: Kinematics | SmoothingSummary) -> dict[str, Any]:
@@ -28,6 +39,7 @@ def as_json(motion: Kinematics | SmoothingSummary) -> dict[str, Any]:
             for phase in motion.phases
         ],
         "samples": motion.samples,
+        "findings": [vars(finding) for finding in motion.findings],
         "warnings": warnings(motion),
     }
 
@@ -69,7 +81,7 @@ def warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
         )
     if not motion.phases:
         found.append("the mass never moves in this record")
-    return found
+    return found + [finding.text for finding in motion.findings]
 
 
 def sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) -> list[str]:

@@ -208,6 +208,14 @@ def read_text(entry: h5py.Group, name: str, where: Path) -> str:
     return text(item[()])
 
 
+def read_texts(entry: h5py.Group, name: str, where: Path) -> tuple[str, ...]:
+    """Return a column of texts."""
+    item = read_dataset(entry, name, where)
+    if item.ndim != 1 or h5py.check_string_dtype(item.dtype) is None:
+        raise InputError(f"/entry/{name} is not a column of text", str(where), AGAIN)
+    return tuple(text(value) for value in item[()])
+
+
 def text(value: Any) -> str:
     """Return an HDF5 string, however h5py delivered it."""
     return value.decode() if isinstance(value, bytes) else str(value)

@@ -321,7 +321,7 @@ def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
         case "text":
             return nexus.read_text(entry, row.path, where)
         case "text[e]":
-            return tuple(nexus.text(item) for item in nexus.read_dataset(entry, row.path, where)[()])
+            return nexus.read_texts(entry, row.path, where)
         case "text or i8":
             values = {name: item[()] for name, item in entry[parent(row)].items() if name != "sha256_raw"}
             return {name: int(it) if isinstance(it, np.integer) else nexus.text(it) for name, it in values.items()}

@@ -7,7 +7,7 @@ a piece repeats the one before it.  One count over one interval is already pitch
 import numpy as np
 
 from processing.record.motion import Motion
-from processing.record.reading_error import reading_error
+from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting, refuse_window
 
@@ -40,7 +40,7 @@ def estimate(series: Series, setting: Setting) -> Motion:
     n = series.time.size
     velocity, acceleration = np.zeros(n), np.zeros(n)
     velocity_errors, acceleration_errors = np.full(n, np.inf), np.full(n, np.inf)
-    sigma = reading_error(series)
+    sigma = position_noise(series)
     for piece in series.pieces:
         t, x = series.time[piece], series.position[piece]
         if t.size < 2:

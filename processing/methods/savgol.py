@@ -5,7 +5,7 @@ import numpy as np
 from processing.methods import window_choice
 from processing.polynomial import savgol
 from processing.record.motion import Motion
-from processing.record.reading_error import reading_error
+from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import DEFAULT_ORDER, Setting, check_window
 
@@ -42,7 +42,7 @@ def estimate(series: Series, setting: Setting) -> Motion:
         values[:, piece], norms[:, piece] = savgol.fit(*own, length, order, counted)
         probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.half(length, order), order, counted)
     errors = np.empty_like(values)
-    floor = series.pitch / np.sqrt(12) if length > order + 3 else reading_error(series)
+    floor = series.pitch / np.sqrt(12) if length > order + 3 else position_noise(series)
     for piece in series.pieces:
         errors[:, piece] = savgol.standard_errors(
             series.position[piece],

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from daq.compute.arrays import Array, Mask
+from processing.record.finding import Finding
 from processing.record.lost_counts import LostCounts, counts_missing
 from processing.record.motion import Phase, VelocityStep, mask_of
 
@@ -41,6 +42,10 @@ class SmoothingHeader:
         Where the velocity stepped (`processing.defects.velocity_steps`); marked, and smoothed over.
     repaired : bool
         Whether lost counts were put back into the position.
+    noise : float
+        Standard deviation of one position, m (or counts), from the record itself (`processing.record.noise`).
+    findings : tuple of Finding
+        Contradictions and faults that the record shows.
     cpu_s : float
         CPU time spent, s.
     plateau_speed : float
@@ -57,6 +62,8 @@ class SmoothingHeader:
     losses: tuple[LostCounts, ...]
     kicks: tuple[VelocityStep, ...] = ()
     repaired: bool
+    noise: float
+    findings: tuple[Finding, ...] = ()
     cpu_s: float
     plateau_speed: float = math.nan
 

@@ -24,7 +24,7 @@ from daq.compute.arrays import Array, Mask
 from daq.runfile.rig import Measured
 from processing.kalman import white_jerk
 from processing.record.motion import BeltMotion, Motion, PhaseSegmentation
-from processing.record.reading_error import reading_error
+from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED, common_speed, median_value, reported_speed
 from processing.segmentation.phase_layout import (
@@ -100,10 +100,10 @@ def in_motion(series: Series) -> Mask:
     """Return a mask that leaves out rest at the beginning and at the end of the record.
 
     Rest lasts until the position has left its first value by more than two and a half counts (without counts: by a
-    thousandth of the record's travel, or five reading errors where that is more).
+    thousandth of the record's travel, or five standard deviations of a position where that is more).
     """
     x = series.position
-    slack = 2.5 * series.pitch if series.pitch else max(1e-3 * float(np.ptp(x)), 5 * reading_error(series))
+    slack = 2.5 * series.pitch if series.pitch else max(1e-3 * float(np.ptp(x)), 5 * position_noise(series))
     away = np.flatnonzero(np.abs(x - x[0]) > slack)
     back = np.flatnonzero(np.abs(x - x[-1]) > slack)
     mask = np.zeros(x.size, bool)

@@ -14,6 +14,7 @@ import daq
 from daq.errors import InputError
 from daq.runfile import store
 from processing import stage
+from processing.record.finding import Finding
 from processing.smoothing import smooth
 
 
@@ -37,9 +38,12 @@ def raw_bytes(path):
 
 
 def test_what_was_saved_is_loaded(path):
-    made = smooth(daq.load(path))
+    findings = (Finding("spikes", "3 samples out of line", 3.0), Finding("belt-speed", "0.22 m/s", 0.22, 0.3, 41.0))
+    made = replace(smooth(daq.load(path)), findings=findings)
     stage.save(made, path)
     found = stage.load(path)
+    assert found.noise == made.noise > 0
+    assert str(found.findings) == str(findings)
     for name in ("time", "position", "velocity", "acceleration", "stick"):
         assert np.array_equal(getattr(found, name), getattr(made, name))
     for name in ("position_errors", "velocity_errors", "acceleration_errors"):
@@ -50,6 +54,14 @@ def test_what_was_saved_is_loaded(path):
         assert replace(one, start_sd=0, end_sd=0) == replace(other, start_sd=0, end_sd=0)
         assert (one.start_sd, one.end_sd) == pytest.approx((other.start_sd, other.end_sd), rel=1e-6)
     assert found.recording.default == "smooth"
+
+
+def test_noise_of_a_stage_written_before_it_was_kept_is_estimated_again(path):
+    made = smooth(daq.load(path))
+    stage.save(made, path)
+    with h5py.File(path, "r+") as file:
+        del file["entry/smooth/parameters/noise"]
+    assert stage.load(path).noise == made.noise
 
 
 def test_a_run_that_was_not_smoothed_has_no_stage(path):

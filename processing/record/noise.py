@@ -1,0 +1,95 @@
+"""The standard deviation of one position, estimated from the record itself, for any sensor.
+
+Motion nearly cancels in a fourth divided difference of five neighbouring readings, on even times and on uneven ones;
+their independent errors do not.  The median ignores corners and single faults.  A reading is no better than its step
+(the pitch of an encoder, the last printed decimal of a table), whose rounding adds step^2/12 of variance: that is the
+least, and all there is where a count hardly changes.
+
+Not seen: errors that change slowly against the sample interval, as after a low-pass filter in the sensor.
+"""
+
+import math
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers
+from processing.record.series import Series
+
+ORDER = 4  # of the differences: the third leave motion of 30 samples a second, the fifth gain nothing
+MOST = 2**12  # differences looked at, spread over the record: their median is known to 2 %
+NEIGHBOURS = 1, 1  # samples: the gaps inside a difference, least and widest
+APART = 8, 16  # the same where readings are mostly rounding: up to 1.2 times what it adds; with 1, 3 up to 1.6 times
+ROUNDED = 1.0  # steps: a smaller scatter is mostly rounding, which neighbours of a steady motion share in a pattern
+GOLDEN = 0.6180339887498949  # its multiples modulo 1 are spread evenly
+NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal number
+
+
+def position_noise(series: Series) -> float:
+    """Return the standard deviation of one position, m (or counts, as the positions are).
+
+    Parameters
+    ----------
+    series : Series
+        The record.  Rest at its beginning and end, where no digit changes, is not looked at.
+
+    Returns
+    -------
+    float
+        0 for a record without a pitch in which nothing changes.
+
+    Notes
+    -----
+    Where a mass moves by 4.4 steps a sample, rounding errors repeat every five samples: differences of neighbours then
+    scatter by up to 2.3 times what independent errors of that size would give.  Readings 8 to 16 samples apart, in
+    ever another order, do not share the pattern.
+    """
+    step = series.pitch or smallest_step(series.position)
+    scatter = _scatter(series, step, NEIGHBOURS)
+    if scatter < ROUNDED * step:
+        scatter = min(scatter, _scatter(series, step, APART))  # at few samples a second the wider ones see the motion
+    return max(scatter, step / math.sqrt(12))
+
+
+def smallest_step(position: Array) -> float:
+    """Return the smallest change between neighbouring positions, m; 0 where none changes."""
+    steps = np.abs(np.diff(position))
+    np.copyto(steps, np.inf, where=steps == 0)
+    least = float(steps.min(initial=np.inf))
+    return least if math.isfinite(least) else 0.0
+
+
+def _scatter(series: Series, step: float, spacing: tuple[int, int]) -> float:
+    """Return the robust scatter of fourth divided differences, m, each over the root of its squared weights' sum.
+
+    On even times those of rounded readings are whole multiples of ``step`` over that root, of which a median would
+    take one: each is moved by up to half of that, evenly.  ``spacing`` is the least and the widest gap between their
+    readings.
+    """
+    x = series.position
+    least, widest = spacing
+    span = ORDER * widest
+    first, last = int(np.argmax(x != x[0])), x.size - 1 - int(np.argmax((x != x[-1])[::-1]))  # changes
+    stride = max((last - first) // MOST, 1)
+    starts = np.concatenate([_starts(piece, first - span, last + span, span, stride) for piece in series.pieces])
+    if not starts.size:
+        return 0.0
+    evenly = np.arange((ORDER + 1) * starts.size).reshape(ORDER + 1, -1) * GOLDEN % 1.0
+    gaps = least + ((widest - least + 1) * evenly[1:]).astype(np.int64)
+    near = starts + np.concatenate((np.zeros((1, starts.size), np.int64), np.cumsum(gaps, axis=0)))
+    t = series.time[near]
+    t = (t - t[0]) / series.interval
+    inverse = np.ones_like(t)
+    for j in range(ORDER + 1):
+        for k in range(j):
+            apart = t[j] - t[k]
+            inverse[j] *= apart
+            inverse[k] *= -apart
+    weights = 1 / inverse
+    values = x[near]
+    found = (weights * (values - values[0])).sum(axis=0) + step * np.abs(weights).min(axis=0) * (evenly[0] - 0.5)
+    return float(np.median(np.abs(found) / np.sqrt((weights**2).sum(axis=0)))) / NORMAL
+
+
+def _starts(piece: slice, first: int, last: int, span: int, stride: int) -> Integers:
+    """Return where differences over ``span`` samples begin in a piece, between the samples ``first`` and ``last``."""
+    return np.arange(max(piece.start, first), min(piece.stop - 1, last) - span + 1, stride)

@@ -1,0 +1,54 @@
+"""The standard deviation of one position, from the record: cameras, encoders, printed decimals, uneven times."""
+
+import numpy as np
+import pytest
+
+from processing.record import series
+from processing.record.noise import position_noise
+
+CAMERA = {"duration": 30.0, "jitter": 0.0, "rate": 400.0}
+
+
+@pytest.fixture
+def noise_of(imported):
+    return lambda time, position: position_noise(series.from_recording(imported(time, position, 400.0)))
+
+
+@pytest.mark.parametrize("sigma", [2e-4, 1e-3])
+def test_printed_decimals_add_their_rounding_and_no_more(motion, noise_of, sigma):
+    """It used to be the last printed decimal, whatever the noise."""
+    true = motion(5, **CAMERA)
+    seen = true.x + sigma * np.random.default_rng(2).standard_normal(true.x.size)
+    for step in (1e-3, 1e-4, 1e-5, 1e-6):
+        printed = np.round(seen / step) * step
+        assert noise_of(true.time, printed) == pytest.approx(np.hypot(sigma, step / np.sqrt(12)), rel=0.12)
+
+
+def test_uneven_times_do_not_look_like_noise(noise_of):
+    """A swing seen at times that scatter by a third of an interval, one reading in twenty missing."""
+    rng = np.random.default_rng(5)
+    time = (np.arange(12_000) + rng.uniform(-1 / 3, 1 / 3, 12_000))[rng.random(12_000) > 0.05] / 400
+    readings = 0.1 * np.sin(6 * time) + 1e-5 * rng.standard_normal(time.size)
+    assert noise_of(time, readings) == pytest.approx(1e-5, rel=0.06)
+
+
+@pytest.mark.parametrize("pitch", [7.67e-6, 5e-5, 2e-4])
+@pytest.mark.parametrize("jitter", [0.0, 30e-6])
+def test_counts_err_by_their_rounding(motion, recorded, pitch, jitter):
+    """Neighbouring roundings of a steady stick follow a pattern, which used to look like twice as much."""
+    data = series.from_recording(recorded(motion(5, 30.0, jitter), pitch))
+    assert pitch / np.sqrt(12) <= position_noise(data) < 1.3 * pitch / np.sqrt(12)
+
+
+def test_counts_at_rest_err_by_their_rounding(motion, recorded):
+    data = series.from_recording(recorded(motion(5, 0.4, start=0.5)))
+    assert position_noise(data) == data.pitch / np.sqrt(12)
+
+
+def test_rest_before_and_after_the_motion_says_nothing(motion, noise_of):
+    """A sensor that holds its first and last value for nine tenths of the record."""
+    true = motion(5, **CAMERA)
+    seen = true.x[:1500] + 2e-4 * np.random.default_rng(3).standard_normal(1500)
+    held = np.concatenate((np.full(10_000, seen[0]), seen, np.full(5000, seen[-1])))
+    assert noise_of(np.arange(held.size) / 400, held) == pytest.approx(2e-4, rel=0.1)
+    assert noise_of(np.arange(100) / 400, np.full(100, 0.3)) == 0.0
