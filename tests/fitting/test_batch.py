@@ -63,7 +63,7 @@ def alone(originals, tmp_path_factory):
     return {name: application.plain(cli.fit(folder / f"{name}.h5", laws="3,5").data) for name in ("five", "three")}
 
 
-@pytest.mark.parametrize("how", [(), ("--jobs", "2")])
+@pytest.mark.parametrize("how", [(), pytest.param(("--jobs", "2"), marks=pytest.mark.slow)])
 def test_a_batch_says_of_each_run_what_the_command_says_of_it_alone(folder, capsys, alone, how):
     files = [folder / f"{name}.h5" for name in ("five", "none", "three", "short", "missing")]
     code, document = documents(capsys, "--each", *files, "--laws", "3,5", *how)
@@ -226,6 +226,7 @@ def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
     assert without_times(document["runs"][2]) == without_times(alone["three"])
 
 
+@pytest.mark.slow
 @needs_dask
 def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
     from fitting.selection.ranking import rank

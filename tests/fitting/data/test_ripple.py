@@ -24,7 +24,7 @@ def rippled(simulated):
     )
 
 
-@pytest.mark.parametrize("law", [3, 4, 5, 6])
+@pytest.mark.parametrize("law", [3, 6, *(pytest.param(law, marks=pytest.mark.slow) for law in (4, 5))])
 def test_the_sticks_show_frequency_amplitude_and_phase(rippled, law):
     ripple = found_in(rippled(law))
     assert ripple.omega == pytest.approx(2 * math.pi * HERTZ, abs=2 * math.pi * 0.005)
@@ -35,7 +35,7 @@ def test_the_sticks_show_frequency_amplitude_and_phase(rippled, law):
     assert seen == pytest.approx(AMPLITUDE * np.sin(2 * math.pi * HERTZ * (t - 0.5)), abs=0.3 * AMPLITUDE)
 
 
-@pytest.mark.parametrize("law", [3, 4, 5, 6])
+@pytest.mark.parametrize("law", [4, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 5, 6))])
 def test_a_steady_belt_shows_none(simulated, law):
     assert found_in(simulated(f"friction.law={law}", "scatter.Fs=0.1")) is None
 
@@ -54,6 +54,7 @@ def test_a_belt_that_ripples_is_no_ramp(rippled, law):
     assert any("varies by 2 % at 2.3 Hz" in warning for warning in ranking.warnings)
 
 
+@pytest.mark.slow
 def test_a_ramp_on_a_belt_that_ripples_comes_back(rippled):
     ranking = rank(rippled(6))
     assert ranking.laws_in_set == (6,)
@@ -62,6 +63,7 @@ def test_a_ramp_on_a_belt_that_ripples_comes_back(rippled):
     assert width.value == pytest.approx(0.03, rel=0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, pytest.param(0, marks=pytest.mark.slow)])
 def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
     motion = simulated(
@@ -70,6 +72,7 @@ def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
     assert 1 in rank(motion).laws_in_set
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law", [5, pytest.param(3, marks=pytest.mark.slow)]
 )  # a ramp can be left, entered and left again within one ripple period

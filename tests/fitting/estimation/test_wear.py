@@ -31,7 +31,7 @@ def test_three_levels_are_no_trend():
     assert wear.level_trend(np.arange(3.0), np.ones(3)) is None
 
 
-@pytest.mark.parametrize("law", [3, 6])
+@pytest.mark.parametrize("law", [3, pytest.param(6, marks=pytest.mark.slow)])
 def test_wear_of_a_run_lies_in_its_interval(simulated, law):
     parameters = rank(simulated(f"friction.law={law}", "wear.rate=0.006")).best.parameters
     found, first = parameters["wear"], parameters["Fs0/m"]
@@ -45,7 +45,7 @@ def test_friction_that_never_sticks_again_shows_no_wear(simulated):
     assert "wear" not in rank(simulated("friction.law=1")).best.parameters
 
 
-@pytest.mark.parametrize("scatter", [0.0, 0.03])
+@pytest.mark.parametrize("scatter", [0.0, pytest.param(0.03, marks=pytest.mark.slow)])
 def test_what_is_known_only_in_combination_is_given_as_such(simulated, scatter):
     kinematics = simulated("friction.law=1", f"scatter.Fs={scatter}")
     rig = kinematics.recording.rig

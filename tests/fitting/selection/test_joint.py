@@ -50,7 +50,8 @@ def test_what_runs_share_stands_once_and_the_rest_is_their_own():
     assert spread[1, Global.V_DR] == PER_RUN + Global.V_DR
 
 
-@pytest.mark.parametrize("law", [4, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 5, 6))])
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
 def test_three_belt_speeds_put_the_true_law_first(runs_of, law):
     ranking = rank(runs_of(law, 2))
     assert ranking.best.law == law
@@ -83,6 +84,7 @@ def test_one_run_in_a_list_is_that_run(runs_of):
     assert listed.verdict == alone.verdict
 
 
+@pytest.mark.slow
 def test_narrow_ramps_are_told_from_belts_that_give_by_a_share_of_their_speed(tmp_path):
     from daq.protocols.request import RecordRequest
     from daq.recorder import ports
@@ -154,6 +156,7 @@ def test_a_run_named_twice_is_refused(files, tmp_path):
         cli.fit(same, same)
 
 
+@pytest.mark.slow
 def test_several_processes_give_the_same_ranking_to_the_last_bit(synthetic):
     runs = [smooth(synthetic.recording(law=4, duration=10.0, belt=speed)) for speed in SPEEDS[1:]]
     alone, side_by_side = (rank(runs, laws=(3, 4, 5), jobs=jobs) for jobs in (1, 3))

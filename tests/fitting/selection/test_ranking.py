@@ -11,7 +11,7 @@ from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
 
-@pytest.mark.parametrize("law", [3, 4, 5, 6])
+@pytest.mark.parametrize("law", [3, 6, *(pytest.param(law, marks=pytest.mark.slow) for law in (4, 5))])
 def test_the_true_law_stands_alone_on_the_rig_scene(ranked, law):
     ranking = ranked(law=law)
     assert ranking.laws_in_set == (law,)
@@ -27,7 +27,7 @@ def test_constant_friction_is_told_apart_by_the_start_up_drag(ranked, law):
     assert ranking.verdict.startswith("no sustained stick: constant friction")
 
 
-@pytest.mark.parametrize("law", [3, 5, 6])
+@pytest.mark.parametrize("law", [5, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 6))])
 def test_nominal_disturbances_leave_the_verdict_right(synthetic, law):
     ranking = rank(smooth(synthetic.recording(synthetic.nominal(law, 4))))
     assert law in ranking.laws_in_set
@@ -53,6 +53,7 @@ def test_a_noise_free_run_is_fitted_to_its_counts(ranked):
     assert row.parameters["v_dr"].value == pytest.approx(0.22, rel=3e-5)
 
 
+@pytest.mark.slow
 def test_static_and_kinetic_levels_are_separate(ranked):
     events = [event for event in ranked(law=5, static=1.3).events if not event.flag]
     ratio = [event.break_away_level / event.kinetic_scale for event in events]
@@ -165,6 +166,7 @@ def test_a_law_that_is_not_nested_is_not_preferred():
     assert chosen.members == (5, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "slope"), [(3, 0.1), (4, 0.15)])
 def test_short_sticks_are_sticks(simulated, law, slope):
     # The mass sticks for a tenth of its period only; constant friction leaves 170 times what counting explains.

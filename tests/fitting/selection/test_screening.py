@@ -55,7 +55,9 @@ def standing(recording, seconds):
 
 
 @pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))])
-@pytest.mark.parametrize("known", KNOWN)
+@pytest.mark.parametrize(
+    "known", ["nothing", *(pytest.param(known, marks=pytest.mark.slow) for known in ("mass", "all"))]
+)
 @pytest.mark.parametrize("name", NAMES)
 def test_no_stick_slip_is_never_ranked(strangers, synthetic, name, known, seed):
     time, position = strangers.ALL[name](np.random.default_rng(seed))
@@ -76,7 +78,9 @@ def test_what_no_law_comes_near_is_refused_before_six_laws_are_fitted(strangers,
         rank(smooth(recording))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", ["sine", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES if name != "sine")]
+)
 @pytest.mark.parametrize("flags", [(), ("--mass", "300 g", "--belt", "0.22", "--datum", "0")])
 def test_an_imported_stranger_ends_in_exit_code_4(tmp_path, strangers, name, flags, capsys):
     time, position = strangers.ALL[name](np.random.default_rng(3))
@@ -86,14 +90,14 @@ def test_an_imported_stranger_ends_in_exit_code_4(tmp_path, strangers, name, fla
     assert application.run(daq_cli.app, ["import", str(table), "-o", str(run), *flags]) == 0
     capsys.readouterr()
     assert application.run(cli.app, [str(run), "--json"]) == 4
-    told = json.loads(capsys.readouterr().out)["error"]
-    assert told["what"].startswith("no belt stick-slip in this record: ")
-    assert told["where"]
-    assert told["do"]
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error["what"].startswith("no belt stick-slip in this record: ")
+    assert error["where"]
+    assert error["do"]
     assert not Path(tmp_path / "run.report.html").exists()
 
 
-@pytest.mark.parametrize("law", [3, 4, 5])
+@pytest.mark.parametrize("law", [4, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 5))])
 def test_a_belt_that_stands_for_most_of_the_record_leaves_the_law_as_it_is(synthetic, law):
     # Standing counted as record without a stick: laws 3 and 4 became constant friction.
     ranking = rank(smooth(standing(synthetic.recording(law=law, seed=2, duration=30.0), 10.0)))
