@@ -13,6 +13,7 @@ left the belt by a twentieth of its speed.  A *cycle* is a break-away with the B
 share one kinetic level, because the level is drawn anew at each landing.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,10 @@ LEFT_THE_BELT = 0.05  # of the belt's speed
 SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
 OVERTAKING = 0.02  # of the belt's speed, above the plateau
 REST_S = 0.5  # a mass at rest for longer stands on a belt that stands; a sliding mass only turns there
+FEWEST_AT_REST = 8  # samples of a line that shows rest
+SURE = 4.0  # standard errors of that line's slope: at 400 a second and 1 mm of noise 5.5 mm/s each in a quarter second
+WIDEST_SLACK = 0.25  # of the belt's speed: a line less certain than that shows nothing
+SCATTER_AT_REST = 2.0  # times the noise: more is motion
 STILL = 0.05  # of the slip's acceleration: less than this, the mass sticks (or crosses the top of a sine)
 
 
@@ -106,7 +111,7 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     if not slow:
         return CycleSegmentation((), 0.0, False, (0, 0))
     at_rest = np.abs(v) < REST_FRACTION * motion.belt_speed
-    starts_at_rest = slow[0][0] == 0 and bool(at_rest[: min(shortest, n)].all())
+    starts_at_rest = slow[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slow[0][1]))
     rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > REST_S]
     slipping = np.zeros(n, np.bool_)
     for stretch in slow:
@@ -164,6 +169,23 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     first = min(sticks[0][1], n - 1) if starts_at_rest else 0
     span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
     return CycleSegmentation(tuple(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
+
+
+def _rests(motion: MeasuredMotion, end: int) -> bool:
+    """Return whether the record begins at rest, by a line through its first positions: in the velocity noise hides it.
+
+    ``end`` is the end of the first slow stretch, in samples.  The line must be flat to within its own error, and that
+    error small against the belt's speed.
+    """
+    last = min(int(np.searchsorted(motion.time, motion.time[0] + 0.5 * REST_S)), end)
+    if last < FEWEST_AT_REST:
+        return False
+    t, x = motion.time[:last] - motion.time[:last].mean(), motion.measured[:last]
+    spread = float(np.sum(t**2))
+    slope = float(np.sum(t * (x - x.mean()))) / spread
+    slack = max(REST_FRACTION * motion.belt_speed, SURE * motion.resolution / math.sqrt(spread))
+    flat = abs(slope) < slack < WIDEST_SLACK * motion.belt_speed
+    return flat and float(np.std(x)) < SCATTER_AT_REST * motion.resolution
 
 
 def _calm(motion: MeasuredMotion, onset: int, still: float) -> int:

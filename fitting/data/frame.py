@@ -16,6 +16,7 @@ from daq.runfile.rig import Measured, Rig
 from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
 from processing.record.kinematics import Kinematics
+from processing.record.noise import smallest_step
 
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
 FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
@@ -40,7 +41,11 @@ class MeasuredMotion:
     sign : float
         -1.0 where the record was mirrored, else 1.0.
     resolution : float
-        Standard error of one measured position, m.
+        Standard deviation of one measured position, m: of a counter its rounding, else the noise that the record shows.
+    step : float
+        Smallest change of a measured position, m: one count, or the last printed decimal.
+    velocity_error : float
+        Standard error of the smoothed velocity, m/s; median over the record.
     half_window : float
         Half of the smoothing window, s: how far a corner is blurred.
     length_error : float
@@ -67,6 +72,8 @@ class MeasuredMotion:
     stiffness: Measured | None
     sign: float
     resolution: float
+    step: float
+    velocity_error: float
     half_window: float
     length_error: float = 0.0
     compliance: Measured | None = None
@@ -119,7 +126,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         )
     if belt_speed == 0:
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
-    resolution = _resolution(kinematics)
+    resolution, step = _resolution(kinematics)
     if np.ptp(kinematics.position) < 20 * resolution:
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
@@ -154,6 +161,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         stiffness=rig.stiffness,
         sign=sign,
         resolution=resolution,
+        step=step,
+        velocity_error=float(np.median(kinematics.velocity_errors)),
         half_window=kinematics.window * usual / 2,
         length_error=_length_error(recording.rig),
         compliance=Measured(-channel.slope.value, channel.slope.sd)
@@ -184,16 +193,18 @@ def _length_error(rig: Rig) -> float:
     return 0.0 if count is None else abs(count.sd / count.value)
 
 
-def _resolution(kinematics: Kinematics) -> float:
-    """Return the standard error of one position: a uniform count, or the scatter about the smooth curve."""
+def _resolution(kinematics: Kinematics) -> tuple[float, float]:
+    """Return the standard deviation of one position and the smallest step between two, m.
+
+    A counter errs by its rounding; what the jitter of its sample times adds is left to the residuals.  Of any other
+    sensor the noise is taken from the record: how many decimals were printed says nothing about it.
+    """
     recording = kinematics.recording
-    scatter = float(np.std(recording.position - kinematics.position))
     count = recording.rig.metres_per_count
     if recording.count is not None and count is not None:
-        return abs(count.value) / math.sqrt(12)
-    steps = np.abs(np.diff(recording.position))
-    smallest = float(steps[steps > 0].min()) if np.any(steps > 0) else 0.0
-    return max(min(scatter, smallest), 1e-9 * float(np.ptp(recording.position)))
+        return abs(count.value) / math.sqrt(12), abs(count.value)
+    least = 1e-9 * float(np.ptp(recording.position))
+    return max(kinematics.noise, least), smallest_step(recording.position)
 
 
 def _belt_speed(kinematics: Kinematics, rig: Rig, stated: float | None) -> float:

@@ -28,6 +28,8 @@ FINER = 4  # times the transform's own grid of frequencies
 CANDIDATES = 5  # the gaps between sticks make false peaks beside the true one
 OUTLYING = 4.0  # robust standard deviations: corners that the cut left in
 FEWEST = 4  # sticks
+SURE_LOG = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
+COLUMNS = 5  # unknowns of a line and a harmonic
 SETTLED_S = 0.02  # after a landing, at the least
 
 
@@ -99,9 +101,37 @@ def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None
     after, (even, odd) = harmonic(best)
     if after > LEFT * before or math.hypot(even, odd) < SMALLEST * motion.belt_speed:
         return None
+    if not _gains(motion, cut, time.size * float(np.median(np.diff(time))), before, after, math.hypot(even, odd)):
+        return None
     omega = 2 * math.pi * best
     cos, sin = math.cos(omega * origin), math.sin(omega * origin)
     return Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega)
+
+
+def _gains(
+    motion: MeasuredMotion, cut: CycleSegmentation, sampled_s: float, before: float, after: float, amplitude: float
+) -> bool:
+    """Return whether a harmonic explains more than the best of as many frequencies explains in noise.
+
+    Velocities are independent over a smoothing window.  Where sticks are shorter than that each gives one.
+
+    Parameters
+    ----------
+    motion, cut : MeasuredMotion, CycleSegmentation
+    sampled_s : float
+        Time spent in the sticks that were looked at, s.
+    before, after : float
+        Sums of squared residuals without and with the harmonic.
+    amplitude : float
+        Of the harmonic, m/s.
+    """
+    window = max(2 * motion.half_window, SETTLED_S)
+    sticks = zip(cut.cycles[:-1], cut.cycles[1:], strict=True)
+    usual = float(np.median([later.break_away - earlier.landing for earlier, later in sticks]))
+    independent = sampled_s / window if window < usual else float(len(cut.cycles))
+    needed = 2 * (math.log((FASTEST_HZ - SLOWEST_HZ) * motion.span) + SURE_LOG)
+    explained = (independent - COLUMNS) * math.log(before / max(after, 1e-300))
+    return explained > needed and independent * amplitude**2 / 2 > needed * motion.velocity_error**2
 
 
 def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> NDArray[np.int64] | None:

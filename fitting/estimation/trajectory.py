@@ -26,6 +26,7 @@ from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows, evaluator
+from rig_sim.friction.law import LAWS
 
 # Starting values and limits of the search.  Chosen by trial on the runs of docs/identification.md; none was swept by
 # itself.  After the first pass, estimates from the fit replace those named FIRST.
@@ -45,6 +46,9 @@ DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has
 STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 ALTERNATIVE_FACTOR = 10.0  # times the best start's error after the first pass: beyond it a start is given up
 SAME_MINIMUM = 1.001  # times the best start's error: a start that ends so near it has led to the same minimum
+# Of the levels' own scatter, without a datum: their prior would otherwise pull at the datum, as the larger Fs is, the
+# less the levels scatter relative to it.
+LOOSE_LEVELS = 5.0
 OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 LEAST_FADE_SD = 1e-6  # 1/s
@@ -253,6 +257,8 @@ def _least_squares(
     prior, precision = _priors(problem, state)
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
     local_sd = np.array([[x, v, state.scatter, state.scatter, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
+    if LAWS[problem.law].curve != "constant" and any(motion.datum_prior is None for motion in problem.motions):
+        local_sd[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] *= LOOSE_LEVELS
     local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
     return levenberg_marquardt.LeastSquaresProblem(
         evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),

@@ -15,15 +15,21 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
-from fitting.estimation import trajectory
+from fitting.estimation import derived, trajectory
 from fitting.estimation.fit import Fit
 from fitting.model.parameters import PER_RUN, Global
-from fitting.model.problem import EstimationProblem, Run
+from fitting.model.problem import NARROWEST_RAMP, EstimationProblem, Run
+from fitting.selection.evidence import ModelSet
 from rig_sim.friction.law import LAWS
 
 WIDEST = 0.03  # of the belt's speed: what a belt may lose under the load Fs
 WIDEST_OF_RIPPLE = 0.08  # of the belt's speed: a ramp that a belt with 3 % ripple can imitate in half a second
 UNSTEADY = 1.3  # times the rms of the whole record; the drag on a steady belt stays below.  Not swept
+# Of the belt's speed: a ramp whose width may be larger is not excluded.  At 1 mm of noise the interval reaches 0.1 to
+# 0.3; on an encoder's records 0.001 to 0.02, so that half or twice the limit changes none.
+OPEN_RAMP = 0.05
+CLOSED = 10 * NARROWEST_RAMP  # of the belt's speed: a narrower ramp is a jump
+NO_WORSE = 14.0  # score: log of the effective samples, which one parameter costs, and a little
 SAME = 0.05  # log error: a hyperbola on a compliant belt and a ramp differ by less.  Not swept
 
 
@@ -61,6 +67,21 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     return None if fit is None else trajectory.final_fit(fit)
 
 
+def closed_ramps(fits: Sequence[Fit]) -> list[tuple[int, int]]:
+    """Return (jump law, ramp law) wherever the ramp is as narrow as it may be: both are then the same model.
+
+    What the ramp law errs less is then due to where the two minimisers ended, and belongs to the jump law as well.
+    """
+    laws = {fit.law for fit in fits}
+    return [
+        (fit.law - 1, fit.law)
+        for fit in fits
+        if LAWS[fit.law].ramp
+        and fit.law - 1 in laws
+        and fit.values.d < CLOSED * min(m.belt_speed for m in fit.problem.motions)
+    ]
+
+
 def mean_excess(twin: Array, ramp: Array) -> float:
     """Return how much worse than the ramp law the twin errs: mean difference of log errors (units,)."""
     return float(np.mean(twin - ramp))
@@ -81,6 +102,42 @@ def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> boo
         Log error of the pieces of the drags.
     runs : sequence of Run
     """
+    noise = max(run.motion.resolution for run in runs)
+    rest = math.hypot(ramp.geometric_mean_rms, noise)  # as the log errors are floored
     narrow = ramp.values.d <= WIDEST_OF_RIPPLE * min(run.motion.belt_speed for run in runs)
     measured = any(run.motion.belt_measured for run in runs)
-    return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY * ramp.geometric_mean_rms)
+    return not measured and bool(narrow) and float(np.median(drag)) > math.log(UNSTEADY * rest)
+
+
+def with_open_ramps(
+    chosen: ModelSet, fits: Sequence[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool
+) -> ModelSet:
+    """Return the set with each ramp law beside its jump law whose ramp the record cannot show to be narrow.
+
+    A ramp acts in a few samples of a cycle.  Where noise hides them the ramp law fits no better than its jump law and
+    is ranked behind it for its extra parameter, although the interval of its width contains wide ramps.
+
+    Parameters
+    ----------
+    chosen : ModelSet
+    fits : sequence of Fit
+    runs : sequence of Run
+    alpha : float
+        1 - confidence of the interval of the width.
+    sustained : bool
+        Whether the mass sticks in the long run.
+    """
+    if all(run.motion.belt_measured for run in runs):
+        return chosen
+    open_width = OPEN_RAMP * min(run.motion.belt_speed for run in runs)
+    found = {fit.law: fit for fit in fits}
+    joining = []
+    for law in chosen.members:
+        ramp = found.get(law + 1) if not LAWS[law].ramp else None
+        if ramp is None or ramp.law in chosen.members or chosen.score[ramp.law] - chosen.score[law] > NO_WORSE:
+            continue
+        width = derived.derived_parameters(ramp, runs[0].motion, alpha, sustained=sustained)["d"]
+        if width.hi > open_width:
+            joining.append(ramp.law)
+    members = (*chosen.members, *joining)
+    return replace(chosen, members=members, order=(*members, *(law for law in chosen.order if law not in members)))

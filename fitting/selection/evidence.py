@@ -1,9 +1,11 @@
 """Evidence between laws, and the model confidence set: the laws that it cannot distinguish.
 
 Residuals are correlated over tens of samples, so the unit is the cycle: its log error, paired over cycles between laws.
-The score is a BIC with the cycle as the unit: each of n cycles pays (p/2n) log n in log error for the law's p
-parameters, and 1/2n of the misfit to the calibrations.  Cycles that not even the best law describes (a kick) are no
-evidence.  The t-interval of a mean difference assumes that the cycles are independent of each other.
+Where the best law leaves white noise alone, a cycle falls into pieces of `PIECE` correlation times, because there a
+law may fail in a small part of a cycle.  The score is a BIC: with N effective samples (samples over the correlation
+time of the best law's residuals) each unit pays (p/2N) log N in log error for the law's p parameters, and 1/2N of the
+misfit to the calibrations.  Cycles that not even the best law describes (a kick) are no evidence.  The t-interval of a
+mean difference assumes that the units are independent of each other.
 
 Set rule.  The winner has the smallest mean.  A law joins its set when the t-interval of its mean difference reaches
 zero, or when the difference, however regular, is next to nothing and the winner is no limit of it.  Inside the set a
@@ -18,27 +20,65 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, autocorrelation_time
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
+from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
 
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 FEWEST_CYCLES = 4
-DRAG_BLOCKS = 8
+DRAG_PIECES = 8
 RELATED_FACTOR = 2.0  # times the best law's error: a limit of it that is further off is no near relative
-# Times the encoder's error.  Constant friction leaves 2 even with 200 us of jitter and a belt that ripples; the
-# shortest sticks tested leave 170 (test_ranking): half or twice the value changes neither.
-CONSTANT_FRICTION_FACTOR = 8.0
+# Constant friction leaves 2 of an encoder's error (0.6 of a count), even with 200 us of jitter and a belt that ripples;
+# the shortest sticks tested leave 170 (test_ranking): half or twice the limit changes neither.  Of white noise it
+# leaves 1.0: a fit's rms over 400 samples and more is known to 4 %.
+COUNTING_LIMIT = 8.0
+NOISE_LIMIT = 1.25
+PIECE = 16  # correlation times: twice as many lose evidence on a start-up drag, half as many have skewed log errors
+NOISE_ALONE = 1.2  # times the noise: with an error below it a law is taken to leave white noise alone
+LONGEST_WHITE = 3.0  # samples: with a longer correlation time residuals are not white
 TIE = 1.0  # score: laws with equally many parameters whose evidence differs by less are not distinguished by it
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Paired evidence: log error of each unit for each law, penalty included; shapes (laws, units) and (laws,)."""
+    """Paired evidence of laws.
+
+    Attributes
+    ----------
+    laws : tuple of int
+    penalised : (laws, units) f8
+        Log error of each unit, penalty included.
+    samples : float
+        Effective samples behind them; fewer than there are units count as one a unit.
+    """
 
     laws: tuple[int, ...]
     penalised: Array
+    samples: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """What is compared: the same units for every law.
+
+    Attributes
+    ----------
+    sustained : bool
+        Whether the mass sticks in the long run; else the start-up drags alone are evidence.
+    inliers : (cycles,) bool
+        The cycles that are judged by.
+    pieces : int
+        Units in a cycle or a drag.
+    samples : float
+        Effective samples in all units together.
+    """
+
+    sustained: bool
+    inliers: NDArray[np.bool_]
+    pieces: int
+    samples: float
 
 
 def _log_error(residual: Array, motion: MeasuredMotion) -> float:
@@ -66,47 +106,92 @@ def _related(law: int, other: int) -> bool:
     return law == other or law in NESTED[other] or other in NESTED[law]
 
 
-def unit_errors(fit: Fit, runs: Sequence[Run], taken: NDArray[np.bool_], *, sustained: bool) -> Array:
-    """Return the log error of every cycle of every run that is ``taken``, or of every piece of the start-up drags."""
+def common_units(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> Units:
+    """Return the units by which laws are compared, as the best law's residuals have them."""
+    inliers = common_inliers(fits)
+    best = min(fits, key=lambda fit: fit.geometric_mean_rms)
+    kept = [part for _, part in _judged(best, runs, inliers, sustained=sustained)]
+    size = sum(residual.size for residual in kept)
+    square = sum(float(np.sum(residual**2)) for residual in kept)
+    pieces = 1 if sustained else DRAG_PIECES
+    if not square:
+        return Units(sustained, inliers, pieces, 0.0)
+    tau = autocorrelation_time(kept)
+    floor = max(run.motion.resolution for run in runs)
+    if best.geometric_mean_rms < NOISE_ALONE * floor and tau < LONGEST_WHITE:
+        usual = float(np.median([residual.size for residual in kept]))
+        pieces = max(round(usual / (PIECE * tau)), pieces)
+    return Units(sustained, inliers, pieces, size / tau)
+
+
+def _judged(
+    fit: Fit, runs: Sequence[Run], inliers: NDArray[np.bool_], *, sustained: bool
+) -> list[tuple[MeasuredMotion, Array]]:
+    """Return the residuals that are evidence, with the motion they belong to: cycle by cycle, or of each drag."""
     found = []
     for number, run in enumerate(runs):
         part = fit.for_run(number)
         if sustained:
-            own = taken[fit.windows.run == number]
-            kept = [rows for rows, good in zip(part.rows, own, strict=True) if good]
-            found.append(np.array([_log_error(part.residual[rows], run.motion) for rows in kept]))
+            own = inliers[fit.windows.run == number]
+            rows = [rows for rows, good in zip(part.rows, own, strict=True) if good]
         elif run.cut.drag != (0, 0) and not run.cut.cycles[0].flag:
-            found.append(_drag_errors(part, run.motion, run.cut.drag))
-    return np.concatenate(found) if found else np.zeros(DRAG_BLOCKS)  # a drag too short to be evidence
+            rows = [_drag_rows(part, run.cut.drag)]
+        else:
+            rows = []
+        found += [(run.motion, part.residual[own]) for own in rows]
+    return found
+
+
+def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
+    """Return the log error of every unit, run by run; shape (units,)."""
+    found = [
+        _log_error(piece, motion)
+        for motion, residual in _judged(fit, runs, units.inliers, sustained=units.sustained)
+        for piece in np.array_split(residual, min(units.pieces, residual.size))
+    ]
+    return np.array(found) if found else np.zeros(DRAG_PIECES)  # a drag too short to be evidence
+
+
+def constant_friction_limit(motion: MeasuredMotion) -> float:
+    """Return how much constant friction may leave of a motion that it makes, m rms.
+
+    The step counts as far as rounding makes up the resolution: the last printed decimal of a noisy sensor does not.
+    """
+    counting = COUNTING_LIMIT * motion.step**2 / 12 / motion.resolution
+    return math.hypot(counting, NOISE_LIMIT * motion.resolution)
 
 
 def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether constant friction leaves far more of a motion without sustained sticks than counting explains."""
-    floor = max(run.motion.resolution for run in runs)
-    return all(fit.geometric_mean_rms > CONSTANT_FRICTION_FACTOR * floor for fit in fits)
+    """Return whether constant friction leaves far more of a motion without sustained sticks than noise explains."""
+    limit = max(constant_friction_limit(run.motion) for run in runs)
+    return all(fit.geometric_mean_rms > limit for fit in fits)
 
 
-def _drag_errors(fit: Fit, motion: MeasuredMotion, drag: tuple[int, int]) -> Array:
-    """Return the log error of equal pieces of the start-up drag: the sine after it is the same under laws 1 and 2."""
+def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
+    """Return the residuals of the start-up drag: the sine after it is the same under laws 1 and 2."""
     _, stick, first, count, *_ = fit.windows.table[0]
     if not stick or fit.cycles[0].stick != drag:
         raise RuntimeError("the first window is not the start-up drag")
-    end = first + count
-    return np.array([_log_error(part, motion) for part in np.array_split(fit.residual[first:end], DRAG_BLOCKS)])
+    return slice(int(first), int(first + count))
 
 
-def penalised(fit: Fit, errors: Array) -> Array:
+def penalised(fit: Fit, errors: Array, units: Units) -> Array:
     """Return the log errors plus the penalties for the law's parameters and for contradicting its calibrations."""
-    n = errors.size
+    n = max(units.samples, errors.size)
     return errors + (fit.law_parameters * math.log(n) + prior_misfit(fit)) / (2 * n)
 
 
 def prior_misfit(fit: Fit) -> float:
     """Return what a fit pays for contradicting its calibrations, like a squared deviation where that is small.
 
-    Student's t with 4 degrees of freedom: a calibration can be plainly wrong, and then must not decide alone.
+    Student's t with 4 degrees of freedom: a calibration can be plainly wrong, and then must not decide alone.  A datum
+    that was guessed is no calibration and costs nothing.
     """
-    return float(np.sum(5 * np.log1p(fit.prior_deviations**2 / 4)))
+    guessed = [
+        place % PER_RUN == Global.DATUM and fit.problem.motions[place // PER_RUN].datum_prior is None
+        for place in fit.active
+    ]
+    return float(np.sum(5 * np.log1p(np.where(guessed, 0.0, fit.prior_deviations) ** 2 / 4)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +222,8 @@ def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
     mean = errors.mean(axis=1)
     winner = int(np.argmin(mean))
     quantile = float(student.ppf(1 - alpha / 2, n - 1))
-    score = {law: float(2 * n * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
+    samples = max(n, evidence.samples)
+    score = {law: float(2 * samples * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
     behind = {}
     for i, law in enumerate(laws):
         difference = errors[i] - errors[winner]

@@ -17,6 +17,7 @@ from fitting.data.frame import REST_FRACTION, MeasuredMotion
 from fitting.estimation import trajectory
 from fitting.estimation.fit import Fit
 from fitting.model.problem import EstimationProblem, Run
+from fitting.selection.evidence import constant_friction_limit
 from rig_sim.friction.law import LAWS
 
 COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
@@ -34,7 +35,6 @@ LONG_STICK = 20  # samples
 DIES_AWAY = 0.7  # of the speed at first: a last third slower than that
 WORST_FIT = 0.02  # of a slip's length: a best law that usually errs by more describes something else
 LEAST_FRICTION = 1e-3  # of the spring's pull over a slip: with less, nothing holds the mass
-PURE_SINE = 8.0  # times the encoder's error: constant friction, which makes a sine, is not ruled out below that
 # Rough fits before the six laws: eight cycles and 30 steps cost 0.02 to 0.2 CPU s a law.  The first law tried leaves
 # at most 0.004 of a slip on five sample runs and a rippled one; noise, drives and hands left 0.04 to 0.4 by the best
 # law, a triangular wave 0.007.  Half the bound would still pass those runs; at twice more noise reaches the full fits.
@@ -184,8 +184,8 @@ def _is_sine(motion: MeasuredMotion) -> bool:
 
 
 def _is_sine_alone(run: Run) -> bool:
-    """Return whether a run is a sine to within its counts, without a start-up."""
-    return not run.cut.starts_at_rest and _sine_residual(run.motion) < PURE_SINE * run.motion.resolution
+    """Return whether a run is a sine to within its noise, without a start-up."""
+    return not run.cut.starts_at_rest and _sine_residual(run.motion) < constant_friction_limit(run.motion)
 
 
 def _sine_residual(motion: MeasuredMotion) -> float:

@@ -93,8 +93,9 @@ def warnings(
     """Return the warnings that belong to a verdict."""
     best = rows[0]
     warned = []
-    if best.fit.geometric_mean_rms > POOR_FIT * motion.travel:
-        share = 100 * best.fit.geometric_mean_rms / motion.travel
+    beyond_noise = math.sqrt(max(best.fit.geometric_mean_rms**2 - motion.resolution**2, 0.0))
+    if beyond_noise > POOR_FIT * motion.travel:
+        share = 100 * beyond_noise / motion.travel
         warned.append(
             f"no law fits well: the typical error of the best one is {share:.2g} % of the motion, "
             "so the friction may follow none of the six"
