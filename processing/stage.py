@@ -6,7 +6,7 @@
       parameters      NXparameters  how it was made, and the sha256 of what it was made from
       kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time; with a belt
                                   channel belt_velocity and its errors too
-      phase_portrait  NXdata      velocity against position: hard links, no copy
+      phase_portrait  NXdata      velocity against position, and time: hard links, no copy
       phases          NXdata      one row a stick or slip: start, end, their errors, first, last, stick (1) or slip (0)
       losses          NXdata      one row a place where counts went missing: first, last, counts (absent without any)
       kicks           NXdata      one row a step of the velocity: sample, step (absent without any)
@@ -90,7 +90,8 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
         smooth, "phase_portrait", "NXdata", signal="velocity", axes="position", title="phase portrait"
     )
     portrait.attrs["position_indices"] = np.int64(0)
-    for name in ("position", "velocity"):
+    # The time too: it is the dimension scale of the other two, which xarray looks for in the group itself.
+    for name in ("time", "position", "velocity"):
         nexus.link(portrait, name, smooth["kinematics"][name])
     if motion.phases:
         nexus.table(

@@ -97,6 +97,18 @@ def test_xarray_reads_kinematics_with_a_time_coordinate(path):
         assert table["velocity_errors"].dtype == np.float32
 
 
+def test_xarray_opens_the_default_plot_and_the_whole_tree(path):
+    """Both used to end in KeyError 'time': the linked fields had their dimension scale in another group."""
+    made = smooth(daq.load(path))
+    stage.save(made, path)
+    with xarray.open_dataset(path, engine="h5netcdf", group="entry/smooth/phase_portrait") as portrait:
+        assert portrait["velocity"].dims == ("time",)
+        assert np.array_equal(portrait["position"].values, made.position)
+        assert np.array_equal(portrait["time"].values, made.time)
+    with xarray.open_datatree(path, engine="h5netcdf", phony_dims="sort") as tree:
+        assert np.array_equal(tree["entry/smooth/phase_portrait/velocity"].values, made.velocity)
+
+
 def test_the_default_plot_is_the_phase_portrait_by_hard_links(path):
     stage.save(smooth(daq.load(path)), path)
     with h5py.File(path) as file:
