@@ -10,7 +10,7 @@ from typing import Any
 
 from daq import errors
 from daq.compute.workers import workers
-from daq.errors import InputError, StickslipError
+from daq.errors import DeviceError, InputError, StickslipError
 from fitting import job
 from fitting.job import FitOptions, FitOutput, LoadedRun
 from fitting.report import page
@@ -78,16 +78,24 @@ def fit(
     ------
     InputError
         For fewer than one job, or a scheduler that cannot be used; never for a run.
+    DeviceError
+        When all that fits was lost, processes or scheduler, before the first run was finished.  Later, the finished
+        runs are kept and the error stands in the rows of the others.
     """
     if jobs < 1:
         raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
-    rows = []
-    with workers(min(jobs, len(files)), scheduler) as each:
-        found = each(partial(_fitted, options=options), _read(files, places, options))
-        for file, place, one in zip(files, places, found, strict=True):
-            rows.append(_saved(file, place, one))
-            if progress is not None:
-                progress(float(len(rows)))
+    rows: list[BatchRow] = []
+    try:
+        with workers(min(jobs, len(files)), scheduler) as each:
+            found = each(partial(_fitted, options=options), _read(files, places, options))
+            for file, place, one in zip(files, places, found, strict=True):
+                rows.append(_saved(file, place, one))
+                if progress is not None:
+                    progress(float(len(rows)))
+    except DeviceError as error:
+        if not rows:
+            raise
+        rows += [BatchRow(file, {}, _failure(error, file)) for file in files[len(rows) :]]
     return rows
 
 

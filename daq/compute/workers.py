@@ -4,13 +4,15 @@ Each gives a ``map``: results in the order of the items, a few items ahead of th
 bit wherever they were made.
 """
 
+import logging
+import pickle
 import signal
 import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from multiprocessing import active_children, get_context
 from typing import Any
@@ -40,9 +42,9 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Map]:
     ------
     InputError
         When dask.distributed is not installed, nothing answers at the address, no worker is there, or the workers hold
-        another version of this package.
+        another version of this package or cannot load the function.
     DeviceError
-        When a process or worker was killed.
+        When a process or worker was killed, or the scheduler lost.
     """
     if scheduler is not None:
         with _cluster(scheduler) as each:
@@ -61,7 +63,7 @@ def _processes(number: int) -> Iterator[Map]:
     pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_deaf)
 
     def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        return _ordered(lambda item: pool.submit(function, item), items, AHEAD * number)
+        return _ordered(lambda item: pool.submit(function, item), lambda done: done.result(), items, AHEAD * number)
 
     try:
         yield each
@@ -87,7 +89,6 @@ def _cluster(address: str) -> Iterator[Map]:
     if find_spec("distributed") is None:
         raise InputError("dask.distributed is not installed", FLAG, "pip install 'stickslip[cluster]'")
     from distributed import Client
-    from distributed.scheduler import KilledWorker
 
     _knock(address)
     try:
@@ -99,28 +100,74 @@ def _cluster(address: str) -> Iterator[Map]:
     futures: list[Any] = []
 
     def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        sent = client.scatter(function, hash=False)  # with what all items share, once
+        _check_workers(client, address, function)
+        with _cluster_errors(address):
+            sent = client.scatter(function, hash=False)  # with what all items share, once
+            ahead = AHEAD * max(len(client.nthreads()), 1)
 
         def submit(item: Any) -> Any:
-            future = client.submit(_call, sent, item, pure=False)
+            with _cluster_errors(address):
+                future = client.submit(_call, sent, item, pure=False)
             futures.append(future)
             return future
 
-        return _ordered(submit, items, AHEAD * max(len(client.nthreads()), 1))
+        def result(future: Any) -> Any:
+            with _cluster_errors(address):
+                value, error = future.result()
+            if error is not None:
+                raise error
+            return value
 
+        return _ordered(submit, result, items, ahead)
+
+    with _quiet():
+        try:
+            yield each
+        finally:
+            with suppress(OSError, TimeoutError, CancelledError):  # of a scheduler that is gone
+                client.cancel(futures)
+                client.close()
+
+
+def _call(function: Callable[[Any], Any], item: Any) -> tuple[Any, Exception | None]:
+    """Return the result and None, or None and the function's own error: any other one is the cluster's."""
     try:
-        _check_workers(client, address)
-        yield each
+        return function(item), None
+    except Exception as error:
+        return None, error
+
+
+@contextmanager
+def _cluster_errors(address: str) -> Iterator[None]:
+    """Turn whatever the cluster raises into a DeviceError."""
+    from distributed.scheduler import KilledWorker
+
+    where = f"{FLAG} {address}"
+    try:
+        yield
     except KilledWorker:
         do = "see the worker's log; short of memory, most likely"
-        raise DeviceError("a dask worker died during this work", f"{FLAG} {address}", do) from None
+        raise DeviceError("a dask worker died during this work", where, do) from None
+    except (CancelledError, OSError, TimeoutError):
+        what = "the connection to the dask scheduler was lost during this work"
+        raise DeviceError(what, where, "start it and its workers again, then fit what is missing") from None
+    except Exception as error:
+        what = f"a dask worker failed: {type(error).__name__}: {error}".splitlines()[0]
+        raise DeviceError(what, where, f"check that every worker can import stickslip {VERSION}") from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep dask's own messages, tracebacks of lost connections, off the terminal: the error here says what failed."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    before = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
     finally:
-        client.cancel(futures)
-        client.close()
-
-
-def _call(function: Callable[[Any], Any], item: Any) -> Any:
-    return function(item)
+        for logger, level in zip(loggers, before, strict=True):
+            logger.setLevel(level)
 
 
 def _knock(address: str) -> None:
@@ -139,9 +186,10 @@ def _knock(address: str) -> None:
         raise InputError(what, f"{FLAG} {address}", "start one ('dask scheduler') or check the address") from None
 
 
-def _check_workers(client: Any, address: str) -> None:
-    """Raise InputError unless there are workers, and they hold this version of the package."""
+def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) -> None:
+    """Raise InputError unless there are workers, and all hold this version and can load the function."""
     where = f"{FLAG} {address}"
+    do = f"install stickslip {VERSION} there, as here"
     try:
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except TimeoutError:
@@ -149,22 +197,36 @@ def _check_workers(client: Any, address: str) -> None:
     try:
         found = set(client.run(_version).values())
     except ImportError as error:
-        raise InputError(f"the workers lack {error.name}", where, f"install stickslip {VERSION} there") from None
-    if found != {VERSION}:
-        held = ", ".join(sorted(found - {VERSION}))
-        raise InputError(f"the workers hold stickslip {held}", where, f"install {VERSION} there, as here")
+        raise InputError(f"the workers lack {error.name}", where, do) from None
+    if other := sorted(found - {VERSION}):
+        raise InputError(f"the workers hold stickslip {', '.join(other)}", where, do)
+    with _cluster_errors(address):
+        failures = client.run(_load_error, pickle.dumps(function)).values()
+    if lacks := next(filter(None, failures), ""):
+        raise InputError(f"the workers cannot load the fit: {lacks}", where, do)
 
 
 def _version() -> str:
     return VERSION
 
 
-def _ordered(submit: Callable[[Any], Any], items: Iterable[Any], ahead: int) -> Iterator[Any]:
+def _load_error(pickled: bytes) -> str:
+    """Return why this process cannot load what was pickled; "" when it can."""
+    try:
+        pickle.loads(pickled)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}".splitlines()[0]
+    return ""
+
+
+def _ordered(
+    submit: Callable[[Any], Any], result: Callable[[Any], Any], items: Iterable[Any], ahead: int
+) -> Iterator[Any]:
     """Yield the results in order; of the items only so many are made, and held, at a time."""
     waiting: deque[Any] = deque()
     for item in items:
         waiting.append(submit(item))
         if len(waiting) >= ahead:
-            yield waiting.popleft().result()
+            yield result(waiting.popleft())
     while waiting:
-        yield waiting.popleft().result()
+        yield result(waiting.popleft())

@@ -17,7 +17,7 @@ import pytest
 from daq.compute import workers
 from daq.console import application
 from daq.errors import DeviceError, InputError
-from fitting import batch, cli
+from fitting import batch, cli, job
 from fitting.batch import BatchRow, Failure
 from processing.smoothing import smooth
 
@@ -114,8 +114,6 @@ def test_a_foreign_report_is_that_runs_own_error(folder, capsys):
 
 
 def test_a_bug_in_one_run_is_told_as_one_and_stops_no_other(folder, capsys, monkeypatch):
-    from fitting import job
-
     def broken(runs, options):
         if "five" in str(runs[0].recording.source):
             raise ZeroDivisionError("by nothing")
@@ -235,3 +233,93 @@ def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
     here, there = rank(runs, laws=(3, 5)), rank(runs, laws=(3, 5), scheduler=cluster)
     assert there.laws_in_set == here.laws_in_set
     assert [row.parameters for row in there.rows] == [row.parameters for row in here.rows]
+
+
+@pytest.fixture
+def own_scheduler(tmp_path):
+    """Start a scheduler that a test may kill; give the process and the address."""
+    told = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    with subprocess.Popen([*command, "--scheduler-file", str(told)], stderr=subprocess.DEVNULL) as run:
+        deadline = time.monotonic() + 600
+        while not (told.exists() and told.read_text().endswith("}")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        yield run, json.loads(told.read_text())["address"]
+        run.kill()
+
+
+@pytest.fixture
+def worker(tmp_path):
+    """Give what starts a worker of a scheduler, with other folders before its import path."""
+    started = []
+
+    def start(address, *path):
+        command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny"]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([*path, os.environ.get("PYTHONPATH", "")])}
+        started.append(
+            subprocess.Popen(
+                [*command, "--no-dashboard"],
+                env=environment,
+                cwd=tmp_path,  # which comes before PYTHONPATH
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        )
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+@needs_dask
+@pytest.mark.slow
+def test_a_scheduler_killed_in_the_middle_leaves_the_finished_runs(folder, capsys, own_scheduler, worker, monkeypatch):
+    """Used to end in a traceback, without a table, though the first run was fitted and stored."""
+    process, address = own_scheduler
+    worker(address)
+    saved = batch._saved
+
+    def then_kill(*arguments):
+        process.kill()
+        process.wait()
+        return saved(*arguments)
+
+    monkeypatch.setattr(batch, "_saved", then_kill)
+    files = [folder / "five.h5", *(Path(shutil.copy(folder / "five.h5", folder / f"{n}.h5")) for n in range(4))]
+    table = folder / "all.csv"
+    code, document = documents(capsys, "--each", *files, "--laws", "5", "--scheduler", address, "--csv", table)
+    assert code == 3
+    assert document["runs"][0]["set"] == [5]
+    assert "connection to the dask scheduler was lost" in document["runs"][-1]["error"]["what"]
+    assert (folder / "five.report.html").exists()
+    assert str(folder / "five.h5") in table.read_text()
+
+
+@needs_dask
+@pytest.mark.slow
+def test_workers_that_cannot_import_the_fit_are_named(folder, capsys, own_scheduler, worker, tmp_path):
+    """Used to end in a traceback: another distribution's package `fitting` hides ours there."""
+    (tmp_path / "other" / "fitting").mkdir(parents=True)
+    (tmp_path / "other" / "fitting" / "__init__.py").touch()
+    worker(own_scheduler[1], str(tmp_path / "other"))
+    code, document = documents(capsys, "--each", folder / "five.h5", "--laws", "5", "--scheduler", own_scheduler[1])
+    assert code == 2
+    assert "cannot load the fit: ModuleNotFoundError: No module named 'fitting." in document["error"]["what"]
+
+
+def test_processes_lost_in_the_middle_leave_the_finished_runs(folder, monkeypatch):
+    from contextlib import contextmanager
+
+    @contextmanager
+    def breaking(*_):
+        def each(function, items):
+            yield function(next(items))
+            raise DeviceError("a fitting process was killed", "--jobs", "use fewer")
+
+        yield each
+
+    monkeypatch.setattr(batch, "workers", breaking)
+    monkeypatch.setattr(batch, "_fitted", lambda run, options: Failure("fitted", "", "", 4))
+    rows = batch.fit([folder / "five.h5", folder / "three.h5"], [Path("a"), Path("b")], job.FitOptions())
+    assert [row.failure.what for row in rows] == ["fitted", "a fitting process was killed"]
