@@ -2,12 +2,11 @@
 
 import contextlib
 import signal
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 
@@ -16,7 +15,10 @@ from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force
 from daq.console.settings import NO_FLAGS, BoardFlags, resolve
-from daq.errors import InputError
+from daq.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, InputError
+
+if TYPE_CHECKING:
+    from daq.recorder.record import StopRequest
 
 DEFAULT_SCENE = "rig"
 
@@ -51,6 +53,9 @@ def record(
 ) -> Answer:
     """Record a run.  Ctrl-C stops and keeps the data; a second Ctrl-C leaves the journal for 'daq recover'.
 
+    Exit code 4, with the file kept, when the run holds less than 90 % of the duration and was not stopped by Ctrl-C, or
+    when more than 10 % of its samples are lost; 3 when the file had to be written to another folder.
+
     Port, protocol, columns, baud, rate and decoder may also come from the environment (STICKSLIP_PORT ...), from the
     [board] of --rig, or from the user's config.toml, in this order.
 
@@ -66,9 +71,10 @@ def record(
             raise InputError(what, given, "give one of the two")
         board = replace(board, port=rig_port(scene, set_, realtime))
     wanted = RecordRequest(output=output, duration_s=duration, force=force, **resolve(board))
-    with _stop_on_interrupt() as stop, application.progress("recording", duration, "s") as show:
+    with _stop_on_signal() as stop, application.progress("recording", duration, "s") as show:
         found = take(wanted, progress=show, say=application.note, stop=stop)
-    return Answer(found.as_json(), sentences.recorded("recorded", found))
+    code = EXIT_DATA if found.short or found.sparse else EXIT_DONE if found.file == output else EXIT_DEVICE
+    return Answer(found.as_json(), sentences.recorded("recorded", found), code)
 
 
 def rig_port(scene: str | None, changes: list[str] | None, realtime: bool) -> str:
@@ -123,20 +129,31 @@ def ports(*, json: Json = False) -> Answer:
 
 
 @contextlib.contextmanager
-def _stop_on_interrupt() -> Iterator[threading.Event]:
-    """Yield an event that the first Ctrl-C (or end of the session) sets; the second raises KeyboardInterrupt."""
-    stop = threading.Event()
+def _stop_on_signal() -> Iterator["StopRequest"]:
+    """Yield a request that the first Ctrl-C, SIGTERM or the end of the session sets; a second Ctrl-C interrupts.
 
-    def on_interrupt(number: int, frame: FrameType | None) -> None:
+    A signal that is ignored when the command starts stays ignored: nohup does that to SIGHUP, and a shell to the SIGINT
+    of what it runs in the background.
+    """
+    from daq.recorder.record import StopRequest
+
+    stop = StopRequest()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
         if stop.is_set():
-            raise KeyboardInterrupt
+            if number == signal.SIGINT:
+                raise KeyboardInterrupt
+            return  # a terminal that closes may send it twice
+        if number != signal.SIGINT:
+            stop.reason = signal.Signals(number).name
         stop.set()
         application.note("stopping, the data are kept; Ctrl-C again leaves at once")
 
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
-    before = {name: signal.signal(getattr(signal, name), on_interrupt) for name in names}
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    heeded = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]
+    before = {number: signal.signal(number, on_signal) for number in heeded}
     try:
         yield stop
     finally:
-        for name, handler in before.items():
-            signal.signal(getattr(signal, name), handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)

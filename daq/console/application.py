@@ -3,8 +3,13 @@
 A command returns an `Answer`; `main` prints it as text, or with ``--json`` as a single JSON document.
 Errors of `daq.errors` become one line on stderr, or ``{"error": {"what", "where", "do"}}`` on stdout under ``--json``.
 Nothing here imports numpy: arrays are written through their own ``tolist``.
+
+What is printed decides nothing: a stderr that is closed, full or gone loses its lines and raises no error.  A result
+that stdout does not take ends in exit code 3; the work is done then.
 """
 
+import contextlib
+import io
 import json
 import math
 import os
@@ -103,9 +108,12 @@ def note(line: str) -> None:
 
 def _fail(name: str, what: str, where: str, do: str, code: int, as_json: bool) -> int:
     if as_json:
-        print_json({"error": {"what": what, "where": where, "do": do}})
-    else:
-        note(f"{name}: {StickslipError(what, where, do)}")
+        try:
+            print_json({"error": {"what": what, "where": where, "do": do}})
+            return code
+        except OSError:
+            _discard_stdout()
+    note(f"{name}: {StickslipError(what, where, do)}")
     return code
 
 
@@ -141,8 +149,9 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
         return _fail(name, what, "command line", f"see '{command} --help'", EXIT_INPUT, as_json)
     except KeyboardInterrupt:
         return _fail(name, "interrupted", "", "", EXIT_INTERRUPTED, as_json)
-    except BrokenPipeError:
-        return _closed()
+    except BrokenPipeError:  # the reader of a help page has gone, as `| head` does
+        _discard_stdout()
+        return EXIT_DONE
     except OSError as error:
         do = "check the path, its permissions and the free space on the disk"
         return _fail(name, error.strerror or str(error), str(error.filename or name), do, EXIT_DEVICE, as_json)
@@ -154,16 +163,18 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     try:
         return _shown(answer, as_json)
     except BrokenPipeError:
-        return _closed()
+        _discard_stdout()
+        return answer.exit_code if isinstance(answer, Answer) else EXIT_DONE
     except OSError as error:  # an error in JSON could not be written there either
-        do = "check the free space where stdout goes"
-        return _fail(name, error.strerror or str(error), "stdout", do, EXIT_DEVICE, as_json=False)
+        _discard_stdout()
+        what = f"the command is done, but its result could not be printed: {error.strerror or error}"
+        return _fail(name, what, "stdout", "check the free space where stdout goes", EXIT_DEVICE, as_json=False)
 
 
-def _closed() -> int:
-    """Avoid an error at exit when the reader of stdout has closed it, as `| head` does."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return EXIT_DONE
+def _discard_stdout() -> None:
+    """Let what waits to be printed go nowhere: at exit it would be an error again."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _shown(answer: object, as_json: bool) -> int:
@@ -179,9 +190,40 @@ def _shown(answer: object, as_json: bool) -> int:
 
 def main(app: cyclopts.App) -> NoReturn:
     """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
-    if sys.stdout is None:  # closed by the caller; nothing can be printed, but files can be written
-        sys.stdout = open(os.devnull, "w")
+    _open_standard_streams()
     sys.exit(run(app, sys.argv[1:]))
+
+
+def _open_standard_streams() -> None:
+    """Replace standard streams that the caller has closed by the null device, and make stderr raise nothing.
+
+    A closed descriptor would be that of the next file that is opened, into which messages would then be written.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor, which is this one
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", closefd=False)
+    raw = getattr(getattr(sys.stderr, "buffer", None), "raw", None)
+    if sys.stderr is None or isinstance(raw, io.FileIO):  # the console of Windows is no such file
+        encoding = "utf-8" if sys.stderr is None else sys.stderr.encoding
+        written = io.BufferedWriter(_UnfailingFile(2, "wb", closefd=False))
+        sys.stderr = io.TextIOWrapper(written, encoding, "backslashreplace", line_buffering=True)
+
+
+class _UnfailingFile(io.FileIO):
+    """A file that takes everything: what the system refuses is dropped."""
+
+    def write(self, data: Any) -> int:
+        """Write what can be written; return the bytes that are dealt with."""
+        everything = memoryview(data).nbytes
+        try:
+            written = super().write(data)
+        except OSError:
+            return everything
+        return everything if written is None else written
 
 
 def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":

@@ -43,6 +43,8 @@ def events_of(
             "invalid": f"{gap_ms:.0f} ms without a sample: the counters may have rolled over",
             "reopened": f"the port was lost for {gap_ms:.0f} ms: the position may restart",
             "restarted": f"the board restarted, {gap_ms:.0f} ms lost: the position restarts",
+            "jumped": f"sequence number and clock of the board do not follow, {gap_ms:.0f} ms after the sample before "
+            "(a reset?): the position may restart",
         }[why]
         found.append((start, EVENTS["invalid" if why == "invalid" else "reopened"], note))
     for at in np.flatnonzero(checked.lost).tolist():

@@ -1,8 +1,8 @@
 """Counts unwrapped, segments cut, and every sample held against what came with it.
 
-A new segment begins where the port came back, where the board restarted, and after a gap across which the counters (the
-belt's, too) may have rolled over unseen.  In each the count starts at the counters' own difference: nothing is carried
-over, nothing is filled in.
+A new segment begins where the port came back, where the board restarted or its sequence numbers jumped, and after a gap
+across which the counters (the belt's, too) may have rolled over unseen.  In each the count starts at the counters' own
+difference: nothing is carried over, nothing is filled in.
 """
 
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise.timeline import Samples
+from daq.finalise.timeline import PartReason, Samples
 from daq.protocols import link_budget
 from daq.runfile.rig import Rig
 from daq.wire import counters, frames
 from daq.wire.quadrature import EDGES_PER_COUNT
 
-# A segment begins after a lost port, with a restart of the board, or where the counters may have rolled over unseen.
-SegmentReason = Literal["reopened", "restarted", "invalid"]
+# A segment begins with a part (`daq.finalise.timeline`), or where the counters may have rolled over unseen.
+SegmentReason = PartReason | Literal["invalid"]
 PEAK_OVER_S = 1e-3  # over less, one count more or less would look like a fast motion
 
 
@@ -121,8 +121,9 @@ def check(
         total = np.cumsum(rise)
         begun = np.maximum.accumulate(np.where(fresh, np.arange(len(samples)), 0))
         flags[total > total[begun]] |= counters.FLAG_COUNT_UNCERTAIN
-    parts: list[SegmentReason] = ["reopened" if reopened else "restarted" for reopened in samples.reopened]
-    reasons: tuple[SegmentReason, ...] = tuple("invalid" if invalid[s] else parts[samples.part[s]] for s in starts)
+    reasons: tuple[SegmentReason, ...] = tuple(
+        "invalid" if invalid[s] else samples.begun_by[samples.part[s]] for s in starts
+    )
     return CheckedCounts(count, segment.astype(np.uint16), flags, lost, int(rise.sum()), peak, reasons, starts)
 
 

@@ -1,5 +1,6 @@
 """What a recording is worth: the numbers behind ``daq record``'s answer, and the warnings that follow from them."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,8 @@ from daq.wire.decode import Stream
 from daq.wire.quadrature import EDGES_PER_COUNT
 
 NOT_IN_JSON = ("travel", "unit", "port_lost")
+LEAST_HELD = 0.9  # of the samples asked for: with fewer, or with more than the rest lost, it is another run
+LONG_GAP_S = 0.5  # a gap that a warning places in time
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,11 @@ class RecordingQuality:
         "m", or "count" for a rig that was not calibrated.
     port_lost : int
         How often the port was lost: what was missed then is no lost sample, and a warning gives how long it was.
+    asked_s : float or None
+        Duration that was asked for; None where none was.
+    ended : str
+        "complete", "stopped" (Ctrl-C), "port lost", "board stopped", or the name of the signal that ended it; empty for
+        a recorder that was killed.
     file : Path or None
         The run file.
     warnings : tuple of str
@@ -72,8 +80,22 @@ class RecordingQuality:
     travel: tuple[float, float]
     unit: str
     port_lost: int = 0
+    asked_s: float | None = None
+    ended: str = ""
     file: Path | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def short(self) -> bool:
+        """Whether it holds too little of the duration asked for, and nobody stopped it with Ctrl-C."""
+        if self.asked_s is None or self.ended in (journal.STOPPED, ""):
+            return False
+        return self.samples < LEAST_HELD * self.asked_s * self.rate_hz
+
+    @property
+    def sparse(self) -> bool:
+        """Whether too many samples are lost between the first and the last."""
+        return self.lost > (1 - LEAST_HELD) * (self.samples + self.lost)
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON document of ``daq record`` and ``daq recover``."""
@@ -105,7 +127,17 @@ def from_run(
         travel=(float(run.position.min()), float(run.position.max())),
         unit="m" if run.rig.metres_per_count is not None else "count",
         port_lost=sum(record.kind == journal.LOST for record in recorded.records),
+        asked_s=recorded.header["samples"] / run.rate_hz if recorded.header["samples"] is not None else None,
+        ended=_ended(recorded.records),
     )
+
+
+def _ended(records: Sequence[journal.Record]) -> str:
+    """Return what ended the recording; empty where the journal does not say it."""
+    try:
+        return str(json.loads(next(record.data for record in records if record.kind == journal.END))["reason"])
+    except (StopIteration, ValueError, KeyError, TypeError):
+        return ""
 
 
 def warnings(
@@ -118,11 +150,34 @@ def warnings(
 ) -> list[str]:
     """Return one sentence for each thing that is wrong with the data, with its number."""
     lines = [*_port_outages(recorded.records), *_data_warnings(found, samples, checked, rig, streams)]
+    lines += _incomplete(found, samples, checked)
     if recorded.lost_tail:
         lines.append(f"the last {recorded.lost_tail} bytes of the journal were cut short: its last record")
     if recorded.damaged:
         kept = f"it is kept: {recorded.path.name}"
         lines.append(f"{recorded.damaged} bytes of the journal are in damaged records; {kept}")
+    return lines
+
+
+def _incomplete(found: RecordingQuality, samples: Samples, checked: CheckedCounts) -> list[str]:
+    """Return sentences for a run that is not what was asked for, and for its longest gap."""
+    lines = []
+    if found.short and found.asked_s is not None:
+        why = {
+            journal.COMPLETE: "samples are missing",
+            journal.PORT_LOST: "the port was lost",
+            journal.BOARD_STOPPED: "the board stopped",
+        }
+        held_s = found.samples / found.rate_hz
+        because = why.get(found.ended, f"ended by {found.ended}")
+        lines.append(f"the run holds {held_s:.3g} s of samples of the {found.asked_s:.3g} s asked for: {because}")
+    if found.sparse:
+        lines.append(f"{found.lost / (found.samples + found.lost):.0%} of the samples are lost")
+    longest = int(np.argmax(checked.lost))
+    gap_s = float(checked.lost[longest]) / found.rate_hz
+    if gap_s > LONG_GAP_S:
+        at_s = float(samples.time[longest - 1]) if longest else 0.0
+        lines.append(f"the longest gap begins {at_s:.3f} s after the first sample and lasts {gap_s:.3g} s")
     return lines
 
 
@@ -152,6 +207,13 @@ def _port_outages(records: Sequence[journal.Record]) -> list[str]:
     return outages
 
 
+def _times(samples: Samples, checked: CheckedCounts) -> str:
+    """Return when the first sequence numbers jumped."""
+    pairs = zip(checked.starts[1:], checked.reasons[1:], strict=True)
+    at = [f"{samples.time[start]:.3f} s" for start, reason in pairs if reason == "jumped"]
+    return ", ".join(at[:5]) + (f" and {len(at) - 5} times more" if len(at) > 5 else "")
+
+
 def _data_warnings(
     found: RecordingQuality, samples: Samples, checked: CheckedCounts, rig: Rig, streams: Sequence[Stream]
 ) -> list[str]:
@@ -176,6 +238,11 @@ def _data_warnings(
             found.segments - 1,
             f"{found.segments} segments: {'; '.join(sorted(set(checked.reasons[1:])))}; positions are not connected "
             "across them",
+        ),
+        (
+            checked.reasons[1:].count("jumped"),
+            f"the board's sequence numbers jumped against its clock, {_times(samples, checked)} after the first "
+            "sample: it was reset, or sent wrong numbers; each time a new segment begins",
         ),
     ]
     lines += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]

@@ -4,7 +4,7 @@ Everything in the run comes from the journal and its markers, times and provenan
 file byte for byte, except for the name of the command.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
@@ -25,7 +25,9 @@ from daq.runfile.rig import Rig
 from daq.wire import decode, frames
 
 
-def finalise(part: Path, output: Path, *, finished_by: str, force: bool = False) -> RecordingQuality:
+def finalise(
+    part: Path, output: Path, *, finished_by: str, force: bool = False, remove: Callable[[], None] | None = None
+) -> RecordingQuality:
     """Build the run file of a journal; then remove the journal and its markers, unless the journal was damaged.
 
     Parameters
@@ -34,21 +36,26 @@ def finalise(part: Path, output: Path, *, finished_by: str, force: bool = False)
         The journal, and the run file to write.
     finished_by : str
         The command, for the provenance.
+    remove : callable, optional
+        Removes the journal: from the recorder, which holds its lock.  Without it the lock is taken here.
 
     Raises
     ------
     InputError
-        The journal is missing or not a journal, or ``output`` exists.
+        The journal is missing, not a journal, or still being written; or ``output`` exists.
     DataError
         The journal holds no samples.  It is kept, as after every other error.
     """
+    if remove is None:
+        with journal.claimed(part) as removing:
+            return finalise(part, output, finished_by=finished_by, force=force, remove=removing)
     atomic.refuse_existing(output, force)
     markers = journal.markers_path(part)
     recorded = journal.read(part)
     run, found = run_data(recorded, journal.read_markers(markers), finished_by)
     store.write(output, run, force=force)
     if not recorded.damaged:
-        part.unlink()
+        remove()
         markers.unlink(missing_ok=True)
     return replace(found, file=output)
 
@@ -121,7 +128,9 @@ def run_data(
 
 
 def _no_samples(recorded: journal.Journal) -> DataError:
-    return DataError("holds no samples", str(recorded.path), "check that the board sends, then record again")
+    size = sum(len(record.data) for record in recorded.records if record.kind == journal.RECEIVED)
+    what = f"holds no samples: none can be read in the {size} bytes that were received" if size else "holds no samples"
+    return DataError(what, str(recorded.path), "check that the board sends, and --baud and --protocol; record again")
 
 
 def _raw(samples: Samples, checked: CheckedCounts, tick_ns: int) -> Raw:

@@ -1,13 +1,14 @@
 """From a journal to one sequence of samples: connections decoded, frames ordered, parts set on one time axis.
 
-A part holds the samples after one start of the board: it ends where the port was lost or the board restarted, and the
-next one begins with its own sequence numbers and device time.  The device's clock is the time axis.  A later part is
-placed on it by the host's clock, with the least delay of the last seconds before and the first seconds after the gap.
+A part holds the samples after one start of the board: it ends where the port was lost, where the board restarted, or
+where its sequence numbers jump against its clock.  The next one begins with its own sequence numbers and device time.
+The device's clock is the time axis.  A later part is placed on it by the host's clock, with the least delay of the last
+seconds before and the first seconds after the gap; after a jump that the device's clock does not take part in, by that.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,11 @@ from daq.wire import frames as wire
 # Seconds on either side of a gap in which the least delay is searched.  Half finds fewer undelayed reads; double lets
 # the drift of the clocks (100 ppm) add 0.2 ms more to the placement.  Not swept.
 PLACE_S = 2.0
+# A board's clock that moved on across a jump as the host's did, to within so much, has not been reset.  Half refuses it
+# on a busy computer; double believes a clock that was reset to within as much more.  Not swept.
+SAME_CLOCK_S = 0.1
+
+PartReason = Literal["reopened", "restarted", "jumped"]
 
 
 @dataclass(frozen=True)
@@ -32,8 +38,9 @@ class Samples:
         Seconds since the first one, increasing.
     part : (n,) int64
         Which part, from 0.
-    reopened : tuple of bool
-        Of each part: whether it follows a lost port (else a restart of the board).
+    begun_by : tuple of PartReason
+        What began each part: a port that came back (the first part, too), a restart of the board that it announced, or
+        a sequence number that does not follow.
     index, ticks : (n,) int64
         Sequence number and device time without roll-over, in the board's units.
     frame : (n,) int64
@@ -48,7 +55,7 @@ class Samples:
 
     time: NDArray[np.float64]
     part: NDArray[np.int64]
-    reopened: tuple[bool, ...]
+    begun_by: tuple[PartReason, ...]
     index: NDArray[np.int64]
     ticks: NDArray[np.int64]
     frame: NDArray[np.int64]
@@ -111,7 +118,7 @@ def assemble(streams: list[decode.Stream], rate_hz: float, tick_ns: int) -> tupl
     truths: list[TruthRows] = []
     parts = 0
     frames = 0
-    reopened: list[bool] = []
+    begun_by: list[PartReason] = []
     late = 0
     for connection in streams:
         order = counters.order_frames(
@@ -121,11 +128,12 @@ def assemble(streams: list[decode.Stream], rate_hz: float, tick_ns: int) -> tupl
         if len(part):
             flat.append(_samples(connection, order, part, frames))
             truths.append(_truth(connection, order, part))
-            reopened += [True] + [False] * int(np.count_nonzero(order.restart))
-            parts = len(reopened)
+            jumps = order.jump[order.restart].tolist()
+            begun_by += ["reopened", *("jumped" if jump else "restarted" for jump in jumps)]
+            parts = len(begun_by)
         late += int(connection.n[~order.keep].sum())
         frames += len(connection.n)
-    samples = _joined(flat, tuple(reopened))
+    samples = _joined(flat, tuple(begun_by))
     samples = replace(samples, time=_times(samples, rate_hz, tick_ns))
     advances = np.ones(len(samples), dtype=np.bool_)
     advances[1:] = samples.time[1:] > np.maximum.accumulate(samples.time)[:-1]
@@ -159,7 +167,7 @@ def _samples(stream: decode.Stream, order: counters.Order, part: NDArray[np.int6
     made = Samples(
         time=np.zeros(len(frame)),
         part=part[frame],
-        reopened=(),
+        begun_by=(),
         index=order.index[frame] + within,
         ticks=order.ticks[frame] + elapsed - elapsed[stream.first[frame]],
         frame=frames + frame,
@@ -174,28 +182,34 @@ def _samples(stream: decode.Stream, order: counters.Order, part: NDArray[np.int6
     return made if np.all(order.keep) else made.take(order.keep[frame])
 
 
-def _joined(flat: list[Samples], reopened: tuple[bool, ...]) -> Samples:
+def _joined(flat: list[Samples], begun_by: tuple[PartReason, ...]) -> Samples:
     """Return the samples of all connections in order; an optional column is kept only when all have it."""
     columns: dict[str, Any] = {}
     for field in fields(Samples):
         pieces = [getattr(piece, field.name) for piece in flat]
-        if field.name not in ("reopened", "repeated"):
+        if field.name not in ("begun_by", "repeated"):
             whole = all(isinstance(piece, np.ndarray) for piece in pieces)
             columns[field.name] = np.concatenate(pieces) if whole else None
-    return Samples(reopened=reopened, **columns)
+    return Samples(begun_by=begun_by, **columns)
 
 
 def _times(samples: Samples, rate_hz: float, tick_ns: int) -> NDArray[np.float64]:
     """Return the time axis: device time in the first part, later parts placed after it by the host's clock."""
     time = np.zeros(len(samples))
     before: slice | None = None
-    for _, here in parts_of(samples):
+    for part, here in parts_of(samples):
         device = (samples.ticks[here] - samples.ticks[here.start]) * tick_ns / 1e9
         start = 0.0
         if before is not None:
             gone = _host_at(samples, before, time[before], last=True) - time[before.stop - 1]
             back = _host_at(samples, here, device, last=False)
-            start = max(float(back - gone), float(time[before.stop - 1]) + 1 / rate_hz)
+            start = float(back - gone)
+            moved_on = (int(samples.ticks[here.start] - samples.ticks[before.stop - 1]) & 0xFFFFFFFF) * tick_ns / 1e9
+            by_device = float(time[before.stop - 1]) + moved_on
+            if samples.begun_by[part] == "jumped" and moved_on > 0 and abs(by_device - start) < SAME_CLOCK_S:
+                start = by_device
+            else:
+                start = max(start, float(time[before.stop - 1]) + 1 / rate_hz)
         time[here] = start + device
         before = here
     return time

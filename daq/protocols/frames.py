@@ -10,6 +10,7 @@ from daq.protocols import session as sessions
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session, Tally
 from daq.wire import frames
+from daq.wire.counters import fits, is_late, signed
 
 if TYPE_CHECKING:
     from daq.wire.decode import Stream
@@ -39,6 +40,7 @@ class Frames(Session):
     def __init__(self, port: Port, url: str, request: RecordRequest) -> None:
         super().__init__(port, url, request)
         self._settings: tuple[str, ...] = ()
+        self._ticks_per_sample = 1.0
 
     def identify(self) -> Identity:
         """Stop a running stream and ask for the identification.
@@ -79,6 +81,7 @@ class Frames(Session):
         if self.request.decoder not in (None, identity.ident.decoder):
             what = f"the board decodes as {identity.ident.decoder} where {self.request.decoder} was requested"
             raise DeviceError(what, self.url, "update its firmware, or leave --decoder out")
+        self._ticks_per_sample = 1e9 / (plan.rate_hz * identity.ident.tick_ns)
         return identity
 
     def start(self) -> None:
@@ -96,7 +99,7 @@ class Frames(Session):
 
     def tally(self) -> "FrameTally":
         """Return a new tally."""
-        return FrameTally()
+        return FrameTally(self._ticks_per_sample)
 
     def _ask(self, strange: bytes) -> Identity:
         """Send `I` until an identification comes, and its CONFIG when it announces one."""
@@ -152,30 +155,48 @@ session = Frames
 
 
 class FrameTally(Tally):
-    """How far a stream of frames has come; see `daq.protocols.session.Tally`."""
+    """How far a stream of frames has come; see `daq.protocols.session.Tally`.
 
-    def __init__(self) -> None:
+    A sequence number that jumps, against the device time, adds nothing: the board was reset, or something is wrong.
+    """
+
+    def __init__(self, ticks_per_sample: float = 1e6 / RATE_HZ) -> None:
         super().__init__()
+        self._ticks_per_sample = ticks_per_sample
         self._frames = frames.FrameReader()
-        self._next: int | None = None
+        self._newest: tuple[int, int, int] | None = None  # sequence number, device time, samples
 
     def feed(self, data: bytes) -> None:
         """Take bytes as they came."""
         for payload in self._frames.payloads(data):
             if payload[0] == frames.SAMPLES and len(payload) > frames.SAMPLES_HEADER:
-                seq = payload[3] | payload[4] << 8
-                ahead = seq if self._next is None else seq - self._next & 0xFFFF
-                if ahead < 0x8000:  # else a repeated or late frame
-                    self.reached += ahead + payload[2]
-                    self._next = seq + payload[2] & 0xFFFF
-            elif payload[0] == frames.IDENT and self._next is not None:
+                self._step(payload[3] | payload[4] << 8, int.from_bytes(payload[5:9], "little"), payload[2])
+            elif payload[0] == frames.IDENT and self._newest is not None:
                 self.resets += 1  # identified after the first sample: it has restarted
-                self._next = None
+                self._newest = None
             elif payload[0] == frames.NOTICE:
                 self.notice = payload[2:].decode(errors="replace")
 
     def begin_again(self, reached: int) -> None:
         """Begin with sequence number 0 again, ``reached`` periods after the start."""
         self._frames = frames.FrameReader()
-        self._next = None
+        self._newest = None
         super().begin_again(reached)
+
+    def _step(self, seq: int, ticks: int, n: int) -> None:
+        """Take a frame: its sequence number, device time and samples."""
+        missing = 0
+        if self._newest is None:
+            missing = seq
+        else:
+            last, then, length = self._newest
+            missing = seq - last - length & 0xFFFF
+            if missing:
+                periods = signed(ticks - then, 32) / self._ticks_per_sample
+                if periods <= 0 and is_late(last - seq & 0xFFFF, -periods, length):
+                    return
+                step = missing + length
+                step += 65536 * round((periods - step) / 65536)
+                missing = step - length if step > length and fits(step, periods) else 0
+        self.reached += missing + n
+        self._newest = seq, ticks, n

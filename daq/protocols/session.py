@@ -191,13 +191,18 @@ class Session(ABC):
         parts = []
         until = time.monotonic() + DRAIN_S
         quiet = time.monotonic() + QUIET_S
-        while time.monotonic() < min(until, quiet):
+        while True:
+            now = time.monotonic()  # before looking: whatever came during a pause of the computer is read first
             waiting = self.port.in_waiting
             if waiting:
                 parts.append(self.port.read(waiting))
                 quiet = time.monotonic() + QUIET_S
+            elif now >= quiet:
+                break
             else:
                 time.sleep(QUIET_S / 10)
+            if now >= until:
+                break
         return b"".join(parts)
 
     def send(self, *commands: str) -> None:

@@ -1,13 +1,15 @@
 """Ports: open one by its name or URL, list those present, and explain why one cannot be opened.
 
-A port is anything pyserial opens: ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, ``loop://``, and ``rig://SCENE``,
-the simulated rig.  pyserial finds the handler of the last one by name: this package never imports the simulator.
+A port is anything pyserial opens: ``/dev/ttyACM0``, ``COM3``, ``socket://host:port``, ``rfc2217://host:port``,
+``loop://``, and ``rig://SCENE``, the simulated rig.  pyserial finds the handler of the last one by name: this package
+never imports the simulator.  A device is opened by one program at a time, as far as the others ask for its lock.
 """
 
 import contextlib
 import errno
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import cast
 from urllib.parse import quote
@@ -48,7 +50,7 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     Raises
     ------
     DeviceError
-        The port does not exist, is busy, or may not be opened.
+        The port does not exist, is held by another program, or may not be opened.
     InputError
         The URL has an unknown scheme, or the simulated rig's scene is wrong.
     """
@@ -56,10 +58,15 @@ def open_port(url: str, baud: int = BAUD) -> Port:
 
     if "rig_sim" not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append("rig_sim")
+    # Two readers of one device would each get a part of the bytes.
+    opened = partial(serial.serial_for_url, url, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     try:
-        port = serial.serial_for_url(url, baudrate=baud, timeout=READ_TIMEOUT_S, write_timeout=WRITE_TIMEOUT_S)
+        try:
+            port = opened(write_timeout=WRITE_TIMEOUT_S)
+        except NotImplementedError:  # rfc2217:// has no time-out for writing
+            port = opened()
     except ValueError as error:  # raised by pyserial for an unknown URL scheme or setting
-        do = "give a device, rig://SCENE, socket://HOST:PORT or loop://; 'daq ports' lists the devices"
+        do = "give a device ('daq ports' lists them), rig://SCENE, socket://HOST:PORT, rfc2217://HOST:PORT or loop://"
         raise InputError(f"cannot open such a port: {error}", url, do) from error
     except OSError as error:  # SerialException is a subclass
         raise DeviceError(*explain(url, error)) from error
@@ -81,9 +88,10 @@ def _ask_for_low_latency(port: object) -> None:
 def line_baud(url: str, port: Port) -> int | None:
     """Return the baud rate that limits a port, or None for a URL, which has none.
 
-    A /dev/ttyACM has one, too: on most boards a second chip forwards its bytes through a serial line.
+    A /dev/ttyACM has one, too: on most boards a second chip forwards its bytes through a serial line.  So has the
+    serial line at the other end of rfc2217://.
     """
-    if "://" in url:
+    if "://" in url and not url.startswith("rfc2217://"):
         return None
     baud: int | None = getattr(port, "baudrate", None)
     return baud
@@ -91,7 +99,7 @@ def line_baud(url: str, port: Port) -> int | None:
 
 def uart_baud(url: str, port: Port) -> int | None:
     """Return the baud rate at which bytes pass one after the other; None for a URL or a pseudo-terminal."""
-    return None if os.path.realpath(url).startswith("/dev/pts/") else line_baud(url, port)
+    return None if "://" in url or os.path.realpath(url).startswith("/dev/pts/") else line_baud(url, port)
 
 
 def explain(url: str, error: OSError) -> tuple[str, str, str]:

@@ -4,6 +4,9 @@ What it reads goes into a bounded queue; bytes that do not fit are counted and r
 time runs only as fast as it is read: for it alone, the thread waits for the queue.)  A port that is lost (pyserial
 raises SerialException, or a plain OSError from ``in_waiting``) or silent is opened again, and the board is started
 again.  A board that identifies itself during the stream has reset, and is started again too.
+
+Silence is judged by reads that brought nothing, not by the clock: while this process is stopped or the computer sleeps,
+the port collects what comes, and the next read brings it.
 """
 
 import queue
@@ -22,8 +25,31 @@ PAUSE_S = 0.02  # between reads: what came meanwhile is read at once, and each r
 SILENT_S = 5.0  # a board that sends nothing for so long while sampling is lost
 REOPEN_S = 30.0
 REOPEN_EVERY_S = 0.25
+# A step of waiting counts as so much at most: more than a read that finds nothing takes (0.1 s), or opening a port
+# whose board does not answer (5 s).  Double would count a pause of the computer twice as long.
+LONGEST_READ_S = 0.5
+LONGEST_REOPEN_S = 6.0
 
 Item = tuple[int, int, bytes]  # a journal record: kind, stamp in monotonic ns, bytes
+
+
+class Waiting:
+    """How long something has been waited for, in steps; a pause of the computer within one counts as ``longest_s``."""
+
+    def __init__(self, longest_s: float) -> None:
+        self._longest_s = longest_s
+        self.begin()
+
+    def begin(self) -> None:
+        """Wait from now on."""
+        self._waited, self._last = 0.0, time.monotonic()
+
+    def step(self) -> float:
+        """Return the seconds waited so far; called once a step."""
+        now = time.monotonic()
+        self._waited += min(now - self._last, self._longest_s)
+        self._last = now
+        return self._waited
 
 
 class Reader(threading.Thread):
@@ -46,10 +72,12 @@ class Reader(threading.Thread):
         Journal records in order; None ends them.
     tally : Tally
         Progress of the stream.
+    heard : int
+        Bytes received since the start.
     failure : BaseException or None
         Error that ended the thread early.
     ended : str
-        "complete", "stopped", "board stopped" (with a NOTICE), or "port lost".
+        One of the words in `daq.runfile.journal`: "complete", "stopped", "board stopped" (with a NOTICE), "port lost".
     """
 
     def __init__(
@@ -65,8 +93,9 @@ class Reader(threading.Thread):
         self.waits = ports.waits_for_reader(board.url)
         self.items: queue.Queue[Item | None] = queue.Queue(QUEUE_READS_WAITING if self.waits else QUEUE_READS)
         self.tally = board.tally()
+        self.heard = 0
         self.failure: BaseException | None = None
-        self.ended = "stopped"
+        self.ended = journal.STOPPED
         self._reopen = reopen
         self._rate_hz, self._samples = rate_hz, samples
         self._say = say
@@ -94,13 +123,14 @@ class Reader(threading.Thread):
         except OSError as error:
             if not self._recover(began, str(error)):
                 return
-        heard = time.monotonic()
+        silence = Waiting(LONGEST_READ_S)
         while not self._stopping.is_set():
             resets = self.tally.resets
             try:
                 data = self.board.read()
                 if data:
-                    heard = time.monotonic()
+                    silence.begin()
+                    self.heard += len(data)
                     self._keep(journal.RECEIVED, data)
                     self.tally.feed(data)
                     if not self.waits:
@@ -112,17 +142,17 @@ class Reader(threading.Thread):
             except OSError as error:
                 if not self._recover(began, str(error)):
                     return
-                heard = time.monotonic()
-            if time.monotonic() - heard > SILENT_S:
+                silence.begin()
+            if silence.step() > SILENT_S:
                 if not self._recover(began, f"nothing came for {SILENT_S:g} s"):
                     return
-                heard = time.monotonic()
+                silence.begin()
             if self.tally.reached >= self._samples:
-                self.ended = "complete"
+                self.ended = journal.COMPLETE
                 break
             if self.tally.notice:
                 self._say(f"the board has stopped: {self.tally.notice}")
-                self.ended = "board stopped"
+                self.ended = journal.BOARD_STOPPED
                 break
         self._finish()
 
@@ -137,12 +167,14 @@ class Reader(threading.Thread):
             self._keep(journal.RECEIVED, rest)
 
     def _recover(self, began: float, why: str) -> bool:
-        """Try to open the port again; report and record the loss."""
+        """Try to open the port again, no longer than the run would have lasted; report and record the loss."""
         self._keep(journal.LOST, why.encode())
-        self._say(f"the port was lost ({why}); waiting for it")
         self.board.close()
-        until = time.monotonic() + REOPEN_S
-        while time.monotonic() < until and not self._stopping.wait(REOPEN_EVERY_S):
+        left_s = (self._samples - self.tally.reached) / self._rate_hz
+        limit_s = min(REOPEN_S, left_s)
+        self._say(f"the port was lost ({why}); waiting up to {limit_s:.1f} s for it; Ctrl-C keeps the data so far")
+        waiting = Waiting(LONGEST_REOPEN_S)
+        while waiting.step() < limit_s and not self._stopping.wait(REOPEN_EVERY_S):
             try:
                 self.board = self._reopen()
                 self._keep(journal.REOPENED, self.board.url.encode())
@@ -151,10 +183,13 @@ class Reader(threading.Thread):
                 self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))
                 self.board.start()
             except (OSError, StickslipError):
+                self.board.close()
                 continue
             self._say("the port is available again: a new segment begins")
             return True
-        self.ended = "port lost"
+        if not self._stopping.is_set():
+            self.ended = journal.PORT_LOST
+            self._say("the port did not come back; the run ends here")
         return False
 
     def _keep(self, kind: int, data: bytes) -> None:

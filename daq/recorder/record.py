@@ -1,15 +1,20 @@
 """The recorder: a thread reads the port, the caller's thread writes the journal, the finaliser builds the file.
 
 The first interrupt (the caller sets ``stop``) ends the recording and keeps the data; a second one (KeyboardInterrupt)
-leaves the journal, which ``daq recover`` turns into the same file.
+leaves the journal, which ``daq recover`` turns into the same file.  The journal is locked from its first byte until the
+run file is in place.
 """
 
+import json
+import os
+import platform
 import queue
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq import protocols
@@ -19,6 +24,7 @@ from daq.protocols import link_budget
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Session
 from daq.recorder import ports
+from daq.recorder.journal_place import JournalPlace
 from daq.recorder.reader import Reader
 from daq.runfile import journal
 from daq.runfile.rig import Rig
@@ -38,6 +44,18 @@ class RecordingInterruptedError(StickslipError):
     exit_code = EXIT_INTERRUPTED
 
 
+class StopRequest(threading.Event):
+    """Ends a recording when it is set; ``reason`` goes into the journal.
+
+    Attributes
+    ----------
+    reason : str
+        "stopped" for a person who has enough, else the name of the signal.
+    """
+
+    reason = journal.STOPPED
+
+
 def check_request(request: RecordRequest) -> None:
     """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
     from daq.output.atomic import refuse_existing
@@ -50,11 +68,19 @@ def check_request(request: RecordRequest) -> None:
         Rig.from_toml(request.calibration, "--rig")
     refuse_existing(request.output, request.force)
     if request.part.exists():
-        raise InputError(
-            "an earlier recording was not finished: its journal still exists",
-            str(request.part),
-            f"run 'daq recover {request.part}' to get its data, or delete it, or give another -o",
-        )
+        raise _journal_exists(request.part)
+
+
+def _journal_exists(part: Path) -> InputError:
+    """Return the error of a journal that is there already: another recorder's, or one that was left."""
+    if journal.is_locked(part):
+        what, do = journal.in_use(part)
+        return InputError(what, str(part), f"give another -o, or {do}")
+    return InputError(
+        "an earlier recording was not finished: its journal still exists",
+        str(part),
+        f"run 'daq recover {part}' to get its data, or delete it, or give another -o",
+    )
 
 
 def _samples(request: RecordRequest, rate_hz: float) -> int:
@@ -72,7 +98,7 @@ def record(
     say: Callable[[str], None] = lambda line: None,
     stop: threading.Event | None = None,
 ) -> "RecordingQuality":
-    """Record a run into ``request.output``.
+    """Record a run into ``request.output``, or where its folder has gone meanwhile (`daq.recorder.journal_place`).
 
     Parameters
     ----------
@@ -81,12 +107,13 @@ def record(
     say : callable
         Called with a line of text for the user: the identity of the board, a lost port.
     stop : Event
-        Ends the recording when it is set; the data received so far become the file.
+        Ends the recording when it is set (a `StopRequest` gives the reason); the data received so far become the file.
 
     Raises
     ------
     InputError
-        The request is wrong, the file exists, or board and line cannot carry it; nothing has been touched.
+        The request is wrong, the file exists, or board and line cannot carry it; nothing has been touched.  Or the
+        file exists by the end of the recording, and the journal stays.
         The simulated rig's scene cannot be played; nothing is left behind.
     DeviceError
         The port cannot be opened or does not answer; or the disk refuses, and the journal stays.
@@ -95,42 +122,79 @@ def record(
     RecordingInterruptedError
         KeyboardInterrupt came, and the journal stays.
     """
-    from daq.finalise.run import finalise
-
     check_request(request)
     board, identity, plan, warnings = _connect(request)
     say(f"{identity.ident.name or 'a board'} on {request.port}, decoder {identity.ident.decoder}")
     try:
         samples = _samples(request, plan.rate_hz)
         writer = journal.Writer(request.part, _header(request, board, identity, plan, samples, warnings))
+    except FileExistsError as error:
+        board.close()
+        raise _journal_exists(request.part) from error
     except OSError as error:
         board.close()
-        raise _disk(request, error) from error
+        raise _disk(request.part, error) from error
     except InputError:
         board.close()
         raise
+    if not writer.locked:
+        say(f"{writer.path} cannot be locked on this file system: run no 'daq recover' on it before the recording ends")
+    place = JournalPlace(writer, request.output, say)
     reader = Reader(board, lambda: _connect(request)[0], plan.rate_hz, samples, say)
     try:
         if request.calibration is not None:
             writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
-        _take(reader, writer, lambda reached: progress(min(reached, samples) / plan.rate_hz), stop or threading.Event())
+        _take(
+            reader,
+            writer,
+            place,
+            lambda reached: progress(min(reached, samples) / plan.rate_hz),
+            stop or threading.Event(),
+        )
         if reader.failure is not None:
-            if reader.tally.reached == 0:
-                request.part.unlink(missing_ok=True)  # it is empty, and would block the next recording
+            if not reader.heard:
+                writer.remove()  # it is empty, and would block the next recording
             raise reader.failure
-        return finalise(request.part, request.output, finished_by="daq record", force=request.force)
+        return _finished(request, writer, place)
     except KeyboardInterrupt as error:
-        do = f"get its data with 'daq recover {request.part}'"
-        raise RecordingInterruptedError("interrupted; the journal was kept", str(request.part), do) from error
+        do = f"get its data with 'daq recover {writer.path}'"
+        raise RecordingInterruptedError("interrupted; the journal was kept", str(writer.path), do) from error
     except OSError as error:
-        raise _disk(request, error) from error
+        raise _disk(writer.path, error) from error
     except disk.RefusedError as error:
-        do = f"correct that, then get the data with 'daq recover {request.part}'"
+        do = f"correct that, then get the data with 'daq recover {writer.path}'"
         raise disk.RefusedError(f"{error.what}; the journal is kept", error.where, do) from error
     except DataError as error:
-        request.part.unlink(missing_ok=True)  # it is empty, and would block the next recording
         why = f": {reader.tally.notice}" if reader.tally.notice else ""
+        if reader.heard:
+            what = f"not one sample can be read in the {reader.heard} bytes that came{why}"
+            do = f"check --baud and --protocol; the bytes are kept in {writer.path}"
+            raise DataError(what, request.port, do) from error
+        writer.remove()  # it is empty, and would block the next recording
         raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
+    finally:
+        writer.abandon()
+
+
+def _finished(request: RecordRequest, writer: journal.Writer, place: JournalPlace) -> "RecordingQuality":
+    """Make the run file; once more where the folder goes away meanwhile."""
+    from daq.finalise.run import finalise
+
+    while True:
+        try:
+            found = finalise(
+                writer.path, place.output, finished_by="daq record", force=request.force, remove=writer.remove
+            )
+        except InputError as error:
+            if place.check():
+                continue
+            do = f"get the data with 'daq recover {writer.path} -o OTHER.h5'"
+            raise InputError(f"{error.what}; the journal is kept: {writer.path}", error.where, do) from error
+        except (OSError, disk.RefusedError):
+            if not place.check():
+                raise
+        else:
+            return replace(found, warnings=(*found.warnings, *place.changes))
 
 
 def _connect(request: RecordRequest) -> tuple[Session, Identity, Plan, list[str]]:
@@ -174,6 +238,8 @@ def _header(
         "operator": "",
         "wall_ns": time.time_ns(),
         "monotonic_ns": time.monotonic_ns(),
+        "pid": os.getpid(),
+        "host": platform.node(),
         "utc_offset_s": int(offset.total_seconds()) if offset else 0,
         "warnings": warnings,
         "provenance": provenance.here() | {"port": request.port, "firmware": _version(identity.ident)},
@@ -187,10 +253,11 @@ def _version(ident: frames.Ident) -> str:
 def _take(
     reader: Reader,
     writer: journal.Writer,
+    place: JournalPlace,
     progress: Callable[[int], None],
     stop: threading.Event,
 ) -> None:
-    """Write the reader's records until it ends; the journal is closed and the reader ended in every case."""
+    """Write the reader's records until it ends, and sync the journal; the reader has ended in every case."""
     try:
         for stamp, data in reader.board.received:
             writer.append(journal.RECEIVED, stamp, data)
@@ -200,20 +267,21 @@ def _take(
                 reader.stop()
             try:
                 item = reader.items.get(timeout=WAKE_S)
+                if item is None:
+                    break
+                writer.append(*item)
+                progress(reader.tally.reached)
             except queue.Empty:
-                writer.tick()
-                continue
-            if item is None:
-                break
-            writer.append(*item)
-            writer.tick()
-            progress(reader.tally.reached)
-        ended = f'{{"reason": "{reader.ended}"}}'
-        writer.append(journal.END, time.monotonic_ns(), ended.encode())
-        writer.close()
+                pass
+            if writer.tick():
+                place.check()
+        stopped_by = stop.reason if isinstance(stop, StopRequest) else journal.STOPPED
+        reason = stopped_by if reader.ended == journal.STOPPED else reader.ended
+        writer.append(journal.END, time.monotonic_ns(), json.dumps({"reason": reason}).encode())
+        writer.sync()
+        place.check()
     except BaseException:
         reader.stop()
-        writer.abandon()
         raise
     finally:
         _dismiss(reader)
@@ -229,12 +297,12 @@ def _dismiss(reader: Reader) -> None:
             continue
 
 
-def _disk(request: RecordRequest, error: OSError) -> StickslipError:
+def _disk(part: Path, error: OSError) -> StickslipError:
     """Return the error of a disk that refuses; it mentions the journal when there is one."""
-    if request.part.exists():
-        do = f"correct that, then get the data with 'daq recover {request.part}'"
+    if part.exists():
+        do = f"correct that, then get the data with 'daq recover {part}'"
     else:
         do = "record into a folder you may write to, with -o"
-    refused = disk.refusal(request.part, error)
-    kept = "; the journal is kept as far as it got" if request.part.exists() else ""
+    refused = disk.refusal(part, error)
+    kept = "; the journal is kept as far as it got" if part.exists() else ""
     return disk.RefusedError(refused.what + kept, refused.where, do)

@@ -1,13 +1,11 @@
 """The journal: what a recording writes while it runs; append-only, so that a power cut costs at most its last second.
 
-File: the magic line, then records.  A record is ``kind u8, length u32, stamp i64`` (host's monotonic clock, ns), its
-bytes, and a CRC-32 over all of that; little endian.  After a record that does not hold a reader goes on at the next
-place where a whole record holds, and counts what it passed over; a last record that is cut short is a crash's mark.
-Bytes received are kept when the CRC of their record fails but its length is right: its frames have their own CRCs.
+File: the magic line, then records (`daq.runfile.journal_records`).  A reader counts what it passes over; a last record
+that is cut short is a crash's mark.
 
 ::
 
-    H  header        JSON: how the recording was started; always the first record
+    H  header        JSON: how the recording was started; the first record, repeated at once and every `HEADER_EVERY`
     R  received      bytes as they came from the port; the stamp is the end of the read
     L  port lost     text: why
     O  port reopened text: its name; a new segment begins
@@ -15,39 +13,47 @@ Bytes received are kept when the CRC of their record fails but its length is rig
     C  configuration TOML text that replaces the board's CONFIG
     E  end           JSON: how the recording ended
 
-A marker comes from another process: one line ``<monotonic ns> <text>`` appended to ``RUN.h5.markers``.
+While a recording runs it holds the journal's lock (`daq.output.lock`): whoever wants to finish the journal asks for it
+first, whoever only reads does not.  A marker comes from another process: one line ``<monotonic ns> <text>`` appended
+to ``RUN.h5.markers``.
 """
 
 import json
 import os
-import re
-import struct
+import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
 from pathlib import Path
-from typing import IO, Any, NamedTuple
-from zlib import crc32
+from typing import IO, Any
 
 from daq.errors import InputError
+from daq.output.lock import FileLock
+from daq.runfile import journal_records
+from daq.runfile.journal_records import (
+    CONFIGURATION,
+    DROPPED,
+    END,
+    HEADER,
+    LOST,
+    MAGIC,
+    RECEIVED,
+    REOPENED,
+    Record,
+)
 
-MAGIC = b"stickslip journal 1\n"
+__all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Record"]
+
 SYNC_EVERY_S = 1.0
-HEADER, RECEIVED, LOST, REOPENED, DROPPED, CONFIGURATION, END = b"HRLODCE"
-_KINDS = frozenset(b"HRLODCE")
-_KIND = re.compile(b"[HRLODCE]")
-_HEAD = struct.Struct("<BIq")
-_CRC = struct.Struct("<I")
-_LONGEST = 1 << 26  # bytes; no record is longer, so a longer length is damage
+# Bytes between two copies of the header: 2 % of the file.  Half costs 4 %; double leaves a longer beginning whose loss
+# (a bad sector has 4 kB) may take all copies of it.
+HEADER_EVERY = 1 << 16
 
-
-@dataclass(frozen=True, slots=True)
-class Record:
-    """One record: its kind, its host stamp (monotonic ns) and its bytes."""
-
-    kind: int
-    stamp_ns: int
-    data: bytes
+# What ended a recording, in its last record; another word there is the name of a signal.
+COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,13 @@ class Journal:
 class Writer:
     """Append records to a new journal; synced to disk each second.
 
+    Attributes
+    ----------
+    path : Path
+        Where the journal is; `move` changes it.
+    locked : bool
+        False where the file system has no locks: nothing then keeps another process from finishing the journal.
+
     Raises
     ------
     FileExistsError
@@ -78,24 +91,42 @@ class Writer:
 
     def __init__(self, path: Path, header: dict[str, Any]) -> None:
         self.path = path
-        self._file: IO[bytes] = path.open("xb", buffering=1 << 16)
+        self._file, self._lock = _create(path)
         self._synced = time.monotonic()
+        self._since_header = 0
+        self._header = json.dumps(header).encode()
         self._file.write(MAGIC)
-        self.append(HEADER, time.monotonic_ns(), json.dumps(header).encode())
+        for _ in range(2):
+            self._append_header()
         self.sync()
+
+    @property
+    def locked(self) -> bool:
+        """Whether the journal is locked."""
+        return self._lock is not None
 
     def append(self, kind: int, stamp_ns: int, data: bytes) -> None:
         """Append one record; at most a second later it is on the disk."""
-        head = _HEAD.pack(kind, len(data), stamp_ns)
-        self._file.write(head)
-        self._file.write(data)
-        self._file.write(_CRC.pack(crc32(data, crc32(head))))
+        parts = journal_records.packed(kind, stamp_ns, data)
+        for part in parts:
+            self._file.write(part)
+        self._since_header += sum(map(len, parts))
+        if self._since_header >= HEADER_EVERY and kind != HEADER:
+            self._append_header()
 
-    def tick(self) -> None:
-        """Hand what was appended to the system; sync when the last time is a second ago.  Called often."""
+    def tick(self) -> bool:
+        """Hand what was appended to the system; sync when the last time is a second ago.  Called often.
+
+        Returns
+        -------
+        bool
+            Whether it was synced.
+        """
         self._file.flush()
-        if time.monotonic() - self._synced >= SYNC_EVERY_S:
+        due = time.monotonic() - self._synced >= SYNC_EVERY_S
+        if due:
             self.sync()
+        return due
 
     def sync(self) -> None:
         """Put everything appended so far on the disk."""
@@ -103,19 +134,138 @@ class Writer:
         os.fsync(self._file.fileno())
         self._synced = time.monotonic()
 
+    def is_at(self, path: Path) -> bool:
+        """Return whether the journal is the file of this name; it is not after its folder was renamed or removed."""
+        try:
+            found, own = path.stat(), os.fstat(self._file.fileno())
+        except OSError:
+            return False
+        return os.path.samestat(found, own)
+
+    def now_at(self) -> Path | None:
+        """Return the journal's name after it was renamed; None where it has none any more, or cannot be known."""
+        try:  # Linux
+            path = Path(os.readlink(f"/proc/self/fd/{self._file.fileno()}"))
+        except OSError:
+            return None
+        return path if self.is_at(path) else None
+
+    def move(self, path: Path) -> None:
+        """Write on in another file, a copy of this one: for a journal whose name is gone.
+
+        Raises
+        ------
+        OSError
+            The new file exists or cannot be written; the journal stays what it was.
+        """
+        file, lock = _create(path)
+        try:
+            self._file.seek(0)
+            shutil.copyfileobj(self._file, file, 1 << 20)
+            file.flush()
+            os.fsync(file.fileno())
+        except OSError:
+            self._file.seek(0, os.SEEK_END)
+            _close_quietly(file)
+            if lock is not None:
+                lock.remove(path)
+            raise
+        self.abandon()
+        self.path, self._file, self._lock = path, file, lock
+
     def close(self) -> None:
-        """Sync and close."""
+        """Sync and close; the lock is released."""
         try:
             self.sync()
         finally:
-            self._file.close()
+            self.abandon()
+
+    def remove(self) -> None:
+        """Remove the journal and close it: its run file is in place."""
+        _close_quietly(self._file)
+        if self._lock is None:
+            self.path.unlink(missing_ok=True)
+        else:
+            self._lock.remove(self.path)
 
     def abandon(self) -> None:
-        """Close without a sync: the disk has refused already."""
-        try:
-            self._file.close()
-        except OSError:  # the buffered rest could not be written either; what is on the disk stays
-            return
+        """Close without a sync, as when the disk has refused; the lock is released.  A second call does nothing."""
+        _close_quietly(self._file)
+        if self._lock is not None:
+            self._lock.release()
+
+    def _append_header(self) -> None:
+        self.append(HEADER, time.monotonic_ns(), self._header)
+        self._since_header = 0
+
+
+def _create(path: Path) -> tuple[IO[bytes], FileLock | None]:
+    """Create a journal, and lock it where the file system has locks."""
+    file = path.open("x+b", buffering=1 << 16)
+    try:
+        return file, FileLock(path)
+    except OSError:
+        return file, None
+
+
+def _close_quietly(file: IO[bytes]) -> None:
+    try:
+        file.close()
+    except OSError:  # the buffered rest could not be written either; what is on the disk stays
+        return
+
+
+@contextmanager
+def claimed(path: Path) -> Iterator[Callable[[], None]]:
+    """Hold a journal's lock, where the file system has locks; yield what removes the journal.
+
+    Raises
+    ------
+    InputError
+        A recording is writing it, another process is finishing it, or it does not exist.
+    """
+    try:
+        lock = FileLock(path)
+    except BlockingIOError as error:
+        what, do = in_use(path)
+        raise InputError(what, str(path), do) from error
+    except FileNotFoundError as error:
+        raise _missing(path) from error
+    except IsADirectoryError as error:
+        raise _a_folder(path) from error
+    except OSError:  # no locks here, or no right to open it for writing
+        yield path.unlink
+        return
+    try:
+        yield partial(lock.remove, path)
+    finally:
+        lock.release()
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether another process is writing or finishing a journal."""
+    try:
+        FileLock(path).release()
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def in_use(path: Path) -> tuple[str, str]:
+    """Return who holds a journal's lock, and what to do about it."""
+    who = "another process"
+    try:
+        with path.open("rb") as file:
+            beginning = file.read(2 * HEADER_EVERY)
+        found = journal_records.header(beginning, list(journal_records.scan(beginning)))
+        started = json.loads(found.data if found else b"{}")
+        when = datetime.fromtimestamp(started["wall_ns"] / 1e9).astimezone()
+        who = f"process {started['pid']} on {started['host']}, since {when:%Y-%m-%d %H:%M:%S}"
+    except (OSError, KeyError, TypeError, ValueError):
+        pass
+    return f"a recording is writing it ({who})", "wait until that recording ends, or stop it with Ctrl-C there"
 
 
 def read(path: Path) -> Journal:
@@ -124,96 +274,48 @@ def read(path: Path) -> Journal:
     Raises
     ------
     InputError
-        When the file is missing, is no journal, or was cut before its header was complete.
+        When the file is missing, is no journal, or has no header that can be read.
     """
     try:
         content = path.read_bytes()
     except FileNotFoundError as error:
-        raise InputError("no such journal", str(path), "give the .part file that the recording left") from error
+        raise _missing(path) from error
     except IsADirectoryError as error:
-        raise InputError("is a folder", str(path), "give the .part file that the recording left") from error
-    if not content.startswith(MAGIC):
-        if MAGIC.startswith(content):
-            raise InputError(
-                "contains no record: the recording ended immediately", str(path), "delete it and record again"
-            )
+        raise _a_folder(path) from error
+    if MAGIC.startswith(content):
+        raise InputError("contains no record: the recording ended immediately", str(path), "delete it and record again")
+    damaged = journal_records.wrong_in_magic(content)
+    if damaged is None:
         raise InputError("is not a journal of daq", str(path), "give the .part file that the recording left")
-    found = list(scan(content))
-    if not found or found[0].record.kind != HEADER or found[0].at != len(MAGIC):
-        raise InputError("was cut inside its header: it holds no samples", str(path), "delete it and record again")
+    found = list(journal_records.scan(content))
+    header = journal_records.header(content, found)
+    if header is None:
+        raise _without_header(path, len(content), sum(place.record.kind == RECEIVED for place in found))
     whole = len(MAGIC)
-    damaged = 0
     for place in found:
-        damaged += place.at - whole + (0 if place.holds else _size(place.record))
-        whole = place.at + _size(place.record)
+        damaged += place.at - whole + (0 if place.holds else place.record.size)
+        whole = place.at + place.record.size
     tail = len(content) - whole
-    cut = _is_cut_short(content, whole)
-    records = tuple(place.record for place in found)
-    return Journal(path, json.loads(records[0].data), records[1:], tail if cut else 0, damaged + (0 if cut else tail))
+    cut = journal_records.is_cut_short(content, whole)
+    # What begins right behind the magic line is the header, whatever its damage makes of it.
+    records = tuple(place.record for place in found if place.record.kind != HEADER and place.at > len(MAGIC))
+    return Journal(path, json.loads(header.data), records, tail if cut else 0, damaged + (0 if cut else tail))
 
 
-class Place(NamedTuple):
-    """A record in a journal's bytes: where it begins, the record, and whether its CRC holds."""
-
-    at: int
-    record: Record
-    holds: bool
+def _missing(path: Path) -> InputError:
+    return InputError("no such journal", str(path), "give the .part file that the recording left")
 
 
-def scan(content: bytes) -> Iterator[Place]:
-    """Yield the records in a journal's bytes, passing over what is none."""
-    at = len(MAGIC)
-    while at + _HEAD.size <= len(content):
-        record = _record_at(content, at)
-        holds = record is not None
-        if record is None:
-            record = _received_at(content, at)
-        if record is not None:
-            yield Place(at, record, holds)
-            at += _size(record)
-            continue
-        # A record begins with its kind: look only at bytes that are one.
-        ahead = (place.start() for place in _KIND.finditer(content, at + 1))
-        following = next((place for place in ahead if _record_at(content, place)), None)
-        if following is None:
-            return
-        at = following
+def _a_folder(path: Path) -> InputError:
+    return InputError("is a folder", str(path), "give the .part file that the recording left")
 
 
-def _received_at(content: bytes, at: int) -> Record | None:
-    """Return a damaged record of received bytes whose length is right: the end, or another record, follows it."""
-    kind, length, stamp = _HEAD.unpack_from(content, at)
-    end = at + _HEAD.size + length
-    if kind != RECEIVED or length > _LONGEST or end + _CRC.size > len(content):
-        return None
-    if end + _CRC.size < len(content) and _record_at(content, end + _CRC.size) is None:
-        return None
-    return Record(kind, stamp, content[at + _HEAD.size : end])
-
-
-def _record_at(content: bytes, at: int) -> Record | None:
-    """Return the record that begins at a place, or None when none does."""
-    if at + _HEAD.size > len(content):
-        return None
-    kind, length, stamp = _HEAD.unpack_from(content, at)
-    end = at + _HEAD.size + length
-    if kind not in _KINDS or length > _LONGEST or end + _CRC.size > len(content):
-        return None
-    if crc32(content[at:end]) != _CRC.unpack_from(content, end)[0]:
-        return None
-    return Record(kind, stamp, content[at + _HEAD.size : end])
-
-
-def _size(record: Record) -> int:
-    return _HEAD.size + len(record.data) + _CRC.size
-
-
-def _is_cut_short(content: bytes, at: int) -> bool:
-    """Return whether what begins at a place, and holds no record, is a record whose end is missing."""
-    if at + _HEAD.size > len(content):
-        return True
-    kind, length, _ = _HEAD.unpack_from(content, at)
-    return kind in _KINDS and length <= _LONGEST and at + _HEAD.size + length + _CRC.size > len(content)
+def _without_header(path: Path, size: int, received: int) -> InputError:
+    if received:
+        what = f"its header is damaged, in every copy; {received} records of received bytes follow it"
+        return InputError(what, str(path), "keep it: the bytes are there, only how they were recorded is not known")
+    what = f"has no whole record in its {size} bytes: it was cut inside its header, or is damaged throughout"
+    return InputError(what, str(path), "look for another copy of it, or record again")
 
 
 def markers_path(run: Path) -> Path:

@@ -5,7 +5,8 @@ Rule: the difference of two readings, taken modulo 2^bits, is the true increment
 longer gap the counts are unknown: a new segment begins there, marked invalid.
 
 The sequence number (16 bit) is unwrapped with the help of the device time (32 bit, 71.6 min at 1 us): a gap may be
-longer than 65,536 samples and still gets its true length.
+longer than 65,536 samples and still gets its true length.  The two must agree on it: where they do not, the board has
+been reset, or one of them is wrong, and nothing is known of what lies between.
 
 The host's checks are in the high byte of a sample's flags; the low byte is the status as sent (`daq.wire.frames`).
 """
@@ -20,6 +21,12 @@ from daq.wire.quadrature import PHASE
 # A frame up to so many frames back is a repeat or came late; further back, the board has restarted.  A line repeats or
 # delays only a few: half would take some of them for restarts, double more restarts for repeats.  Not swept.
 LATE_FRAMES = 8
+# How far, in sample periods, sequence number and device time may disagree on the length of a gap: 2 and 5 % of it, at
+# most 200.  Half of the 200 would break gaps of minutes whose rate is known to 1e-4; double trusts twice as many of the
+# resets after which the clock happens to have moved on (200 of 32,768 jumps).  Not swept.
+GAP_DOUBT, GAP_DOUBT_SHARE, GAP_DOUBT_MOST = 2.0, 0.05, 200.0
+
+FEWEST_TO_PACE = 16  # frames that follow each other from which the true sample period is taken
 
 # The host's checks, one bit each.
 FLAG_ILLEGAL = 0x0100  # the illegal count rose within this sample's frame
@@ -90,14 +97,17 @@ class Order:
     keep : (f,) bool
         False for a repeated or late frame, which is not used.
     restart : (f,) bool
-        The board restarted with this frame: neither sequence nor device time continues.
+        The stream begins anew with this frame: sequence and device time do not continue together.
+    jump : (f,) bool
+        Of these, where nothing announced it: the board has not identified itself.
     index, ticks : (f,) int64
         Sequence number and device time of the frame's first sample without roll-over: as sent at the first frame
-        after each restart, and continued from there.  0 where ``keep`` is False.
+        after each restart (a jump: from sequence number 0), and continued from there.  0 where ``keep`` is False.
     """
 
     keep: NDArray[np.bool_]
     restart: NDArray[np.bool_]
+    jump: NDArray[np.bool_]
     index: NDArray[np.int64]
     ticks: NDArray[np.int64]
 
@@ -113,7 +123,8 @@ def order_frames(
 
     Device time determines how often the sequence number rolled over between two frames, so a gap may have any length
     below 2^31 ticks (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by
-    `LATE_FRAMES` at most, is a repeat or came late; any other step back, of either, is a restart of the board.
+    `LATE_FRAMES` at most, is a repeat or came late.  Any other step back, of either, and a gap on whose length the two
+    do not agree (`fits`), is a jump.
 
     Parameters
     ----------
@@ -128,18 +139,62 @@ def order_frames(
     """
     keep, restart = _repeats(seq, ticks, n, ticks_per_sample, restarts)
     kept = np.flatnonzero(keep)
+    known = np.zeros(len(seq), dtype=np.bool_)
+    known[restarts[restarts < len(seq)]] = True
     forward = np.diff(ticks[kept]) & 0xFFFFFFFF
     step = np.diff(seq[kept]) & 0xFFFF
-    step += 65536 * np.round((forward / ticks_per_sample - step) / 65536).astype(np.int64)
-    again = restart[kept[1:]] | (step < n[kept[:-1]])
+    before = n[kept[:-1]]
+    period, doubt = _pace(step, forward, before, ticks_per_sample)
+    step += 65536 * np.round((forward / period - step) / 65536).astype(np.int64)
+    again = restart[kept[1:]] | (step < before) | ((step != before) & ~fits(step, forward / period, doubt))
     restart[kept[1:]] = again
     restart[kept[:1]] = False
+    jump = restart & ~known
     index = np.zeros(len(seq), dtype=np.int64)
     placed = np.zeros(len(seq), dtype=np.int64)
     starts = np.concatenate(([True], again)) if len(kept) else np.zeros(0, dtype=np.bool_)
-    index[kept] = _sum_from(starts, step, seq[kept])
+    index[kept] = _sum_from(starts, step, np.where(jump, 0, seq)[kept])
     placed[kept] = _sum_from(starts, forward, ticks[kept])
-    return Order(keep, restart, index, placed)
+    return Order(keep, restart, jump, index, placed)
+
+
+def fits(
+    step: NDArray[np.int64] | int, periods: NDArray[np.float64] | float, doubt: float = 0.0
+) -> NDArray[np.bool_] | np.bool_:
+    """Return whether a step of the sequence number and one of the device time, in sample periods, tell of one gap.
+
+    ``doubt`` is how far off its grid the board takes samples, in periods.
+    """
+    return np.abs(step - periods) <= np.minimum(GAP_DOUBT + GAP_DOUBT_SHARE * step, GAP_DOUBT_MOST) + doubt
+
+
+def is_late(back_in_seq: int, back: float, n: int) -> bool:
+    """Return whether a frame that is back in sequence, and in time (sample periods), is a repeat or came late.
+
+    ``n`` is the samples in the newest frame.
+    """
+    return back_in_seq <= LATE_FRAMES * n and abs(back - back_in_seq) <= 2 + 0.05 * back_in_seq
+
+
+def _pace(
+    step: NDArray[np.int64], forward: NDArray[np.int64], before: NDArray[np.int64], nominal: float
+) -> tuple[float, float]:
+    """Return the ticks of a sample period between frames that follow each other, and how far off that frames are.
+
+    Parameters
+    ----------
+    step, forward, before : (f - 1,) int64
+        Steps between frames in sequence and in time, and samples in the first of each two.
+    nominal : float
+        Ticks of a period, used where few frames follow each other.
+    """
+    follows = step == before
+    if np.count_nonzero(follows) < FEWEST_TO_PACE:
+        return nominal, 0.0
+    period = float(np.median(forward[follows] / step[follows]))
+    if not 0.5 * nominal < period < 2 * nominal:
+        return nominal, 0.0
+    return period, 2 * float(np.quantile(np.abs(forward[follows] / period - step[follows]), 0.99))
 
 
 def _repeats(
@@ -163,8 +218,7 @@ def _repeats(
             continue
         back = (-ahead & 0xFFFFFFFF) / ticks_per_sample
         back_in_seq = (int(seq[newest]) - int(seq[frame])) & 0xFFFF
-        late = back_in_seq <= LATE_FRAMES * int(n[newest])
-        if late and abs(back - back_in_seq) <= 2 + 0.05 * back_in_seq:
+        if is_late(back_in_seq, back, int(n[newest])):
             keep[frame] = False
         else:
             restart[frame] = True
