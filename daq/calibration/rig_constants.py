@@ -72,9 +72,10 @@ def ring_down(run: Recording) -> RingDown:
 def calibrated(rig: Rig, pitch: Measured | None, ring: RingDown | None, mass: Measured | None) -> Rig:
     """Return a rig with everything that was measured, and what follows from it, in the place of what stood there.
 
-    Stiffness and damping need a mass, the datum metres per count; without it they stay as they were.
+    Stiffness and damping need a mass, the datum metres per count; without it they stay as they were.  A belt speed of 0
+    is left out: the belt stands still for the calibration alone.
     """
-    rig = replace(rig, mass=mass or rig.mass)
+    rig = replace(rig, mass=mass or rig.mass, belt_speed=None if belt_stands(rig) else rig.belt_speed)
     if pitch is not None:
         rig = replace(rig, metres_per_count=pitch)
     if ring is None:
@@ -84,6 +85,11 @@ def calibrated(rig: Rig, pitch: Measured | None, ring: RingDown | None, mass: Me
     if rig.metres_per_count is not None:
         rig = replace(rig, datum=datum(ring, rig.metres_per_count))
     return rig
+
+
+def belt_stands(rig: Rig) -> bool:
+    """Return whether the belt speed that is known of a rig is zero."""
+    return rig.belt_speed is not None and rig.belt_speed.value == 0
 
 
 def stiffness(ring: RingDown, mass: Measured) -> Measured:

@@ -177,6 +177,8 @@ def calibrate(
     if found is None:
         raise ValueError("neither measurement was made")
     made = measure.calibrated(found.rig, pitch, ring, mass)
+    if measure.belt_stands(found.rig):
+        warnings.append("the belt does not move: its speed was left out; runs show it, or add belt_speed to the file")
     if ring is not None and made.mass is None:
         warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
     if made.metres_per_count is None:

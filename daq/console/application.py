@@ -206,8 +206,8 @@ def _open_standard_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor, which is this one
     if sys.stdout is None:
         sys.stdout = open(1, "w", closefd=False)
-    raw = getattr(getattr(sys.stderr, "buffer", None), "raw", None)
-    if sys.stderr is None or isinstance(raw, io.FileIO):  # the console of Windows is no such file
+    buffer = getattr(sys.stderr, "buffer", None)
+    if sys.stderr is None or isinstance(getattr(buffer, "raw", buffer), io.FileIO):  # not the console of Windows
         encoding = "utf-8" if sys.stderr is None else sys.stderr.encoding
         written = io.BufferedWriter(_UnfailingFile(2, "wb", closefd=False))
         sys.stderr = io.TextIOWrapper(written, encoding, "backslashreplace", line_buffering=True)

@@ -97,7 +97,12 @@ def test_a_journal_is_never_overwritten(written):
 
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"t,x\n0,1\n", "not a journal"), (b"", "no record"), (journal.MAGIC, "no record"), (journal.MAGIC + b"H", "1 byte|cut inside its header")],
+    [
+        (b"t,x\n0,1\n", "not a journal"),
+        (b"", "no record"),
+        (journal.MAGIC, "no record"),
+        (journal.MAGIC + b"H", "1 byte|cut inside its header"),
+    ],
 )
 def test_what_is_no_journal_is_refused(tmp_path, content, said):
     path = tmp_path / "x.h5.part"

@@ -1,0 +1,215 @@
+"""A recording in a process of its own, over a pseudo-terminal: what happens beside it costs no sample."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import daq
+
+from .conftest import FakeFrames, motion
+
+pytestmark = [
+    pytest.mark.slow,  # each records for seconds
+    pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals and signals are POSIX"),
+]
+
+HANGS_S = 120
+COMMAND = [sys.executable, "-m", "daq.cli.app"]
+
+
+@pytest.fixture
+def board(tmp_path):
+    fake = FakeFrames(tmp_path / "ttyFAKE", paced=True)
+    fake.start()
+    yield fake
+    fake.finish()
+
+
+def record_line(board, output, duration):
+    return [*COMMAND, "record", "--port", str(board.path), "--duration", str(duration), "-o", str(output), "--json"]
+
+
+def start(line, part, **more):
+    """Start a recording, and wait until its journal holds samples."""
+    process = subprocess.Popen(line, **({"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | more))
+    until = time.monotonic() + HANGS_S
+    while not (part.exists() and part.stat().st_size > 8000):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    return process
+
+
+def finish(process):
+    out, err = process.communicate(timeout=HANGS_S)
+    return process.returncode, out, err
+
+
+def run(*arguments):
+    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False)
+
+
+def assert_whole(path, samples):
+    """Check that the run holds every sample that the board sent, with its count."""
+    recorded = daq.load(path)
+    assert recorded.count.size == samples
+    k = np.round(recorded.time * 1000).astype(int)
+    assert np.array_equal(k, np.arange(samples))
+    assert np.array_equal(recorded.count - recorded.count[0], motion(k) - motion(0))
+
+
+def test_recover_and_a_second_recorder_beside_it_are_refused(board, tmp_path):
+    # `daq recover` used to take the journal away (2112 of 5000 samples were kept), and a second recorder advised it.
+    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    recorder = start(record_line(board, output, 100), part)
+    recover = run("recover", part)
+    assert (recover.returncode, f"process {recorder.pid}" in recover.stderr) == (2, True), recover.stderr
+    second = run("record", "-o", output)
+    assert (second.returncode, f"process {recorder.pid}" in second.stderr) == (2, True), second.stderr
+    assert "daq recover" not in second.stderr
+    assert "delete" not in second.stderr
+    beside = run("replay", part, "-o", tmp_path / "beside.h5")
+    assert beside.returncode == 0, beside.stderr
+    port = run("record", "--port", board.path, "-o", tmp_path / "other.h5")
+    assert (port.returncode, "another program" in port.stderr) == (3, True), port.stderr
+    recorder.send_signal(signal.SIGINT)
+    code, out, err = finish(recorder)
+    assert code == 0, err
+    assert_whole(output, json.loads(out)["samples"])
+    assert not part.exists()
+
+
+def test_after_a_kill_the_journal_is_free_again(board, tmp_path):
+    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    recorder = start(record_line(board, output, 20), part)
+    recorder.kill()
+    finish(recorder)
+    recover = run("recover", part, "--json")
+    assert recover.returncode == 0, recover.stderr
+    assert_whole(output, json.loads(recover.stdout)["samples"])
+
+
+@pytest.mark.parametrize("stream", ["closed", "full", "broken pipe"])
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_stream_that_takes_nothing_costs_nothing(board, tmp_path, number, stream):
+    # Losing stderr used to end the recording with a journal; with stderr closed it never began.
+    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    redirect = {"closed": f"{number}>&-", "full": f"{number}>/dev/full", "broken pipe": ""}[stream]
+    reading, writing = os.pipe()
+    with (tmp_path / "printed").open("w") as printed:
+        out, err = (writing if (number, stream) == (each, "broken pipe") else printed for each in (1, 2))
+        line = ["sh", "-c", f'exec "$@" {redirect}', "sh", *record_line(board, output, 3)]
+        recorder = start(line, part, stdout=out, stderr=err)
+    os.close(writing)
+    os.close(reading)
+    assert recorder.wait(HANGS_S) == (3 if (number, stream) == (1, "full") else 0), (tmp_path / "printed").read_text()
+    assert not part.exists()
+    assert_whole(output, 3000)
+
+
+@pytest.mark.parametrize("ignored", [signal.SIGHUP, signal.SIGINT])
+def test_a_signal_that_was_ignored_at_the_start_stays_ignored(board, tmp_path, ignored):
+    # nohup used to be defeated; so was the SIGINT that a shell keeps from its background jobs.
+    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    line = ["sh", "-c", f'trap "" {ignored.name[3:]}; exec "$@"', "sh", *record_line(board, output, 4)]
+    recorder = start(line, part)
+    for _ in range(3):
+        recorder.send_signal(ignored)
+        time.sleep(0.1)
+    code, _, err = finish(recorder)
+    assert code == 0, err
+    assert_whole(output, 4000)
+
+
+@pytest.mark.parametrize(("number", "expected"), [(signal.SIGINT, 0), (signal.SIGHUP, 4), (signal.SIGTERM, 4)])
+def test_a_signal_ends_the_run_with_its_file(board, tmp_path, number, expected):
+    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    recorder = start(record_line(board, output, 60), part)
+    recorder.send_signal(number)
+    if number == signal.SIGHUP:
+        time.sleep(0.05)
+        recorder.send_signal(number)  # a terminal that closes sends it, and so does its shell
+    code, out, err = finish(recorder)
+    answer = json.loads(out)
+    assert code == expected, err
+    assert answer["ended"] == ("stopped" if number == signal.SIGINT else number.name)
+    assert any(number.name in warning for warning in answer["warnings"]) == (number != signal.SIGINT)
+    assert not part.exists()
+    assert_whole(output, answer["samples"])
+
+
+def test_a_pause_of_seven_seconds_costs_no_sample_of_a_board_that_waits(board, tmp_path):
+    # More than 5 s used to be taken for a lost port: 2567 of 9000 samples.
+    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    recorder = start(record_line(board, output, 9), part)
+    recorder.send_signal(signal.SIGSTOP)
+    time.sleep(7)
+    recorder.send_signal(signal.SIGCONT)
+    code, out, err = finish(recorder)
+    assert code == 0, err
+    assert (json.loads(out)["lost"], json.loads(out)["segments"]) == (0, 1)
+    assert_whole(output, 9000)
+
+
+@pytest.mark.parametrize("how", ["renamed", "removed"])
+def test_a_folder_that_goes_away_takes_no_sample_with_it(board, tmp_path, how):
+    # It used to be noticed at the end, and then everything was lost.
+    folder = tmp_path / "day" / "runs"
+    folder.mkdir(parents=True)
+    recorder = start(record_line(board, folder / "run.h5", 4), folder / "run.h5.part")
+    if how == "renamed":
+        folder.rename(tmp_path / "day" / "old")
+        output = tmp_path / "day" / "old" / "run.h5"
+    else:
+        shutil.rmtree(folder)
+        output = tmp_path / "day" / "run.h5"
+    code, out, err = finish(recorder)
+    answer = json.loads(out)
+    assert (code, answer["file"]) == (3, str(output)), err
+    assert any(how in warning and str(output) in warning for warning in answer["warnings"])
+    assert how in err
+    assert_whole(output, 4000)
+    assert [path.name for path in output.parent.iterdir() if path.is_file()] == ["run.h5"]
+
+
+def test_a_run_file_that_appears_meanwhile_leaves_the_journal_and_says_so(board, tmp_path):
+    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    recorder = start(record_line(board, output, 2), part)
+    output.write_bytes(b"somebody's")
+    code, out, err = finish(recorder)
+    assert code == 2, err
+    assert str(part) in json.loads(out)["error"]["what"]
+    assert output.read_bytes() == b"somebody's"
+    found = run("recover", part, "-o", tmp_path / "mine.h5")
+    assert found.returncode == 0, found.stderr
+    assert_whole(tmp_path / "mine.h5", 2000)
+
+
+def test_a_port_that_stays_away_is_reported_at_once_and_ends_in_exit_4(board, tmp_path):
+    # 3.9 of 8 s used to be a healthy run, after 30 s without a word.
+    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
+    recorder = start(record_line(board, output, 4), part)
+    board.path.unlink()
+    os.close(os.dup(board._master))
+    began = time.monotonic()
+    board._over.set()
+    board.join()
+    os.close(board._master)
+    os.close(board._slave)
+    board._unplug = lambda: None
+    said = ""
+    while "waiting up to" not in said:
+        said += recorder.stderr.readline()
+    assert time.monotonic() - began < 2
+    code, out, err = finish(recorder)
+    answer = json.loads(out)
+    assert (code, answer["ended"]) == (4, "port lost"), err
+    assert any("of the 4 s asked for: the port was lost" in warning for warning in answer["warnings"])
+    assert_whole(output, answer["samples"])
