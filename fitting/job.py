@@ -80,14 +80,13 @@ def fit_runs(
     progress: Callable[[float], None] | None = None,
 ) -> FitOutput:
     """Smooth what is not yet smoothed, rank the laws, and write the pages."""
-    speed = options.belt_speed
-    known = "auto" if speed is None or isinstance(speed, str) else speed
-    motions = [smooth(run.recording, belt_speed=known) if run.kinematics is None else run.kinematics for run in runs]
+    # Sticks are looked for at the record's own speed: a wrong stated one would hide them.
+    motions = [smooth(run.recording) if run.kinematics is None else run.kinematics for run in runs]
     ranking = rank(
         motions,
         [run.rig for run in runs],
         options.laws,
-        belt_speed=speed,
+        belt_speed=options.belt_speed,
         excluded=options.excluded,
         alpha=options.alpha,
         jobs=jobs,

@@ -19,6 +19,10 @@ from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
 
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
+FEWEST_STICKS = 4
+# Of a stated belt speed, sticks that may be its own: on a ramp they creep, by up to its half-width.  Sticks outside
+# are used instead of the statement; whether that is a contradiction, the fitted belt speed decides.
+SLOWEST_STICKS, FASTEST_STICKS = 0.8, 1.05
 FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
 
 
@@ -34,6 +38,8 @@ class MeasuredMotion:
         True at a sample that does not follow the one before it: a gap, or a new segment.
     belt_speed : float
         m/s, > 0: a first value; the fit finds its own.
+    stated_speed : Measured or None
+        m/s, in the record's own sign: what the caller or the calibration states, whether used or not.
     belt_prior, datum_prior, damping_prior : Measured or None
         What the calibration knows: belt speed (m/s), spring's rest position in this record (m), damping c (N s/m).
     mass, stiffness : Measured or None
@@ -65,6 +71,7 @@ class MeasuredMotion:
     acceleration: Array
     broken: NDArray[np.bool_]
     belt_speed: float
+    stated_speed: Measured | None
     belt_prior: Measured | None
     datum_prior: Measured | None
     damping_prior: Measured | None
@@ -107,7 +114,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         The calibration to use, with the caller's changes already applied.
     belt_speed : float, "channel" or None
         m/s, signed, when the caller states it: it goes before the belt's own counts.  Otherwise these are used where
-        there are any ("channel": there must be), else the plateaus and the calibration decide.
+        there are any ("channel": there must be), else the calibration and the sticks.  A stated speed that the
+        sticks contradict is not used (`fitting.selection.contradictions` reports it).
 
     Raises
     ------
@@ -132,20 +140,22 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
         )
     channel = _channel(kinematics, belt_speed)
-    stated_speed = belt_speed if isinstance(belt_speed, float | int) else None
-    speed = _belt_speed(kinematics, rig, stated_speed)
+    stated = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else rig.belt_speed
+    seen = speed_in_sticks(kinematics)
+    believed = stated if stated is not None and _is_possible(stated, seen) else None
+    speed = _belt_speed(kinematics, believed, seen, given=isinstance(belt_speed, float | int))
     sign = math.copysign(1.0, speed)
     interval = np.diff(kinematics.time)
     usual = float(np.median(interval))
     segment = recording.segment
     broken = np.r_[True, (interval > FASTER_GAP * usual) | (np.diff(segment.astype(np.int64)) != 0)]
     rest = _rest_position(rig, recording.rig, sign)
-    stated = Measured(stated_speed) if stated_speed is not None else rig.belt_speed
+    prior = believed
     if channel is not None:
         middle = 0.5 * float(kinematics.position.max() + kinematics.position.min())
         unknown = Measured(middle, 0.5 * float(np.ptp(kinematics.position)))
-        stated = channel.speed_without_load(unknown if rest is None else Measured(sign * rest.value, rest.sd))
-        stated = replace(stated, sd=math.hypot(stated.sd, _length_error(recording.rig) * stated.value))
+        prior = channel.speed_without_load(unknown if rest is None else Measured(sign * rest.value, rest.sd))
+        prior = replace(prior, sd=math.hypot(prior.sd, _length_error(recording.rig) * prior.value))
     return MeasuredMotion(
         time=kinematics.time,
         measured=sign * kinematics.measured,
@@ -154,7 +164,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         acceleration=sign * kinematics.acceleration,
         broken=broken,
         belt_speed=abs(speed),
-        belt_prior=None if stated is None else Measured(abs(stated.value), stated.sd),
+        stated_speed=stated,
+        belt_prior=None if prior is None else Measured(abs(prior.value), prior.sd),
         datum_prior=rest,
         damping_prior=rig.damping,
         mass=rig.mass,
@@ -207,14 +218,35 @@ def _resolution(kinematics: Kinematics) -> tuple[float, float]:
     return max(kinematics.noise, least), smallest_step(recording.position)
 
 
-def _belt_speed(kinematics: Kinematics, rig: Rig, stated: float | None) -> float:
-    """Return a first belt speed, signed: stated, else the plateaus', else the calibration's, else the fastest drag."""
-    if stated is not None:
-        return stated
-    if math.isfinite(kinematics.belt_speed) and kinematics.belt_speed != 0:
+def speed_in_sticks(kinematics: Kinematics) -> float:
+    """Return the usual speed of the sticks, m/s, signed; NaN where fewer than `FEWEST_STICKS` show one."""
+    time, x = kinematics.time, kinematics.position
+    speeds = [
+        (x[stick.last] - x[stick.first]) / (time[stick.last] - time[stick.first])
+        for stick in kinematics.sticks
+        if stick.last > stick.first
+    ]
+    return float(np.median(speeds)) if len(speeds) >= FEWEST_STICKS else math.nan
+
+
+def _is_possible(stated: Measured, seen: float) -> bool:
+    """Return whether sticks at the speed ``seen`` may be those of a belt that runs at the stated speed."""
+    if stated.value == 0 or not math.isfinite(seen):
+        return stated.value != 0
+    slack = 4 * stated.sd / abs(stated.value)
+    return SLOWEST_STICKS - slack < seen / stated.value < FASTEST_STICKS + slack
+
+
+def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, *, given: bool) -> float:
+    """Return a first belt speed, signed: what the caller gave, the plateaus', the calibration's, the fastest drag's."""
+    if believed is not None and given:
+        return believed.value
+    if math.isfinite(kinematics.belt_speed) and kinematics.belt_speed != 0 and (believed or not math.isfinite(seen)):
         return float(kinematics.belt_speed)
-    if rig.belt_speed is not None and rig.belt_speed.value != 0:
-        return rig.belt_speed.value
+    if math.isfinite(seen):
+        return seen
+    if believed is not None and believed.value != 0:
+        return believed.value
     # Constant friction ends in a sine that just reaches the belt's speed; the drag displaces its middle.
     middle = 0.5 * (kinematics.position.max() + kinematics.position.min())
     direction = 1.0 if middle >= kinematics.position[0] else -1.0

@@ -5,9 +5,13 @@ gradients of the cycles shows how far the estimate would move with other cycles.
 out too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.
 """
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.runfile.rig import Measured
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import SchurComplement, eigen
 
@@ -28,13 +32,7 @@ def covariance(fit: Fit, precision: Array) -> Array:
     H = reduced.H
     own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.local_step(blocks.gl))
     cycles = own.shape[0]
-    # All in units of the curvatures: nothing overflows where a record shows next to nothing of an unknown.  A weak
-    # direction must neither make the inverse fail nor pass for a known one: one that only rounding holds gets the
-    # variance of a guess that is all there is to it.
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * np.diag(blocks.H), 1e-100)))
-    size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
-    half = axes / np.sqrt(np.maximum(size, 1e-15))
-    bread = np.einsum("ik,jk->ij", half, half)
+    scale, bread = _inverse(H, np.diag(blocks.H))
     own = own * scale
     meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(precision * scale**2)
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
@@ -43,3 +41,38 @@ def covariance(fit: Fit, precision: Array) -> Array:
     spread = sandwich * floor[:, None] * floor
     np.fill_diagonal(spread, np.maximum(np.diag(spread), least))
     return np.asarray(spread * scale[:, None] * scale)
+
+
+def without_prior(fit: Fit, index: int) -> Measured:
+    """Return what the record alone shows of a parameter that has a prior: one Newton step away from the fitted value.
+
+    Parameters
+    ----------
+    fit : Fit
+    index : int
+        Of the parameter among the active ones.  The priors of the others stay.
+    """
+    blocks, place = fit.solution.blocks, fit.active[index]
+    weight = float(fit.precision[index])
+    precision = fit.precision.copy()
+    precision[index] = 0.0
+    curvature = blocks.H.copy()
+    curvature[index, index] -= weight
+    alone = replace(fit, solution=replace(fit.solution, blocks=replace(blocks, H=curvature)), precision=precision)
+    scale, bread = _inverse(SchurComplement(alone.solution.blocks).H, np.diag(curvature))
+    value = float(fit.u[place])
+    step = float(bread[index, index] * scale[index] ** 2) * weight * (value - float(fit.problem.prior[place]))
+    return Measured(value + step, math.sqrt(float(covariance(alone, precision)[index, index])))
+
+
+def _inverse(H: Array, raw: Array) -> tuple[Array, Array]:
+    """Return units (p,) of the parameters and the inverse (p, p) of reduced curvatures in these units.
+
+    In units of the curvatures nothing overflows where a record shows next to nothing of an unknown.  A weak direction
+    must neither make the inverse fail nor pass for a known one: one that only rounding holds gets the variance of a
+    guess that is all there is to it.  ``raw`` (p,) are the curvatures before elimination.
+    """
+    scale = 1 / np.sqrt(np.maximum(np.diag(H), np.maximum(ROUNDING * raw, 1e-100)))
+    size, axes = eigen(np.clip(H * scale[:, None] * scale, -1.0, 1.0))  # rounding must not pass for knowledge
+    half = axes / np.sqrt(np.maximum(size, 1e-15))
+    return scale, np.asarray(np.einsum("ik,jk->ij", half, half))

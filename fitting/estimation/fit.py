@@ -1,5 +1,6 @@
 """What a search knows after a pass, and the fit that it ends in."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -121,6 +122,12 @@ class Fit:
     def geometric_mean_rms(self) -> float:
         """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
+    @property
+    def misfit(self) -> float:
+        """What noise (the largest of all runs) does not explain of the geometric mean of the cycles' errors, m."""
+        noise = max(motion.resolution for motion in self.problem.motions)
+        return math.sqrt(max(self.geometric_mean_rms**2 - noise**2, 0.0))
 
     @property
     def law_parameters(self) -> int:

@@ -19,6 +19,7 @@ from fitting.estimation import break_aways, derived, search
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence, phase_distance, screening, verdict
+from fitting.selection.contradictions import find_contradictions
 from fitting.selection.evidence import FEWEST_CYCLES, Evidence, ModelSet
 from fitting.selection.result import LawResult
 from fitting.selection.result import Ranking as Ranking
@@ -111,9 +112,9 @@ def rank(
         motion = frame.from_kinematics(record, record.recording.rig if known is None else known, belt_speed)
         runs.append(_run(motion, frozenset(excluded)))
     sources = [str(record.recording.source) for record in records]
-    sustained = _check(runs, sources)
+    sustained = _check(runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
-    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), sources)
+    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
     fits = search.fit_laws(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
     if not sustained and evidence.rules_out_constant_friction(fits, runs):
         sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
@@ -125,9 +126,9 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
-    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), sources)
+    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
     if not sustained and not any(run.cut.starts_at_rest for run in runs):
-        _refuse(screening.SINE_ALONE, sources)
+        _refuse(screening.SINE_ALONE, records)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
     tables = [_rows(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered]
@@ -138,8 +139,11 @@ def rank(
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
         own = tuple(table[number] for table in tables)
         events = break_aways.find_break_aways(own[0].fit, run.motion, run.cut)
-        said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, sustained=sustained)
-        sides.append(Ranking(words, chosen.members, own, events, said, run.motion, run.cut))
+        made_with = record.recording.rig
+        contradicted = find_contradictions(ordered[0], run.motion, own[0].parameters, made_with, number)
+        findings = (*record.findings, *contradicted)
+        said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, findings, sustained=sustained)
+        sides.append(Ranking(words, chosen.members, own, events, said, run.motion, run.cut, findings=findings))
     cpu_s = clock.process_time() - begun
     if len(sides) == 1:
         return replace(sides[0], cpu_s=cpu_s)
@@ -153,6 +157,7 @@ def rank(
         motion=runs[0].motion,
         cut=runs[0].cut,
         cpu_s=cpu_s,
+        findings=tuple(finding for side in sides for finding in side.findings),
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
     )
 
@@ -228,13 +233,13 @@ def _check_together(records: Sequence[Kinematics], belt_speed: float | str | Non
         )
 
 
-def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
+def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     """Return whether the mass sticks in the long run; raise DataError unless there are enough cycles of one kind."""
     kinds = [run.cut.plateau_fraction >= SUSTAINED for run in runs]
     sustained = all(kinds)
-    for run, kind, source in zip(runs, kinds, sources, strict=True):
-        if what := screening.reject_by_cycles(run.motion, run.cut, sustained=kind):
-            raise DataError(f"no belt stick-slip in this record: {what}", source, screening.AGAIN)
+    for run, kind, record in zip(runs, kinds, records, strict=True):
+        _refuse(screening.reject_by_cycles(run.motion, run.cut, sustained=kind), [record])
+    sources = [str(record.recording.source) for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
         raise DataError(
@@ -252,13 +257,10 @@ def _check(runs: Sequence[Run], sources: Sequence[str]) -> bool:
     return sustained
 
 
-def _refuse(what: str, sources: Sequence[str]) -> None:
-    """Raise DataError where ``what`` says why the record is no belt stick-slip."""
-    do = "check the calibration and the belt speed, or look at it with 'process inspect'"
-    if what == screening.SINE_ALONE:
-        do = "record again from before the belt starts: the first drag distinguishes law 1 from law 2"
-    if what:
-        raise DataError(f"no belt stick-slip in this record: {what}", ", ".join(sources), do)
+def _refuse(why: str, records: Sequence[Kinematics]) -> None:
+    """Raise DataError where ``why`` says why the laws cannot be ranked."""
+    if why:
+        raise DataError(*screening.refusal(why, records))
 
 
 def _rows(fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool) -> list[LawResult]:

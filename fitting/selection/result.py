@@ -7,6 +7,7 @@ from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway, Parameter
+from processing.record.finding import Finding
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,9 @@ class Ranking:
         Best first, those in the set before all others.
     events : tuple of BreakAway
     warnings : tuple of str
+        The texts of the findings among them.
+    findings : tuple of Finding
+        Contradictions between calibration and record, and the faults that smoothing found.
     motion, cut
         What was fitted, in the fit's frame; the first run's where there are several.
     cpu_s : float
@@ -89,6 +93,7 @@ class Ranking:
     motion: MeasuredMotion = field(repr=False)
     cut: CycleSegmentation = field(repr=False)
     cpu_s: float = 0.0
+    findings: tuple[Finding, ...] = ()
     runs: "tuple[Ranking, ...]" = ()
 
     @property
@@ -111,6 +116,7 @@ class Ranking:
             "ranking": [row.as_json() for row in self.rows],
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
+            "findings": [vars(finding) for finding in self.findings],
             "cpu_s": self.cpu_s,
         }
         if self.runs:

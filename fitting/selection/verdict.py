@@ -8,6 +8,7 @@ from fitting.data.frame import MeasuredMotion
 from fitting.model.parameters import Global
 from fitting.model.problem import NARROWEST_RAMP
 from fitting.selection.result import LawResult
+from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
@@ -87,15 +88,15 @@ def warnings(
     motion: MeasuredMotion,
     cut: CycleSegmentation,
     kinematics: Kinematics,
+    findings: Sequence[Finding],
     *,
     sustained: bool,
 ) -> tuple[str, ...]:
     """Return the warnings that belong to a verdict."""
     best = rows[0]
     warned = []
-    beyond_noise = math.sqrt(max(best.fit.geometric_mean_rms**2 - motion.resolution**2, 0.0))
-    if beyond_noise > POOR_FIT * motion.travel:
-        share = 100 * beyond_noise / motion.travel
+    if best.fit.misfit > POOR_FIT * motion.travel:
+        share = 100 * best.fit.misfit / motion.travel
         warned.append(
             f"no law fits well: the typical error of the best one is {share:.2g} % of the motion, "
             "so the friction may follow none of the six"
@@ -129,7 +130,7 @@ def warnings(
         )
     if motion.per_mass:
         warned.append("no mass: forces are given per kilogram (give --mass or --stiffness for newtons)")
-    warned += _contradicted(best, motion)
+    warned += [finding.text for finding in findings]
     left = [cycle for cycle in cut.cycles if cycle.flag and cycle.flag != "excluded"]
     if left:
         reasons = ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
@@ -152,24 +153,6 @@ def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tup
     common = [text for text in warned[0] if all(text in own for own in warned)]
     apart = ((name, text) for name, own in zip(names, warned, strict=True) for text in own if text not in common)
     return (*common, *(f"{name}: {text}" for name, text in apart))
-
-
-def _contradicted(best: LawResult, motion: MeasuredMotion) -> list[str]:
-    """Return a warning for each calibration that the best law contradicts by more than three standard deviations."""
-    u, warned = best.fit.u, []
-    for name, index, prior, unit in (
-        ("datum", Global.DATUM, motion.datum_prior, "m"),
-        ("belt speed", Global.V_DR, motion.belt_prior, "m/s"),
-    ):
-        if prior is None or prior.sd <= 0:
-            continue
-        z = (float(u[index]) - prior.value) / prior.sd
-        if abs(z) > 3:
-            warned.append(
-                f"{name} contradicts its calibration by {abs(z):.1f} standard deviations "
-                f"({u[index]:.4g} against {prior.value:.4g} {unit})"
-            )
-    return warned
 
 
 def format_length(metres: float) -> str:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.imports import track
+from daq.imports.options import ImportOptions
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
@@ -229,3 +231,19 @@ def nominal(law, seed, **changes):
         datum_error=5e-4 * rng.standard_normal(),
         **changes,
     )
+
+
+def camera(law, noise, seed=1, duration=30.0, **changes):
+    """Return times (s) and positions (m) of a camera track: 400 frames a second, ``noise`` (m) on each position."""
+    scene = replace(
+        Scene(law=law, seed=seed, duration=duration, rate=400.0, jitter=0.0, delta=0.0, G_slip=0.3), **changes
+    )
+    time, _, position, _ = sampled(scene)
+    return time - time[0], position + np.random.default_rng([seed, 400]).normal(0, noise, time.size)
+
+
+def imported(path, time, position, decimals=5, **options):
+    """Write a table of times and positions, and return the recording that is imported from it, bare of calibration."""
+    rows = np.c_[time, np.round(position, decimals)]
+    np.savetxt(path, rows, fmt=["%.6f", f"%.{max(decimals, 1)}f"], delimiter=",", header="t,x", comments="")
+    return track.read(path, ImportOptions(**options)).run

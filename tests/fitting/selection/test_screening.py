@@ -13,6 +13,7 @@ from daq.errors import DataError
 from daq.runfile.rig import Measured, Rig
 from fitting import cli
 from fitting.estimation import search
+from fitting.selection import screening
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -143,3 +144,29 @@ def test_a_triangular_wave_is_no_ramp_that_is_never_left(strangers, synthetic):
 def test_a_law_that_fits_badly_is_said_to_do_so(synthetic):
     ranking = rank(smooth(synthetic.recording(law=5)), laws=(1,))
     assert any("no law fits well" in warning for warning in ranking.warnings)
+
+
+def test_paper_on_paper_is_stick_slip_that_no_law_describes(published):
+    # "no belt stick-slip in this record" was said of 93 and of 227 sticks.
+    with pytest.raises(DataError, match="stick-slip, but none of the six laws: ") as refused:
+        rank(smooth(published("k168Nm_v1100")))
+    assert refused.value.exit_code == 4
+
+
+@pytest.mark.slow
+def test_break_aways_that_wander_are_stick_slip_too(published):
+    with pytest.raises(DataError, match="stick-slip, but none of the six laws: "):
+        rank(smooth(published("k168Nm_v42")))
+
+
+def test_a_record_that_hardly_sticks_is_said_to(published):
+    with pytest.raises(DataError, match=r"it sticks for \d.* % of the time"):
+        rank(smooth(published("k168Nm_v4300")))
+
+
+@pytest.mark.parametrize("seed", [1, 5, 7])
+def test_a_drive_at_nearly_constant_speed_is_no_stick_slip(strangers, synthetic, seed):
+    time, position = strangers.positioning_drive(np.random.default_rng(seed))
+    blank = synthetic.recording(law=5, duration=1.0)
+    recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=Rig())
+    assert not screening.is_stick_slip(smooth(recording))

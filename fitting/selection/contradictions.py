@@ -1,0 +1,101 @@
+"""Contradictions: what was stated of the rig beside what the record shows.
+
+A calibration is a prior of the fit, so the fitted value lies between the two and hides the contradiction.  Each is
+therefore compared with what the record alone shows, by the best law (`fitting.estimation.covariance.without_prior`).
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+
+from daq.runfile.rig import Measured, Rig
+from fitting.data.frame import MeasuredMotion
+from fitting.estimation.covariance import without_prior
+from fitting.estimation.fit import Fit
+from fitting.estimation.result import Parameter
+from fitting.model.parameters import PER_RUN, Global
+from processing.record.finding import Finding
+from rig_sim.friction.law import LAWS
+
+# Standard deviations.  At 3 one true calibration in 400 would be reported, and as many again because an interval from
+# 16 cycles is itself uncertain; at 5 a belt speed wrong by less than 5 % of its stated value would pass.
+SURE = 4.0
+STATED_SD = 0.01  # of a value that was stated without an error: people read a speed, a mass or a spring to about 1 %
+
+
+def find_contradictions(
+    fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int = 0
+) -> list[Finding]:
+    """Return what of a run's calibration its record contradicts by more than `SURE` standard deviations.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of the best law, all runs together.
+    motion : MeasuredMotion
+        Of the run.
+    parameters : mapping
+        Of the best law in this run (`fitting.estimation.derived`).
+    recorded : Rig
+        Calibration with which the positions were made.
+    run : int
+
+    Returns
+    -------
+    list of Finding
+        In the record's own signs, SI units.
+    """
+    found = []
+    for code, unit, value, expected, used in _compared(fit, motion, parameters, recorded, run):
+        spread = math.hypot(value.sd, expected.sd)
+        sigmas = abs(value.value - expected.value) / spread if spread > 0 else 0.0
+        if sigmas > SURE:
+            text = (
+                f"{code.replace('-', ' ')}: {expected.value:.4g} {unit} was stated, the record shows {value.value:.4g} "
+                f"+- {value.sd:.2g} {unit} ({sigmas:.3g} standard deviations apart); the fit used {used}"
+            )
+            found.append(Finding(code, text, value.value, expected.value, sigmas))
+    return found
+
+
+def _compared(
+    fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
+) -> Iterator[tuple[str, str, Measured, Measured, str]]:
+    """Yield code, unit, what the record shows, what was stated, and which of both the fit used."""
+    if motion.stated_speed is not None:
+        seen = _seen(fit, Global.V_DR, run)
+        # Without sticks the belt's speed depends on the datum, which constant friction does not show.
+        spread = parameters["v_dr"].stderr if LAWS[fit.law].curve == "constant" else 0.0
+        seen = Measured(motion.sign * seen.value, math.hypot(max(seen.sd, spread), motion.length_error * seen.value))
+        used = "the belt's counts" if motion.belt_measured else _used(motion.belt_prior)
+        yield "belt-speed", "m/s", seen, _with_error(motion.stated_speed), used
+    if motion.datum_prior is not None:
+        seen, stated = _seen(fit, Global.DATUM, run), motion.datum_prior
+        zero = recorded.datum.value if recorded.datum is not None else 0.0  # the datum is count zero's, not the rest's
+        seen, stated = (Measured(zero - motion.sign * rest.value, rest.sd) for rest in (seen, stated))
+        yield "datum", "m", seen, stated, "both" if stated.sd > 0 else "the stated one"
+    mass = motion.mass.value if motion.mass else motion.stiffness.value / fit.values.K if motion.stiffness else None
+    if motion.damping_prior is not None and mass is not None:
+        seen, stated = _seen(fit, Global.DAMPING, run), motion.damping_prior
+        used = "both" if stated.sd > 0 else "the stated one"
+        yield "damping", "N s/m", Measured(mass * seen.value, mass * seen.sd), stated, used
+    if motion.mass is not None and motion.stiffness is not None:
+        known, ratio = _with_error(motion.mass), parameters["k/m"]
+        value = ratio.value * known.value
+        spread = value * math.hypot(ratio.stderr / ratio.value, known.sd / known.value)
+        used = f"the mass of {known.value:.4g} kg and the record's k/m"
+        yield "stiffness", "N/m", Measured(value, spread), _with_error(motion.stiffness), used
+
+
+def _used(prior: Measured | None) -> str:
+    """Return what the fit used of a stated value: as a prior, as a first value alone, or not at all."""
+    return "both" if prior is not None and prior.sd > 0 else "the record's"
+
+
+def _seen(fit: Fit, slot: Global, run: int) -> Measured:
+    """Return what the record alone shows of a parameter of a run; of those that runs share there is one."""
+    place = PER_RUN * run + slot
+    return without_prior(fit, fit.active.index(place if place in fit.active else slot))
+
+
+def _with_error(stated: Measured) -> Measured:
+    return stated if stated.sd > 0 else Measured(stated.value, STATED_SD * abs(stated.value))

@@ -1,0 +1,74 @@
+"""Camera tracks, bare of calibration: 400 frames a second, 0.2 or 1 mm of noise, the decimals that a program prints."""
+
+import numpy as np
+import pytest
+
+from fitting.data import frame
+from fitting.selection import ranking
+from fitting.selection.ranking import rank
+from processing.smoothing import smooth
+
+
+@pytest.fixture
+def track(synthetic, tmp_path):
+    """Give a function that imports a camera track: ``track(law, noise, seed, decimals)``."""
+
+    def of(law, noise, seed=1, decimals=5, **changes):
+        time, position = synthetic.camera(law, noise, seed, **changes)
+        return synthetic.imported(tmp_path / "track.csv", time, position, decimals)
+
+    return of
+
+
+@pytest.mark.parametrize("decimals", [4, 6])
+def test_the_resolution_of_a_table_is_its_noise_whatever_was_printed(track, decimals):
+    # It was the last printed decimal: 0.03 mm or 0.3 um here.
+    recording = track(5, 1e-3, decimals=decimals)
+    motion = frame.from_kinematics(smooth(recording), recording.rig, None)
+    assert motion.resolution == pytest.approx(1e-3, rel=0.1)
+
+
+def test_a_start_at_rest_is_seen_and_no_ripple_under_a_millimetre_of_noise(track):
+    # Noise in the velocity hid the rest, and the best of many frequencies passed for a ripple of the belt.
+    recording = track(5, 1e-3)
+    motion = frame.from_kinematics(smooth(recording), recording.rig, None)
+    run = ranking._run(motion, frozenset())
+    assert run.cut.starts_at_rest
+    assert run.ripple is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [2, 4])
+def test_a_ramp_is_found_under_0_2_mm_of_noise(track, law):
+    # A true law 2 was law 1 alone six times of six, a true law 4 law 5 alone, with a belt speed off by 100 errors.
+    found = rank(smooth(track(law, 2e-4)))
+    assert law in found.laws_in_set
+    speed = found.row(law).parameters["v_dr"]
+    assert speed.lo <= 0.22 <= speed.hi
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [2, 3, 4, 5, 6])
+def test_a_millimetre_of_noise_leaves_the_truth_in_the_set_without_a_false_alarm(track, law):
+    # A true law 5 was law 3 alone with Fs 40 % off; "no law fits well" was said of 17 of 17.
+    found = rank(smooth(track(law, 1e-3)))
+    assert law in found.laws_in_set
+    assert not any("no law fits well" in warning for warning in found.warnings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "noise"), [(2, 2e-4), (3, 1e-3)])
+def test_printed_decimals_do_not_change_the_set(track, law, noise):
+    sets = [set(rank(smooth(track(law, noise, decimals=decimals))).laws_in_set) for decimals in (4, 6)]
+    assert sets[0] == sets[1]
+
+
+def test_constant_friction_is_judged_by_noise_where_noise_hides_the_step(track):
+    from fitting.selection.evidence import constant_friction_limit
+
+    limits = []
+    for decimals in (4, 6):
+        recording = track(2, 2e-4, decimals=decimals)
+        limits.append(constant_friction_limit(frame.from_kinematics(smooth(recording), recording.rig, None)))
+    assert limits[0] == pytest.approx(limits[1], rel=0.05)
+    assert np.all(np.array(limits) < 1.4 * 2e-4)
