@@ -45,11 +45,11 @@ class Fit:
     ----------
     problem : EstimationProblem
         The law and the runs.
-    u : (12 runs,) f8
+    u : (13 runs,) f8
         Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
         datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), compliance (belt speed lost per metre
-        of spring stretch, 1/s), and the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s); see
-        `fitting.model.parameters`.
+        of spring stretch, 1/s), the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s), and a
+        ramp's break-away level over F; see `fitting.model.parameters`.
     active : tuple of int
         Which of them this law has and the fit moves.
     local : (cycles, 6) f8

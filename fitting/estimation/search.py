@@ -14,6 +14,7 @@ from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
 LOCAL_MINIMUM = 0.995  # of a law's error: where its jump or ramp law errs less than that, it found a better place
+OTHER_CURVE = 0.5  # of a law's error: where a law of another curve errs so much less, the law starts from there too
 GIVE_UP_FACTOR = 30.0  # times the best law's error after the first pass: beyond, no more passes
 # Times the best law's error: up to there a law is fitted to every sample, beyond only to the thinned record,
 # which saves CPU time.  Chosen by trial; not swept.
@@ -56,6 +57,8 @@ def fit_laws(
             done += len(own)
             if progress is not None:
                 progress(float(done))
+        started = each(partial(_started_from_others, runs=runs, coarse=tuple(found)), curves.values())
+        found = [fit for own in started for fit in own]
         for step, factor in ((_refined, GIVE_UP_FACTOR), (_final, FULL_RECORD_FACTOR)):
             limit = factor * min((fit.geometric_mean_rms for fit in found), default=0.0)
             chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
@@ -74,6 +77,23 @@ def _coarse_fits(laws: Sequence[int], runs: Sequence[Run]) -> list[Fit]:
     return list(found.values())
 
 
+def _started_from_others(laws: Sequence[int], runs: Sequence[Run], coarse: Sequence[Fit]) -> list[Fit]:
+    """Start the laws of one curve from the fits of other curves too, where these err much less, or are contained."""
+    own = {fit.law: fit for fit in coarse if fit.law in laws}
+    for law in laws:
+        if LAWS[law].curve == "constant":
+            continue  # it is contained in the others
+        for near in coarse:
+            related = LAWS[near.law].contact == LAWS[law].contact and LAWS[near.law].curve != LAWS[law].curve
+            factor = LOCAL_MINIMUM if LAWS[near.law].curve == "constant" else OTHER_CURVE
+            if related and (law not in own or near.geometric_mean_rms < factor * own[law].geometric_mean_rms):
+                _keep_better(own, law, trajectory.coarse_fit(EstimationProblem.build(law, runs), near, alone=True))
+    for law in own:
+        if LAWS[law].ramp and law - 1 in own:
+            _contain(own, law)
+    return list(own.values())
+
+
 def _refined(chain: Sequence[Fit], limit: float) -> list[Fit]:
     """Refine the laws of one curve whose error is below ``limit``; the others stay as they are."""
     found = {fit.law: fit for fit in chain}
@@ -88,18 +108,29 @@ def _retried(
 ) -> list[Fit]:
     """Fit a law again from its jump or ramp law where that errs less: it is stuck where the other finds a way.
 
-    A jump law can be as good as its ramp law only where the ramp is narrow.
+    A ramp law contains its jump law.  A jump law can be as good as its ramp law only where the ramp is narrow.
     """
     for ramp in (law for law in found if LAWS[law].ramp and law - 1 in found):
         slowest = min(motion.belt_speed for motion in found[ramp].problem.motions)
         narrow = found[ramp].values.d < trajectory.NARROW_RAMP * slowest
-        for law, other in ((ramp, ramp - 1), (ramp - 1, ramp)):
-            behind = found[other].geometric_mean_rms < LOCAL_MINIMUM * found[law].geometric_mean_rms
-            if behind and found[other].geometric_mean_rms < limit and (law == ramp or narrow):
-                again = fit_from(found[law].problem, found[other])
-                if again is not None and again.geometric_mean_rms < found[law].geometric_mean_rms:
-                    found[law] = again
+        better = found[ramp].geometric_mean_rms
+        if narrow and better < limit and better < LOCAL_MINIMUM * found[ramp - 1].geometric_mean_rms:
+            _keep_better(found, ramp - 1, fit_from(found[ramp - 1].problem, found[ramp]))
+        _contain(found, ramp)
     return list(found.values())
+
+
+def _contain(found: dict[int, Fit], ramp: int) -> None:
+    """Make sure that a ramp law does not err more than its jump law."""
+    jump = found[ramp - 1]
+    if found[ramp].geometric_mean_rms > trajectory.CONTAINED * jump.geometric_mean_rms:
+        _keep_better(found, ramp, trajectory.contain(found[ramp].problem, jump))
+
+
+def _keep_better(found: dict[int, Fit], law: int, fit: Fit | None) -> None:
+    """Take ``fit`` as the law's if it errs less than the one found."""
+    if fit is not None and (law not in found or fit.geometric_mean_rms < found[law].geometric_mean_rms):
+        found[law] = fit
 
 
 def _final(chain: Sequence[Fit], limit: float) -> list[Fit]:

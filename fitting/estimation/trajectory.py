@@ -22,7 +22,7 @@ from daq.compute.arrays import Array, autocorrelation_time
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import levenberg_marquardt
 from fitting.estimation.fit import Fit, PassState
-from fitting.model import parameters
+from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows, evaluator
@@ -33,7 +33,8 @@ from rig_sim.friction.law import LAWS
 FIRST_SCATTER = 0.1  # standard deviation of the friction levels before the fit has seen them
 OVERTAKING_LEVEL = 0.9  # of the load at landing: starting value of the friction level where the mass overtakes the belt
 FIRST_SIGMA = 10.0  # of the resolution: nearly any misfit outweighs the calibrations in the first pass
-NARROW_RAMP = 0.02  # of the belt's speed: the second start of a ramp law
+FIRST_RAMP = 1e-4  # of the belt's speed: where a ramp law starts from its jump law
+NARROW_RAMP = 0.02  # of the belt's speed: a jump law may start from a ramp law with a narrower ramp
 COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
@@ -45,6 +46,8 @@ DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has
 
 STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 ALTERNATIVE_FACTOR = 10.0  # times the best start's error after the first pass: beyond it a start is given up
+LOST_MINIMUM = 1.05  # times the error before: a pass that ends so much worse has left its minimum and is undone
+CONTAINED = 1.0005  # times its jump law's error: a ramp law that errs more is in a poor minimum
 SAME_MINIMUM = 1.001  # times the best start's error: a start that ends so near it has led to the same minimum
 # Of the levels' own scatter, without a datum: their prior would otherwise pull at the datum, as the larger Fs is, the
 # less the levels scatter relative to it.
@@ -64,8 +67,8 @@ def coarse_fit(
     problem : EstimationProblem
         Its runs have one used cycle or more each.
     near : Fit, optional
-        The law of the same curve with the other contact, fitted before: a second start.  A ramp law takes it with a
-        narrow ramp, so that it never ends up worse than the law it contains; a jump law without the ramp.
+        Another law, fitted before to the same windows: a second start (`_start_from`).  A ramp law takes its jump law
+        with a very narrow ramp, and so begins where that ended.
     alone : bool
         Start from ``near`` alone.
     max_steps : int, optional
@@ -79,13 +82,11 @@ def coarse_fit(
     """
     begun = clock.process_time()
     windows = _windows(problem, thinned=True)
-    starts = [_starting_state(problem, windows)]
+    begin = [_starting_state(problem, windows)]
     if near is not None:
-        u = near.u.copy()
-        slowest = min(motion.belt_speed for motion in problem.motions)
-        u[Global.D :: PER_RUN] = NARROW_RAMP * slowest if problem.ramp else starts[0].u[Global.D]
-        starts = [*([] if alone else starts), replace(starts[0], u=u, local=near.local)]
-    ended = [_search_pass(problem, windows, first, 0, max_steps) for first in starts]
+        second = replace(begin[0], u=_start_from(problem, near), local=near.local)
+        begin = [second] if alone else [*begin, second]
+    ended = [_search_pass(problem, windows, first, 0, max_steps) for first in begin]
     found = sorted((state for state in ended if state is not None), key=lambda state: state.geometric_mean_rms)
     if not found:
         return None
@@ -94,6 +95,26 @@ def coarse_fit(
         state for state in found[1:] if SAME_MINIMUM < state.geometric_mean_rms / lowest < ALTERNATIVE_FACTOR
     )
     return replace(_fit(problem, windows, found[0], clock.process_time() - begun), alternatives=others)
+
+
+def _start_from(problem: EstimationProblem, near: Fit) -> Array:
+    """Return the unknowns at which another law's fit would begin to be this law.
+
+    A ramp begins next to none; a curve of another kind with the same friction at two slip speeds.
+    """
+    u = near.u.copy()
+    law, other = LAWS[problem.law], LAWS[near.law]
+    if law.ramp and not other.ramp:
+        u[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in problem.motions)
+        u[Global.STATIC :: PER_RUN] = 1.0
+    elif other.ramp and not law.ramp:
+        u[Global.D :: PER_RUN] = problem.start[Global.D :: PER_RUN]
+    if law.curve_code != other.curve_code:
+        fastest = max(float(np.max(motion.belt_speed - motion.velocity)) for motion in problem.motions)
+        p = near.values
+        F, shape = starts.matched_curve(law.curve_code, other.curve_code, p.F, p.shape, fastest)
+        u[Global.LOG_F :: PER_RUN], u[Global.SHAPE :: PER_RUN] = math.log(F), shape
+    return u
 
 
 def refine(fit: Fit) -> Fit | None:
@@ -110,7 +131,24 @@ def refine(fit: Fit) -> Fit | None:
     if not ended:
         return None
     best = min(ended, key=lambda state: state.geometric_mean_rms)
+    if best.geometric_mean_rms > LOST_MINIMUM * fit.geometric_mean_rms:
+        return None
     return _fit(fit.problem, fit.windows, best, fit.cpu_s + clock.process_time() - begun)
+
+
+def contain(problem: EstimationProblem, near: Fit) -> Fit | None:
+    """Fit a ramp law from where its jump law's fit ended, with the noise and the samples of that fit.
+
+    The error is never above the jump law's: where a lower cost comes with a larger usual error, the ramp stays next to
+    none.  None where the flow cannot be followed.
+    """
+    begun = clock.process_time()
+    first = replace(near.state, u=_start_from(problem, near))
+    for max_steps in (FINE_PASS[0], 1):
+        state = _minimise(problem, near.windows, first, max_steps, FINE_PASS[1])
+        if state is not None and state.geometric_mean_rms <= CONTAINED * near.geometric_mean_rms:
+            return _fit(problem, near.windows, state, clock.process_time() - begun)
+    return None
 
 
 def fit_from(problem: EstimationProblem, near: Fit) -> Fit | None:
@@ -200,7 +238,8 @@ def _search_pass(
     problem: EstimationProblem, windows: ShootingWindows, state: PassState, number: int, max_steps: int | None = None
 ) -> PassState | None:
     """Make one of the search's passes, then settle noise level, weights and scatter by it."""
-    passes = LONG_PASSES if any(motion.datum_prior is None for motion in problem.motions) else PASSES
+    valley = LAWS[problem.law].curve != "constant" and any(motion.datum_prior is None for motion in problem.motions)
+    passes = LONG_PASSES if valley else PASSES
     limit, tolerance = passes[number]
     first = _restart_cycles(problem, windows, state) if number == 1 else state
     found = _minimise(problem, windows, first, limit if max_steps is None else max_steps, tolerance)

@@ -1,8 +1,8 @@
 """Parameters of a fit: those that all cycles of a run share, and each cycle's own.
 
-A run has twelve global ones.  Several runs of one contact have twelve each, end to end: `SHARED_BY_RUNS` are one number
-for all, standing first and copied to every run, the others are each run's own.  A *place* counts through all runs; a
-*slot* is a place within its run.
+A run has thirteen global ones.  Several runs of one contact have thirteen each, end to end: `SHARED_BY_RUNS` are one
+number for all, standing first and copied to every run, the others are each run's own.  A *place* counts through all
+runs; a *slot* is a place within its run.
 """
 
 import math
@@ -31,6 +31,7 @@ class Global(IntEnum):
     COSINE = 9  # of the belt's ripple, m/s
     SINE = 10  # of the belt's ripple, m/s
     OMEGA = 11  # of the belt's ripple, rad/s; 0 without one
+    STATIC = 12  # break-away level over Fs, of a ramp
 
 
 class PerCycle(IntEnum):
@@ -59,6 +60,7 @@ class Values(NamedTuple):
     cosine: float = 0.0
     sine: float = 0.0
     omega: float = 0.0
+    static: float = 1.0
 
 
 PER_RUN, PER_CYCLE = len(Global), len(PerCycle)
@@ -88,13 +90,13 @@ def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) 
 
 
 def values(u: Array) -> Values:
-    """Return the global parameters u (12,) of one run by name."""
+    """Return the global parameters u (13,) of one run by name."""
     K, log_F, *others = (float(value) for value in u)
     return Values(K, math.exp(log_F), *others)
 
 
 def to_array(p: Values) -> Array:
-    """Return one run's global parameters (12,) in the order and units of `Global`."""
+    """Return one run's global parameters (13,) in the order and units of `Global`."""
     return np.array([p.K, math.log(p.F), *p[2:]])
 
 
@@ -108,7 +110,7 @@ def columns(places: Sequence[int], runs: int) -> Integers:
 
 
 def copy_shared(u: Array) -> Array:
-    """Return the parameters of all runs (12 runs,) with those that runs share copied from the first."""
+    """Return the parameters of all runs (13 runs,) with those that runs share copied from the first."""
     whole = u.reshape(-1, PER_RUN).copy()
     whole[:, SHARED_BY_RUNS] = whole[0, SHARED_BY_RUNS]
     return whole.ravel()

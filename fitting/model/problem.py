@@ -20,6 +20,7 @@ LEAST_LINEAR_FRICTION = 0.97  # of the fastest slip: how close the linear curve 
 RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
 RIPPLE_FREQUENCY_SD = 0.1  # of a turn over the whole record: further off lie other minima
 LARGEST_LOG_DROP = 30.0  # log: so far below its first value friction is none, and its exponential still a number
+LARGEST_STATIC = 5.0  # break-away level over Fs: dry contacts have 1 to 2
 NARROWEST_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
 
 
@@ -95,10 +96,11 @@ class EstimationProblem:
             for slot, (value, weight) in known.items():
                 prior[r, slot], precision[r, slot] = value, weight
             start[r] = parameters.to_array(begin)
-            scale[r] = K, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel, v, v, begin.omega
+            scale[r] = K, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel, v, v, begin.omega, 1.0
             lowest = start[r, Global.LOG_F] - LARGEST_LOG_DROP
             lower[r, : Global.DATUM] = 1e-6 * K, lowest, 0.05 * v, 0, NARROWEST_RAMP * speed
             lower[r, [Global.DAMPING, Global.OMEGA]] = 0.0
+            lower[r, Global.STATIC], upper[r, Global.STATIC] = 1.0, LARGEST_STATIC
             lower[r, Global.COMPLIANCE] = NARROWEST_RAMP * v / motion.travel
         fastest = max(motion.belt_speed for motion in motions)
         return cls(

@@ -20,7 +20,7 @@ from rig_sim.integrate.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITI
 from rig_sim.integrate.phases import sample_phase
 
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
-STICK_LOCK = 10.0  # break-away level of a jump's stick inside a window: the break-away itself lies in no window
+STICK_LOCK = 10.0  # break-away level over Fs of a stick inside a window: the break-away itself lies in no window
 FADE_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
 # Slots and columns as plain integers, for the kernels.
@@ -204,7 +204,7 @@ def window_positions(
 ) -> int:
     """Fill ``model`` (N,) with the positions of all windows and ``jacobian`` (N, p + 6) with forward differences.
 
-    ``u`` (runs, 12) and ``local`` (cycles, 6) are the unknowns, ``room`` (3, N) is scratch space.  Compiled as it
+    ``u`` (runs, 13) and ``local`` (cycles, 6) are the unknowns, ``room`` (3, N) is scratch space.  Compiled as it
     stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.  ``jacobian`` of
     no rows: positions only.  Returns 0, or the outcome that ended the flow.
     """
@@ -246,8 +246,8 @@ def window_positions(
 
 
 def values_of(u: Array) -> Values:
-    """Return the global parameters u (12,) of one run by name, as `parameters.values`; for the kernels."""
-    return Values(u[0], math.exp(u[1]), u[2], u[3], u[4], u[5], u[6], u[7], u[8], u[9], u[10], u[11])
+    """Return the global parameters u (13,) of one run by name, as `parameters.values`; for the kernels."""
+    return Values(u[0], math.exp(u[1]), u[2], u[3], u[4], u[5], u[6], u[7], u[8], u[9], u[10], u[11], u[12])
 
 
 def integrate_window(
@@ -257,13 +257,16 @@ def integrate_window(
 
     The level is the cycle's own until the landing and the next one from there on, less what it has faded by.  A
     touch of the belt before ``earliest_landing`` is no landing: the mass slips on as soon as the load exceeds its
-    level, so the motion depends continuously on where the window starts.  After the landing a jump's stick holds
-    whatever the load: its break-away is not fitted here.  Where the mass was seen to overtake the belt it slips on
-    forwards under the new level, until that stops it.
+    level, so the motion depends continuously on where the window starts.  After the landing, and in a stick window,
+    the contact holds whatever the load: the next break-away lies in no window.  A jump's stick has a large level there;
+    of a ramp level and width are both raised, which keeps its slope.  So a ramp law contains its jump law.  Where the
+    mass was seen to overtake the belt it slips on forwards under the new level, until that stops it.
+
+    A slip window that starts within a ramp contains the break-away: there the ramp ends at the break-away level, static
+    times that of slip, at the half-width d.
 
     A compliant belt is the flow's own droop, compliance F/K: a jump's contact then sticks on the ramp that the belt
-    makes, and overtakes it as a ramp law would; before a break-away, friction level and width are both raised, so that
-    it holds whatever the load.
+    makes, and overtakes it as a ramp law would.
 
     A belt that ripples, by cosine cos(omega t) + sine sin(omega t) in m/s, is followed in coordinates that move with
     it (`rig_sim.effects.ripple`): there it runs steadily and the mass is driven.  No ripple where omega is 0.
@@ -272,7 +275,7 @@ def integrate_window(
     ----------
     curve, ramp : int
         Code of the law's curve; 1 for a ramp, 0 for a jump.
-    u : (12,) f8
+    u : (13,) f8
         The run's parameters, ordered and in the units of `Global`.
     part : (6,) f8
         The cycle's own, ordered and in the units of `PerCycle`.
@@ -296,24 +299,21 @@ def integrate_window(
         even, odd = p.sine * stiff - p.damping * p.cosine, -p.cosine * stiff - p.damping * p.sine
         amplitude, phase = math.hypot(even, odd), math.atan2(-odd, even)
     w = v - p.v_dr
-    static, hold = 1.0, 1.0
     droop = p.compliance * p.F / p.K
-    if droop > 0.0:
-        edge = droop + p.d if ramp == 1 else droop
-        if stick and ramp == 0:
-            hold = STICK_LOCK
-            mode = RAMP
-            w = min(max(w, -hold * edge), hold * edge)
-        elif abs(w) <= edge:
-            mode = RAMP
-        else:
-            mode = NEGATIVE if w <= 0.0 else POSITIVE
-    elif ramp == 1 and abs(w) <= p.d:
-        mode = RAMP
-    elif ramp == 0 and stick:
+    edge = droop + p.d if ramp == 1 else droop
+    jump = edge == 0.0
+    static = p.static if ramp == 1 and droop == 0.0 else 1.0
+    hold = 1.0
+    if stick and jump:
         mode = STICK
         static = STICK_LOCK
         w = 0.0
+    elif stick:
+        mode = RAMP
+        hold = STICK_LOCK
+        w = min(max(w, -hold * edge), hold * edge)
+    elif not jump and abs(w) <= edge:
+        mode = RAMP
     else:
         mode = NEGATIVE if w <= 0.0 else POSITIVE
     work[STEPS] = 0.0
@@ -328,7 +328,7 @@ def integrate_window(
             return NOT_FINITE
         factor *= hold
         # per unit mass; the curve reads the one shape parameter that it has
-        law = (curve, ramp, p.F, static, factor, p.shape * p.F, p.shape, p.d)
+        law = (curve, ramp, p.F, static, factor, p.shape * p.F, p.shape, hold * p.d)
         flow = Flow(1.0, p.K, p.datum, p.damping, p.v_dr, *law, amplitude, omega, phase, hold * droop)
         before = mode
         kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
@@ -337,10 +337,14 @@ def integrate_window(
         if not landed and before == NEGATIVE and kind != 0 and t >= window.earliest_landing:
             landed = True
             level = math.exp(part[NEXT_LEVEL])
-            if ramp == 0 and droop == 0.0:
+            if jump:
                 static = STICK_LOCK
                 w = 0.0
                 mode = POSITIVE if window.overtakes == 1 else STICK
+            elif window.overtakes == 0:
+                hold = STICK_LOCK
+        elif landed and not stick and not jump and before == POSITIVE and kind != 0:
+            hold = STICK_LOCK
     if omega > 0.0:
         for j in range(n):
             out[j] += (p.cosine * math.sin(omega * times[j]) - p.sine * math.cos(omega * times[j])) / omega

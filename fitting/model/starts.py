@@ -17,10 +17,12 @@ from daq.runfile.rig import Measured
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.model.parameters import Values
+from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
 
-CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2
 LOOSE = 0.05  # of the travel: a rest position with a larger error is also fitted
 NO_REVERSAL = 0.8  # a linear curve starts with friction left at the fastest slip
+LEAST_SHAPE = 1e-3  # of one over the fastest slip: next to a constant
+BREAK_AWAY_MARGIN = 0.1  # of the travel: how far beyond the observed break-aways the level at rest may lie
 STICK_SLOPE_S = 0.06  # shortest stretch of stick whose slope is worth a fit
 
 
@@ -65,6 +67,14 @@ def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple
     return float(level), float(slope)
 
 
+def break_away_position(motion: MeasuredMotion, cut: CycleSegmentation) -> float:
+    """Return the median position at which the mass leaves the belt, m.
+
+    The load there is the break-away level, so the level of slip at rest, at datum + Fs/k, lies no further on.
+    """
+    return float(np.median(np.interp([cycle.break_away for cycle in cut.used], motion.time, motion.position)))
+
+
 def regress_start(motion: MeasuredMotion, cut: CycleSegmentation, curve: int, ramp: bool, datum: Measured) -> Values:
     """Regress one law's starting values; damping, fade and what the belt does besides are 0.
 
@@ -86,17 +96,42 @@ def regress_start(motion: MeasuredMotion, cut: CycleSegmentation, curve: int, ra
     v_dr, d, rest = motion.belt_speed, 0.0, datum.value
     if loose and curve == LINEAR:
         rest = _rest_by_scatter(motion, cut, rest)
-    K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose)
+    x_slip = break_away_position(motion, cut) + BREAK_AWAY_MARGIN * motion.travel
+    K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose, x_slip)
     if ramp:
         v_dr = level + slope * rest
         belt_slope = 0.0 if motion.compliance is None else motion.compliance.value
         d = float(np.clip((-slope - belt_slope) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
-        K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose)
+        K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose, x_slip)
     return Values(K, F, v_dr, shape, d, rest)
 
 
+def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float) -> tuple[float, float]:
+    """Return (F, shape) of a curve that has the friction of another one at a quarter and three quarters of a speed.
+
+    Parameters
+    ----------
+    curve, other : int
+        CONSTANT, LINEAR or HYPERBOLIC: the curve wanted, and the one known.
+    F, shape : float
+        Of the curve known, in the units of `fitting.model.parameters.Values`.
+    fastest : float
+        m/s; the fastest slip.
+    """
+    s = np.array([0.25, 0.75]) * fastest
+    near, far = magnitude(other, s, F, shape * F, shape)
+    if curve == CONSTANT or not near > far > 0:
+        return max(0.5 * float(near + far), 1e-3 * F), LEAST_SHAPE / fastest
+    if curve == LINEAR:
+        slope = (near - far) / (s[1] - s[0])
+        level = near + slope * s[0]
+        return float(level), float(min(slope / level, NO_REVERSAL / fastest))
+    gamma = (near - far) / max(far * s[1] - near * s[0], 1e-2 * near * s[0])
+    return float(near * (1 + gamma * s[0])), float(gamma)
+
+
 def _curve(
-    samples: SlipSamples, curve: int, datum: float, d: float, v_dr: float, loose: bool
+    samples: SlipSamples, curve: int, datum: float, d: float, v_dr: float, loose: bool, x_slip: float
 ) -> tuple[float, float, float, float]:
     """Return (K, F, shape, datum) of one slip curve; falls back to the kinematics where the regression is absurd."""
     x, s, a = samples.x - datum, np.maximum(samples.s - d, 0.0), samples.a
@@ -112,7 +147,12 @@ def _curve(
         for gamma in np.geomspace(0.03, 300, 41) / v_dr:
             columns = np.c_[-x, 1 / (1 + gamma * s), one] if loose else np.c_[-x, 1 / (1 + gamma * s)]
             found, error = _solve(columns, a)
-            if error < best and found[0] > 0 and found[1] > 0:
+            if not (found[0] > 0 and found[1] > 0):
+                continue
+            beyond = datum + (found[1] + (found[2] if loose else 0.0)) / found[0] > x_slip
+            if beyond and best < np.inf:  # the smallest gamma is kept if all are
+                break
+            if error < best:
                 best, K, F, shape = error, float(found[0]), float(found[1]), float(gamma)
                 shift = float(found[2]) / K if loose else 0.0
     else:

@@ -76,7 +76,7 @@ def motion(scene, h=5e-4):
     def force(time, w):
         s = abs(w)
         if mode == RAMP:
-            return -level(time) * F * w / d
+            return -level(time) * scene.static * F * w / d
         return math.copysign(level(time) * magnitude(scene, s - d), -side)
 
     def rates(time, x, v):

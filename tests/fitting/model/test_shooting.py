@@ -27,9 +27,21 @@ STEADY = (0.0, 0.0, 0.0)
 
 
 def predicted(
-    windows, local, *, curve=0, ramp=False, shape=0.0, d=0.0, datum=0.0, c=0.0, fade=0.0, compliance=0.0, ripple=STEADY
+    windows,
+    local,
+    *,
+    curve=0,
+    ramp=False,
+    shape=0.0,
+    d=0.0,
+    datum=0.0,
+    c=0.0,
+    fade=0.0,
+    compliance=0.0,
+    ripple=STEADY,
+    static=1.0,
 ):
-    u = np.array([K, np.log(F), V, shape, d, datum, c, fade, compliance, *ripple])
+    u = np.array([K, np.log(F), V, shape, d, datum, c, fade, compliance, *ripple, static])
     evaluate = evaluator(curve, ramp, windows, u, list(range(PER_RUN)), np.ones(PER_RUN), np.ones(PER_CYCLE))
     return evaluate(u, local[None], False)[0]
 
@@ -57,6 +69,29 @@ def test_a_jumps_stick_is_a_straight_line_whatever_the_load():
     time = np.linspace(1.0, 2.5, 37)
     x = predicted(one_window(time, stick=1), start(-0.1, 0.3, stick=True))
     assert x == pytest.approx(-0.1 + V * (time - 1.0), abs=1e-14)
+
+
+def test_a_ramps_stick_creeps_as_far_as_the_load_goes():
+    """Beyond the level of slip a window of stick used to slip away, and the law fitted worse than its jump law."""
+    d, time = 0.02, np.linspace(1.0, 2.2, 37)
+    rate = -K * d / F  # v - V = -d K x/F, once the start has died away
+    x = predicted(one_window(time, stick=1), start(0.0, V, stick=True), ramp=True, d=d)
+    assert K * x[-1] > 1.5 * F
+    assert np.diff(x)[20:] / (time[1] - time[0]) == pytest.approx(V + rate * (x[21:] + x[20:-1]) / 2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("stick", "overtakes", "static"), [(0, 0, 1.0), (0, 1, 1.0), (1, 0, 1.0), (0, 0, 1.4), (1, 0, 1.4)]
+)
+def test_a_ramp_law_contains_its_jump_law(stick, overtakes, static):
+    time = np.linspace(0.0, 1.2, 121)
+    first = start(-0.02, 0.2, stick=True) if stick else start(0.128, 0.1, level=1.05, following=0.6)
+    windows, shape = (
+        one_window(time, stick=stick, overtakes=overtakes, earliest_landing=0.2),
+        {"curve": 2, "shape": 12.0},
+    )
+    jump = predicted(windows, first, **shape)
+    assert predicted(windows, first, ramp=True, d=1e-6 * V, static=static, **shape) == pytest.approx(jump, abs=5e-7)
 
 
 def test_touching_the_belt_at_the_start_changes_the_motion_continuously():
@@ -124,7 +159,7 @@ def test_derivatives_are_those_of_the_positions():
     rng = np.random.default_rng(3)
     time = np.linspace(0.0, 0.9, 91)
     windows = one_window(time, earliest_landing=0.3)
-    u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001, 0.02, 2e-3, 4e-3, 14.0])
+    u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001, 0.02, 2e-3, 4e-3, 14.0, 1.0])
     scale, local_scale = np.ones(PER_RUN), np.ones(PER_CYCLE)
     local = start(0.12, 0.15)[None]
     evaluate = evaluator(2, True, windows, u, list(range(PER_RUN)), scale, local_scale)

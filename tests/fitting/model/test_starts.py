@@ -1,10 +1,14 @@
 """Starting values come within a few per cent, and corners do not pull gamma down."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from daq.runfile.rig import Measured
 from fitting.data import cycles
 from fitting.model import starts
+from rig_sim.friction.curve import magnitude
 
 KNOWN = Measured(0.0, 5e-4)
 
@@ -41,6 +45,26 @@ def test_without_a_datum_the_rest_position_is_found_along(motion_of):
     start = starts.regress_start(motion, cycles.segment_cycles(motion), starts.HYPERBOLIC, False, loose)
     assert start.datum == pytest.approx(0.0, abs=0.005)
     assert start.shape == pytest.approx(9.618, rel=0.2)
+
+
+def test_no_start_has_a_level_beyond_the_observed_break_aways(motion_of):
+    """With noise in the acceleration and no datum, gamma used to end at the largest value tried, 300 over the speed."""
+    motion = motion_of(law=5)
+    cut = cycles.segment_cycles(motion)
+    rng = np.random.default_rng(1)
+    slope = 2.0 * np.exp((motion.velocity - motion.belt_speed) / 0.02)  # steeper near rest than any hyperbola
+    noisy = replace(motion, acceleration=motion.acceleration + slope + 0.3 * rng.standard_normal(motion.time.size))
+    start = starts.regress_start(noisy, cut, starts.HYPERBOLIC, False, Measured(0.02, 0.2))
+    assert start.datum + start.F / start.K < starts.break_away_position(motion, cut) + 0.1 * motion.travel
+    assert start.shape < 60.0
+
+
+@pytest.mark.parametrize("other", [starts.LINEAR, starts.HYPERBOLIC])
+@pytest.mark.parametrize("curve", [starts.LINEAR, starts.HYPERBOLIC])
+def test_a_matched_curve_has_the_same_friction_at_two_speeds(curve, other):
+    F, shape = starts.matched_curve(curve, other, 4.6, 1.1, 0.6)
+    s = np.array([0.15, 0.45])
+    assert magnitude(curve, s, F, shape * F, shape) == pytest.approx(magnitude(other, s, 4.6, 1.1 * 4.6, 1.1))
 
 
 def test_the_scatter_of_the_levels_betrays_the_rest_position_under_a_linear_law(motion_of):
