@@ -177,18 +177,17 @@ def calibrate(
     if found is None:
         raise ValueError("neither measurement was made")
     made = measure.calibrated(found.rig, pitch, ring, mass)
-    if measure.belt_stands(found.rig):
-        warnings.append("the belt does not move: its speed was left out; runs show it, or add belt_speed to the file")
     if ring is not None and made.mass is None:
         warnings.append("without --mass there is no stiffness and no damping in N s/m: only omega0 and their ratio")
     if made.metres_per_count is None:
         warnings.append("without --distance there are no metres: lengths are counts")
     warnings = [w for w in dict.fromkeys(warnings) if pitch is None or "metres per count" not in w]
-    text = sentences.ring_down_comment(ring) + made.to_toml() + board_toml(known)
+    left_out = ["belt_speed"] if measure.belt_stands(found.rig) else []
+    text = sentences.ring_down_comment(ring) + sentences.left_out_comment(left_out) + made.to_toml() + board_toml(known)
     with atomic.replacing(output, force) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    data = _ring_down(made.metres_per_count, ring) | {"file": output, "rig": _values(made), "warnings": warnings}
-    return Answer(data, sentences.calibrated(made, ring, warnings, output))
+    data = _ring_down(made.metres_per_count, ring) | {"file": output, "rig": _values(made), "left_out": left_out}
+    return Answer(data | {"warnings": warnings}, sentences.calibrated(made, ring, left_out, warnings, output))
 
 
 def _reach(request: "RecordRequest") -> None:

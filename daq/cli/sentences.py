@@ -99,7 +99,12 @@ def ring_down_comment(ring: "RingDown | None") -> str:
     return f"# ring-down of {ring.swings} half-swings: {line}\n"
 
 
-def calibrated(rig: "Rig", ring: "RingDown | None", found: list[str], output: Path) -> str:
+def left_out_comment(names: Sequence[str]) -> str:
+    """Return the lines of a rig.toml about constants that a calibration leaves out."""
+    return "".join(f"# {name} left out: the belt did not move (0 m/s); give that of the runs\n" for name in names)
+
+
+def calibrated(rig: "Rig", ring: "RingDown | None", left_out: Sequence[str], found: Sequence[str], output: Path) -> str:
     """Return what is printed about a calibration."""
     lines = []
     if ring is not None:
@@ -107,4 +112,5 @@ def calibrated(rig: "Rig", ring: "RingDown | None", found: list[str], output: Pa
         lines.append(f"damping ratio {ring.zeta.value:.4g} +- {ring.zeta.sd:.2g}, in addition to friction")
     values = {key: getattr(rig, key) for key in UNITS}
     lines += [f"{key} {v.value:.6g} +- {v.sd:.2g} {UNITS[key]}" for key, v in values.items() if v is not None]
+    lines += left_out_comment(left_out).removeprefix("# ").splitlines()
     return "\n".join([*lines, *warnings(found), f"-> {output}", f"next: daq record --rig {output}"])

@@ -18,6 +18,7 @@ from daq.errors import DeviceError, InputError
 from daq.protocols.session import Port
 
 SIMULATED_RIG = "rig://rig"
+REMOTE_LINE = "rfc2217://"
 BAUD = 115_200
 READ_TIMEOUT_S = 0.1
 WRITE_TIMEOUT_S = 5.0
@@ -60,11 +61,10 @@ def open_port(url: str, baud: int = BAUD) -> Port:
         serial.protocol_handler_packages.append("rig_sim")
     # Two readers of one device would each get a part of the bytes.
     opened = partial(serial.serial_for_url, url, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
+    if not url.lower().startswith(REMOTE_LINE):  # that one raises NotImplementedError, after it has connected
+        opened = partial(opened, write_timeout=WRITE_TIMEOUT_S)
     try:
-        try:
-            port = opened(write_timeout=WRITE_TIMEOUT_S)
-        except NotImplementedError:  # rfc2217:// has no time-out for writing
-            port = opened()
+        port = opened()
     except ValueError as error:  # raised by pyserial for an unknown URL scheme or setting
         do = "give a device ('daq ports' lists them), rig://SCENE, socket://HOST:PORT, rfc2217://HOST:PORT or loop://"
         raise InputError(f"cannot open such a port: {error}", url, do) from error
@@ -91,7 +91,7 @@ def line_baud(url: str, port: Port) -> int | None:
     A /dev/ttyACM has one, too: on most boards a second chip forwards its bytes through a serial line.  So has the
     serial line at the other end of rfc2217://.
     """
-    if "://" in url and not url.startswith("rfc2217://"):
+    if "://" in url and not url.lower().startswith(REMOTE_LINE):
         return None
     baud: int | None = getattr(port, "baudrate", None)
     return baud

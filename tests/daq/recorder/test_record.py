@@ -492,7 +492,8 @@ def test_a_journal_cut_at_any_byte_gives_the_samples_before_the_cut(tmp_path, at
     whole = part.read_bytes()
     _, _, n = counters(slice(0, 64))
     seen = set()
-    for cut in range(len(journal.MAGIC), len(whole) + 1):
+    headers = len(whole) - len(whole[whole.rindex(b'"protocol"') :])
+    for cut in [*range(len(journal.MAGIC), headers, 29), *range(headers, len(whole) + 1)]:
         part.write_bytes(whole[:cut])
         try:
             data, found = finalise.run_data(journal.read(part))
@@ -741,3 +742,62 @@ def test_a_port_that_never_came_back_is_told_with_its_time(tmp_path, monkeypatch
     found = record(RecordRequest("rig://rig?realtime=1", tmp_path / "run.h5", 1000, 5.0))
     (told,) = [warning for warning in found.warnings if "not reopened" in warning]
     assert 0.1 < float(told.split(") ")[1].split(" s after")[0]) < 0.6
+
+
+def jumping(at, seq=0, ticks=0):
+    """Return faults of a board whose sequence numbers and clock are off by so much from a frame on."""
+
+    def moved(line):
+        block = frames.FrameReader().feed(line)[0]
+        return frames.encode_samples(block._replace(seq=block.seq + seq & 0xFFFF, time=block.time + ticks & 0xFFFFFFFF))
+
+    return dict.fromkeys(range(at, 10_000), moved)
+
+
+@pytest.mark.parametrize(
+    ("seq", "ticks"),
+    [(40_000, 0), (-1600, -1_600_000), (30_000, 1_200_000_000), (-1000, 77)],
+    ids=["sequence alone", "a silent reset", "a silent reset of a board that ran for an hour", "both"],
+)
+def test_a_jump_of_the_sequence_is_a_new_segment_and_ends_nothing_early(tmp_path, attach, seq, ticks):
+    # It was trusted: +40,000 made 30 s of a run of 4 s, and a silent reset ended a run early with exit 0.
+    attach(FakeBoard(jumping(200, seq, ticks)))
+    found = record(request(tmp_path, 4000))
+    run = daq.load(tmp_path / "run.h5")
+    assert (found.samples, found.lost, found.segments) == (4000, 0, 2)
+    assert found.duration_s == pytest.approx(4.0, abs=0.5)
+    assert np.flatnonzero(np.diff(run.segment)).tolist() == [1599]
+    assert (1600, "reopened") in kinds(run)
+    assert any("jumped" in warning and "1.6" in warning for warning in found.warnings)
+    _, _, n = counters(slice(0, 4000))
+    assert np.array_equal(run.count - run.count[0], n - n[0])
+    if not ticks:
+        assert run.time == pytest.approx(np.arange(4000) / RATE)
+
+
+def test_a_short_run_and_a_sparse_one_are_known_to_be_that(tmp_path, attach):
+    # They used to end like any other.
+    attach(FakeBoard({50: raising(SerialException("gone"))}), FakeBoard())
+    found = record(request(tmp_path, 401))
+    assert (found.short, found.sparse, found.ended) == (False, False, "complete")
+    (tmp_path / "run.h5").unlink()
+    attach(FakeBoard({50: raising(SerialException("gone"))}))
+    found = record(request(tmp_path))
+    assert (found.short, found.ended) == (True, "port lost")
+    assert "the run holds 0.4 s of samples of the 0.8 s asked for: the port was lost" in found.warnings
+    (tmp_path / "run.h5").unlink()
+    attach(FakeBoard(dict.fromkeys(range(10, 22), lambda line: b"")))
+    found = record(request(tmp_path))
+    assert (found.short, found.sparse) == (True, True)
+    assert "12% of the samples are lost" in found.warnings
+
+
+def test_a_journal_that_cannot_be_decoded_is_kept(tmp_path, attach):
+    # It used to be deleted: "it is empty".
+    attach(FakeBoard(dict.fromkeys(range(10_000), lambda line: b"\x55" * 300)))
+    stop = threading.Event()
+    threading.Timer(0.3, stop.set).start()
+    with pytest.raises(DataError, match="not one sample can be read in the") as caught:
+        record(request(tmp_path), stop=stop)
+    assert str(tmp_path / "run.h5.part") in caught.value.do
+    assert (tmp_path / "run.h5.part").stat().st_size > 1000

@@ -1,5 +1,9 @@
 """The journal: whatever the tail looks like after a crash, the records before it come back."""
 
+import shutil
+import time
+from pathlib import Path
+
 import pytest
 
 from daq.errors import InputError
@@ -123,3 +127,60 @@ def test_markers_are_read_in_order_and_torn_lines_left_out(tmp_path):
     assert journal.read_markers(path) == ((40, ""), (100, "belt on"), (300, "belt off"))
     assert journal.markers_path(tmp_path / "run.h5.part") == path
     assert journal.markers_path(tmp_path / "run.h5") == path
+
+
+@pytest.mark.parametrize("version", ["today's", "0.1.0's"])
+def test_one_wrong_byte_in_the_header_costs_nothing(written, version):
+    # "It holds no samples; delete it", the text used to be.
+    if version == "0.1.0's":
+        shutil.copy(Path(__file__).with_name("fixtures") / "clean.h5.part", written)
+    whole = written.read_bytes()
+    right = journal.read(written)
+    end = len(journal.MAGIC) + 13 + int.from_bytes(whole[21:25], "little") + 4
+    assert whole[20:21] == b"H"
+    for at in [*range(40), *range(40, end, 1 + end // 40), *range(end - 5, end)]:
+        for flip in (0x01, 0x80, 0xFF):
+            written.write_bytes(whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :])
+            read = journal.read(written)
+            assert (read.header, read.records) == (right.header, right.records), (at, flip)
+            assert read.damaged > 0  # so the journal is kept
+
+
+def test_the_header_comes_again_so_that_the_loss_of_the_beginning_costs_only_that(tmp_path):
+    path = tmp_path / "run.h5.part"
+    writer = journal.Writer(path, HEADER)
+    for stamp in range(200):
+        writer.append(journal.RECEIVED, stamp, bytes(1000))
+    writer.close()
+    content = path.read_bytes()
+    path.write_bytes(content[:16] + bytes(4096 - 16) + content[4096:])
+    read = journal.read(path)
+    assert read.header == HEADER
+    assert 190 < len(read.records) < 200
+    assert len(content) < 1.05 * 200 * 1017
+
+
+def test_a_journal_whose_header_is_beyond_repair_is_to_be_kept(written):
+    content = bytearray(written.read_bytes())
+    for at in [i for i in range(len(content)) if content.startswith(b'{"protocol"', i)]:
+        content[at : at + 20] = bytes(20)
+    written.write_bytes(content)
+    with pytest.raises(InputError, match=r"2 records of received bytes.*keep it") as caught:
+        journal.read(written)
+    assert "delete" not in str(caught.value)
+
+
+def test_a_journal_is_locked_while_it_is_written_and_free_when_its_writer_is_gone(tmp_path):
+    path = tmp_path / "run.h5.part"
+    header = HEADER | {"wall_ns": time.time_ns(), "pid": 4711, "host": "lab"}
+    writer = journal.Writer(path, header)
+    assert journal.is_locked(path)
+    assert journal.read(path).header == header  # whoever only reads may
+    with pytest.raises(InputError, match="process 4711 on lab"), journal.claimed(path):
+        pytest.fail("the journal was given to somebody else")
+    writer.close()
+    assert not journal.is_locked(path)
+    with journal.claimed(path) as remove:
+        assert journal.is_locked(path)
+        remove()
+    assert not path.exists()

@@ -113,3 +113,39 @@ def test_a_lost_count_disagrees_with_the_levels(error):
 def test_both_counters_moving_in_one_sample_are_seen():
     up, down = np.array([65535, 0, 0, 1], dtype=np.uint16), np.array([4, 4, 5, 6], dtype=np.uint16)
     assert counters.check_both_moved(up, down).tolist() == [False, False, False, True]
+
+
+def frames_of(*stretches, n=8, period=1000):
+    """Return seq, ticks and n of frames that follow each other within a stretch (first seq, first ticks, frames)."""
+    seq = np.concatenate([first + n * np.arange(count) for first, _, count in stretches])
+    ticks = np.concatenate([at + n * period * np.arange(count) for _, at, count in stretches])
+    return seq & 0xFFFF, ticks & 0xFFFFFFFF, np.full(len(seq), n)
+
+
+@pytest.mark.parametrize(
+    ("seq", "ticks"),
+    [(0, 5000), (43_000, 408_000), (7000, 3_000_000_000), (70_000 & 0xFFFF, 2_500_000), (200, 900_000)],
+    ids=["reset", "sequence alone", "reset of a board that ran for 50 min", "no roll-over", "back in sequence"],
+)
+def test_a_sequence_that_jumps_against_the_clock_begins_a_new_part(seq, ticks):
+    # It used to be trusted: +40,000 turned 4 s into 30 s, and a silent reset ended a run early.
+    order = counters.order_frames(*frames_of((0, 0, 50), (seq, ticks, 50)), 1000.0, np.array([], dtype=np.int64))
+    assert order.keep.all()
+    assert np.flatnonzero(order.restart).tolist() == [50]
+    assert np.flatnonzero(order.jump).tolist() == [50]
+    assert order.index.tolist() == [*range(0, 400, 8), *range(0, 400, 8)]
+
+
+@pytest.mark.parametrize("lost", [1, 500, 70_000, 1_000_000])
+@pytest.mark.parametrize("off", [0.0, 1e-3, 0.05])
+def test_a_gap_on_which_sequence_and_clock_agree_is_a_gap(lost, off):
+    """Also that of a board whose sample period is not the nominal one."""
+    period = round(1000 * (1 + off))
+    step = 400 + 8 * lost
+    if lost * 8 * period > 1 << 31:
+        pytest.skip("a gap of 2^31 ticks is not one")
+    frames = frames_of((0, 0, 50), (step, step * period, 50), period=period)
+    order = counters.order_frames(*frames, 1000.0, np.array([], dtype=np.int64))
+    assert order.keep.all()
+    assert not order.restart.any()
+    assert order.index[50] - order.index[49] == 8 + 8 * lost
