@@ -168,7 +168,8 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     except OSError as error:  # an error in JSON could not be written there either
         _discard_stdout()
         what = f"the command is done, but its result could not be printed: {error.strerror or error}"
-        return _fail(name, what, "stdout", "check the free space where stdout goes", EXIT_DEVICE, as_json=False)
+        code = _fail(name, what, "stdout", "check the free space where stdout goes", EXIT_DEVICE, as_json=False)
+        return (answer.exit_code if isinstance(answer, Answer) else EXIT_DONE) or code
 
 
 def _discard_stdout() -> None:

@@ -62,7 +62,7 @@ def samples(belt_column: np.ndarray | None, gap_s: float) -> Samples:
     return Samples(
         time=index / 1000,
         part=np.zeros(n, np.int64),
-        reopened=(False,),
+        begun_by=("reopened",),
         index=index,
         ticks=index * 1000,
         frame=np.arange(n) // 8,

@@ -23,7 +23,7 @@ def samples(true, missed, illegal, part=None):
     return Samples(
         time=np.arange(n) * 1e-3,
         part=part,
-        reopened=(False,) * (part[-1] + 1),
+        begun_by=("restarted",) * (part[-1] + 1),
         index=np.arange(n) - np.searchsorted(part, part),
         ticks=np.arange(n) * 1000,
         frame=np.arange(n) // 4,

@@ -801,3 +801,19 @@ def test_a_journal_that_cannot_be_decoded_is_kept(tmp_path, attach):
         record(request(tmp_path), stop=stop)
     assert str(tmp_path / "run.h5.part") in caught.value.do
     assert (tmp_path / "run.h5.part").stat().st_size > 1000
+
+
+def test_a_recorder_that_began_meanwhile_is_not_taken_for_a_crash(tmp_path, attach):
+    # The advice was to recover the journal, which destroyed the other run.
+    class Slow(FakeBoard):
+        def write(self, data):
+            super().write(data)
+            if data.startswith(b"B") or b"\nB" in data:
+                other.append(journal.Writer(tmp_path / "run.h5.part", {"wall_ns": 0, "pid": 4711, "host": "lab"}))
+
+    other = []
+    attach(Slow())
+    with pytest.raises(InputError, match="process 4711 on lab") as caught:
+        record(request(tmp_path))
+    assert "recover" not in str(caught.value)
+    other[0].close()
