@@ -51,8 +51,103 @@ def cycle(scene: str, /, *, set_: SetChanges = None, json: Json = False) -> Answ
     from rig_sim.dynamics.limit_cycle import cycle as find
 
     data = asdict(find(_scene(scene, set_)))
-    lines = [f"{key:9} {_shown(value)}" for key, value in data.items() if value not in (None, "")]
-    return Answer(data, "\n".join(lines))
+    return Answer(data, _lines(data))
+
+
+@app.command(name="fixed-point")
+def fixed_point(scene: str, /, *, set_: SetChanges = None, json: Json = False) -> Answer:
+    """Find the fixed point, where friction and spring balance at rest, with its eigenvalues; start is ignored.
+
+    Example: rig-sim fixed-point damped --set damper.c=0.38
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from rig_sim.dynamics.fixed_point import fixed_point as find
+
+    data = asdict(find(_scene(scene, set_).flow()))
+    return Answer(data, _lines(data))
+
+
+@app.command
+def floquet(
+    scene: str,
+    /,
+    *,
+    orbit: Annotated[
+        Literal["stable", "unstable"],
+        Parameter(help="The orbit reached from the slip point, or the one that separates it from the fixed point."),
+    ] = "stable",
+    set_: SetChanges = None,
+    json: Json = False,
+) -> Answer:
+    """Find a periodic orbit with its Floquet multipliers; start and the random sections are ignored.
+
+    Example: rig-sim floquet damped --orbit unstable
+
+    The first multiplier is 1, along the orbit; the second is 0 for an orbit that sticks, above 1 for an unstable one.
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from rig_sim.dynamics.floquet import floquet as find
+
+    data = asdict(find(_scene(scene, set_).flow(), orbit))
+    return Answer(data, _lines(data))
+
+
+@app.command(name="continue")
+def continue_(
+    scene: str,
+    /,
+    *,
+    over: Annotated[str, Parameter(help="section.key=START:STOP, or START:STOP:N for N values (default 41).")],
+    set_: SetChanges = None,
+    json: Json = False,
+) -> Answer:
+    """Follow fixed points and periodic orbits over a parameter; find where they appear, vanish or change stability.
+
+    Example: rig-sim continue damped --over damper.c=0.3:0.6
+
+    Special points: hopf, fold (the stable and the unstable orbit meet), border-collision (the fixed point crosses the
+    edge of a ramp). Start and the random sections are ignored.
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from rig_sim.cli.parameter_range import parse
+    from rig_sim.dynamics.continuation import continuation
+    from rig_sim.scenes.scene import parse_changes
+    from rig_sim.scenes.scene import scene as read
+
+    span = parse(over)
+    changes = parse_changes(set_)
+    with application.progress("following", span.number) as show:
+        found = continuation(
+            lambda value: read(scene, **{**changes, span.key: value}).flow(), span.values(), progress=show
+        )
+    branches = [
+        {
+            "kind": branch.kind,
+            "stable": branch.stable,
+            "rows": [{"value": row.value, **asdict(row.state)} for row in branch.rows],
+        }
+        for branch in found.branches
+    ]
+    points = [{"kind": point.kind, "parameter": span.key, "value": point.value} for point in found.points]
+    lines = [
+        f"{'stable' if branch.stable else 'unstable':8} {branch.kind:11} {span.key} from {branch.rows[0].value:.6g} "
+        f"to {branch.rows[-1].value:.6g}, {len(branch.rows)} values"
+        for branch in found.branches
+    ]
+    lines += [f"{point.kind}: {span.key} = {point.value:.12g}" for point in found.points] or ["no special point"]
+    return Answer({"parameter": span.key, "branches": branches, "points": points}, "\n".join(lines))
 
 
 @app.command
@@ -178,7 +273,16 @@ def _outcome(name: str, advice: str) -> str:
     return f"{name} ({advice})" if advice else name
 
 
+def _lines(data: dict[str, Any]) -> str:
+    """Return a line for every entry that is there."""
+    return "\n".join(f"{key:11} {_shown(value)}" for key, value in data.items() if value not in (None, "", ()))
+
+
 def _shown(value: Any) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(_shown(item) for item in value)
+    if isinstance(value, complex):
+        return f"{value.real:.15g} {'-' if value.imag < 0 else '+'} {abs(value.imag):.15g}i"
     return f"{value:.15g}" if isinstance(value, float) else str(value)
 
 

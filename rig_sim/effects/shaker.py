@@ -36,9 +36,8 @@ the shaker's own mass.
 import cmath
 import math
 
-from rig_sim.friction.curve import HYPERBOLIC, LINEAR, magnitude
+from rig_sim.dynamics.fixed_point import friction_at_rest
 from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.frame import frame, slip_speed
 
 CREEP = 0.1  # of abs(delta): a slower oscillation is over, or grown e^63-fold, within one period
 NO_SHIFT = 1e-5  # rad
@@ -68,7 +67,7 @@ def controlled(flow: Flow, a: float, phi: float) -> Flow:
     """
     if a == 0.0:  # nothing, whatever the belt does
         return flow
-    F, gamma_lin = fixed_point_friction(flow)
+    F, gamma_lin = friction_at_rest(flow)
     Omega = phasor(flow.m, flow.k, gamma_lin - flow.c, a, phi)
     if Omega.real < CREEP * abs(Omega.imag):
         if abs(math.sin(phi)) > NO_SHIFT:
@@ -83,29 +82,3 @@ def controlled(flow: Flow, a: float, phi: float) -> Flow:
         k=k,
         x0=flow.x0 + F / flow.k - F / k,
     )
-
-
-def fixed_point_friction(flow: Flow) -> tuple[float, float]:
-    """Return friction (N) on a mass that stands on the running belt, and its slope gamma_lin (N s/m)."""
-    level = flow.factor * flow.Fs
-    if level == 0.0:
-        return 0.0, 0.0
-    edge = flow.droop + (flow.d if flow.ramp == 1 else 0.0)
-    speed = abs(flow.v_belt)
-    if speed == 0.0 and edge == 0.0:
-        raise ValueError("a shaker needs a belt that runs: on a belt at rest friction has no slope")
-    if speed <= edge:
-        slope = -flow.static * level / edge
-        return -slope * flow.v_belt, slope
-    s = speed - edge
-    if flow.curve == LINEAR:
-        s /= 1.0 - flow.droop * flow.G_slip / flow.Fs
-        slope = flow.factor * flow.G_slip
-    elif flow.curve == HYPERBOLIC:
-        s = slip_speed(frame(flow), s) if flow.droop > 0.0 else s
-        slope = level * flow.gamma / (1.0 + flow.gamma * s) ** 2
-    else:
-        slope = 0.0
-    F = flow.factor * magnitude(flow.curve, s, flow.Fs, flow.G_slip, flow.gamma)
-    # A drooping belt is faster where friction is less: seen from its speed without load, the curve falls faster.
-    return math.copysign(F, flow.v_belt), slope / (1.0 - flow.droop * slope / level)

@@ -141,6 +141,18 @@ def curve_deficit(fr: Frame, mode: int, w: float) -> float:
     return fall if mode == modes.NEGATIVE else -fall
 
 
+def friction_slope(fr: Frame, mode: int, w: float) -> float:
+    """Return dF/dw (N s/m) at w in a slip or ramp: above 0 where friction falls with the slip speed."""
+    slope = fr.c - linear_terms(fr, mode)[0]
+    if fr.curve != HYPERBOLIC or mode == modes.RAMP:
+        return slope
+    s = abs(w) - fr.d
+    if fr.lag != 0.0:
+        s = slip_speed(fr, s)
+    q = 1.0 + fr.gamma * s
+    return slope + fr.A * fr.gamma / (q * q - fr.lag)
+
+
 def mode_bounds(fr: Frame, mode: int) -> tuple[float, float]:
     """Return the interval (lo, hi) of w, m/s, of a slip or ramp mode."""
     if mode == modes.NEGATIVE:
@@ -154,8 +166,13 @@ def acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
     """Return w' (m/s^2) in the given mode; on the mode's edge it never points out of the mode."""
     if mode == modes.STICK:
         return 0.0
+    return kept_inside(fr, mode, w, free_acceleration(fr, mode, p, w, t))
+
+
+def free_acceleration(fr: Frame, mode: int, p: float, w: float, t: float) -> float:
+    """Return w' (m/s^2) by the equation of a slip or ramp, whichever way it points."""
     C, e = linear_terms(fr, mode)
-    return kept_inside(fr, mode, w, (-C * w - fr.k * p + e + curve_deficit(fr, mode, w) + drive(fr, t)) / fr.m)
+    return (-C * w - fr.k * p + e + curve_deficit(fr, mode, w) + drive(fr, t)) / fr.m
 
 
 def kept_inside(fr: Frame, mode: int, w: float, a: float) -> float:

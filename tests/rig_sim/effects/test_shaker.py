@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
+from rig_sim.dynamics.fixed_point import friction_at_rest
 from rig_sim.dynamics.limit_cycle import cycle
-from rig_sim.effects.shaker import controlled, fixed_point_friction, phasor
+from rig_sim.effects.shaker import controlled, phasor
 from rig_sim.integrate.flow import Flow
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import Scene, scene
@@ -100,7 +101,7 @@ def test_inside_a_ramp_the_slope_is_the_ramps() -> None:
 def test_a_drooping_belt_makes_the_slope_steeper_and_the_shaker_knows(law: int, fraction: float) -> None:
     drooping = shaken(0.5, 2.2, **{"friction.law": law, "droop.fraction": fraction})
     bare = drooping.model_copy(update={"shaker": None}).flow()
-    F, slope = fixed_point_friction(bare)
+    F, slope = friction_at_rest(bare)
     found = measured_omega(drooping, F, 1.0, 1e-4)
     assert found == pytest.approx(thesis_formula(1.0, 1.0, slope, 0.5, 2.2), abs=1e-9)
     resting = measured_omega(drooping.model_copy(update={"shaker": None}), F, 1.0, 1e-4)
@@ -187,7 +188,7 @@ def test_the_shaker_waits_for_the_belt_and_follows_the_factor_on_friction() -> N
     motion.advance(5.0)
     assert motion.flow.factor != 1.0
     assert motion.flow == late.flow(factor=motion.flow.factor)
-    F, slope = fixed_point_friction(late.model_copy(update={"shaker": None}).flow(factor=motion.flow.factor))
+    F, slope = friction_at_rest(late.model_copy(update={"shaker": None}).flow(factor=motion.flow.factor))
     assert motion.flow.x0 + F / motion.flow.k == pytest.approx(F / 10.5552, rel=1e-13)
     Omega = thesis_formula(0.3, 10.5552, slope, 0.8, 2.4)
     assert motion.flow.k == pytest.approx(0.3 * abs(Omega) ** 2, rel=1e-13)
@@ -212,7 +213,7 @@ def test_a_belt_that_starts_under_friction_with_nothing_to_tune_to_ends_the_run_
 
 def test_a_mass_without_friction_is_shaken_all_the_same() -> None:
     bare = Flow(Fs=0.0, c=0.1)
-    assert fixed_point_friction(bare) == (0.0, 0.0)
+    assert friction_at_rest(bare) == (0.0, 0.0)
     Omega = thesis_formula(1.0, 1.0, -0.1, 0.2, 1.0)
     flow = controlled(bare, 0.2, 1.0)
     assert (flow.c, flow.k, flow.x0) == pytest.approx((-2 * Omega.imag, abs(Omega) ** 2, 0.0), abs=1e-14)
@@ -230,7 +231,7 @@ def test_a_mass_that_creeps_has_no_phase_but_pi_as_people_write_it_is_a_damper()
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"belt.speed": 0.0}, "a shaker needs a belt that runs"),
+        ({"belt.speed": 0.0}, "the belt must run"),
         ({"shaker.a": -1.0}, r"shaker\.a"),
         ({"shaker.phi": math.inf}, r"shaker\.phi"),
         ({"shaker.phase": 1.0}, r"unknown key 'shaker\.phase'"),
