@@ -80,7 +80,7 @@ def _edge_speed(fit: Fit, time: Array) -> Array:
 
 
 def _width(fit: Fit) -> float:
-    """Return how much slower than the free belt the mass moves at the level, m/s: ramp and belt compliance together."""
+    """Return how much slower than the free belt the mass breaks away, m/s: ramp and belt compliance together."""
     p = fit.values
     return (p.d if LAWS[fit.law].ramp else 0.0) + p.compliance / p.K * p.F
 
@@ -93,7 +93,7 @@ def _friction(fit: Fit, time: Array, x: Array) -> Array:
     """
     p, speed = fit.values, _edge_speed(fit, time)
     load = p.K * (x - p.datum) + p.damping * speed + _belt_ripple(fit, time)[2]
-    slowing = _width(fit) * p.K * speed / p.F
+    slowing = _width(fit) / p.static * p.K * speed / p.F
     return np.asarray(load - slowing)
 
 

@@ -46,6 +46,7 @@ TABLE = (
     Derived("gamma", "s/m", lambda p: p.shape, -1, curve="hyperbolic"),
     Derived("G_slip/m", "s^-1", lambda p: p.shape * p.F, curve="linear"),
     Derived("d", "m/s", lambda p: p.d, 1, needs=Global.D),
+    Derived("static", "", lambda p: p.static, needs=Global.STATIC),
     Derived("x0", "m", lambda p: p.datum, 1),
     Derived("c/m", "s^-1", lambda p: p.damping),
     Derived("droop", "m/s", lambda p: p.compliance * p.F / p.K, 1, needs=Global.COMPLIANCE),
@@ -78,7 +79,8 @@ def derived_parameters(
 
     ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
     sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
-    second, both by the line through the cycles' friction levels (`fitting.estimation.wear`).  ``droop`` is how much
+    second, both by the line through the cycles' friction levels (`fitting.estimation.wear`).  ``static`` is a ramp's
+    break-away level over Fs, given where the record shows that they differ.  ``droop`` is how much
     slower the belt runs under the load Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of its speed.
 
     Without a calibration of the datum or of the damping a default stands in for it.  Where the record adds next to

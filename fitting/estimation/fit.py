@@ -28,6 +28,7 @@ class PassState:
     cycle_rms: Array
     solution: levenberg_marquardt.Solution | None
     fade_sd: tuple[float, ...] | None = None  # standard deviation of each run's fade, 1/s; None before the last passes
+    static: bool = False  # whether a ramp's break-away level is estimated, or that of slip
     prior: Array | None = None
     precision: Array | None = None
 

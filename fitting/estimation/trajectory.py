@@ -39,6 +39,8 @@ COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
 FADE_PASS = (40, 1e-5)
+FIRST_STATIC, STATIC_PASS = 1.5, (12, 1e-4)  # first break-away level of a ramp over Fs: 1.2 ends in poor minima
+STATIC_GAIN = 5.0  # least gain in log likelihood for which a ramp's break-away level is estimated
 FINE_PASS = (60, 1e-6)  # most steps, and the gain at which it stops; chosen by trial
 CYCLE_PASS = (15, 1e-4)  # of the cycles' own unknowns alone
 CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
@@ -108,7 +110,7 @@ def _start_from(problem: EstimationProblem, near: Fit) -> Array:
         u[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in problem.motions)
         u[Global.STATIC :: PER_RUN] = 1.0
     elif other.ramp and not law.ramp:
-        u[Global.D :: PER_RUN] = problem.start[Global.D :: PER_RUN]
+        u[Global.D :: PER_RUN], u[Global.STATIC :: PER_RUN] = problem.start[Global.D :: PER_RUN], 1.0
     if law.curve_code != other.curve_code:
         fastest = max(float(np.max(motion.belt_speed - motion.velocity)) for motion in problem.motions)
         p = near.values
@@ -166,6 +168,8 @@ def final_fit(fit: Fit) -> Fit:
     problem = fit.problem
     first = _restart_cycles(problem, fit.windows, replace(fit.state, fade_sd=_fade_sd(fit)))
     last = _minimise(problem, fit.windows, first, *FADE_PASS)
+    if last is not None:
+        last = _release_static(problem, fit.windows, last)
     windows = _windows(problem, thinned=False)
     if last is not None and windows.time.size > fit.windows.time.size:
         noise = _reestimate_noise(last, fit.windows, problem.motions, first=False)
@@ -281,6 +285,25 @@ def _restart_cycles(problem: EstimationProblem, windows: ShootingWindows, state:
     return replace(state, local=np.where(better[:, None], found.local, state.local))
 
 
+def _release_static(problem: EstimationProblem, windows: ShootingWindows, state: PassState) -> PassState:
+    """Let a ramp's break-away level differ from that of slip where a few steps show that the record needs it.
+
+    They begin well above the level of slip: near it is a minimum in which curve and width make up for the difference.
+    """
+    slowest = min(motion.belt_speed for motion in problem.motions)
+    narrow = state.u[Global.D] < NARROW_RAMP * slowest
+    if Global.STATIC not in problem.active or narrow or state.solution is None:
+        return state
+    u = state.u.copy()
+    for own in u.reshape(-1, PER_RUN):
+        p = starts.with_static(LAWS[problem.law].curve_code, parameters.values(own), FIRST_STATIC)
+        own[:] = parameters.to_array(p)
+    freed = _minimise(problem, windows, replace(state, u=u, static=True), *STATIC_PASS)
+    if freed is None or freed.solution is None:
+        return state
+    return freed if state.solution.cost - freed.solution.cost > STATIC_GAIN else state
+
+
 def _priors(problem: EstimationProblem, state: PassState) -> tuple[Array, Array]:
     """Return means and precisions of the shared unknowns' priors."""
     prior, precision = problem.prior.copy(), problem.precision.copy()
@@ -315,10 +338,13 @@ def _least_squares(
 def _active(problem: EstimationProblem, state: PassState) -> tuple[int, ...]:
     """Return the unknowns that a pass moves.
 
+    A ramp's break-away level is moved only where it gains something (`_release_static`).
+
     Fading comes last: the levels must be known first, whose trend says about how much of it there may be.  So does a
     ripple, which the sticks have shown well enough: far from the end its phase would be turned to please the slips.
     """
     late = () if state.fade_sd is not None else (Global.FADE, *RIPPLE)
+    late = late if state.static else (*late, Global.STATIC)
     return tuple(place for place in problem.active if place % PER_RUN not in late)
 
 

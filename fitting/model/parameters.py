@@ -65,7 +65,7 @@ class Values(NamedTuple):
 
 PER_RUN, PER_CYCLE = len(Global), len(PerCycle)
 RIPPLE = (Global.COSINE, Global.SINE, Global.OMEGA)
-SHARED_BY_RUNS = (Global.K, Global.LOG_F, Global.SHAPE, Global.D, Global.DAMPING)
+SHARED_BY_RUNS = (Global.K, Global.LOG_F, Global.SHAPE, Global.D, Global.DAMPING, Global.STATIC)
 NUISANCE = (Global.DATUM, Global.DAMPING, Global.FADE, Global.COMPLIANCE, *RIPPLE)  # every law has them: no law pays
 
 
@@ -76,11 +76,12 @@ def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) 
     ----------
     law : int
     compliant, rippled : sequence of bool
-        Of each run's belt: whether it slows under load, whether its speed ripples.
+        Of each run's belt: whether it slows under load, whether its speed ripples.  On a belt that slows under load a
+        ramp's break-away level is that of slip (`rig_sim.integrate.flow.validate`).
     """
     kind = LAWS[law]
     shape = () if kind.curve == "constant" else (Global.SHAPE,)
-    ramp = () if kind.contact == "jump" else (Global.D,)
+    ramp = () if kind.contact == "jump" else (Global.D,) if any(compliant) else (Global.D, Global.STATIC)
     found = [int(slot) for slot in (Global.K, Global.LOG_F, *shape, *ramp, Global.DAMPING)]
     for run, (slows, ripples) in enumerate(zip(compliant, rippled, strict=True)):
         belt = (*((Global.COMPLIANCE,) if slows else ()), *(RIPPLE if ripples else ()))

@@ -130,6 +130,29 @@ def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float
     return float(near * (1 + gamma * s[0])), float(gamma)
 
 
+def with_static(curve: int, p: Values, static: float) -> Values:
+    """Return a ramp law with another break-away level but the same friction in slip and the same slope in stick.
+
+    Parameters
+    ----------
+    curve : int
+        CONSTANT, LINEAR or HYPERBOLIC.
+    p : Values
+        With a ramp, d > 0.
+    static : float
+        The new break-away level over Fs.
+    """
+    d, F, shape = p.d, p.F, p.shape
+    for _ in range(5):  # the wider ramp moves the curve's origin, and its level with that; converges like (shape d)^n
+        if curve == LINEAR:
+            F = p.F * max(1 - p.shape * (d - p.d), 0.1)
+        elif curve == HYPERBOLIC:
+            F = p.F / (1 + p.shape * (d - p.d))
+        shape = p.shape * (p.F / F if curve == LINEAR else F / p.F)
+        d = p.d * (static / p.static) * (F / p.F)
+    return p._replace(F=F, shape=shape, d=d, static=static)
+
+
 def _curve(
     samples: SlipSamples, curve: int, datum: float, d: float, v_dr: float, loose: bool, x_slip: float
 ) -> tuple[float, float, float, float]:

@@ -44,7 +44,7 @@ def curve(row: LawResult, motion: MeasuredMotion, w: Array) -> Array:
     """Return a law's friction at relative velocities w (n,), m/s in the record's own sign; in `unit`."""
     p = row.fit.values
     Fs = p.F * mass(motion, row.fit)
-    return np.asarray(force(LAWS[row.law], w, Fs=Fs, G_slip=p.shape * Fs, gamma=p.shape, d=p.d or 1.0))
+    return np.asarray(force(LAWS[row.law], w, Fs=Fs, G_slip=p.shape * Fs, gamma=p.shape, d=p.d or 1.0, static=p.static))
 
 
 def points(ranking: Ranking) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -28,7 +28,8 @@ def force(
     w : float or array
         Relative velocity x' - v_belt, m/s.
     Fs, G_slip, gamma, d : float
-        N, N s/m, s/m, m/s (half-width of the ramp, d = Fs/abs(G_stick)); those the law does not name are not used.
+        N, N s/m, s/m, m/s (half-width of the ramp, d = static Fs/abs(G_stick)); those that the law does not name are
+        not used.
     static : float
         Break-away level / Fs; it shows in the ramp alone (its peak is static Fs, then the force drops to the curve).
     factor : float

@@ -27,8 +27,8 @@ jitter    rms                                   of the sampling instants, s
 output    truth                                 the board also sends the exact motion; older name: tell
 ========= ===================================== ========================================================================
 
-Top-level keys: name, title, seed (default 0).  SI units, or dimensionless throughout.  ``G_stick = -Fs/d``: naming one
-of the two in a change removes the other.
+Top-level keys: name, title, seed (default 0).  SI units, or dimensionless throughout.  ``G_stick = -static Fs/d``:
+naming one of the two in a change removes the other.
 """
 
 import math
@@ -303,7 +303,7 @@ def _check_together(found: Scene, where: str) -> None:
                 raise InputError(f"{effect} without friction", where, f"add a friction section or drop {effect}")
     else:
         if friction.G_stick is not None and friction.d is not None:
-            raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -Fs/d")
+            raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -static Fs/d")
         for key in LAWS[friction.law].parameters:
             if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
                 name = "G_stick or d" if key == "d" else key

@@ -90,10 +90,10 @@ class Friction(Section):
     static: Annotated[float, Field(ge=1)] = 1.0
 
     def ramp(self) -> float:
-        """Return the ramp's half-width (m/s); 0 when the scene names no ramp."""
+        """Return the ramp's half-width (m/s), at which its slope reaches static Fs; 0 when the scene names no ramp."""
         if self.d is not None:
             return self.d
-        return self.Fs / -self.G_stick if self.G_stick is not None else 0.0
+        return self.static * self.Fs / -self.G_stick if self.G_stick is not None else 0.0
 
     def parameters(self) -> dict[str, float]:
         """Return Fs and the parameters that this law needs, by name."""

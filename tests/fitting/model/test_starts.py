@@ -8,6 +8,7 @@ import pytest
 from daq.runfile.rig import Measured
 from fitting.data import cycles
 from fitting.model import starts
+from fitting.model.parameters import Values
 from rig_sim.friction.curve import magnitude
 
 KNOWN = Measured(0.0, 5e-4)
@@ -72,3 +73,13 @@ def test_the_scatter_of_the_levels_betrays_the_rest_position_under_a_linear_law(
     loose = Measured(0.08, 0.08)
     start = starts.regress_start(motion, cycles.segment_cycles(motion), starts.LINEAR, False, loose)
     assert start.datum == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("curve", [starts.CONSTANT, starts.LINEAR, starts.HYPERBOLIC])
+def test_another_break_away_level_leaves_slip_and_stick_as_they_are(curve):
+    p = Values(35.0, 4.6, 0.22, 0.0 if curve == starts.CONSTANT else 3.0, 0.03)
+    raised = starts.with_static(curve, p, 1.5)
+    assert raised.static * raised.F / raised.d == pytest.approx(p.F / p.d, rel=1e-3)
+    w = np.array([0.08, 0.2])
+    friction = [magnitude(curve, w - q.d, q.F, q.shape * q.F, q.shape) for q in (p, raised)]
+    assert friction[0] == pytest.approx(friction[1], rel=1e-3)

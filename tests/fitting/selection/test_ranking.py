@@ -61,6 +61,21 @@ def test_static_and_kinetic_levels_are_separate(ranked):
     assert ranked(law=5, static=1.3).laws_in_set == (5,)
 
 
+@pytest.mark.parametrize(
+    ("law", "static"),
+    [(4, 1.2), pytest.param(2, 1.3, marks=pytest.mark.slow), pytest.param(6, 1.3, marks=pytest.mark.slow)],
+)
+def test_a_ramp_that_breaks_away_above_the_level_of_slip(synthetic, law, static):
+    """The ramp's width used to come out too small by that factor."""
+    ranking = rank(smooth(synthetic.recording(law=law, static=static)), laws=(law - 1, law))
+    assert ranking.laws_in_set == (law,)
+    found = ranking.best.parameters
+    assert found["static"].value == pytest.approx(static, rel=0.04)
+    assert found["d"].value == pytest.approx(0.03, rel=0.03)
+    for name, true in (("static", static), ("d", 0.03), ("v_dr", 0.22)):
+        assert found[name].lo < true < found[name].hi
+
+
 def test_a_backward_belt_gives_the_mirrored_answer(ranked):
     forward, backward = ranked(law=6), ranked(law=6, belt=-0.22)
     assert backward.laws_in_set == forward.laws_in_set

@@ -6,6 +6,7 @@ from fractions import Fraction
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.buffer import new_work
@@ -64,6 +65,37 @@ def test_mirror_symmetry_is_exact(law, drive):
     assert other.x == tuple(-x for x in one.x)
     exchange = str.maketrans("NP", "PN")
     assert other.kinds == tuple(kind.translate(exchange) for kind in one.kinds)
+
+
+@pytest.mark.parametrize("law", [2, 4, 6])
+def test_a_ramp_that_breaks_away_above_its_level_is_the_motion_of_a_general_solver(law):
+    """F = -(static Fs/d) w within the half-width d; beyond it the curve, from Fs on, at abs(w) - d."""
+    flow = flow_of(law, static=1.3, c=0.03, d=0.15)
+    found = list_events(flow, 0.2, 0.45, 20.0)
+
+    def friction(w, inside):  # of the mode, also where a trial step of the solver leaves it
+        if inside:
+            return -1.3 / 0.15 * w
+        s = -w - 0.15
+        return {2: 1.0, 4: 1.0 - 0.05 * s, 6: 1.0 / (1.0 + 3.0 * s)}[law]
+
+    def edge(_, state):
+        return state[1] - 0.35
+
+    edge.terminal = True
+    t, state, times, inside = 0.0, [0.2, 0.45], [], True
+    while len(times) < len(found.t):
+
+        def rates(_, y, inside=inside):
+            return y[1], friction(y[1] - 0.5, inside) - 0.03 * y[1] - y[0]
+
+        edge.direction = -1.0 if inside else 1.0
+        part = solve_ivp(rates, (t, t + 40.0), state, "DOP853", events=edge, rtol=1e-12, atol=1e-13)
+        t, state = part.t_events[0][0], [part.y_events[0][0][0], 0.35]
+        inside = not inside
+        times.append(t)
+    assert len(times) >= 4
+    assert found.t == pytest.approx(times, abs=1e-9)
 
 
 @pytest.mark.parametrize("law", [5, 6])

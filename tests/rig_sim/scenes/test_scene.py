@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from daq.errors import InputError
+from rig_sim.friction.contact import force
+from rig_sim.friction.law import LAWS
 from rig_sim.scenes.scene import SECTIONS, Scene, builtin_names, parse_changes, scene
 
 
@@ -28,6 +30,16 @@ def test_rig_is_the_laboratory_rig() -> None:
     assert rig.encoder is not None
     assert 4 * rig.encoder.metres_per_count == pytest.approx(30.68e-6, rel=1e-4)
     assert rig.encoder.metres_per_count == pytest.approx(7.67e-6, rel=1e-4)
+
+
+def test_a_slope_of_the_ramp_is_that_slope_whatever_the_break_away_level() -> None:
+    """With static 1.3 a ramp given by its slope used to be 1.3 times as steep."""
+    friction = changed("friction.law=6", "friction.G_stick=-5", "friction.static=1.3").friction
+    assert friction is not None
+    p = friction.parameters()
+    assert p["d"] == pytest.approx(1.3 / 5)
+    assert force(LAWS[6], -0.1, **p, static=friction.static) == pytest.approx(0.5)
+    assert force(LAWS[6], -p["d"], **p, static=friction.static) == pytest.approx(1.3)
 
 
 @pytest.mark.parametrize("name", ["base", "damped", "forced", "rig"])
