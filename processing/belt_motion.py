@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.compute.arrays import Mask
 from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.record.motion import BeltMotion, Motion
@@ -25,7 +26,7 @@ def has_belt_encoder(recording: "Recording") -> bool:
     return recording.belt_count is not None and rig.belt_metres_per_count is not None and recording.unit == "m"
 
 
-def smooth_belt(recording: "Recording", series: Series, motion: Motion) -> BeltMotion | None:
+def smooth_belt(recording: "Recording", kept: Mask, series: Series, motion: Motion) -> BeltMotion | None:
     """Return the belt of a recording; None without a channel or a common unit.
 
     Savitzky-Golay and differences take the belt as they took the mass; for the others it is
@@ -36,6 +37,8 @@ def smooth_belt(recording: "Recording", series: Series, motion: Motion) -> BeltM
     ----------
     recording : Recording
         The run.
+    kept : array of bool, shape (n,)
+        True for the m samples of the run that are in the series.
     series : Series
         Its positions, made ready.
     motion : Motion
@@ -44,7 +47,7 @@ def smooth_belt(recording: "Recording", series: Series, motion: Motion) -> BeltM
     pitch = recording.rig.belt_metres_per_count
     if not has_belt_encoder(recording) or recording.belt_count is None or pitch is None:
         return None
-    travel = (recording.belt_count - recording.belt_count[0]) * pitch.value
+    travel = (recording.belt_count[kept] - recording.belt_count[0]) * pitch.value
     own = replace(series, position=travel, origin=0.0, pitch=abs(pitch.value))
     seen = replace(
         series, position=series.position - travel, origin=0.0, pitch=float(np.hypot(series.pitch, pitch.value))

@@ -14,17 +14,24 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from processing import belt_motion
-from processing.defects import lost_counts, velocity_steps
+from processing.defects import frames, lost_counts, velocity_steps
+from processing.defects.findings import sensor_findings
+from processing.defects.sensor_faults import without_faults
+from processing.kalman import white_jerk
+from processing.kalman.bridge import across_faults
 from processing.methods import registry
+from processing.record.faults import Fault
 from processing.record.lost_counts import LostCounts, counts_missing, restore_counts
 from processing.record.motion import Phase, VelocityStep
-from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.segmentation import plateaus
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
+
+
+SOUND = 0.9  # share of the samples around a velocity step that must be positions; a bridged hole has a kink at its ends
 
 
 class BlockSmoother:
@@ -50,6 +57,9 @@ class BlockSmoother:
         self._belt_speeds: list[float] = []
         self._plateau_speeds: list[float] = []
         self._noises: list[float] = []
+        self._faults: list[Fault] = []
+        self._step_sums = np.zeros(8)
+        self._samples = 0
         self._behind = 0  # counts lost so far in this segment
 
     def smooth(self, recording: "Recording", data: Series, own: slice, low: int = 0) -> dict[str, Any]:
@@ -69,13 +79,21 @@ class BlockSmoother:
         dict of arrays of shape (k,)
             time, position, velocity, acceleration, their errors, and the belt's velocity where it has an encoder.
         """
-        losses = lost_counts.losses(data) if self.repair != "off" else ()
+        sound = without_faults(data)
+        losses = lost_counts.losses(sound.bridged) if self.repair != "off" else ()
+        losses = tuple(loss for loss in losses if sound.kept[loss.first : loss.last + 1].all())
         behind = counts_missing(recording.segment, losses)
-        data = restore_counts(data, behind)
-        self._noises.append(position_noise(data))
-        motion = registry.estimate(self.method, data, self.setting)
-        belt = belt_motion.smooth_belt(recording, data, motion)
-        found = plateaus.segment(data, motion, recording.rig.belt_speed, self.setting.belt_speed, belt)
+        data = restore_counts(sound.bridged, behind)
+        seen = restore_counts(sound.series, behind[sound.kept])
+        self._noises.append(sound.noise)
+        motion = registry.estimate(self.method, seen, self.setting)
+        belt = belt_motion.smooth_belt(recording, sound.kept, seen, motion)
+        found = plateaus.segment(seen, motion, recording.rig.belt_speed, self.setting.belt_speed, belt)
+        phases = found.phases
+        if sound.faults:
+            number = np.flatnonzero(sound.kept)
+            phases = tuple(replace(own, first=int(number[own.first]), last=int(number[own.last])) for own in phases)
+            motion = across_faults(data.time, sound.kept, motion, white_jerk.fit(seen).jerk)
         if self.repair == "fix":
             shift = -data.pitch * self._lost_before(recording, own, losses)
         else:
@@ -90,14 +108,24 @@ class BlockSmoother:
             "acceleration_errors": motion.acceleration_errors[own],
         }
         if belt is not None:
-            columns |= {"belt_velocity": belt.velocity[own], "belt_velocity_errors": belt.velocity_errors[own]}
+            for name, values in (("belt_velocity", belt.velocity), ("belt_velocity_errors", belt.velocity_errors)):
+                whole = np.interp(data.time, seen.time, values) if sound.faults else values
+                columns[name] = whole[own]
+        for fault in sound.faults:
+            first, last = max(fault.first, own.start), min(fault.last, own.stop - 1)
+            if first <= last:
+                self._faults.append(Fault(first + low, last + low, fault.kind))
+        if recording.raw is None:  # a board's sample numbers show where samples are missing
+            self._step_sums += frames.step_sums(data, own, sound.noise)
         for loss in losses:
             if own.start <= loss.first < own.stop:
                 self._losses.append(LostCounts(loss.first + low, loss.last + low, loss.counts))
         for step in velocity_steps.velocity_steps(data):
-            if own.start <= step.sample < own.stop:
+            near = slice(max(step.sample - velocity_steps.AROUND, 0), step.sample + velocity_steps.AROUND)
+            if own.start <= step.sample < own.stop and sound.kept[near].mean() > SOUND:
                 self._steps.append(VelocityStep(step.sample + low, step.step))
-        self._join(found.phases, data, low, own.start + low, own.stop + low)
+        self._samples += own.stop - own.start
+        self._join(phases, data, low, own.start + low, own.stop + low)
         self._methods[motion.method] = self._methods.get(motion.method, 0) + own.stop - own.start
         self._windows.append((motion.window, motion.order))
         self._belt_speeds.append(found.belt_speed)
@@ -112,6 +140,8 @@ class BlockSmoother:
     def header(self) -> dict[str, Any]:
         """Return what `SmoothingHeader` states: the method and window of most samples, the median belt speed."""
         window, order = max(set(self._windows), key=self._windows.count)
+        faults, noise = tuple(self._faults), self._noise()
+        counted = frames.count_frames(self._step_sums, noise)
         return {
             "method": max(self._methods, key=lambda name: self._methods[name]),
             "window": window,
@@ -121,7 +151,10 @@ class BlockSmoother:
             "phases": tuple(self._phases),
             "losses": tuple(self._losses),
             "kicks": tuple(self._steps),
-            "noise": self._noise(),
+            "faults": faults,
+            "dropped_frames": counted.lost,
+            "findings": tuple(sensor_findings(faults, counted, self._samples)),
+            "noise": noise,
             "repaired": self.repair == "fix" and bool(self._losses),
         }
 

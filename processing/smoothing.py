@@ -17,6 +17,7 @@ from daq.errors import InputError, nearest
 from daq.runfile import store
 from processing import belt_motion, stage
 from processing.blocks import BlockSmoother
+from processing.defects.sensor_faults import without_faults
 from processing.methods import registry, window_choice
 from processing.record import import_grid, series
 from processing.record.kinematics import Kinematics, SmoothingSummary
@@ -30,7 +31,7 @@ REPAIRS = ("off", "flag", "fix")
 
 BLOCK = 2**16  # samples kept at a time: memory grows with it (200 to 250 MB), and with less the margins cost more CPU
 MARGIN = 2**12  # samples smoothed too on either side of a block; a stick cut shorter than this is found as in the whole
-LARGE = 2**20  # samples: the command smooths longer records block by block
+LARGE = 2**19  # samples: the command smooths longer records block by block; one as long takes about 300 MB
 SPREAD, SPREAD_SIZE = 8, 2**14  # stretches, and samples of each, from which the window of a long record is chosen
 
 
@@ -180,7 +181,8 @@ def _spread(path: Path, n: int, times: str) -> Series:
     """Return stretches spread over the record, as one series of as many pieces."""
     size = min(SPREAD_SIZE, n)
     starts = np.unique(np.linspace(0, n - size, SPREAD).astype(int)).tolist()
-    parts = [series.from_recording(store.load(path, slice(at, at + size)), times) for at in starts]
+    read = (series.from_recording(store.load(path, slice(at, at + size)), times) for at in starts)
+    parts = [without_faults(part).series for part in read]
     pieces, at, end = [], 0, 0.0
     time, position = [], []
     for part in parts:

@@ -10,6 +10,7 @@
       phases          NXdata      one row a stick or slip: start, end, their errors, first, last, stick (1) or slip (0)
       losses          NXdata      one row a place where counts went missing: first, last, counts (absent without any)
       kicks           NXdata      one row a step of the velocity: sample, step (absent without any)
+      faults          NXdata      one row a run of samples left out: first, last, frozen (1) or spike (0) (likewise)
       findings        NXcollection  one row a contradiction or fault: code, text, value, expected, sigmas (likewise)
 """
 
@@ -24,6 +25,7 @@ from daq.errors import InputError
 from daq.runfile import nexus, store
 from daq.runfile.recording import Recording
 from processing.record import series
+from processing.record.faults import Fault
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.lost_counts import LostCounts
@@ -83,6 +85,7 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
     nexus.field(parameters, "belt_speed", np.float64(motion.belt_speed), f"{unit}/s")
     nexus.field(parameters, "lost_counts", np.int64(motion.lost_counts))
     nexus.field(parameters, "repaired", np.int64(motion.repaired))
+    nexus.field(parameters, "dropped_frames", np.int64(motion.dropped_frames))
     nexus.field(parameters, "noise", np.float64(motion.noise), unit)
     nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
     nexus.field(parameters, "sha256_input", digest)
@@ -135,6 +138,19 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
             signal="step",
             title="steps of the velocity",
         )
+    if motion.faults:
+        nexus.table(
+            smooth,
+            "faults",
+            {
+                "first": (np.array([fault.first for fault in motion.faults], np.uint32), ""),
+                "last": (np.array([fault.last for fault in motion.faults], np.uint32), ""),
+                "frozen": (np.array([fault.kind == "frozen" for fault in motion.faults], np.uint8), ""),
+            },
+            axis="first",
+            signal="last",
+            title="samples left out",
+        )
     if motion.findings:
         made = nexus.group(smooth, "findings", "NXcollection")
         for name in ("code", "text"):
@@ -179,6 +195,8 @@ def load(path: Path) -> Kinematics | None:
             phases=_phases(entry, path),
             losses=_losses(entry, path),
             kicks=_kicks(entry, path),
+            faults=_faults(entry, path),
+            dropped_frames=_dropped_frames(entry, path),
             noise=_noise(entry, recording, times, path),
             findings=_findings(entry, path),
             repaired="repaired" in entry[parameters] and bool(nexus.read_number(entry, f"{parameters}/repaired", path)),
@@ -191,6 +209,20 @@ def _noise(entry: h5py.Group, recording: Recording, times: str, path: Path) -> f
     if "noise" in entry["smooth/parameters"]:
         return nexus.read_number(entry, "smooth/parameters/noise", path)
     return position_noise(series.from_recording(recording, times))
+
+
+def _faults(entry: h5py.Group, path: Path) -> tuple[Fault, ...]:
+    if "smooth/faults" not in entry:
+        return ()
+    columns = [nexus.read_array(entry, f"smooth/faults/{name}", np.int64, path) for name in ("first", "last", "frozen")]
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return tuple(Fault(first, last, "frozen" if frozen else "spike") for first, last, frozen in rows)
+
+
+def _dropped_frames(entry: h5py.Group, path: Path) -> int:
+    if "dropped_frames" not in entry["smooth/parameters"]:
+        return 0  # of a stage written before they were looked for
+    return int(nexus.read_number(entry, "smooth/parameters/dropped_frames", path))
 
 
 def _findings(entry: h5py.Group, path: Path) -> tuple[Finding, ...]:

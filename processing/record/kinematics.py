@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from daq.compute.arrays import Array, Mask
+from processing.record.faults import Fault
 from processing.record.finding import Finding
 from processing.record.lost_counts import LostCounts, counts_missing
 from processing.record.motion import Phase, VelocityStep, mask_of
@@ -40,6 +43,11 @@ class SmoothingHeader:
         Where ten or more counts went missing (`processing.defects.lost_counts`).
     kicks : tuple of VelocityStep
         Where the velocity stepped (`processing.defects.velocity_steps`); marked, and smoothed over.
+    faults : tuple of Fault
+        Samples that are no positions (`processing.defects.sensor_faults`), left out of the smoothing: the motion there
+        is estimated from the samples on either side, with its errors.
+    dropped_frames : int
+        Frames lost among even times (`processing.defects.frames`), as counted or estimated; the times are as recorded.
     repaired : bool
         Whether lost counts were put back into the position.
     noise : float
@@ -61,6 +69,8 @@ class SmoothingHeader:
     phases: tuple[Phase, ...]
     losses: tuple[LostCounts, ...]
     kicks: tuple[VelocityStep, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    dropped_frames: int = 0
     repaired: bool
     noise: float
     findings: tuple[Finding, ...] = ()
@@ -76,6 +86,16 @@ class SmoothingHeader:
     def slips(self) -> tuple[Phase, ...]:
         """The slips, in order of time."""
         return tuple(phase for phase in self.phases if phase.kind == "slip")
+
+    @property
+    def spikes(self) -> int:
+        """Samples left out because they are out of line with their neighbours."""
+        return sum(fault.samples for fault in self.faults if fault.kind == "spike")
+
+    @property
+    def frozen(self) -> int:
+        """Samples left out because the sensor held its value while the mass moved."""
+        return sum(fault.samples for fault in self.faults if fault.kind == "frozen")
 
     @property
     def lost_counts(self) -> int:
@@ -142,6 +162,11 @@ class Kinematics(SmoothingHeader):
         """True in sticks, (n,)."""
         return mask_of(self.sticks, self.samples)
 
+    @cached_property
+    def missing(self) -> Mask:
+        """True for the samples that were left out of the smoothing, (n,)."""
+        return mask_of(self.faults, self.samples)
+
     @property
     def belt_counted(self) -> bool:
         """Whether the belt has an encoder of its own."""
@@ -164,13 +189,17 @@ class Kinematics(SmoothingHeader):
 
     @property
     def measured(self) -> Array:
-        """The recorded positions, m, (n,); with the lost counts where they were put back."""
+        """The recorded positions, m, (n,); with the lost counts where they were put back.
+
+        Where samples are `missing` it is the smoothed position.
+        """
         recording = self.recording
-        if not self.repaired:
-            return recording.position
-        metres = recording.rig.metres_per_count
-        pitch = abs(metres.value) if metres is not None else 1.0
-        return recording.position - pitch * counts_missing(recording.segment, self.losses)
+        recorded = recording.position
+        if self.repaired:
+            metres = recording.rig.metres_per_count
+            pitch = abs(metres.value) if metres is not None else 1.0
+            recorded = recorded - pitch * counts_missing(recording.segment, self.losses)
+        return np.where(self.missing, self.position, recorded) if self.faults else recorded
 
     @property
     def plateau_fraction(self) -> float:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal, Protocol, Self
 
 import numpy as np
 
@@ -109,11 +109,23 @@ class Phase:
         return self.end - self.start
 
 
-def mask_of(phases: Iterable[Phase], n: int) -> Mask:
-    """Return a mask of n samples, True inside the phases."""
+class SampleRange(Protocol):
+    """Anything with a first and a last sample, both included."""
+
+    @property
+    def first(self) -> int:
+        """The first sample."""
+
+    @property
+    def last(self) -> int:
+        """The last one."""
+
+
+def mask_of(ranges: Iterable[SampleRange], n: int) -> Mask:
+    """Return a mask of n samples, True inside the ranges (phases, faults)."""
     mask = np.zeros(n, bool)
-    for phase in phases:
-        mask[phase.first : phase.last + 1] = True
+    for own in ranges:
+        mask[own.first : own.last + 1] = True
     return mask
 
 

@@ -20,6 +20,8 @@ MOST = 2**12  # differences looked at, spread over the record: their median is k
 NEIGHBOURS = 1, 1  # samples: the gaps inside a difference, least and widest
 APART = 8, 16  # the same where readings are mostly rounding: up to 1.2 times what it adds; with 1, 3 up to 1.6 times
 ROUNDED = 1.0  # steps: a smaller scatter is mostly rounding, which neighbours of a steady motion share in a pattern
+EXACT = 1e-5  # steps: how near whole multiples of a step the changes of rounded readings are
+VARIED = 0.05  # share of changes that must not be one step; those of a rounded motion differ
 GOLDEN = 0.6180339887498949  # its multiples modulo 1 are spread evenly
 NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal number
 
@@ -51,11 +53,20 @@ def position_noise(series: Series) -> float:
 
 
 def smallest_step(position: Array) -> float:
-    """Return the smallest change between neighbouring positions, m; 0 where none changes."""
+    """Return the smallest change between neighbouring positions, m; 0 where the others are no multiples of it.
+
+    A motion that changes by one and the same amount throughout, as a triangle does, shows no step.
+    """
     steps = np.abs(np.diff(position))
     np.copyto(steps, np.inf, where=steps == 0)
     least = float(steps.min(initial=np.inf))
-    return least if math.isfinite(least) else 0.0
+    if not math.isfinite(least):
+        return 0.0
+    some = steps[:: max(steps.size // MOST, 1)]
+    number = np.where(np.isfinite(some), some, 0.0) / least
+    multiple = np.rint(number)
+    rounded = np.median(np.abs(number - multiple)) < EXACT and np.mean(multiple != 1) > VARIED
+    return least if rounded else 0.0
 
 
 def _scatter(series: Series, step: float, spacing: tuple[int, int]) -> float:

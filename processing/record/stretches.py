@@ -1,5 +1,6 @@
 """Representative stretches of a long record, for what is learned from it without reading all of it."""
 
+from bisect import bisect_left, bisect_right
 from itertools import pairwise
 
 import numpy as np
@@ -43,5 +44,10 @@ def representative_stretches(series: Series, most: int, parts: int = 8) -> list[
     length = most // parts
     at = np.linspace(begin, series.time.size - length, parts).astype(int)
     windows = [(int(first), int(first) + length) for first in at]
-    inside = [slice(max(run.start, low), min(run.stop, high)) for run in runs for low, high in windows]
+    starts, stops = ([getattr(run, end) for run in runs] for end in ("start", "stop"))
+    inside = [
+        slice(max(run.start, low), min(run.stop, high))
+        for low, high in windows
+        for run in runs[bisect_right(stops, low) : bisect_left(starts, high)]
+    ]
     return [own for own in inside if own.stop - own.start >= SHORTEST]

@@ -15,6 +15,10 @@ from processing.record.motion import Motion
 # Of the belt's speed: the most that a plateau may differ from it.  Under friction with a ramp the mass creeps by up to
 # the ramp's half-width d, so sticks are found for d up to 0.4 belt speeds and missed above.
 SAME_SPEED = 0.4
+QUARTER = 8  # samples in a quarter of a stick, at least
+FEWEST = 8  # sticks that creep is judged by
+CREEP = 0.02  # of the belt's speed: what the last quarter of a stick must lose; an even belt loses less than 0.001
+LEVEL = 1 / 3  # of that loss: the most that the first two quarters may differ by; 1/2 under friction with a ramp
 
 
 def common_speed(motion: Motion, plateaus: list[tuple[int, int]]) -> float:
@@ -26,6 +30,34 @@ def common_speed(motion: Motion, plateaus: list[tuple[int, int]]) -> float:
     mode = half_sample_mode(velocity[:: max(velocity.size // 2**12, 1)])
     about = np.abs(velocity - mode) <= 3 * error
     return float(velocity[about].mean()) if about.any() else mode
+
+
+def speed_before_creep(velocity: list[Array], window: int, common: float) -> float:
+    """Return the speed of the first halves of the sticks where the mass creeps before break-away, else ``common``.
+
+    Paper, rubber and polymers slide ever faster before they break away, and a stick's mean speed is then below the
+    belt's.  In every quarter of a stick the median speed is taken, and of the sticks the median: creep shows where the
+    last quarter is slower than the second, and the first two differ by far less.  (Under friction with a ramp the
+    speed falls evenly through all of a stick.)
+
+    Parameters
+    ----------
+    velocity : list of array of shape (n_i,)
+        Velocities in each stick, m/s.
+    window : int
+        Samples that the velocity is smoothed over: a quarter of less than two shows what lies beside the stick, too.
+    common : float
+        Their common speed, m/s.
+    """
+    long = [own for own in velocity if own.size >= 4 * max(2 * window, QUARTER)]
+    if len(long) < FEWEST:
+        return common
+    quarters = np.array([[np.median(part) for part in np.array_split(own, 4)] for own in long]) / common
+    first, second, _, last = np.median(quarters, axis=0)
+    scatter = float(np.median(np.abs(quarters[:, 1] - quarters[:, 3] - (second - last)))) / 0.6745
+    if second - last < max(CREEP, 4 * scatter / math.sqrt(len(long))) or abs(first - second) > LEVEL * (second - last):
+        return common
+    return float(common * (first + second) / 2)
 
 
 def half_sample_mode(values: Array) -> float:

@@ -14,7 +14,7 @@ from daq.compute.arrays import Array, Mask, runs
 from daq.runfile.rig import Measured
 from processing.record.motion import Corner, Motion, Phase, PhaseSegmentation
 from processing.record.series import Series
-from processing.segmentation.belt_speed import SAME_SPEED, reported_speed
+from processing.segmentation.belt_speed import SAME_SPEED, reported_speed, speed_before_creep
 
 Runs = list[tuple[int, int]]  # first and last sample, both included
 Stick = tuple[float, float, float, float]  # start, end, and their standard deviations, s
@@ -49,11 +49,13 @@ def segment_at_corners(
                 stuck = False
         if stuck:
             sticks.append((landed.time, end, landed.sd, math.inf))
-    velocity = [motion.velocity[(time >= stick[0]) & (time <= stick[1])] for stick in sticks]
+    bounds = [(np.searchsorted(time, stick[0]), np.searchsorted(time, stick[1], side="right")) for stick in sticks]
+    velocity = [motion.velocity[first:end] for first, end in bounds]
     held = np.concatenate(velocity) if velocity else np.empty(0)
     level = math.nan
     if held.size:
         level = float(held[np.abs(held - np.median(held)) <= SAME_SPEED * abs(np.median(held))].mean())
+        level = speed_before_creep(velocity, motion.window, level)
     phases = phases_from_sticks(series, moving, sticks)
     return PhaseSegmentation(reported_speed(stated, measured, level, bool(sticks)), phases, level)
 

@@ -16,6 +16,7 @@ when they exceed the tolerance.
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +27,13 @@ from processing.kalman import white_jerk
 from processing.record.motion import BeltMotion, Motion, PhaseSegmentation
 from processing.record.noise import position_noise
 from processing.record.series import Series
-from processing.segmentation.belt_speed import SAME_SPEED, common_speed, median_value, reported_speed
+from processing.segmentation.belt_speed import (
+    SAME_SPEED,
+    common_speed,
+    median_value,
+    reported_speed,
+    speed_before_creep,
+)
 from processing.segmentation.phase_layout import (
     Runs,
     Stick,
@@ -92,6 +99,9 @@ def segment(
             start, end = corners_of_plateau(run, series, size, seen.window, tolerance, moving)
             sticks.append((start, end, math.inf, math.inf))
     phases = phases_from_sticks(series, moving, sticks)
+    if stated is None and belt is None:
+        held = [rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
+        level = speed_before_creep(held, motion.window, level)
     speed = reported_speed(stated, measured, level, bool(sticks)) if belt is None else belt.speed(moving)
     return PhaseSegmentation(speed, phases, common)
 
@@ -179,8 +189,9 @@ def _joined(flat: Runs, wide: Runs) -> list[tuple[tuple[int, int], tuple[int, in
     A burst of noise inside a stick leaves the narrow tolerance but not the wide one.
     """
     found = []
+    starts = [run[0] for run in flat]
     for around in wide:
-        inside = [run for run in flat if around[0] <= run[0] and run[1] <= around[1]]
+        inside = flat[bisect_left(starts, around[0]) : bisect_right(starts, around[1])]
         if inside:
             found.append(((inside[0][0], inside[-1][1]), around))
     return found

@@ -1,0 +1,115 @@
+"""Kernels: one pass over the positions for readings out of line, for values that are held, and for odd steps.
+
+Every function runs as written or compiled (`daq.compute.compile`).  Each writes as many places as ``found`` has rows
+and returns how many there are.
+"""
+
+from daq.compute.arrays import Array, Integers
+
+NEAR = 32  # samples on either side that say how much readings scatter there
+WIDE = 7  # steps on either side that say how long one usually is
+
+
+def median_of_five(a: float, b: float, c: float, d: float, e: float) -> float:
+    """Return the middle one of five numbers."""
+    low, high = max(min(a, b), min(d, e)), min(max(a, b), max(d, e))
+    return max(min(low, high), min(max(low, high), c))
+
+
+def find_outliers(x: Array, limit: float, share: float, found: Integers, size: Array) -> int:
+    """Find single readings out of line by more than ``limit``, m.
+
+    A reading is out of line where it differs from the median of five, and from the lines through its two neighbours on
+    either side: at a turning point and in the tip of a triangle one of these agrees.  It must also exceed the bend of
+    the motion beside it (twice the smaller one and 0.4 of the larger one; the top of a parabola has half of it), and
+    most differences from the median nearby must be below ``share`` of its own, so that a stretch of larger noise has
+    none.
+
+    Parameters
+    ----------
+    x : array of shape (n + 6,)
+        Positions, m, with three more on either side.
+    limit, share : float
+        As above.
+    found, size : array of shape (k,)
+        Get the samples, 0 to n - 1, and by how much they are out of line, m.
+    """
+    count = 0
+    n = x.size - 6
+    for i in range(3, n + 3):
+        here = x[i]
+        off = abs(here - median_of_five(x[i - 2], x[i - 1], here, x[i + 1], x[i + 2]))
+        if off <= limit:
+            continue
+        if abs(here - 2 * x[i - 1] + x[i - 2]) <= limit or abs(here - 2 * x[i + 1] + x[i + 2]) <= limit:
+            continue
+        before, behind = abs(x[i - 1] - 2 * x[i - 2] + x[i - 3]), abs(x[i + 1] - 2 * x[i + 2] + x[i + 3])
+        if off <= 2 * min(before, behind) + 0.4 * max(before, behind):
+            continue
+        quiet = total = 0
+        for j in range(max(i - NEAR, 2), min(i + NEAR, n + 3) + 1):
+            near = abs(x[j] - median_of_five(x[j - 2], x[j - 1], x[j], x[j + 1], x[j + 2]))
+            quiet += near < share * off
+            total += 1
+        if 2 * quiet <= total:
+            continue
+        if count < found.size:
+            found[count], size[count] = i - 3, off
+        count += 1
+    return count
+
+
+def find_held(x: Array, least: int, jump: float, found: Integers) -> int:
+    """Find runs of at least ``least`` equal values beside a change of more than ``jump``, m: first and last, (k, 2)."""
+    count = first = 0
+    for i in range(1, x.size):
+        if x[i] == x[i - 1]:
+            continue
+        if i - first >= least and first > 0 and max(abs(x[i] - x[i - 1]), abs(x[first] - x[first - 1])) > jump:
+            if count < found.shape[0]:
+                found[count, 0], found[count, 1] = first, i - 1
+            count += 1
+        first = i
+    return count
+
+
+def count_steps(x: Array, noise: float, least: float, near: float, sums: Array) -> None:
+    """Compare every step of the position with the usual one of its neighbours.
+
+    The usual step is the mean of ``WIDE`` steps on either side, the largest and the smallest left out.
+
+    Parameters
+    ----------
+    x : array of shape (n,)
+        Positions, m.
+    noise, least : float
+        Standard deviation of one position, and the usual step above which a single step is clear of noise, m.
+    near : float
+        How near a multiple of the usual step a step must lie, in usual steps.
+    sums : array of shape (8,)
+        Added to: number of clear steps; of those twice and three times the usual one, of those of none and of minus
+        one; and of the steps that are not clear the sum of cubes of what they exceed the usual one by, the sum of its
+        own cubes, and their number.
+    """
+    for i in range(WIDE, x.size - WIDE - 1):
+        low = high = x[i] - x[i - 1]
+        total = x[i + WIDE + 1] - x[i + 1] + x[i] - x[i - WIDE]
+        for j in range(i - WIDE, i + WIDE + 1):
+            if j != i:
+                step = x[j + 1] - x[j]
+                low, high = min(low, step), max(high, step)
+        usual = (total - low - high) / (2 * WIDE - 2)
+        size = abs(usual)
+        if size < noise:
+            continue
+        more = (x[i + 1] - x[i]) * (1.0 if usual > 0 else -1.0) - size
+        if size >= least:
+            sums[0] += 1
+            sums[1] += abs(more - size) < near * size
+            sums[2] += abs(more - 2 * size) < near * size
+            sums[3] += abs(more + size) < near * size
+            sums[4] += abs(more + 2 * size) < near * size
+        elif abs(more) < 6 * noise + 3 * size:
+            sums[5] += more**3
+            sums[6] += size**3
+            sums[7] += 1

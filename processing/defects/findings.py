@@ -1,0 +1,44 @@
+"""What is reported of the faults of a sensor: one sentence each, with its numbers."""
+
+from processing.defects.frames import FrameCount
+from processing.record.faults import Fault
+from processing.record.finding import Finding
+
+
+def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int) -> list[Finding]:
+    """Return the findings of a record of so many samples: spikes, frozen stretches, frames lost or doubled."""
+    found = []
+    spikes = sum(fault.samples for fault in faults if fault.kind == "spike")
+    if spikes:
+        text = f"{_count(spikes, 'sample')} out of line with the neighbours (spikes, drop-outs): left out"
+        found.append(Finding("spikes", text, float(spikes), 0.0))
+    held = [fault.samples for fault in faults if fault.kind == "frozen"]
+    if held:
+        text = f"the sensor held its value {_count(len(held), 'time')} while the mass moved"
+        found.append(Finding("frozen", f"{text}: {_count(sum(held), 'sample')} left out", float(sum(held)), 0.0))
+    for name, number in (("dropped", frames.lost), ("doubled", frames.doubled)):
+        if number:
+            share = number / (frames.compared + number)
+            found.append(
+                Finding(
+                    f"{name}-frames",
+                    f"about {100 * share:.1f} % of the frames are {name} although the times are even "
+                    f"({number} of {frames.compared} steps): times and speeds are wrong by as much; "
+                    "record the time of every frame",
+                    share,
+                    0.0,
+                )
+            )
+    share = sum(fault.samples for fault in faults) / samples
+    if share > MUCH:
+        found.append(
+            Finding("faulty-sensor", f"{100 * share:.0f} % of the samples are faults: mend the sensor", share, MUCH)
+        )
+    return found
+
+
+MUCH = 0.2  # share of the samples: what is left is then no longer a record of the motion between them
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'s' if number != 1 else ''}"

@@ -1,0 +1,72 @@
+"""Frames lost or doubled without a trace: times on an even grid, and steps of twice, or none of, the usual length.
+
+A camera or a logger that numbers what arrives, instead of stamping when it was taken, makes even times of uneven ones.
+Where a mass moves by several standard deviations of a position between two frames, a lost frame shows as a step of
+twice those beside it, two lost ones as three times, and a doubled frame as no step at all.  Where a step is between
+one and seven standard deviations, only the share of lost frames shows, in the skewness of the steps.  Smaller steps
+hide them: then nothing is reported.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from daq.compute.compile import compiled
+from processing.defects import fault_kernel
+from processing.polynomial.even_grid import is_even
+from processing.record.series import Series
+
+KERNELS = ("processing.defects.fault_kernel",)
+
+CLEAR = 5.0  # standard deviations of a step that the usual step must have to be compared
+NEAR = 0.35  # of the usual step: how near a multiple a step must lie
+SHARE = 1e-3  # of the steps compared, at least; and
+FEWEST = 5
+SHORT = 32  # samples: half of the shortest piece looked at
+SKEW = 0.02  # share of frames below which noise could look like them; clean cameras of 0.2 mm reach 0.009
+SIGNIFICANT = 5.0  # standard deviations of that share
+
+
+@dataclass(frozen=True)
+class FrameCount:
+    """Steps compared, and how many frames are missing or doubled among them."""
+
+    compared: int
+    lost: int
+    doubled: int
+
+    @property
+    def share(self) -> float:
+        """Share of all frames that were lost, 0 to 1."""
+        return self.lost / (self.compared + self.lost) if self.lost else 0.0
+
+
+def step_sums(series: Series, own: slice, noise: float) -> Array:
+    """Return the sums that `count_frames` needs, (8,), over the samples ``own`` of a record without spikes.
+
+    They are 0 for a piece whose times are not even: there the times show where frames are missing.  ``noise`` is the
+    standard deviation of one position, m.
+    """
+    sums = np.zeros(8)
+    for piece in series.pieces:
+        part = slice(max(piece.start, own.start), min(piece.stop, own.stop))
+        if part.stop - part.start > 2 * SHORT and is_even(series.time[part]):
+            least = CLEAR * math.sqrt(2) * noise
+            compiled(fault_kernel.count_steps, KERNELS)(series.position[part], noise, least, NEAR, sums)
+    return sums
+
+
+def count_frames(sums: Array, noise: float) -> FrameCount:
+    """Return the frames lost or doubled, from the sums over all of a record."""
+    compared, one, two, none, back = (int(value) for value in sums[:5])
+    lost, doubled = one + 2 * two - back, none - one
+    few = max(FEWEST, SHARE * compared)
+    if lost <= few and doubled <= few and sums[6] > 0 and compared < sums[7]:
+        # Steps of twice the usual length skew the distribution by the share of frames lost; noise does not.
+        share = float(sums[5] / sums[6])
+        error = math.sqrt(15 * sums[7] * (2 * noise**2) ** 3) / float(sums[6])
+        if share > max(SKEW, SIGNIFICANT * error):
+            return FrameCount(int(sums[7]), round(share * float(sums[7])), 0)
+    return FrameCount(compared, lost if lost > few else 0, doubled if doubled > few else 0)

@@ -1,0 +1,193 @@
+"""Readings that are no positions: spikes and drop-outs, and stretches in which a sensor holds its last value.
+
+A spike is out of line with its neighbours (`processing.defects.fault_kernel.find_outliers`).  Only the worst of five
+neighbours is taken at a time, since the others may merely lie beside it; then the rest is looked at again.  A drop-out
+of three samples or more holds one value and returns.  A frozen stretch holds one for five samples or more and then
+catches up with the motion; rest does not, nor does a count that changes slowly.
+
+Found are single spikes beyond six standard deviations of a position (and two and a half counts); not found are longer
+bursts of noise, and a sensor that holds its value while nothing moves or until the mass has come back.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers, Mask, runs
+from daq.compute.compile import compiled
+from processing.defects import fault_kernel
+from processing.record.faults import Fault
+from processing.record.motion import mask_of
+from processing.record.noise import position_noise, smallest_step
+from processing.record.series import HOLE, Series
+
+KERNELS = ("processing.defects.fault_kernel",)
+
+# In 96 clean records (encoders, cameras of 0.2 and 1 mm, real landings) nothing is flagged; with 4 sd some are.
+OUT_OF_LINE = 6.0  # standard deviations of a position, and of the scatter nearby
+STEPS = 2.5  # counts, or printed steps: a count that dithers moves by one or two
+NORMAL = 0.6745  # median of the absolute value of a standard normal number
+PASSES = 8
+DROPPED, FROZEN = 3, 5  # samples of one value
+BESIDE = 8  # steps on either side of held values that say how the mass moves there
+CATCH_UP = 4.0  # times the mean step beside them: what the value jumps by when it is released
+LESS = 0.95  # of the noise before: where it falls below that without the faults, more of them show
+LONG = 0.03  # s: a hole as long as the shortest stick may hide one, so nothing is smoothed across it
+
+
+@dataclass(frozen=True, eq=False)
+class SoundRecord:
+    """A record without its faults.
+
+    Attributes
+    ----------
+    faults : tuple of Fault
+        In order of time.
+    kept : array of bool, shape (n,)
+        True for the samples that are positions.
+    series : Series
+        Those samples.
+    bridged : Series
+        All n samples, with straight lines where there are faults.
+    noise : float
+        Standard deviation of one position that is kept, m.
+    """
+
+    faults: tuple[Fault, ...]
+    kept: Mask
+    series: Series
+    bridged: Series
+    noise: float
+
+
+def without_faults(series: Series) -> SoundRecord:
+    """Return the record without its faults."""
+    noise = position_noise(series)
+    step = series.pitch or smallest_step(series.position)
+    faults = _faults(series, noise, step)
+    if not faults:
+        return SoundRecord((), np.ones(series.time.size, bool), series, series, noise)
+    left = _only(series, ~mask_of(faults, series.time.size))
+    for _ in range(3):  # frequent spikes add to the noise
+        before, noise = noise, position_noise(left)
+        if noise > LESS * before:
+            break
+        faults = _faults(series, noise, step)
+        left = _only(series, ~mask_of(faults, series.time.size))
+    kept = ~mask_of(faults, series.time.size)
+    own = np.flatnonzero(kept)
+    bridged = np.interp(series.time, series.time[own], series.position[own])
+    return SoundRecord(tuple(faults), kept, left, replace(series, position=bridged, count=None), noise)
+
+
+def _faults(series: Series, noise: float, step: float) -> list[Fault]:
+    found: list[Fault] = []
+    for piece in series.pieces:
+        if piece.stop - piece.start > 2 * BESIDE:
+            found += _in_piece(series.position[piece], noise, step, piece.start)
+    return found
+
+
+def _in_piece(x: Array, noise: float, step: float, start: int) -> list[Fault]:
+    jump = OUT_OF_LINE * noise + STEPS * step
+    spike, frozen = np.zeros(x.size, bool), np.zeros(x.size, bool)
+    own = np.arange(x.size)
+    limit = max(OUT_OF_LINE * noise, STEPS * step)
+    for _ in range(PASSES):
+        if own.size <= 2 * BESIDE:
+            break
+        out = _outliers(x[own], limit)
+        if not out.size:
+            break
+        spike[own[out]] = True
+        own = np.delete(own, out)
+    left = x[own] if own.size < x.size else x
+    for first, last in _held(left, jump):
+        kind = _kind_of_held(left, first, last, jump)
+        if kind == "frozen":
+            frozen[own[first + 1 : last + 1]] = True  # the first one is sound
+        elif kind == "spike":
+            spike[own[first : last + 1]] = True
+    found = [Fault(start + i, start + j - 1, "spike") for i, j in runs(spike)]
+    found += [Fault(start + i, start + j - 1, "frozen") for i, j in runs(frozen)]
+    return sorted(found, key=lambda fault: fault.first)
+
+
+def _kind_of_held(x: Array, first: int, last: int, jump: float) -> str:
+    """Return "spike" for a drop-out at the equal values first..last, "frozen" for a sensor that stood still, or ""."""
+    before = np.abs(np.diff(x[max(first - 1 - BESIDE, 0) : first]))
+    behind = np.abs(np.diff(x[last + 1 : last + 2 + BESIDE]))
+    if before.size < 3 or behind.size < 3:
+        return ""
+    usual = float(np.mean(np.concatenate((before, behind))))
+    there, back = float(x[first] - x[first - 1]), float(x[last + 1] - x[last])
+    least = jump + CATCH_UP * usual
+    if there * back < 0 and min(abs(there), abs(back)) > max(least, 2 * abs(there + back)):
+        return "spike"
+    moves = np.median(before) > 0 and np.median(behind) > 0
+    return "frozen" if moves and last - first + 1 >= FROZEN and abs(back) > least else ""
+
+
+def _outliers(x: Array, limit: float) -> Integers:
+    """Return the samples out of line, of five neighbours only the worst."""
+    padded = np.concatenate((_beyond(x)[::-1], x, _beyond(x[::-1])))
+    found, size = _outlying(padded, limit)
+    ends = (found == 0) | (found == x.size - 1)  # a line from one side only
+    if ends.any():
+        keep = ~ends
+        for k in np.flatnonzero(ends).tolist():
+            beside = x[: 2 * BESIDE] if found[k] == 0 else x[::-1][: 2 * BESIDE]
+            steps = np.diff(beside[1:])
+            keep[k] = np.median(np.abs(steps)) > 0 and size[k] > 2 * limit + 6 * np.abs(np.diff(steps)).max()
+        found, size = found[keep], size[keep]
+    worst: Mask = np.ones(found.size, bool)
+    for k in (1, 2):
+        near = found[k:] - found[:-k] <= 2
+        worst[k:] &= ~near | (size[k:] > size[:-k])
+        worst[:-k] &= ~near | (size[:-k] >= size[k:])
+    return np.asarray(found[worst])
+
+
+def _beyond(x: Array) -> Array:
+    """Return three values before the first, nearest first, on a line through medians of those behind it."""
+    near, far = float(np.median(x[1:4])), float(np.median(x[3:6]))
+    return near - (far - near) / 2 * np.array([3.0, 4.0, 5.0])
+
+
+def _outlying(padded: Array, limit: float) -> tuple[Integers, Array]:
+    run = compiled(fault_kernel.find_outliers, KERNELS)
+    room = 256
+    while True:
+        found, size = np.empty(room, np.int64), np.empty(room)
+        count = run(padded, limit, NORMAL / OUT_OF_LINE, found, size)
+        if count <= room:
+            return found[:count], size[:count]
+        room = count
+
+
+def _held(x: Array, jump: float) -> list[list[int]]:
+    run = compiled(fault_kernel.find_held, KERNELS)
+    room = 256
+    while True:
+        found = np.empty((room, 2), np.int64)
+        count = run(x, DROPPED, jump, found)
+        if count <= room:
+            return found[:count].tolist()  # type: ignore[no-any-return]
+        room = count
+
+
+def _only(series: Series, kept: Mask) -> Series:
+    """Return the samples ``kept`` of a record, (n,); its pieces end where a long hole is left."""
+    own = np.flatnonzero(kept)
+    time = series.time[own]
+    cut = np.diff(time) > max(HOLE * series.interval, LONG)
+    starts = {int(np.searchsorted(own, piece.start)) for piece in series.pieces}
+    edges = sorted({0, own.size} | starts | set((np.flatnonzero(cut) + 1).tolist()))
+    return replace(
+        series,
+        time=time,
+        position=series.position[own],
+        count=None if series.count is None else series.count[own],
+        pieces=tuple(slice(i, j) for i, j in pairwise(edges)),
+    )
