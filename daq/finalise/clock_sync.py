@@ -43,6 +43,7 @@ BELIEVABLE = 0.02  # a crystal is within 0.01 %, a ceramic resonator within 0.5 
 # interval by 0.25 ms over the length of the run, 4 ppm in a minute.
 READ_LATENCY_S = 2.5e-4
 LIKELY_PPM = 8.0  # a wider interval means polls in step with the host
+PAUSE_S = 2.0  # nothing read for so long: longer than a busy computer stalls, shorter than a suspended one; not swept
 TOO_EARLY_S = 0.05  # below the robust line by more than this, a stamp is wrong and not early
 
 
@@ -101,10 +102,12 @@ def compare(
     if span <= 0 or abs((host[-1] - host[0]) / span - 1) > max(BELIEVABLE, 0.5 / span):
         return nothing
     bin_s = max(1.0, span / MOST_POINTS)
-    bins = np.floor((device - device[0]) / bin_s).astype(np.int64)
+    # After a pause of the computer the seconds are the host's: all that was sent meanwhile comes in one of them.
+    clock = host if np.max(np.diff(host)) > PAUSE_S else device
+    bins = np.floor((clock - clock[0]) / bin_s).astype(np.int64)
     delay = host - device
     order = np.lexsort((delay, bins))
-    least = order[np.concatenate(([True], np.diff(bins[order]) > 0))]
+    least = np.sort(order[np.concatenate(([True], np.diff(bins[order]) > 0))])
     if len(least) < FEWEST_POINTS or span < FEWEST_POINTS:
         return ClockSync(least, delay[least], None)
     robust = theil_sen(device[least], delay[least])
@@ -113,6 +116,8 @@ def compare(
     true = rest >= np.median(rest[least]) - TOO_EARLY_S
     kept = least[true[least]]
     slope = supporting_slope(device[true], delay[true])
+    if abs(slope) > BELIEVABLE:  # pauses of the computer have left no line to go by
+        return ClockSync(least, delay[least], None)
     ppm = -1e6 * slope / (1 + slope)
     if following is None:
         return ClockSync(kept, delay[kept], ppm)

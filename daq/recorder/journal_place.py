@@ -52,7 +52,7 @@ class JournalPlace:
         elif not self._copied():
             return False
         part = self._writer.path
-        if not _is_same(part.parent, self.output.absolute().parent):
+        if not _is_same(part.parent, self.output.parent):
             name = part.name.removesuffix(".part") if part.suffix == ".part" else self.output.name
             self.output = part.with_name(name)
         done = "was renamed" if renamed is not None else "was removed or unmounted"

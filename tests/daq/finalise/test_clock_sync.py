@@ -34,6 +34,19 @@ def test_drift_is_found_within_5_ppm_in_a_minute(ppm):
     assert clock_sync.compare(host, device).ppm == pytest.approx(ppm, abs=5)
 
 
+@pytest.mark.parametrize("ppm", [-100, 0, 100])
+@pytest.mark.parametrize("seconds", [3, 7, 20])
+def test_a_pause_of_the_computer_is_no_drift(ppm, seconds):
+    """Of 12 s the last 9 were read late, in one second: the drift used to be 2.6 million ppm."""
+    device = np.arange(0, 12, 0.008)
+    host = late_by_usb(device, ppm * 1e-6, np.random.default_rng(seconds))
+    paused = (host > 3) & (host < 3 + seconds)
+    host[paused] = 3 + seconds + np.linspace(0, 0.5, np.count_nonzero(paused))
+    host = np.maximum.accumulate(host)
+    found = clock_sync.compare(host, device).ppm
+    assert found is None or found == pytest.approx(ppm, abs=1500)
+
+
 def polled_line(drift, rng, poll_s, seconds=60, block=8, length=71, baud=115_200):
     """Return (host, device, following) of the reads of a serial line that a USB host polls in step with its own clock.
 

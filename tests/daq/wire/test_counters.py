@@ -136,14 +136,12 @@ def test_a_sequence_that_jumps_against_the_clock_begins_a_new_part(seq, ticks):
     assert order.index.tolist() == [*range(0, 400, 8), *range(0, 400, 8)]
 
 
-@pytest.mark.parametrize("lost", [1, 500, 70_000, 1_000_000])
+@pytest.mark.parametrize("lost", [1, 500, 70_000, 250_000])
 @pytest.mark.parametrize("off", [0.0, 1e-3, 0.05])
 def test_a_gap_on_which_sequence_and_clock_agree_is_a_gap(lost, off):
     """Also that of a board whose sample period is not the nominal one."""
     period = round(1000 * (1 + off))
     step = 400 + 8 * lost
-    if lost * 8 * period > 1 << 31:
-        pytest.skip("a gap of 2^31 ticks is not one")
     frames = frames_of((0, 0, 50), (step, step * period, 50), period=period)
     order = counters.order_frames(*frames, 1000.0, np.array([], dtype=np.int64))
     assert order.keep.all()
