@@ -23,7 +23,7 @@ test-slow: $(VENV)/.installed-test
 
 test-kernels: $(VENV)/.installed-test
 	@for kernel in $(BLAS_KERNELS); do echo "== OPENBLAS_CORETYPE=$$kernel"; \
-	  OPENBLAS_CORETYPE=$$kernel $(PYTEST) -q -m "not slow" tests/fitting tests/test_pipe.py || exit 1; done
+	  OPENBLAS_CORETYPE=$$kernel $(PYTEST) -q -m "not slow" tests/fitting/selection tests/test_pipe.py || exit 1; done
 
 bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --group bench

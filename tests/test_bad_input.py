@@ -1,19 +1,46 @@
 """Bad input: one line that names what, where and what to do, the right exit code, and nothing overwritten."""
 
+import contextlib
+import importlib
+import io
 import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
 import pytest
 
+from daq.console import application
 
-def run(command: str, *arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run a command in a folder."""
-    line = [Path(sys.executable).parent / command, *map(str, arguments)]
-    return subprocess.run(line, capture_output=True, text=True, cwd=cwd, check=False)
+COMMANDS = {
+    "daq": "daq.cli.app",
+    "process": "processing.cli",
+    "fit-friction": "fitting.cli",
+    "rig-sim": "rig_sim.cli.app",
+}
+
+
+class Ended(NamedTuple):
+    """How a command ended and what it printed."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def run(command: str, *arguments: object, cwd: Path) -> Ended:
+    """Run a command in a folder, within this process: a process of its own would load numpy 90 times."""
+    app = importlib.import_module(COMMANDS[command]).app
+    with (
+        contextlib.chdir(cwd),
+        contextlib.redirect_stdout(io.StringIO()) as out,
+        contextlib.redirect_stderr(io.StringIO()) as err,
+    ):
+        code = application.run(app, [str(argument) for argument in arguments])
+    return Ended(code, out.getvalue(), err.getvalue())
 
 
 def assert_refused(folder: Path, code: int, names: list[str], command: str, *arguments: object) -> None:
@@ -25,9 +52,9 @@ def assert_refused(folder: Path, code: int, names: list[str], command: str, *arg
     assert len(lines) == 1, done.stderr
     for name in names:
         assert name in lines[0], done.stderr
-    told = run(command, *arguments, "--json", cwd=folder)
-    assert told.returncode == code
-    error = json.loads(told.stdout)["error"]
+    as_json = run(command, *arguments, "--json", cwd=folder)
+    assert as_json.returncode == code
+    error = json.loads(as_json.stdout)["error"]
     assert set(error) == {"what", "where", "do"}
     assert error["what"]
     assert error["where"]

@@ -140,7 +140,13 @@ def test_what_came_at_another_rate_is_no_damage_of_the_recording(bench, switch_o
 
 @pytest.mark.parametrize(
     ("baud", "rate", "block"),
-    [(115_200, 500, 1), (115_200, 1000, 8), (500_000, 2000, 1), (500_000, 5000, 8), (1_000_000, 3000, 1)],
+    [
+        (115_200, 1000, 8),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in ((115_200, 500, 1), (500_000, 2000, 1), (500_000, 5000, 8), (1_000_000, 3000, 1))
+        ),
+    ],
 )
 def test_what_a_line_carries_it_carries_under_load(bench, switch_on, baud, rate, block):
     edges = bench.of_motion(scene("rig"), 2.5, jitter=0.2)  # 100,000 edges/s in its slips

@@ -35,12 +35,12 @@ def ramp(bench, rates_hz, steps_each, jitter=0.2, seed=1):
 @pytest.mark.parametrize(
     ("kind", "peak", "rate", "baud", "seconds"),
     [
-        ("uno", 100_000, 1000, 115_200, 10),
-        ("uno", 100_000, 5000, 1_000_000, 10),
-        ("uno", 150_000, 1000, 115_200, 10),
         ("uno", 150_000, 5000, 1_000_000, 5),
-        ("mega", 100_000, 1000, 115_200, 5),
         ("mega", 150_000, 5000, 1_000_000, 5),
+        pytest.param("uno", 100_000, 1000, 115_200, 10, marks=pytest.mark.slow),
+        pytest.param("uno", 100_000, 5000, 1_000_000, 10, marks=pytest.mark.slow),
+        pytest.param("uno", 150_000, 1000, 115_200, 10, marks=pytest.mark.slow),
+        pytest.param("mega", 100_000, 1000, 115_200, 5, marks=pytest.mark.slow),
     ],
 )
 def test_every_sample_of_the_rig_is_there_and_right(bench, switch_on, kind, peak, rate, baud, seconds):
@@ -61,7 +61,13 @@ def test_every_sample_of_the_rig_is_there_and_right(bench, switch_on, kind, peak
 
 @pytest.mark.parametrize(
     ("kind", "rate", "baud"),
-    [("uno", 1000, 115_200), ("uno", 997, 115_200), ("mega", 4999, 1_000_000), ("mega", 3701, 1_000_000)],
+    [
+        ("uno", 997, 115_200),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (("uno", 1000, 115_200), ("mega", 4999, 1_000_000), ("mega", 3701, 1_000_000))
+        ),
+    ],
 )
 def test_sample_times_are_true_to_a_tick_and_spread_by_less_than_the_longest_interrupt(
     bench, switch_on, kind, rate, baud
@@ -137,6 +143,7 @@ def test_beyond_its_speed_the_error_is_twice_the_illegal_count(bench, switch_on)
     assert not taken.illegal[fast].any()  # 150,000 edges/s
 
 
+@pytest.mark.slow
 def test_every_wrong_sample_of_an_overloaded_run_is_flagged(bench, switch_on, tmp_path):
     edges = rig(bench, 400_000, 4.0)
     with switch_on("uno", edges=edges, speed=4) as board:

@@ -70,6 +70,7 @@ def test_lost_counts_are_carried_from_block_to_block(tmp_path, motion, run_data,
     assert np.abs(found.measured - right).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_nominal_times_go_on_over_the_blocks(tmp_path, small_blocks):
     line = [sys.executable, "-m", "daq.cli.app", "record", "--duration", "20", "-o", "run.h5", "--json"]
     subprocess.run(line, cwd=tmp_path, check=True, capture_output=True)
@@ -80,7 +81,7 @@ def test_nominal_times_go_on_over_the_blocks(tmp_path, small_blocks):
     assert stage.load(target).velocity == pytest.approx(whole.velocity, abs=1e-9)
 
 
-@pytest.mark.parametrize("method", ["sg", "auto"])
+@pytest.mark.parametrize("method", ["auto", pytest.param("sg", marks=pytest.mark.slow)])
 def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_blocks, method):
     asked = (method, 41 if method == "sg" else "auto", None, "nominal")
     whole = smooth(daq.load(path), *asked)
@@ -94,7 +95,7 @@ def test_nominal_times_of_an_import_are_those_of_the_whole(path, small_blocks, m
     assert np.mean(apart < 2) > 0.99
 
 
-@pytest.mark.parametrize("method", ["sg", "auto"])
+@pytest.mark.parametrize("method", ["auto", pytest.param("sg", marks=pytest.mark.slow)])
 def test_a_counted_belt_is_smoothed_in_blocks_too(tmp_path, small_blocks, method):
     listed = ["--set", "belt.channel=true", "--set", "belt.ripple=0.02", "--set", "belt.ripple_hz=2"]
     line = [sys.executable, "-m", "daq.cli.app", "record", "--duration", "20", *listed, "-o", "run.h5", "--json"]

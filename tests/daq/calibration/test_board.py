@@ -49,6 +49,7 @@ def test_the_simulated_rig_passes_its_check(capsys):
     assert {check["name"] for check in found["checks"]} >= {"rate", "line", "clock", "parked drift", "direction"}
 
 
+@pytest.mark.slow
 def test_a_vibrating_jk_box_fails_by_its_parked_drift(capsys):
     parked = ["belt.start=100", "scatter.Fs=0", "encoder.vibration=2.3e-6", "encoder.vibration_hz=200"]
     drifts = {}
@@ -96,8 +97,8 @@ def test_a_channel_that_never_changes_is_named(tmp_path):
     assert "B never changes" in names["channels"].seen
 
 
-@pytest.mark.parametrize("law", [1, 5])
-@pytest.mark.parametrize(("Fs", "c"), [(0.01, 0.05), (0.03, 0.02)])
+@pytest.mark.parametrize("law", [5, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("Fs", "c"), [(0.03, 0.02), pytest.param(0.01, 0.05, marks=pytest.mark.slow)])
 def test_a_ring_down_gives_the_rig_back_within_its_errors(capsys, tmp_path, law, Fs, c):
     port = url(*REST, "start.x=0.1", f"friction.law={law}", f"friction.Fs={Fs}", f"damper.c={c}")
     code, found, _ = said(capsys, "calibrate", "--port", port, "--mass", "300 g +- 0.3 g", "--rate", 500)

@@ -40,7 +40,7 @@ def test_it_rests_where_friction_holds_the_spring():
     assert abs(x[-1]) <= 9
 
 
-@pytest.mark.parametrize("friction", [5.0, 100.0, 900.0])
+@pytest.mark.parametrize("friction", [5.0, *(pytest.param(level, marks=pytest.mark.slow) for level in (100.0, 900.0))])
 @pytest.mark.parametrize("zeta", [0.002, 0.02])
 def test_damping_is_not_biased_by_friction(zeta, friction):
     found = ring_down.fit(*recorded(zeta, friction), 1.0)
@@ -88,6 +88,7 @@ def test_a_hand_that_pulls_first_is_not_taken_for_the_motion():
     assert found.zeta.value == pytest.approx(0.01, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_motion_of_another_kind_is_called_poor():
     t, x = recorded()
     found = ring_down.fit(t, np.floor(x + 400 * np.sin(2.1 * t) * (t > 1)) + 0.5, 1.0)

@@ -98,6 +98,7 @@ def test_a_stream_is_the_same_however_it_was_cut(seed, cuts):
         assert np.array_equal(getattr(found, name), getattr(whole, name)), name
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.integers(0, 2**32), st.lists(st.integers(4, 400), min_size=1, max_size=8))
 def test_a_frame_has_the_stamp_of_the_read_that_ended_it_and_a_part_that_of_the_read_that_ended_inside(seed, cuts):

@@ -77,7 +77,10 @@ def test_every_frame_is_read_back_however_the_bytes_are_cut(sent, cuts):
     assert (reader.crc_errors, reader.unknown, reader.discarded_bytes) == (0, 0, 0)
 
 
-@pytest.mark.parametrize(("belt", "edge"), [(True, False), (False, True), (True, True)])
+@pytest.mark.parametrize(
+    ("belt", "edge"),
+    [(True, True), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((True, False), (False, True)))],
+)
 @given(data=st.data())
 def test_optional_columns_are_read_as_the_identification_declares(belt, edge, data):
     sent = [layout_ident(belt, edge), data.draw(blocks(belt, edge))]

@@ -173,7 +173,7 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
     assert landing_snap.with_mean_snap(data, alone, levels) is levels
 
 
-@pytest.mark.parametrize("kernel", ["jerk", "snap"])
+@pytest.mark.parametrize("kernel", ["jerk", pytest.param("snap", marks=pytest.mark.slow)])
 def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
     data = series.from_recording(recorded(motion(5, 0.5, start=0.1)))
     time, position = data.time, data.position

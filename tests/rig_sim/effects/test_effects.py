@@ -114,7 +114,7 @@ def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
 # Gaps ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("at_once", [1000, 7])
+@pytest.mark.parametrize("at_once", [1000, pytest.param(7, marks=pytest.mark.slow)])
 def test_samples_in_a_gap_are_missing_and_all_others_unchanged(at_once: int) -> None:
     told = {"tell.truth": True}
     whole = frames_of(SimulatedBoard(scene("rig", **told)), 20_000)

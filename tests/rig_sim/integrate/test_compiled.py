@@ -33,6 +33,7 @@ def test_compiled_equals_interpreted_bit_for_bit(case):
     assert np.max(np.abs(np.subtract(machine.t, interpreted.t))) <= 60.0 * 2.3e-16 * len(machine.t)
 
 
+@pytest.mark.slow
 def test_first_use_says_that_it_compiles_and_the_second_does_not(tmp_path):
     code = (
         "from rig_sim.integrate.compiled import compiled; from rig_sim.integrate.flow import Flow;"
