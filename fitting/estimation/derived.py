@@ -114,7 +114,14 @@ def derived_parameters(
         if Global.D in active:
             beside |= {Global.D: rate * fit.values.d, Global.V_DR: rate * fit.values.d}
         against = np.array([beside.get(slot, 0.0) for slot in active])
-        spread = spread + datum_calibration(motion).sd ** 2 * np.outer(against, against)
+        datum_sd = datum_calibration(motion).sd
+        spread, known_datum = spread + datum_sd**2 * np.outer(against, against), spread
+        if Global.D in active:
+            # The record knows d/Fs, so an error of the datum also scales the error of the width, which the product of
+            # both derivatives leaves out; without a datum it is the larger part of it.
+            width = known_datum[active.index(Global.D), active.index(Global.D)]
+            both = np.array([float(slot in (Global.D, Global.V_DR)) for slot in active])
+            spread = spread + width * (rate * datum_sd) ** 2 * np.outer(both, both)
     default = {
         Global.DATUM: motion.datum_prior is None,
         Global.DAMPING: motion.damping_prior is None or motion.per_mass,

@@ -68,7 +68,7 @@ def _compared(
         seen = Measured(motion.sign * seen.value, math.hypot(max(seen.sd, spread), motion.length_error * seen.value))
         used = "the belt's counts" if motion.belt_measured else _used(motion.belt_prior)
         yield "belt-speed", "m/s", seen, _with_error(motion.stated_speed), used
-    if motion.datum_prior is not None:
+    if motion.datum_prior is not None and LAWS[fit.law].curve != "constant":  # which shows datum + Fs/k alone
         seen, stated = _seen(fit, Global.DATUM, run), motion.datum_prior
         zero = recorded.datum.value if recorded.datum is not None else 0.0  # the datum is count zero's, not the rest's
         seen, stated = (Measured(zero - motion.sign * rest.value, rest.sd) for rest in (seen, stated))

@@ -29,7 +29,9 @@ UNSTEADY = 1.3  # times the rms of the whole record; the drag on a steady belt s
 # 0.3; on an encoder's records 0.001 to 0.02, so that half or twice the limit changes none.
 OPEN_RAMP = 0.05
 CLOSED = 10 * NARROWEST_RAMP  # of the belt's speed: a narrower ramp is a jump
-NO_WORSE = 14.0  # score: log of the effective samples, which one parameter costs, and a little
+# Score beyond what the ramp's parameters cost: a ramp law that errs plainly more than its jump law stays out.
+# Chosen by trial; not swept.
+NO_WORSE = 4.0
 SAME = 0.05  # log error: a hyperbola on a compliant belt and a ramp differ by less.  Not swept
 
 
@@ -110,7 +112,7 @@ def explained_by_belt_ripple(ramp: Fit, drag: Array, runs: Sequence[Run]) -> boo
 
 
 def with_open_ramps(
-    chosen: ModelSet, fits: Sequence[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool
+    chosen: ModelSet, fits: Sequence[Fit], runs: Sequence[Run], alpha: float, samples: float, *, sustained: bool
 ) -> ModelSet:
     """Return the set with each ramp law beside its jump law whose ramp the record cannot show to be narrow.
 
@@ -124,6 +126,8 @@ def with_open_ramps(
     runs : sequence of Run
     alpha : float
         1 - confidence of the interval of the width.
+    samples : float
+        Effective samples of the evidence.
     sustained : bool
         Whether the mass sticks in the long run.
     """
@@ -134,7 +138,10 @@ def with_open_ramps(
     joining = []
     for law in chosen.members:
         ramp = found.get(law + 1) if not LAWS[law].ramp else None
-        if ramp is None or ramp.law in chosen.members or chosen.score[ramp.law] - chosen.score[law] > NO_WORSE:
+        if ramp is None or ramp.law in chosen.members:
+            continue
+        extra = ramp.law_parameters - found[law].law_parameters
+        if chosen.score[ramp.law] - chosen.score[law] > extra * math.log(max(samples, 1.0)) + NO_WORSE:
             continue
         width = derived.derived_parameters(ramp, runs[0].motion, alpha, sustained=sustained)["d"]
         if width.hi > open_width:

@@ -194,7 +194,7 @@ def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: boo
     ):
         penalised[place[1]] = penalised[place[2]]
         chosen = choose()
-    return fits, equivalence.with_open_ramps(chosen, fits, runs, alpha, sustained=sustained)
+    return fits, equivalence.with_open_ramps(chosen, fits, runs, alpha, units.samples, sustained=sustained)
 
 
 def _run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:

@@ -30,6 +30,12 @@ def test_a_sound_calibration_contradicts_nothing(ranked_with):
     assert codes(ranked_with(**GENERATED)) == []
 
 
+@pytest.mark.parametrize("law", [1, 2])
+def test_constant_friction_contradicts_no_datum(synthetic, law):
+    # It shows datum + Fs/k alone: the datum without its prior came out at 2e8 m, 2600 standard deviations off.
+    assert codes(rank(smooth(synthetic.recording(law=law, duration=10.0)), laws=(law,))) == []
+
+
 @pytest.mark.parametrize("stale", [Measured(0.1), Measured(-0.22, 1e-3), Measured(0.30, 3e-3)])
 def test_a_stale_belt_speed_is_named_and_the_records_own_is_used(ranked_with, stale):
     # 0.1 m/s in rig.toml made it "no belt stick-slip in this record"; 0.30 made Fs and gamma 29 % too large, silently.
