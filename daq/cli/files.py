@@ -38,10 +38,16 @@ def import_table(
 ) -> Answer:
     """Make a run file from a table of times and positions: a CSV, for instance from a camera, or a MATLAB file.
 
-    Delimiter, decimal sign, header and units in it are detected; numbers without a unit are SI.  With mass and
-    stiffness the frame rate is checked against the duration of the slips.
+    Delimiter, decimal sign, preamble, header and units in it are detected; numbers without a unit are SI, and where
+    that cannot be, the unit is asked for.  With mass and stiffness the frame rate is checked against the duration of
+    the slips.
+
+    A tribometer's record of the force of a pulling spring is read by --spring-force: the position is force /
+    stiffness, as seen from the pulling end, which moves at --belt.
 
     Example: daq import track.csv -o run.h5 --x-unit cm --mass "300 g" --stiffness "10.5 N/m"
+
+    Example: daq import force.csv -o run.h5 --spring-force F --force-unit mN --stiffness "168 N/m" --belt "42 um/s"
     """
     from daq.imports import track
     from daq.output import atomic
@@ -52,7 +58,7 @@ def import_table(
     found = track.read(file, options)
     store.write(target, found.run, force=force)
     data = sentences.run_data(found.run, target, found.warnings) | {
-        key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even")
+        key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even", "skipped")
     }
     return Answer(data, sentences.run_text("imported", found.run, data, sentences.columns(found)))
 

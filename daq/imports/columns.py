@@ -7,13 +7,17 @@ from daq.errors import InputError, nearest
 from daq.imports.table import Table
 
 TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
-FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "image", "bild")
+FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "frameno", "image", "slice", "bild")
 POSITION_NAMES = ("x", "position", "pos", "displacement", "distance", "weg", "ort", "auslenkung")
+DIMENSIONS = ("time", "length", "force")  # of columns
+EXAMPLE_UNITS = {"time": "ms", "force": "mN, or weight for a force divided by the weight"}
 # A unit after a name: "x (cm)", "x [cm]", "x/cm", "x, cm", "x in cm".
 _UNIT_AT_END = re.compile(r"^(.*?)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\]|(?:/|,|\bin\b)\s*(\S+))$")
 
 
-def find(cells: Table, time: str | None, position: str | None, rate_known: bool) -> tuple[int | None, int, bool]:
+def find(
+    cells: Table, time: str | None, position: str | None, rate_known: bool, flag: str = "--position"
+) -> tuple[int | None, int, bool]:
     """Find the columns of times and positions.
 
     Parameters
@@ -24,6 +28,8 @@ def find(cells: Table, time: str | None, position: str | None, rate_known: bool)
         What the user called them: a name, or a number from 1.
     rate_known : bool
         Whether times can be made from a frame rate.
+    flag : str
+        The flag that ``position`` came from.
 
     Returns
     -------
@@ -36,7 +42,7 @@ def find(cells: Table, time: str | None, position: str | None, rate_known: bool)
         When a column is missing or there is more than one choice, listing the columns.
     """
     t_column = None if time is None else _named(cells, time, "--time")
-    x_column = None if position is None else _named(cells, position, "--position")
+    x_column = None if position is None else _named(cells, position, flag)
     free = [i for i in range(cells.width) if i not in (t_column, x_column)]
     frames = False
     if cells.names:
@@ -91,7 +97,7 @@ def _bare(name: str) -> str:
     found = _UNIT_AT_END.match(name)
     base = found[1] if found and found[1] else name
     head, _, tail = base.rpartition("_")
-    if head and any(units.known(tail, dimension) for dimension in ("time", "length")):
+    if head and any(units.known(tail, dimension) for dimension in DIMENSIONS):
         base = head
     return base.strip().lower().rstrip("#").strip()
 
@@ -101,7 +107,7 @@ def _stated_unit(name: str) -> str | None:
     if found and found[1]:
         return next(part for part in found.groups()[1:] if part is not None).strip()
     head, _, tail = name.rpartition("_")
-    return tail if head and any(units.known(tail, d) for d in ("time", "length")) else None
+    return tail if head and any(units.known(tail, dimension) for dimension in DIMENSIONS) else None
 
 
 def unit(
@@ -123,7 +129,13 @@ def unit(
     if stated is None:
         return 1.0, units.si_unit(dimension)
     if not units.known(stated, dimension):
-        example = f"{flag} '0.25 mm' for a pixel of that size" if dimension == "length" else f"{flag} ms"
+        example = "'0.25 mm' for a pixel of that size" if dimension == "length" else EXAMPLE_UNITS[dimension]
         what = f"{cells.label(column)} is in {stated!r}, which is not a known unit of {dimension}"
-        raise InputError(what, str(cells.path), f"give {flag}, for example {example}")
+        do = f"give {flag}, for example {flag} {example}"
+        raise InputError(what, cells.place(cells.header_line, column), do)
     return units.unit_size(stated, dimension, flag), stated
+
+
+def is_stated(cells: Table, column: int, flag_value: str | None) -> bool:
+    """Return whether the unit of a column was given by a flag or stands in the header."""
+    return flag_value is not None or bool(cells.names and _stated_unit(cells.names[column]))

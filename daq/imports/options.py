@@ -21,6 +21,25 @@ class ImportOptions:
         Parameter(help="Unit of positions, such as cm or '0.25 mm' (per pixel); default from the header, else m."),
     ] = None
     t_unit: Annotated[str | None, Parameter(help="Unit of times; default from the header, else s.")] = None
+    spring_force: Annotated[
+        str | None,
+        Parameter(
+            help="Column of the force of the pulling spring, instead of --position: name or number. The position is "
+            "force / --stiffness, the stretch, positive while the spring is pulled; --belt is then the pulling speed."
+        ),
+    ] = None
+    force_unit: Annotated[
+        str | None,
+        Parameter(
+            help="Unit of --spring-force: N, mN ..., or weight for a force divided by the weight of the slider, which "
+            "needs --mass; without it positions are in units of weight / stiffness. Default from the header, else N."
+        ),
+    ] = None
+    clock: Annotated[bool, Parameter(negative=(), help="Times are times of day, 12:00:00.000.")] = False
+    preamble: Annotated[int, Parameter(help="Lines to skip above the header.")] = 0
+    skip_bad: Annotated[bool, Parameter(negative=(), help="Leave out lines that cannot be read, and count them.")] = (
+        False
+    )
     frame_rate_hz: Annotated[
         float | None,
         flags.rate("--frame-rate", "The camera's true rate, '400 fps': makes or corrects the times."),

@@ -1,29 +1,34 @@
 """A table of numbers in a text file, as cameras, trackers and spreadsheets write it.
 
-Found, not asked for: encoding (UTF-8, UTF-16 with a mark, else Windows-1252), line ends, the delimiter (tab,
-semicolon, comma, spaces, bar), the decimal sign, comment lines (``#``, ``%``, ``//``), lines of words above the
-table, whose last is the header.  A line with any number in it is data: from there on every line must be.
-
-The delimiter and the decimal sign are the pair under which most cells are numbers and most lines are equally long,
-and under which the header is as long as the lines; of equals the first in `CANDIDATES`.  They are found from the
-second half of the file, where no header disturbs.
+Found, not asked for: encoding (UTF-8, UTF-16 with a mark, else Windows-1252), line ends, comment lines (``#``, ``%``,
+``//``), and the layout (`daq.imports.layout`).  A line with any number in it is data, unless it is part of a preamble:
+from there on every line must be, or is left out on request and counted.
 """
 
-import csv
-import re
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.errors import InputError
+import numpy as np
 
-# Delimiter and decimal sign; " " is any run of blanks.
-CANDIDATES = tuple((d, s) for d in "\t;, |" for s in ".," if (d, s) != (",", ","))
+from daq.compute.arrays import Array
+from daq.errors import InputError
+from daq.imports import layout
+
 DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
 COMMENTS = ("#", "%", "//")
-FORMAT_LINES = 400  # lines from which delimiter and decimal sign are found; of a longer file, evenly spaced
+# A column, what makes a number of its cells (None where it cannot), and what a cell should be.
+ColumnReader = tuple[int, Callable[[str], float | None], str]
+LISTED = 5  # lines named in a message about many
 
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
+
+@dataclass(frozen=True)
+class Skipped:
+    """A line that cannot be read: its number in the file, from 1, and what is wrong with it."""
+
+    line: int
+    what: str
 
 
 @dataclass(frozen=True)
@@ -40,21 +45,22 @@ class Table:
         The cells of each line of data.
     lines : list of int
         Line number of each row in the file, from 1.
+    width : int
+        Number of columns, that of most lines.
     delimiter, decimal : str
         As found.
+    header_line : int
+        Line number of the header; 0 without one.
     """
 
     path: Path
     names: tuple[str, ...]
     rows: list[list[str]]
     lines: list[int]
+    width: int
     delimiter: str
     decimal: str
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return len(self.rows[0])
+    header_line: int = 0
 
     @property
     def delimiter_name(self) -> str:
@@ -65,97 +71,128 @@ class Table:
         """Return the name of a column in messages."""
         return f"column {self.names[column]!r}" if self.names else f"column {column + 1}"
 
-    def numbers(self, column: int) -> list[float]:
-        """Return a column as numbers.
+    def place(self, line: int, column: int | None = None) -> str:
+        """Return where a line, or a cell of it, stands in the file, for messages."""
+        where = f"{self.path}, line {line}" if line else str(self.path)
+        return where if column is None else f"{where}, column {column + 1}"
+
+    def number(self, cell: str) -> float | None:
+        """Return a cell as a finite number, None when it is not one."""
+        value = layout.number(cell, self.decimal)
+        return None if value is None or value - value != 0 else value
+
+    def columns(self, readers: Sequence[ColumnReader], *, skip: bool) -> "tuple[Array, Table, tuple[Skipped, ...]]":
+        """Return columns as numbers.
+
+        Parameters
+        ----------
+        readers : sequence of ColumnReader
+        skip : bool
+            Leave out the lines that cannot be read, instead of refusing them.
+
+        Returns
+        -------
+        array of shape (columns, n), Table, tuple of Skipped
+            The numbers; the table of the lines that they were read from; the lines left out.
 
         Raises
         ------
         InputError
-            For the first cell that is not a finite number, naming line, column and value.
+            For a line of another length or a cell that cannot be read, naming line and column, and how many there are.
         """
-        out = []
-        for line, row in zip(self.lines, self.rows, strict=True):
-            value = number(row[column], self.decimal)
-            if value is None or value - value != 0:
-                cell = row[column].strip()
-                what = f"{self.label(column)} " + (f"holds {cell!r}, not a number" if cell else "is empty")
-                do = "correct or delete that line: times need not be even"
-                raise InputError(what, f"{self.path}, line {line}", do)
-            out.append(value)
-        return out
+        values: list[list[float]] = []
+        kept: list[int] = []
+        bad: list[Skipped] = []
+        first: int | None = None
+        for index, (line, row) in enumerate(zip(self.lines, self.rows, strict=True)):
+            found: list[float] = []
+            for column, reader, kind in readers if len(row) == self.width else ():
+                value = reader(row[column])
+                if value is None:
+                    cell = row[column].strip()
+                    what = f"holds {_short(cell)}, not {kind}" if cell else "is empty"
+                    bad.append(Skipped(line, f"{self.label(column)} {what}"))
+                    first = column if len(bad) == 1 else first
+                    break
+                found.append(value)
+            else:
+                if len(row) == self.width:
+                    values.append(found)
+                    kept.append(index)
+                else:
+                    bad.append(Skipped(line, f"has {len(row)} columns where the others have {self.width}"))
+        if bad and not skip:
+            raise InputError(_bad_lines(bad), self.place(bad[0].line, first), _advice(self, bad, kept))
+        rows, lines = [self.rows[index] for index in kept], [self.lines[index] for index in kept]
+        good = Table(self.path, self.names, rows, lines, self.width, self.delimiter, self.decimal, self.header_line)
+        return np.array(values, np.float64).reshape(len(kept), len(readers)).T, good, tuple(bad)
 
 
-def number(cell: str, decimal: str) -> float | None:
-    """Return a cell as a number (which may be nan or inf), or None when it is not a number."""
-    text = cell.strip().replace("\N{MINUS SIGN}", "-")
-    if decimal == ",":
-        if "." in text:
-            return None
-        text = text.replace(",", ".")
-    return float(text) if _NUMBER.fullmatch(text) else None
+def listed(bad: Sequence[Skipped]) -> str:
+    """Return the numbers of the first few lines: ``3, 4, 9 and 12 more``."""
+    more = f" and {len(bad) - LISTED} more" if len(bad) > LISTED else ""
+    return ", ".join(str(one.line) for one in bad[:LISTED]) + more
 
 
-def read(path: Path) -> Table:
+def _bad_lines(bad: Sequence[Skipped]) -> str:
+    return bad[0].what + (f"; {len(bad)} lines cannot be read: {listed(bad)}" if len(bad) > 1 else "")
+
+
+def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> str:
+    what = "those lines" if len(bad) > 1 else "that line"
+    do = f"correct or delete {what}, or leave such lines out with --skip-bad: times need not be even"
+    above = kept and len(bad) == kept[0] and not cells.names
+    return f"{do}; if the table begins below, give --preamble {bad[-1].line}" if above else do
+
+
+def _short(cell: str) -> str:
+    return repr(cell if len(cell) <= 40 else cell[:37] + "...")
+
+
+def read(path: Path, preamble: int = 0) -> Table:
     """Read a table of numbers.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    preamble : int
+        How many lines at its top to pass over.
 
     Raises
     ------
     InputError
-        When the file is missing, not text, empty, or its lines differ in length, naming the line.
+        When the file is missing, not text or empty, or its header names another number of columns than the lines have.
     """
-    lines = _lines(path)
-    named = None
-    if lines and lines[0][1].lower().startswith("sep=") and len(lines[0][1]) == 5:
-        named = lines.pop(0)[1][4]  # written by spreadsheets
+    lines, named = _lines(path, preamble)
     texts = [text for _, text in lines]
-    delimiter, decimal = _format(texts, named)
-    start = _first_data(texts, delimiter, decimal)
-    if start == len(lines):
+    delimiter, decimal = layout.find_format(texts, named)
+    rows = [layout.split(text, delimiter) for text in texts]
+    data = [row for row in rows if any(layout.number(cell, decimal) is not None for cell in row)]
+    if data and all(len(row) > 1 and not row[-1].strip() for row in data):
+        # Every line closes with a delimiter.
+        rows = [row[:-1] if len(row) > 1 and not row[-1].strip() else row for row in rows]
+        data = [row[:-1] for row in data]
+    if not data:
         raise InputError("holds no numbers", str(path), "give a CSV with a column of positions")
-    head, body = lines[:start], lines[start:]
-    rows = [split(text, delimiter) for _, text in body]
-    numbers = [line for line, _ in body]
-    if all(len(row) > 1 and not row[-1].strip() for row in rows):
-        rows = [row[:-1] for row in rows]  # every line closes with a delimiter
-    width = Counter(map(len, rows)).most_common(1)[0][0]
-    names: tuple[str, ...] = ()
-    if head:
-        cells = tuple(cell.strip() for cell in header(head[-1][1], delimiter, width))
-        if len(cells) == width:
-            names = cells
-        elif len(cells) > 1 or width == 1:
-            raise InputError(
-                f"the header names {len(cells)} columns, the lines below have {width}",
-                f"{path}, line {head[-1][0]}",
-                "separate columns by semicolons if numbers have decimal commas",
-            )
-    for line, row in zip(numbers, rows, strict=True):
-        if len(row) != width:
-            raise InputError(
-                f"has {len(row)} columns where the others have {width}",
-                f"{path}, line {line}",
-                "correct that line; put # before lines that hold no data",
-            )
-    return Table(path, names, rows, numbers, delimiter, decimal)
+    width = Counter(map(len, data)).most_common(1)[0][0]
+    start = layout.find_start(texts, delimiter, decimal, width)
+    head = [text for _, text in lines[:start]]
+    names = layout.name_columns(head, delimiter, width)
+    if names is None:
+        count = len(layout.header(head[-1], delimiter, width))
+        raise InputError(
+            f"the header names {count} columns, the lines below have {width}",
+            f"{path}, line {lines[start - 1][0]}",
+            "separate columns by semicolons if numbers have decimal commas",
+        )
+    header_line = lines[start - 1][0] if names else 0
+    numbers = [line for line, _ in lines[start:]]
+    return Table(path, names, rows[start:], numbers, width, delimiter, decimal, header_line)
 
 
-def split(text: str, delimiter: str) -> list[str]:
-    """Return the cells of a line."""
-    if delimiter == " ":
-        return text.split()
-    return next(csv.reader([text.strip(" ")], delimiter=delimiter, skipinitialspace=True), [])
-
-
-def header(text: str, delimiter: str, width: int) -> list[str]:
-    """Return the cells of a header; between spaces, ``x (cm)`` is one name; a closing delimiter adds no column."""
-    if delimiter == " " and len(text.split()) != width:
-        wide = re.split(r"\s{2,}|\t", text.strip())
-        return wide if len(wide) == width else re.split(r"\s+(?![(\[])", text.strip())
-    cells = split(text, delimiter)
-    return cells[:-1] if len(cells) == width + 1 and not cells[-1].strip() else cells
-
-
-def _lines(path: Path) -> list[tuple[int, str]]:
+def _lines(path: Path, preamble: int) -> tuple[list[tuple[int, str]], str | None]:
+    """Return number and text of each line that may hold data, and the delimiter where the file names it."""
     where = str(path)
     if not path.exists():
         raise InputError("no such file", where, "check the path")
@@ -171,41 +208,12 @@ def _lines(path: Path) -> list[tuple[int, str]]:
             text = data.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = data.decode("cp1252", "replace")
-    numbered = enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1)
+    numbered = list(enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1))[preamble:]
     kept = [(line, content) for line, content in numbered if content.strip(" \t;,|")]
     kept = [(line, content) for line, content in kept if not content.lstrip().startswith(COMMENTS)]
+    named = None
+    if kept and kept[0][1].lower().startswith("sep=") and len(kept[0][1]) == 5:
+        named = kept.pop(0)[1][4]  # written by spreadsheets
     if not kept:
         raise InputError("is empty" if not data else "holds no data", where, "give a CSV with a column of positions")
-    return kept
-
-
-def _first_data(texts: list[str], delimiter: str, decimal: str) -> int:
-    for index, text in enumerate(texts):
-        if any(number(cell, decimal) is not None for cell in split(text, delimiter)):
-            return index
-    return len(texts)
-
-
-def _format(texts: list[str], named: str | None) -> tuple[str, str]:
-    half = texts[len(texts) // 2 :]
-    sample = half[:: max(1, len(half) // FORMAT_LINES)]
-    best, best_score = CANDIDATES[0], 0.0
-    for delimiter, decimal in CANDIDATES:
-        if named is not None and delimiter != named:
-            continue
-        rows = [split(text, delimiter) for text in sample]
-        width, same = Counter(map(len, rows)).most_common(1)[0]
-        cells = [cell for row in rows for cell in row]
-        numbers = sum(number(cell, decimal) is not None for cell in cells)
-        score = same / len(rows) * numbers / len(cells)
-        if width == 1:
-            score *= 0.9  # "1,5" alone is two columns, unless there is a header of one name
-        start = _first_data(texts, delimiter, decimal)
-        if 0 < start < len(texts):
-            names = header(texts[start - 1], delimiter, width)
-            # A name that contains another delimiter is more than one name.
-            if len(names) != width or (width == 1 and any(mark in names[0] for mark in "\t;,|")):
-                score *= 0.5
-        if score > best_score:
-            best, best_score = (delimiter, decimal), score
-    return best
+    return kept, named

@@ -1,9 +1,13 @@
 """A table of t, x (a CSV, a MATLAB file) made into a run file: columns and units are found, the frame rate is checked.
 
-Times must increase; they need not be even.  Nothing is repaired: a bad line is refused, with its number.
+Times must increase; they need not be even.  Nothing is repaired: a bad line is refused, or left out on request.
+
+A column may hold the force of a spring that pulls a slider.  In the frame of the pulling end this is the belt rig: the
+position is the spring's stretch, force / stiffness, and the belt's speed is the pulling speed, both positive.
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -12,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
-from daq.imports import table
-from daq.imports.columns import find, unit
+from daq.imports import layout, plausible, table
+from daq.imports.columns import find, is_stated, unit
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
 from daq.output import provenance
@@ -23,18 +27,21 @@ from daq.runfile.rig import Rig, quoted
 # Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
 # is 1 % in velocity: double leaves 2 % uncorrected, half corrects what rounded times cause.  Not swept.
 FRAME_RATE_TOLERANCE = 1.01
-FARTHEST_M = 1e6  # a larger position is a typing error or a wrong unit
+GRAVITY = 9.80665  # m/s^2, standard
+WEIGHT = ("weight", "mg")  # words for a force divided by the slider's weight
+DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
 class Imported:
-    """A run made of a table, how its columns were read, and what looks wrong with it."""
+    """A run made of a table, how its columns were read, what was left out of it, and what looks wrong with it."""
 
     run: Recording
     columns: dict[str, str]
     delimiter: str
     decimal: str
     even: bool
+    skipped: int
     warnings: tuple[str, ...]
 
 
@@ -45,77 +52,153 @@ def read(path: Path, options: ImportOptions) -> Imported:
     ------
     InputError
         For an unreadable table, an unknown column or unit, a cell that is not a number, or times that do not increase:
-        each naming the line and what to do.
+        each naming line and column and what to do; for numbers that cannot be in the unit they are taken for.
     """
-    cells = _cells(path)
+    _check_options(options)
+    cells = _cells(path, options)
     warnings: list[str] = []
-    t_column, x_column, frames = find(cells, options.time, options.position, options.frame_rate_hz is not None)
-    x_size, x_unit = unit(cells, x_column, options.x_unit, "length", "--x-unit", warnings)
-    position = np.array(cells.numbers(x_column)) * x_size
-    _plausible(position, cells)
+    wanted = options.position if options.spring_force is None else options.spring_force
+    flag = "--position" if options.spring_force is None else "--spring-force"
+    t_column, x_column, frames = find(cells, options.time, wanted, options.frame_rate_hz is not None, flag)
+    if (t_column is None or frames) and options.frame_rate_hz is None:
+        what = "has frame numbers but no times" if frames else "has no column of times"
+        raise InputError(what, str(path), "give --frame-rate, for example --frame-rate '400 fps'")
+    x_size, x_unit = _position_unit(cells, x_column, options, warnings)
+    readers: list[table.ColumnReader] = [(x_column, cells.number, "a number")]
+    if t_column is not None:
+        readers.append((t_column, layout.clock, "a time of day") if options.clock else _times(cells, t_column))
+    values, cells, skipped = cells.columns(readers, skip=options.skip_bad)
+    if skipped:
+        share = 100 * len(skipped) / (len(skipped) + len(cells.lines))
+        warnings.append(
+            f"{len(skipped)} lines ({share:.2g} %) could not be read and were left out: {table.listed(skipped)}"
+        )
+    if values.shape[1] < 2:
+        raise InputError(
+            f"holds {('no', 'a single')[values.shape[1]]} sample", str(path), "give a track of at least two"
+        )
+    position = values[0] * x_size
+    plausible.check_range(position, plausible.FARTHEST_M, cells, x_column, "m", "its unit")
     t_unit = "frames"
     if t_column is None or frames:
         if options.frame_rate_hz is None:
-            what = "has frame numbers but no times" if frames else "has no column of times"
-            raise InputError(what, str(path), "give --frame-rate, for example --frame-rate '400 fps'")
-        index = np.arange(position.size, dtype=np.float64)
-        if t_column is not None:
-            index = np.array(cells.numbers(t_column))
-        time = index / options.frame_rate_hz
-        _increasing(time, cells)
+            raise ValueError("frames without a frame rate")
+        time = (values[1] if t_column is not None else np.arange(position.size)) / options.frame_rate_hz
+    elif options.clock:
+        t_unit = "time of day"
+        midnights = np.cumsum(np.diff(values[1], prepend=values[1][0]) < -DAY_S / 2)
+        time = values[1] + DAY_S * midnights
     else:
         t_size, t_unit = unit(cells, t_column, options.t_unit, "time", "--t-unit", warnings)
-        time = np.array(cells.numbers(t_column)) * t_size
-        _increasing(time, cells)
-        if options.frame_rate_hz is not None:
-            time = _retimed(time, options.frame_rate_hz, warnings)
-    if time.size < 2:
-        raise InputError("holds a single sample", str(path), "give a track of at least two")
+        time = values[1] * t_size
+    if t_column is not None:
+        plausible.check_range(time, plausible.LONGEST_S, cells, t_column, "s", "--t-unit")
+        plausible.check_increasing(time, cells, t_column)
+        if not (frames or options.clock):
+            if options.frame_rate_hz is not None:
+                time = _retimed(time, options.frame_rate_hz, warnings)
+            elif not is_stated(cells, t_column, options.t_unit):
+                plausible.ask_for_time_unit(time, cells, t_column)
     time = time - time[0]
+    if not time[-1] <= plausible.LONGEST_S:
+        raise InputError(f"lasts {time[-1]:.3g} s", str(path), "check --frame-rate")
+    forces = options.spring_force is not None
+    if not is_stated(cells, x_column, options.force_unit if forces else options.x_unit):
+        plausible.ask_for_length_unit(time, position, cells, x_column, forces)
     step = np.diff(time)
     rate = _rate(time)
-    rig = Rig(mass=options.mass, stiffness=options.stiffness, belt_speed=options.belt_speed, datum=options.datum)
+    rig = _rig(options)
     if options.datum is not None:
         position = position + options.datum.value
-    if options.mass is not None and options.stiffness is not None:
-        warnings += check_half_period(time, position, options.mass.value, options.stiffness.value)
+    if rig.mass is not None and rig.stiffness is not None:
+        warnings += check_half_period(time, position, rig.mass.value, rig.stiffness.value)
     columns = {
         "time": "frame rate" if t_column is None else f"{cells.label(t_column)} in {t_unit}",
         "position": f"{cells.label(x_column)} in {x_unit}",
     }
-    run = _run(path, options, Recording("", "", "", rate, rig, time, position), cells, columns)
+    run = _run(path, options, Recording("", "", "", rate, rig, time, position), cells, columns, skipped)
     even = bool(np.all(np.abs(step - step.mean()) <= 1e-3 * step.mean() + 1e-9))
-    return Imported(run, columns, cells.delimiter_name, cells.decimal, even, tuple(warnings))
+    return Imported(run, columns, cells.delimiter_name, cells.decimal, even, len(skipped), tuple(warnings))
 
 
-def _cells(path: Path) -> table.Table:
+def _check_options(options: ImportOptions) -> None:
+    """Refuse flags that exclude or need each other."""
+    if options.preamble < 0:
+        raise InputError(f"is {options.preamble}", "--preamble", "give a number of lines, 0 or more")
+    if options.clock and options.t_unit is not None:
+        raise InputError("--clock and --t-unit exclude each other", "command line", "leave one out")
+    if options.spring_force is None:
+        if options.force_unit is not None:
+            raise InputError("--force-unit without --spring-force", "command line", "name the column of the force")
+        return
+    if options.position is not None or options.x_unit is not None:
+        what = "--spring-force excludes --position and --x-unit"
+        raise InputError(what, "command line", "give --force-unit for the unit of the force")
+    if _is_over_weight(options) and options.mass is None:
+        for flag, value in (("--belt", options.belt_speed), ("--datum", options.datum)):
+            if value is not None:
+                what = f"{flag} is in SI, but positions are in units of weight / stiffness without the slider's --mass"
+                raise InputError(what, flag, "give --mass and --stiffness, or leave it out")
+    elif options.stiffness is None:
+        raise InputError("--spring-force without the spring's stiffness", "command line", "give --stiffness")
+
+
+def _is_over_weight(options: ImportOptions) -> bool:
+    return options.force_unit is not None and options.force_unit.strip() in WEIGHT
+
+
+def _position_unit(cells: table.Table, column: int, options: ImportOptions, warnings: list[str]) -> tuple[float, str]:
+    """Return what a number of the column is multiplied by to be a position in m, and the unit in words."""
+    if options.spring_force is None:
+        return unit(cells, column, options.x_unit, "length", "--x-unit", warnings)
+    if _is_over_weight(options):
+        if options.mass is None or options.stiffness is None:
+            warnings.append(
+                "the weight is not known: positions are in units of weight / stiffness, written as m; times and ratios "
+                "of lengths are right; give --mass and --stiffness for metres"
+            )
+            return 1.0, "units of weight, as a stretch in units of weight / stiffness"
+        weight = options.mass.value * GRAVITY
+        return (
+            weight / options.stiffness.value,
+            f"units of weight ({weight:.6g} N), over {options.stiffness.value:g} N/m",
+        )
+    size, name = unit(cells, column, options.force_unit, "force", "--force-unit", warnings)
+    if not is_stated(cells, column, options.force_unit):
+        warnings.append(
+            f"{cells.label(column)} states no unit and is read in N; for a force divided by the weight give "
+            "--force-unit weight"
+        )
+    if options.stiffness is None:
+        raise ValueError("a force without a stiffness")
+    return size / options.stiffness.value, f"{name}, over {options.stiffness.value:g} N/m"
+
+
+def _rig(options: ImportOptions) -> Rig:
+    """Return the stated calibration; without the one that positions in units of weight / stiffness cannot use."""
+    if _is_over_weight(options) and (options.mass is None or options.stiffness is None):
+        return Rig(mass=options.mass)
+    return Rig(mass=options.mass, stiffness=options.stiffness, belt_speed=options.belt_speed, datum=options.datum)
+
+
+def _cells(path: Path, options: ImportOptions) -> table.Table:
     if path.suffix.lower() != ".mat":
-        return table.read(path)
+        return table.read(path, options.preamble)
     from daq.imports import matfile
 
+    for flag, given in (("--preamble", options.preamble), ("--clock", options.clock)):
+        if given:
+            raise InputError(f"{flag} is for text; this is a MATLAB file", str(path), "leave it out")
     return matfile.read(path)
 
 
-def _plausible(position: NDArray[np.float64], cells: table.Table) -> None:
-    wrong = np.flatnonzero(np.abs(position) > FARTHEST_M)
-    if wrong.size:
-        row = int(wrong[0])
-        raise InputError(
-            f"position is {position[row]:.9g} m",
-            f"{cells.path}, line {cells.lines[row]}",
-            "delete or correct that line; if the unit is wrong, give --x-unit",
-        )
-
-
-def _increasing(time: NDArray[np.float64], cells: table.Table) -> None:
-    wrong = np.flatnonzero(np.diff(time) <= 0)
-    if wrong.size:
-        row = int(wrong[0]) + 1
-        raise InputError(
-            f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
-            f"{cells.path}, line {cells.lines[row]}",
-            "delete or correct that line; if these are not times, choose the column by --time",
-        )
+def _times(cells: table.Table, column: int) -> table.ColumnReader:
+    """Return how to read a column of times; InputError for times of day, which need a flag."""
+    row = next((row for row in cells.rows if len(row) == cells.width), None)
+    if row is not None and cells.number(row[column]) is None and layout.clock(row[column]) is not None:
+        what = f"{cells.label(column)} holds times of day such as {row[column].strip()}"
+        raise InputError(what, cells.place(cells.lines[cells.rows.index(row)], column), "give --clock")
+    return column, cells.number, "a number"
 
 
 def _rate(time: NDArray[np.float64]) -> float:
@@ -137,7 +220,14 @@ def _retimed(time: NDArray[np.float64], rate_hz: float, warnings: list[str]) -> 
     return time * ratio
 
 
-def _run(path: Path, options: ImportOptions, run: Recording, cells: table.Table, columns: dict[str, str]) -> Recording:
+def _run(
+    path: Path,
+    options: ImportOptions,
+    run: Recording,
+    cells: table.Table,
+    columns: dict[str, str],
+    skipped: Sequence[table.Skipped],
+) -> Recording:
     data = path.read_bytes()
     if options.started is None:
         start = datetime.fromtimestamp(path.stat().st_mtime, UTC).replace(microsecond=0)
@@ -153,6 +243,8 @@ def _run(path: Path, options: ImportOptions, run: Recording, cells: table.Table,
     lines = [f"{key} = {quoted(value)}" for key, value in settings.items()]
     if options.frame_rate_hz is not None:
         lines.append(f"frame_rate_hz = {options.frame_rate_hz!r}")
+    if skipped:
+        lines.append(f"skipped_lines = {[one.line for one in skipped]}")
     end = start + timedelta(seconds=float(run.time[-1]))
     origin = "file's time of modification" if options.started is None else "--start"
     return replace(

@@ -130,7 +130,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         raise InputError(
             "positions are in counts: this rig has no metres per count",
             source,
-            "add metres_per_count to the rig's calibration and record again",
+            f"add metres_per_count to a rig.toml, then: daq replay {recording.source.name} --rig rig.toml -o NEW.h5",
         )
     if belt_speed == 0:
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")

@@ -101,8 +101,10 @@ def test_any_table_reads_back(tmp_path: Path, rows: Any, how: tuple[str, str], h
     path.write_text(text)
     found = table.read(path)
     assert (found.delimiter, found.decimal) == how
+    values, _, bad = found.columns([(column, found.number, "a number") for column in range(3)], skip=False)
+    assert values.T.tolist() == [list(row) for row in rows]
+    assert bad == ()
     for column, name in enumerate("abc"):
-        assert found.numbers(column) == [row[column] for row in rows]
         assert found.label(column) == (f"column {name!r}" if head else f"column {column + 1}")
 
 
@@ -346,3 +348,145 @@ def test_the_start_is_the_files_date_unless_given(csv: Path) -> None:
     given_start = track.read(csv, ImportOptions(started="2024-05-01T12:00:00+02:00")).run
     assert (given_start.started, given_start.ended) == ("2024-05-01T12:00:00+02:00", "2024-05-01T12:00:01.500000+02:00")
     assert "modification" in str(track.read(csv, ImportOptions()).run.provenance["start_time_from"])
+
+
+def servo_log(rows: str = "") -> str:
+    """Return a table below a preamble with numbers and a line of units, as a servo drive logs it."""
+    lines = [f"{0.001 * k:.3f};{2 * k};{5 + k}" for k in range(12)]
+    head = "Drive;AX-100\nSample time;0,001;s\nChannels;3\n\nTime;Torque;Position\ns;N;mm\n"
+    return head + rows + "\n".join(lines).replace(".", ",") + "\n"
+
+
+@pytest.mark.parametrize("changes", [{}, {"preamble": 4}])
+def test_a_preamble_with_numbers_and_a_line_of_units_is_passed_over(csv: Path, changes: Any) -> None:
+    """Used to end in "holds 'Drive', not a number"; a line of units was taken for the names."""
+    csv.write_text(servo_log())
+    found = track.read(csv, ImportOptions(**changes))
+    np.testing.assert_allclose(found.run.time, np.arange(12) * 1e-3, atol=1e-12)
+    np.testing.assert_allclose(found.run.position, (5 + np.arange(12)) * 1e-3, rtol=1e-12)
+
+
+def test_a_preamble_that_could_be_data_is_asked_about(csv: Path) -> None:
+    csv.write_text("Rate,1000\n0,1\n1,2\n2,5\n")
+    with pytest.raises(InputError, match=r"line 1, column 1: column 1 holds 'Rate', not a number.*--preamble 1"):
+        track.read(csv, ImportOptions())
+    assert track.read(csv, ImportOptions(preamble=1)).run.position.tolist() == [1, 2, 5]
+
+
+def test_bad_lines_are_counted_and_left_out_on_request(csv: Path, app: cyclopts.App, capsys: Any) -> None:
+    """Any empty cell used to stop the import."""
+    rows = [f"{0.01 * k:.2f},{k}" for k in range(40)]
+    for at, text in ((3, "0.03,"), (7, "0.07,lost"), (11, "0.11"), (20, ",4"), (21, "0.21,nan"), (30, "0.3,1,2")):
+        rows[at] = text
+    csv.write_text("t (s),x (mm)\n" + "\n".join(rows) + "\n")
+    line = ["import", str(csv), "-o", str(csv.with_name("run.h5")), "--json"]
+    assert application.run(app, line) == 2
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error["where"].endswith("line 5, column 2")
+    assert "6 lines cannot be read: 5, 9, 13, 22, 23 and 1 more" in error["what"]
+    assert "--skip-bad" in error["do"]
+    assert application.run(app, [*line, "--skip-bad"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["samples"], document["skipped"]) == (34, 6)
+    assert "6 lines (15 %) could not be read and were left out: 5, 9, 13, 22, 23 and 1 more" in document["warnings"][0]
+    run = store.load(csv.with_name("run.h5"))
+    assert "skipped_lines = [5, 9, 13, 22, 23, 32]" in run.config_toml
+    np.testing.assert_allclose(run.position[:5], np.array([0, 1, 2, 4, 5]) * 1e-3)
+
+
+def test_times_of_day_are_read_across_midnight(csv: Path) -> None:
+    stamps = ["23:59:59.500", "23:59:59.750", "00:00:00.000", "0:00:00.250", "00:00:00.50"]
+    csv.write_text("clock,x\n" + "".join(f"{stamp},{k}\n" for k, stamp in enumerate(stamps)))
+    with pytest.raises(InputError, match=r"times of day such as 23:59:59\.500; give --clock"):
+        track.read(csv, ImportOptions(time="clock"))
+    found = track.read(csv, ImportOptions(time="clock", clock=True))
+    np.testing.assert_allclose(found.run.time, [0, 0.25, 0.5, 0.75, 1.0], atol=1e-9)
+
+
+def test_the_results_table_of_imagej_takes_a_frame_rate(csv: Path) -> None:
+    csv.write_text(" ,Area,Mean,X,Y,Slice\n" + "".join(f"{k},12,80.5,{10 + k},{7},{k}\n" for k in range(1, 9)))
+    options_ = {"position": "X", "x_unit": "0.25 mm"}
+    with pytest.raises(InputError, match="frame numbers but no times; give --frame-rate"):
+        track.read(csv, ImportOptions(**options_))
+    found = track.read(csv, ImportOptions(**options_, frame_rate_hz=400.0))
+    np.testing.assert_allclose(found.run.time, np.arange(8) / 400, atol=1e-12)
+    np.testing.assert_allclose(found.run.position, (11 + np.arange(8)) * 2.5e-4)
+
+
+@pytest.mark.parametrize(
+    ("t_size", "x_size", "question", "answer"),
+    [
+        (1, 1e3, "--x-unit mm?", {"x_unit": "mm"}),
+        (1, 1e2, "--x-unit cm?", {"x_unit": "cm"}),
+        (1e3, 1, "--t-unit ms?", {"t_unit": "ms"}),
+        (1e6, 1, "--t-unit us?", {"t_unit": "us"}),
+    ],
+)
+def test_a_unit_that_cannot_be_right_is_asked_for(
+    csv: Path, t_size: float, x_size: float, question: str, answer: Any
+) -> None:
+    """Positions in mm used to make a belt of 220 m/s, silently."""
+    time, x = sawtooth(400)
+    make(csv, "t,x\n", zip(t_size * time, x_size * x, strict=True))
+    with pytest.raises(InputError) as error:
+        track.read(csv, options())
+    assert question in str(error.value)
+    found = track.read(csv, options(**answer))
+    np.testing.assert_allclose(found.run.position, x, atol=1e-6)
+    assert track.read(csv, options(x_unit="m", t_unit="s")).run.time[-1] == pytest.approx(t_size * time[-1])
+
+
+def test_the_force_of_a_pulled_spring_is_its_stretch(csv: Path, app: cyclopts.App, capsys: Any) -> None:
+    time, x = sawtooth(400)
+    make(csv, "t (s),F (mN)\n", zip(time, 1e3 * 168 * x, strict=True))
+    line = ["import", str(csv), "-o", str(csv.with_name("run.h5")), "--spring-force", "F", "--json"]
+    assert application.run(app, line) == 2
+    assert "--stiffness" in json.loads(capsys.readouterr().out)["error"]["do"]
+    assert application.run(app, [*line, "--stiffness", "168 +- 2", "--belt", "42 um/s"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
+    run = store.load(csv.with_name("run.h5"))
+    np.testing.assert_allclose(run.position, x, atol=1e-6)
+    assert (run.rig.stiffness, run.rig.belt_speed) == (Measured(168, 2), Measured(pytest.approx(42e-6)))
+
+
+def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv: Path) -> None:
+    time, x = sawtooth(400)
+    make(csv, "t,Fnorm\n", zip(time, x, strict=True))
+    force = {"spring_force": "Fnorm", "force_unit": "weight", "mass": None, "stiffness": Measured(168.0)}
+    bare = track.read(csv, options(**force))
+    np.testing.assert_allclose(bare.run.position, x, atol=1e-8)
+    assert "units of weight / stiffness" in bare.warnings[0]
+    assert bare.run.rig.stiffness is None
+    with pytest.raises(InputError, match="--belt is in SI"):
+        track.read(csv, options(**force, belt_speed=Measured(4.2e-5)))
+    known = track.read(csv, options(**force | {"mass": Measured(0.03)}))
+    np.testing.assert_allclose(known.run.position, x * 0.03 * 9.80665 / 168, atol=1e-10)
+    plain = track.read(csv, options(**force | {"force_unit": None}))
+    np.testing.assert_allclose(plain.run.position, x / 168, atol=1e-10)
+    assert "states no unit and is read in N" in plain.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"spring_force": "F", "position": "x"}, "excludes --position"),
+        ({"force_unit": "N"}, "without --spring-force"),
+        ({"clock": True, "t_unit": "s"}, "exclude each other"),
+        ({"preamble": -1}, "--preamble"),
+        ({"frame_rate_hz": 1e-300, "time": None}, "--frame-rate"),
+    ],
+)
+def test_flags_that_cannot_go_together_are_refused(csv: Path, changes: Any, words: str) -> None:
+    csv.write_text("x\n1\n2\n3\n")
+    with pytest.raises(InputError, match=words):
+        track.read(csv, ImportOptions(**changes))
+
+
+@pytest.mark.parametrize(
+    "text", ["t,x\n0,1\n1e12,2\n", "t,x\n0,1\n1,1e300\n", "sep=;\n", "x\n" + "1" * 140_000 + "x\n"]
+)
+def test_wild_tables_end_in_one_line(csv: Path, text: str) -> None:
+    """The first and the third used to end in a traceback."""
+    csv.write_text(text)
+    with pytest.raises(InputError):
+        track.read(csv, ImportOptions(frame_rate_hz=1.0 if text.startswith("x") else None))

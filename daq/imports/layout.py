@@ -1,0 +1,161 @@
+"""The layout of a table in a text file: delimiter, decimal sign, preamble, header, and where the data begin.
+
+The delimiter and the decimal sign are the pair under which most cells are numbers and most lines are equally long, and
+under which the header is as long as the lines; of equals the first in `CANDIDATES`.  They are found from the second
+half of the file, where no header disturbs.
+
+A preamble, such as the settings that a servo drive writes above its table, may hold numbers.  It is recognised when a
+line of names stands between it and lines that all look like data, or when its lines hold words and another number of
+cells than the table.
+"""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from daq.console import units
+
+# Delimiter and decimal sign; " " is any run of blanks.
+CANDIDATES = tuple((d, s) for d in "\t;, |" for s in ".," if (d, s) != (",", ","))
+FORMAT_LINES = 400  # lines from which delimiter and decimal sign are found; of a longer file, evenly spaced
+LOGGED = ("time", "length", "speed", "force", "rate")  # dimensions in a line of units; no mass: t is a time's name
+LONGEST_NUMBER = 1000  # characters; the time to match one grows with their square
+ALIKE = 3  # lines that must look like data below a header for what stands above it to be a preamble
+
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
+_CLOCK = re.compile(r"(?:.*[T ])?(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d*)?)")
+
+
+def number(cell: str, decimal: str) -> float | None:
+    """Return a cell as a number (which may be nan or inf), or None when it is not a number."""
+    if len(cell) > LONGEST_NUMBER:
+        return None
+    text = cell.strip().replace("\N{MINUS SIGN}", "-")
+    if decimal == ",":
+        if "." in text:
+            return None
+        text = text.replace(",", ".")
+    return float(text) if _NUMBER.fullmatch(text) else None
+
+
+def clock(cell: str) -> float | None:
+    """Return a time of day such as 12:00:00.000 in seconds since midnight, or None; a date before it is ignored."""
+    found = _CLOCK.fullmatch(cell.strip()) if len(cell) <= LONGEST_NUMBER else None
+    if found is None:
+        return None
+    hours, minutes, seconds = found.groups()
+    return 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds.replace(",", "."))
+
+
+def split(text: str, delimiter: str) -> list[str]:
+    """Return the cells of a line."""
+    if delimiter == " ":
+        return text.split()
+    try:
+        return next(csv.reader([text.strip(" ")], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        return [text]  # a cell too long to be one
+
+
+def header(text: str, delimiter: str, width: int) -> list[str]:
+    """Return the cells of a header; between spaces, ``x (cm)`` is one name; a closing delimiter adds no column."""
+    if delimiter == " " and len(text.split()) != width:
+        wide = re.split(r"\s{2,}|\t", text.strip())
+        return wide if len(wide) == width else re.split(r"\s+(?![(\[])", text.strip())
+    cells = split(text, delimiter)
+    return cells[:-1] if len(cells) == width + 1 and not cells[-1].strip() else cells
+
+
+def find_format(texts: Sequence[str], named: str | None) -> tuple[str, str]:
+    """Return the delimiter and the decimal sign; ``named`` is the delimiter that the file itself names."""
+    half = texts[len(texts) // 2 :]
+    sample = half[:: max(1, len(half) // FORMAT_LINES)]
+    best, best_score = CANDIDATES[0], 0.0
+    for delimiter, decimal in CANDIDATES:
+        if named is not None and delimiter != named:
+            continue
+        rows = [split(text, delimiter) for text in sample]
+        width, same = Counter(map(len, rows)).most_common(1)[0]
+        cells = [cell for row in rows for cell in row]
+        numbers = sum(number(cell, decimal) is not None for cell in cells)
+        score = same / len(rows) * numbers / max(len(cells), 1)
+        if score <= best_score:
+            continue  # what follows only lowers it
+        if width == 1:
+            score *= 0.9  # "1,5" alone is two columns, unless there is a header of one name
+        start = find_start(texts, delimiter, decimal, width)
+        if 0 < start < len(texts):
+            names = header(texts[start - 1], delimiter, width)
+            # A name that contains another delimiter is more than one name.
+            if len(names) != width or (width == 1 and any(mark in names[0] for mark in "\t;,|")):
+                score *= 0.5
+        if score > best_score:
+            best, best_score = (delimiter, decimal), score
+    return best
+
+
+@dataclass(frozen=True)
+class _Line:
+    """What a line of the file could be, in a table of a known width."""
+
+    cells: tuple[str, ...]
+    numeric: tuple[bool, ...]
+
+    @property
+    def words(self) -> bool:
+        """Whether it holds no number."""
+        return not any(self.numeric)
+
+
+def find_start(texts: Sequence[str], delimiter: str, decimal: str, width: int) -> int:
+    """Return the index of the first line of data in a table of ``width`` columns; the number of lines without any."""
+
+    def line(index: int) -> _Line:
+        cells = tuple(split(texts[index], delimiter))
+        return _Line(cells, tuple(number(cell, decimal) is not None or clock(cell) is not None for cell in cells))
+
+    first = next((index for index in range(len(texts)) if not line(index).words), len(texts))
+    if first == len(texts):
+        return first
+    usual = Counter(line(index).numeric for index in range(len(texts) // 2, len(texts))[:FORMAT_LINES])
+    pattern = usual.most_common(1)[0][0]
+    if line(first).numeric == pattern:
+        return first
+    # Words of another width at the top are a preamble, numbers of another width are a damaged line.
+    while first < len(texts) and len(line(first).cells) != width and not all(line(first).numeric):
+        first += 1
+    alike = 0
+    for index in range(first, len(texts)):
+        alike = alike + 1 if line(index).numeric == pattern else 0
+        if alike == max(1, min(ALIKE, len(texts) - first - 1)):
+            start = index - alike + 1
+            above = header(texts[start - 1], delimiter, width) if start else []
+            named = len(above) == width and start and line(start - 1).words
+            return start if named else first
+    return first
+
+
+def name_columns(head: Sequence[str], delimiter: str, width: int) -> tuple[str, ...] | None:
+    """Return the names in the lines above the data; a line of units below them is added to them.
+
+    Returns
+    -------
+    tuple of str or None
+        Empty where the last line is free text; None where it names another number of columns.
+    """
+    if not head:
+        return ()
+    cells = tuple(cell.strip() for cell in header(head[-1], delimiter, width))
+    if len(cells) != width:
+        return () if len(cells) == 1 and width > 1 else None
+    above = tuple(cell.strip() for cell in header(head[-2], delimiter, width)) if len(head) > 1 else ()
+    bare = [cell.strip("()[] ") for cell in cells]
+    if len(above) == width and all(above) and any(bare) and all(not unit or _is_unit(unit) for unit in bare):
+        return tuple(f"{name} ({unit})" if unit else name for name, unit in zip(above, bare, strict=True))
+    return cells
+
+
+def _is_unit(text: str) -> bool:
+    return text in ("-", "1") or any(units.known(text, dimension) for dimension in LOGGED)
