@@ -131,7 +131,7 @@ def _saved(file: Path, place: Path, found: FitOutput | Failure) -> BatchRow:
         found.save([file], [place])
     except Exception as error:
         return BatchRow(file, {}, _failure(error, file))
-    return BatchRow(file, found.ranking.as_json() | {"report": place})
+    return BatchRow(file, found.as_json() | {"report": place})
 
 
 def _failure(error: Exception, file: Path) -> Failure:

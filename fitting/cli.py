@@ -78,6 +78,7 @@ def fit(
     from fitting import batch, job
     from fitting.report import page as pages
     from fitting.report import table
+    from processing.statistics import pooled
 
     files = [file, *more]
     if len({path.resolve() for path in files}) < len(files):
@@ -118,13 +119,14 @@ def fit(
         sides = done.ranking.runs or (done.ranking,)
         table.write(csv, [(path, side.as_json()) for path, side in zip(files, sides, strict=True)])
     ranking = done.ranking
-    data = ranking.as_json() | {"report": places[0]}
+    counted = pooled(done.statistics)
+    data = done.as_json() | {"report": places[0]}
     if ranking.runs:
         data["runs"] = [
             {"file": path, "report": page} | side for path, page, side in zip(files, places, data["runs"], strict=True)
         ]
     code = EXIT_DONE if len(ranking.laws_in_set) == 1 else EXIT_UNDECIDED
-    return Answer(data, _text(ranking, places, alpha), code)
+    return Answer(data, _text(ranking, counted.sentences("m"), places, alpha), code)
 
 
 def numbers(text: str, flag: str) -> list[int]:
@@ -170,9 +172,10 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
     return lines
 
 
-def _text(ranking: "Ranking", places: list[Path], alpha: float) -> list[Any]:
+def _text(ranking: "Ranking", statistics: list[str], places: list[Path], alpha: float) -> list[Any]:
     lines: list[Any] = [_laws(ranking), _parameters(ranking, alpha)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
+    lines += statistics
     reports = ", ".join(map(str, places))
     lines.append(f"{ranking.best.cycles} cycles, {ranking.cpu_s:.1f} s of CPU time; report: {reports}")
     lines.append(f"verdict: {ranking.verdict}")

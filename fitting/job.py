@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from daq.errors import InputError
 from daq.runfile import store as runfile
@@ -16,6 +17,7 @@ from fitting.selection.result import Ranking
 from processing import stage
 from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth
+from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 
 
 @dataclass(frozen=True)
@@ -45,10 +47,21 @@ class LoadedRun:
 
 @dataclass(frozen=True, eq=False)
 class FitOutput:
-    """A ranking and the page of each run."""
+    """A ranking, the page of each run, and the statistics of its stick-slip."""
 
     ranking: Ranking
     pages: tuple[str, ...]
+    statistics: tuple[StickSlipStatistics, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document of the ranking, with the statistics of stick-slip of all runs together and of each."""
+        document = self.ranking.as_json() | {"statistics": pooled(self.statistics).as_json()}
+        if self.ranking.runs:
+            document["runs"] = [
+                side | {"statistics": own.as_json()}
+                for side, own in zip(document["runs"], self.statistics, strict=True)
+            ]
+        return document
 
     def save(self, files: Sequence[Path], places: Sequence[Path]) -> None:
         """Write results into the run files and the reports beside them."""
@@ -95,7 +108,9 @@ def fit_runs(
     )
     sides = ranking.runs or (ranking,)
     return FitOutput(
-        ranking, tuple(report.render(side, motion, options.alpha) for side, motion in zip(sides, motions, strict=True))
+        ranking,
+        tuple(report.render(side, motion, options.alpha) for side, motion in zip(sides, motions, strict=True)),
+        tuple(from_kinematics(motion) for motion in motions),
     )
 
 

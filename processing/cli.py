@@ -49,7 +49,7 @@ def smooth(
     Example: process smooth run.h5 --window 20ms
     """
     from daq.runfile import store
-    from processing import smoothing, stage, summary
+    from processing import smoothing, stage, statistics, summary
 
     asked = (method, window, order, times, belt_speed, repair_counts)
     motion: Kinematics | SmoothingSummary
@@ -61,8 +61,9 @@ def smooth(
         made = smoothing.smooth(store.load(file), *asked)
         stage.save(made, file)
         motion = made
-    data = summary.as_json(motion)
-    lines = summary.sentences(motion, chosen=window == "auto")
+    counted = statistics.statistics(motion, *stage.load_columns(file, "position", "time"))
+    data = summary.as_json(motion) | {"statistics": counted.as_json()}
+    lines = summary.sentences(motion, chosen=window == "auto") + counted.sentences(motion.unit)
     return Answer(data, [*lines, f"written to /entry/smooth of {file}"])
 
 
@@ -103,15 +104,16 @@ def inspect(
     """
     from daq.output import atomic
     from processing import plot as drawing
-    from processing import summary
+    from processing import statistics, summary
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
     if plot is not None:
         atomic.refuse_existing(plot, force, file)
     motion, now = _motion(file)
     drawing.save(drawing.inspection(motion), target)
-    data = summary.run_as_json(motion) | {"smoothed_in_memory": now, "plot": target}
-    lines = summary.run_sentences(motion, file)
+    counted = statistics.from_kinematics(motion)
+    data = summary.run_as_json(motion) | {"statistics": counted.as_json(), "smoothed_in_memory": now, "plot": target}
+    lines = summary.run_sentences(motion, file) + counted.sentences(motion.unit)
     if now:
         lines.append("not smoothed yet, so smoothed in memory; keep it with: process smooth")
     return Answer(data, [*lines, f"picture: {target}"])

@@ -204,6 +204,12 @@ def load(path: Path) -> Kinematics | None:
         )
 
 
+def load_columns(path: Path, *names: str) -> list[Array]:
+    """Return columns of the kinematics of a smoothed run, each of shape (n,), without reading the others."""
+    with store.opened(path) as file:
+        return [nexus.read_array(file["entry"], f"smooth/kinematics/{name}", np.float64, path) for name in names]
+
+
 def _noise(entry: h5py.Group, recording: Recording, times: str, path: Path) -> float:
     """Return the noise of a position; of a stage written before it was kept, estimated from the record."""
     if "noise" in entry["smooth/parameters"]:

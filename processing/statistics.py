@@ -1,0 +1,185 @@
+"""What holds of stick-slip without any friction law: durations, drops, and where the mass breaks away.
+
+A stick has a duration between two slips, a slip between two sticks.  One that an end of the record or a gap cuts off
+has none; a stick that ends in a slip has a break-away all the same.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from processing.record.kinematics import Kinematics, SmoothingHeader
+
+FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of
+QUANTITIES = {"stick_s": "s", "slip_s": "s", "drop_m": "m", "break_away_m": "m"}
+TITLES = {"stick_s": "stick", "slip_s": "slip", "drop_m": "drop", "break_away_m": "break-away"}
+
+
+@dataclass(frozen=True)
+class SlipEvent:
+    """One break-away and the slip after it; NaN for what the record does not show whole.
+
+    Attributes
+    ----------
+    t : float
+        Time of the break-away, s.
+    stick_s, slip_s : float
+        Durations of the stick before and of the slip, s.
+    drop_m : float
+        How far the mass slips back, m (or counts): from its farthest position around the break-away to the nearest one
+        around the landing, each up to the middle of the stick there.
+    break_away_m : float
+        Stretch of the spring at the break-away, m (or counts): the position from the spring's rest, positive in the
+        direction of the belt.
+    """
+
+    t: float
+    stick_s: float
+    slip_s: float
+    drop_m: float
+    break_away_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class StickSlipStatistics:
+    """The statistics of one record, or of several together.
+
+    Attributes
+    ----------
+    sticks, slips : int
+        How many there are, cut ones included.
+    spikes, frozen, dropped_frames : int
+        Samples left out as spikes or while the sensor held its value; frames lost.
+    events : tuple of SlipEvent
+        In order of time; of several records one after the other.
+    records : int
+        How many records there are; only one has a trend.
+    """
+
+    sticks: int
+    slips: int
+    spikes: int
+    frozen: int
+    dropped_frames: int
+    events: tuple[SlipEvent, ...]
+    records: int = 1
+
+    def summary(self, name: str) -> dict[str, float | None] | None:
+        """Return mean, sd, min, max and trend of a quantity of `SlipEvent`; None with fewer than `FEWEST_SLIPS` slips.
+
+        The trend is the slope of the least-squares line through the quantity against the time of the break-away, in
+        units of the quantity per second: None over several records.
+        """
+        time, values = self.column("t"), self.column(name)
+        known = np.isfinite(values)
+        time, values = time[known], values[known]
+        if self.slips < FEWEST_SLIPS or values.size < FEWEST_SLIPS:
+            return None
+        centred = time - time.mean()
+        trend = float(np.sum(centred * values) / np.sum(centred**2)) if self.records == 1 else None
+        return {
+            "mean": float(values.mean()),
+            "sd": float(values.std(ddof=1)),
+            "min": float(values.min()),
+            "max": float(values.max()),
+            "trend_per_s": trend,
+        }
+
+    def column(self, name: str) -> Array:
+        """Return one quantity of all events, NaN where it is not known."""
+        return np.array([getattr(event, name) for event in self.events], np.float64)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what the commands print under ``statistics``; the keys are fixed."""
+        document: dict[str, Any] = {
+            name: getattr(self, name) for name in ("sticks", "slips", "spikes", "frozen", "dropped_frames")
+        }
+        document |= {name: self.summary(name) for name in QUANTITIES}
+        document["break_aways"] = [
+            {name: value if math.isfinite(value) else None for name, value in vars(event).items()}
+            for event in self.events
+        ]
+        return document
+
+    def sentences(self, unit: str) -> list[str]:
+        """Return a compact table as lines; lengths in mm, or in counts where ``unit`` is "count"."""
+        if not self.sticks:
+            return []
+        if self.slips < FEWEST_SLIPS:
+            return [f"statistics: {self.slips} slips are too few (at least {FEWEST_SLIPS})"]
+        lines = []
+        for name, own in QUANTITIES.items():
+            found = self.summary(name)
+            if found is None:
+                continue
+            size, shown = (1.0, own) if own == "s" else (1e3, "mm") if unit == "m" else (1.0, unit)
+            mean, sd, low, high = (f"{size * (found[key] or 0.0):.4g}" for key in ("mean", "sd", "min", "max"))
+            trend = found["trend_per_s"]
+            drift = "" if trend is None else f", trend {size * trend:+.2g} {shown}/s"
+            lines.append(f"{TITLES[name]:10} {mean} ± {sd} {shown} ({low} to {high}{drift})")
+        return lines
+
+
+def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSlipStatistics:
+    """Return the statistics of a smoothed record.
+
+    Parameters
+    ----------
+    motion : SmoothingHeader
+        Its sticks and slips.
+    position, time : array of shape (n,)
+        Smoothed, m from the spring's rest, and s.
+    """
+    sign = math.copysign(1.0, motion.belt_speed) if math.isfinite(motion.belt_speed) else 1.0
+    phases = motion.phases
+    interval = float(np.median(np.diff(time[:10_000]))) if time.size > 1 else 0.0
+    events = []
+    for index, slip in enumerate(phases):
+        before = phases[index - 1] if index else None
+        after = phases[index + 1] if index + 1 < len(phases) else None
+        if slip.kind != "slip" or before is None or before.kind != "stick" or slip.start - before.end > 2 * interval:
+            continue
+        stretch = float(np.interp(slip.start, time, position))
+        last = phases[index - 2] if index > 1 else None
+        complete = last is not None and last.kind == "slip" and before.start - last.end <= 2 * interval
+        landed = after is not None and after.kind == "stick" and after.start - slip.end <= 2 * interval
+        drop = math.nan
+        if landed and after is not None:
+            begin, end = (before.first + before.last) // 2, (after.first + after.last) // 2 + 1
+            drop = float(np.ptp(position[begin:end]))
+        events.append(
+            SlipEvent(
+                slip.start,
+                before.duration if complete else math.nan,
+                slip.duration if landed else math.nan,
+                drop,
+                sign * stretch,
+            )
+        )
+    return StickSlipStatistics(
+        len(motion.sticks), len(motion.slips), motion.spikes, motion.frozen, motion.dropped_frames, tuple(events)
+    )
+
+
+def from_kinematics(motion: Kinematics) -> StickSlipStatistics:
+    """Return the statistics of a motion in memory."""
+    return statistics(motion, motion.position, motion.time)
+
+
+def pooled(records: Sequence[StickSlipStatistics]) -> StickSlipStatistics:
+    """Return the statistics of several records together, without a trend."""
+    if len(records) == 1:
+        return records[0]
+    return StickSlipStatistics(
+        sum(record.sticks for record in records),
+        sum(record.slips for record in records),
+        sum(record.spikes for record in records),
+        sum(record.frozen for record in records),
+        sum(record.dropped_frames for record in records),
+        tuple(event for record in records for event in record.events),
+        len(records),
+    )
