@@ -15,12 +15,13 @@ import numpy as np
 from daq.compute.arrays import Array
 from processing import belt_motion
 from processing.defects import frames, lost_counts, velocity_steps
-from processing.defects.findings import sensor_findings
+from processing.defects.findings import drift_finding, sensor_findings
 from processing.defects.sensor_faults import without_faults
 from processing.kalman import white_jerk
 from processing.kalman.bridge import across_faults
 from processing.methods import registry
 from processing.record.faults import Fault
+from processing.record.finding import Finding
 from processing.record.lost_counts import LostCounts, counts_missing, restore_counts
 from processing.record.motion import Phase, VelocityStep
 from processing.record.series import Series
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
 
+PARTS = 8  # of a block, whose means show a drift
 SOUND = 0.9  # share of the samples around a velocity step that must be positions; a bridged hole has a kink at its ends
 
 
@@ -60,6 +62,8 @@ class BlockSmoother:
         self._faults: list[Fault] = []
         self._step_sums = np.zeros(8)
         self._samples = 0
+        self._unit = ""
+        self._means: list[tuple[float, float]] = []
         self._behind = 0  # counts lost so far in this segment
 
     def smooth(self, recording: "Recording", data: Series, own: slice, low: int = 0) -> dict[str, Any]:
@@ -125,6 +129,10 @@ class BlockSmoother:
             if own.start <= step.sample < own.stop and sound.kept[near].mean() > SOUND:
                 self._steps.append(VelocityStep(step.sample + low, step.step))
         self._samples += own.stop - own.start
+        self._unit = recording.unit
+        for part in np.array_split(np.arange(own.start, own.stop), PARTS):
+            if part.size:
+                self._means.append((float(data.time[part].mean()), float(columns["position"][part - own.start].mean())))
         self._join(phases, data, low, own.start + low, own.stop + low)
         self._methods[motion.method] = self._methods.get(motion.method, 0) + own.stop - own.start
         self._windows.append((motion.window, motion.order))
@@ -153,10 +161,18 @@ class BlockSmoother:
             "kicks": tuple(self._steps),
             "faults": faults,
             "dropped_frames": counted.lost,
-            "findings": tuple(sensor_findings(faults, counted, self._samples)),
+            "findings": (*sensor_findings(faults, counted, self._samples), *self._drift()),
             "noise": noise,
             "repaired": self.repair == "fix" and bool(self._losses),
         }
+
+    def _drift(self) -> list[Finding]:
+        """Return the drift of a record that moves, and never slips."""
+        if len(self._means) < PARTS or len(self.sticks) > 1:
+            return []
+        time, position = np.array(self._means).T
+        found = drift_finding(time, position, self._unit)
+        return [] if found is None else [found]
 
     def _noise(self) -> float:
         """Return the median noise of the blocks in which anything changes."""

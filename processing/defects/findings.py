@@ -1,5 +1,10 @@
 """What is reported of the faults of a sensor: one sentence each, with its numbers."""
 
+import math
+
+import numpy as np
+
+from daq.compute.arrays import Array
 from processing.defects.frames import FrameCount
 from processing.record.faults import Fault
 from processing.record.finding import Finding
@@ -37,6 +42,32 @@ def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int)
     return found
 
 
+def drift_finding(time: Array, position: Array, unit: str) -> Finding | None:
+    """Return the drift of a record that is one straight line, or None where it is none or not significant.
+
+    Parameters
+    ----------
+    time, position : array of shape (k,), k >= 4
+        Means over parts of the record, s and m.
+    unit : str
+        Of the position.
+    """
+    t = time - time.mean()
+    slope = float(t @ position / (t @ t))
+    left = position - position.mean() - slope * t
+    error = float(np.sqrt(left @ left / (t.size - 2) / (t @ t)))
+    travel = slope * float(np.ptp(time))
+    if abs(slope) <= SIGNIFICANT * error or np.abs(left).max() > STRAIGHT * abs(travel):
+        return None
+    text = (
+        f"the position drifts by {slope:.3g} {unit}/s throughout and the mass never slips: a counter that is parked "
+        "and dithers, or a belt that drags the mass all the time"
+    )
+    return Finding("drift", text, slope, 0.0, abs(slope) / error if error > 0 else math.inf)
+
+
+STRAIGHT = 0.05  # of the travel: the most that a part may lie off the line; one slip in eight sticks moves it by more
+SIGNIFICANT = 5.0  # standard deviations of the rate
 MUCH = 0.2  # share of the samples: what is left is then no longer a record of the motion between them
 
 

@@ -19,6 +19,7 @@ from processing.kalman.snap_kernel import (
     NEAR_LANDING,
     NEAR_ONSET,
     ONSET,
+    OVERTAKE,
     REST,
     RIDE,
     SLIP,
@@ -47,16 +48,18 @@ def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float,
     # Where a slip is cut off a landing may lie within the last samples, unseen: as rough as there.
     ended = time[time.size - 1]
     behind, before = -math.inf, math.inf
+    ahead = False  # of the belt: a slip without parts, since friction hardly changes so close to the belt's speed
     for i in range(time.size):
         while c < at.size and at[c] <= time[i]:
             behind = at[c]
             k = kind[c]
+            ahead = k == OVERTAKE
             state = STICK if k == LAND else RIDE if k == MEET else REST if k == STOP else SLIP
             c += 1
         before = at[c] if c < at.size else ended
         label[i] = state
         since, left = (time[i] - behind) / unit, (before - time[i]) / unit
-        if state == SLIP:
+        if state == SLIP and not ahead:
             for part in range(4):
                 if left < NEAR_LANDING[part]:
                     label[i] = (LANDING if c < at.size else CUT) + part

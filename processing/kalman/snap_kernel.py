@@ -10,6 +10,7 @@ lie corners:
     KICK    v, a and j all step: jump[4], jump[5], jump[6]
     START   from rest: as LEAVE, of variance jump[7], jump[8]
     STOP    to rest: as LAND
+    OVERTAKE  the mass comes up to the belt's speed and runs ahead of it: as MEET; it lands behind that
 
 The covariance p is kept as its ten numbers p00 p01 p02 p03 p11 p12 p13 p22 p23 p33; the smoother is the one of
 `processing.kalman.jerk_kernel`.  On its way back it sums what says how well each noise level was chosen: with l the
@@ -33,7 +34,7 @@ Labels = NDArray[np.uint8]
 
 STATE = 15  # numbers in a filter's state: x v a j, the ten of p, and the time they hold for
 STORED = 16  # numbers kept of a sample: the state as expected, 1/s, e/s
-LAND, LEAVE, MEET, KICK, START, STOP = 1, 2, 3, 4, 5, 6
+LAND, LEAVE, MEET, KICK, START, STOP, OVERTAKE = 1, 2, 3, 4, 5, 6, 7
 STICK, LANDING, SLIP, ONSET, RIDE, MET, LEAVING, REST = 0, 1, 5, 6, 10, 11, 12, 13  # LANDING and ONSET: four each
 CUT = 14  # four: where a slip is cut off
 LABELS = 18
@@ -143,7 +144,7 @@ def turn(kind: int | np.int64, jump: Array, S: State) -> State:
         return (x, v, 0.0, 0.0, p00, p01, 0.0, 0.0, p11, 0.0, 0.0, 0.0, 0.0, 0.0)
     if kind == LEAVE:
         return (x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22 + jump[0], p23, p33 + jump[1])
-    if kind == MEET:
+    if kind == MEET or kind == OVERTAKE:
         return (x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22 + jump[2], p23, p33 + jump[3])
     if kind == START:
         return (x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22 + jump[7], p23, p33 + jump[8])
@@ -325,7 +326,7 @@ def backward(
                 l2 = l3 = 0.0
                 m02 = m03 = m12 = m13 = m22 = m23 = m33 = 0.0
                 continue
-            first = 0 if what == LEAVE else 2 if what == MEET else 5 if what == KICK else 7
+            first = 0 if what == LEAVE else 2 if what == MEET or what == OVERTAKE else 5 if what == KICK else 7
             steps[first, 0] += l2 * l2
             steps[first, 1] += m22
             steps[first + 1, 0] += l3 * l3

@@ -15,8 +15,8 @@ from processing.record.series import Series
 class Corner:
     """A corner of the velocity: its estimated time and standard deviation, s, and what happens there.
 
-    ``what`` is "land" (slip to stick), "leave" (stick to slip), "start" (from rest), "stop" (to rest) or "kick" (a step
-    of the velocity).
+    ``what`` is "land" (slip to stick), "leave" (stick to slip), "start" (from rest), "stop" (to rest), "overtake" (the
+    mass comes up to the belt and runs ahead of it) or "kick" (a step of the velocity).
     """
 
     time: float

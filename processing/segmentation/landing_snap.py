@@ -13,7 +13,7 @@ import numpy as np
 from daq.compute.compile import compiled
 from processing.kalman import mean_snap_kernel
 from processing.kalman.first_state import first_state
-from processing.kalman.snap_kernel import LAND, LANDING, NEAR_LANDING, SLIP, STICK, NoiseLevels
+from processing.kalman.snap_kernel import LAND, LANDING, NEAR_LANDING, OVERTAKE, SLIP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.switching_times import SwitchingTimes
 
@@ -50,7 +50,8 @@ def with_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) -
         if k + 1 < times.at.size:
             end = min(end, float(times.at[k + 1]))
         i, j = piece.start + np.searchsorted(series.time[piece], (begin, end))
-        if j - i < 16 or at - begin < unit * NEAR_LANDING[-1]:
+        overtaken = k and times.kind[k - 1] == OVERTAKE
+        if j - i < 16 or at - begin < unit * NEAR_LANDING[-1] or overtaken:
             continue
         time, position = series.time[i:j], series.position[i:j]
         state = first_state(time, position, float(levels.reading_variance[SLIP]), 3)

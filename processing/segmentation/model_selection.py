@@ -19,6 +19,9 @@ from processing.segmentation.switching_times import SwitchingTimes, spans_of, st
 
 # Of ln n, for each corner: the BIC penalty of its three parameters, (ln n)/2 each (Schwarz, Ann. Stat. 6 (1978) 461).
 BIC_FACTOR = 1.5
+FEW = 1 / 6  # share of the sticks that may be odd (a tap makes two of one): the others still show what a stick is
+
+Span = tuple[float, float]
 
 
 def accept_sticks(
@@ -28,7 +31,7 @@ def accept_sticks(
     levels: NoiseLevels,
     noise: white_jerk.Noise,
     first: SwitchingTimes,
-) -> tuple[SwitchingTimes, NoiseLevels] | None:
+) -> tuple[SwitchingTimes, NoiseLevels] | list[Span]:
     """Return switching times and noise levels of the sticks accepted, each on an even belt or on an uneven one.
 
     Parameters
@@ -42,12 +45,13 @@ def accept_sticks(
 
     Returns
     -------
-    (SwitchingTimes, NoiseLevels) or None
-        None where the null model is kept.
+    (SwitchingTimes, NoiseLevels), or list of (float, float)
+        Where the null model is kept, the spans of time, s, of the few sticks that prevent the others from being
+        accepted; empty where these are not few.
     """
     sticks = sticks_of(times)
     if not sticks:
-        return None
+        return []
     bare = without(times, np.ones(times.at.size, bool))
     snap = null_model(levels)
     for _ in range(3):
@@ -86,17 +90,28 @@ def accept_sticks(
             at[taken], sd[taken] = other.at[taken], other.sd[taken]
             if (np.diff(at) > 0).all():
                 times = replace(times, at=at, sd=sd)
+    odd = odd_spans(series, times, sticks, gained < 0)
     dropped = gained < needed * corners
     if dropped.mean() < 1 / 3:  # where most sticks are beyond doubt, the others need only help
         dropped = gained < 0
     if dropped.mean() > 1 / 2:
-        return None
+        return []
     if dropped.any() or ridden.any():
         times, levels = _rebuilt(series, workspace, times, levels, sticks, dropped, ridden)
         even = _gains(series, times, levels, workspace, spans)
         even = _better_rounded(series, times, levels, workspace, spans, even)
     # What the sticks that are left gain must not be lost where the others were dropped.
-    return (times, levels) if even[-1] - max(plain[-1], smooth[-1]) > needed * times.at.size else None
+    return (times, levels) if even[-1] - max(plain[-1], smooth[-1]) > needed * times.at.size else odd
+
+
+def odd_spans(series: Series, times: SwitchingTimes, sticks: list[list[int]], odd: Mask) -> list[Span]:
+    """Return where the sticks that are ``odd`` lie, if few are: from middle to middle of the sticks beside them."""
+    if not odd.any() or odd.mean() >= FEW:
+        return []
+    middle = np.array([0.5 * (times.at[stick[0]] + times.at[stick[-1]]) for stick in sticks])
+    ends = np.concatenate(([series.time[0] - 1.0], middle[~odd], [series.time[-1] + 1.0]))
+    behind = np.unique(np.searchsorted(ends, middle[odd]))
+    return [(float(ends[k - 1]), float(ends[k])) for k in behind]
 
 
 def _gains(series: Series, times: SwitchingTimes, levels: NoiseLevels, workspace: Workspace, spans: Integers) -> Array:

@@ -18,25 +18,39 @@ Not modelled: corners within a slip other than kicks, and counts that hardly cha
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from daq.compute.arrays import Array, Mask, runs
 from daq.compute.compile import compiled
 from processing.kalman import white_jerk
-from processing.kalman.snap_kernel import KICK, LAND, LEAVE, MEET, SLIP, START, STICK, STOP, NoiseLevels
+from processing.kalman.snap_kernel import (
+    KICK,
+    LAND,
+    LEAVE,
+    MEET,
+    OVERTAKE,
+    SLIP,
+    START,
+    STICK,
+    STOP,
+    NoiseLevels,
+)
 from processing.record.motion import Corner, Motion
 from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.segmentation import line_fit, model_selection, plateaus
 from processing.segmentation.landing_snap import with_mean_snap
 from processing.segmentation.noise_levels import Workspace, first_levels, reestimate_noise, smooth_stretch
+from processing.segmentation.overtaking import misfits, with_overtaking
 from processing.segmentation.switching_estimate import refine_switching_times
-from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, stretches
+from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, sticks_of, stretches
 
 KERNELS = ("processing.segmentation.line_fit",)
-WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop"}
+WHAT = {LAND: "land", MEET: "land", LEAVE: "leave", KICK: "kick", START: "start", STOP: "stop", OVERTAKE: "overtake"}
 ORDER = 7  # of the equivalent spline
+BAD = 16.0  # times the median mean square innovation: a stick that may raise the noise of all; not swept
 LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit` describes the effect of longer ones)
 
 
@@ -51,15 +65,58 @@ def segmented(
     workspace = Workspace()
     levels = first_levels(series, noise, pilot, first.unit)
     times = refine_switching_times(series, workspace, first, levels, 1.0)
+    times = with_overtaking(series, workspace, times, levels)
+    early = times, levels
+    if times.at.size > first.at.size:
+        first = times
     levels = reestimate_noise(series, workspace, times, levels, 1)
     levels = reestimate_noise(series, workspace, times, with_mean_snap(series, times, levels), 1)
     times = refine_switching_times(series, workspace, times, levels, 0.25)
     if gated:
         kept = model_selection.accept_sticks(series, workspace, times, levels, noise, first)
-        if kept is None:
-            return None
+        if isinstance(kept, list):
+            # One stick may fit so badly that it raises the noise of all: then none of the others is accepted either.
+            bad = misfits(series, workspace, *early) > BAD
+            odd = kept or model_selection.odd_spans(series, early[0], sticks_of(early[0]), bad)
+            return _around(series, noise, pilot, setting, times, odd) if odd else None
         times, levels = kept
     return _averaged(series, workspace, times, levels, pilot.window)
+
+
+def _around(
+    series: Series,
+    noise: white_jerk.Noise,
+    pilot: Motion,
+    setting: Setting,
+    times: SwitchingTimes,
+    odd: list[tuple[float, float]],
+) -> Motion | None:
+    """Smooth all but the spans ``odd``, s, by segments, and these by the first motion; None if the rest fails too.
+
+    Sticks inside the spans stay sticks, from and to the switching ``times`` estimated.
+    """
+    kept = np.ones(series.time.size, bool)
+    for low, high in odd:
+        kept[slice(*np.searchsorted(series.time, (low, high)))] = False
+    parts = [(piece.start + i, piece.start + j) for piece in series.pieces for i, j in runs(kept[piece])]
+    ends = np.cumsum([0, *(j - i for i, j in parts)]).tolist()
+    rest = replace(
+        series,
+        time=series.time[kept],
+        position=series.position[kept],
+        count=None if series.count is None else series.count[kept],
+        pieces=tuple(slice(i, j) for i, j in pairwise(ends)),
+    )
+    names = [f"{name}{end}" for name in ("position", "velocity", "acceleration") for end in ("", "_errors")]
+    first = replace(pilot, **{name: getattr(pilot, name)[kept] for name in names})
+    found = segmented(rest, noise, first, setting, gated=True)
+    if found is None:
+        return None
+    whole = {name: getattr(pilot, name).copy() for name in names}
+    for name in names:
+        whole[name][kept] = getattr(found, name)
+    inside = [corner for corner in _corners(times) if any(low < corner.time < high for low, high in odd)]
+    return replace(found, **whole, corners=tuple(sorted((*found.corners, *inside), key=lambda corner: corner.time)))
 
 
 def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, window: int) -> Motion:
@@ -82,11 +139,13 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, level
         value += half
         np.copyto(variance, share * (variance + late[3 + derivative]) / 2 + half**2, where=~line)
         np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
-    corners = tuple(
-        Corner(float(at), float(sd), WHAT[int(kind)])
-        for at, sd, kind in zip(times.at, times.sd, times.kind, strict=True)
-    )
+    corners = tuple(_corners(times))
     return Motion.from_rows(series, early[:3], early[3:], window=window, order=ORDER, method="segment", corners=corners)
+
+
+def _corners(times: SwitchingTimes) -> list[Corner]:
+    rows = zip(times.at.tolist(), times.sd.tolist(), times.kind.tolist(), strict=True)
+    return [Corner(at, sd, WHAT[kind]) for at, sd, kind in rows]
 
 
 def _run(

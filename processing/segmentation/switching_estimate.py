@@ -15,6 +15,7 @@ from processing.kalman.snap_kernel import (
     NEAR_LANDING,
     NEAR_ONSET,
     ONSET,
+    OVERTAKE,
     REST,
     RIDE,
     SLIP,
@@ -55,11 +56,13 @@ def refine_switching_times(
         behind = np.concatenate((now[1:], [time[-1]]))
         bounds = np.stack((now - 0.45 * (now - before), now + 0.45 * (behind - now)), axis=1)  # never past a neighbour
         first = np.array([stretch.first, *(state_after(int(kind)) for kind in kinds[:-1])])
-        for kind, state in sorted({*zip(kinds.tolist(), first.tolist(), strict=True)}):
-            pick = np.flatnonzero((kinds == kind) & (first == state))
-            if kind in (LAND, STOP, MEET):
+        ahead = np.concatenate(([False], kinds[:-1] == OVERTAKE))
+        for kind, state, over in sorted({*zip(kinds.tolist(), first.tolist(), ahead.tolist(), strict=True)}):
+            pick = np.flatnonzero((kinds == kind) & (first == state) & (ahead == over))
+            if kind in (LAND, STOP, MEET, OVERTAKE):
                 edges = np.concatenate((-near[::-1], [0.0]))
-                parts = [*landing, {LAND: STICK, STOP: REST, MEET: MET}[kind]]
+                approach = [SLIP] * len(landing) if over else landing
+                parts = [*approach, {LAND: STICK, STOP: REST, MEET: MET, OVERTAKE: SLIP}[kind]]
                 corner, half, back, on = 4, unit / 64, unit / 64, unit / 12
                 if kind == MEET:
                     edges, parts = np.append(edges, far[0]), [*parts, RIDE]
@@ -77,5 +80,5 @@ def refine_switching_times(
                 *(edges, np.array(parts, np.uint8), corner, levels, found),
             )
             new_at[stretch.corners.start + pick] = found[:, 0]
-            new_sd[stretch.corners.start + pick] = found[:, 1] * (SHARP if kind in (LAND, STOP) else 1.0)
+            new_sd[stretch.corners.start + pick] = found[:, 1] * (SHARP if kind in (LAND, STOP, OVERTAKE) else 1.0)
     return replace(times, at=new_at, sd=new_sd)
