@@ -54,6 +54,7 @@ def events_of(
         ("phase", counters.FLAG_PHASE),
         ("both-moved", counters.FLAG_BOTH),
         ("overrun", wire.OVERRUN),
+        ("retimed", counters.FLAG_TIME),
     ):
         for first, end in runs(checked.flags & flag > 0):
             found.append((first, EVENTS[name], f"{end - first} samples"))

@@ -102,6 +102,8 @@ def check(
         count[start:stop] = counters.net_count(samples.up[start:stop], samples.down[start:stop], bits)
     flags = (samples.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
     flags[lost > 0] |= counters.FLAG_GAP
+    if samples.time_error is not None:
+        flags[samples.time_error != 0] |= counters.FLAG_TIME
     both = counters.check_both_moved(samples.up, samples.down)
     both[starts] = False
     flags[both] |= counters.FLAG_BOTH

@@ -57,6 +57,8 @@ class RecordingQuality:
     ended : str
         "complete", "stopped" (Ctrl-C), "port lost", "board stopped", or the name of the signal that ended it; empty for
         a recorder that was killed.
+    retimed : int
+        Samples whose time as sent was not true and has been interpolated.
     file : Path or None
         The run file.
     warnings : tuple of str
@@ -82,6 +84,7 @@ class RecordingQuality:
     port_lost: int = 0
     asked_s: float | None = None
     ended: str = ""
+    retimed: int = 0
     file: Path | None = None
     warnings: tuple[str, ...] = ()
 
@@ -129,6 +132,7 @@ def from_run(
         port_lost=sum(record.kind == journal.LOST for record in recorded.records),
         asked_s=recorded.header["samples"] / run.rate_hz if recorded.header["samples"] is not None else None,
         ended=_ended(recorded.records),
+        retimed=int(np.count_nonzero(checked.flags & counters.FLAG_TIME)),
     )
 
 
@@ -233,6 +237,10 @@ def _data_warnings(
         (found.phase_errors, f"{found.phase_errors} samples disagree with the levels sent beside them"),
         (overruns, f"the board missed its own pace at {overruns} samples"),
         (samples.repeated, f"{samples.repeated} samples came twice or late and were left out"),
+        (
+            found.retimed,
+            f"{found.retimed} samples had times off the course of their neighbours; these times were interpolated",
+        ),
         (found.dropped_bytes, f"{found.dropped_bytes} bytes were dropped: this machine could not keep up"),
         (
             found.segments - 1,

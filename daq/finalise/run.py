@@ -134,7 +134,8 @@ def _no_samples(recorded: journal.Journal) -> DataError:
 
 
 def _raw(samples: Samples, checked: CheckedCounts, tick_ns: int) -> Raw:
-    microseconds = samples.ticks * tick_ns // 1000
+    sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
+    microseconds = sent * tick_ns // 1000
     return Raw(
         sample=samples.index.astype(np.uint32),
         count_up=samples.up,

@@ -47,6 +47,8 @@ class Samples:
         Which frame it came in, counted over all connections; frames that gave no sample are counted, too.
     stamp_ns : (n,) int64
         Host's monotonic clock when that frame had come in.
+    time_error : (n,) int64 or None
+        The time as sent less ``ticks``; None where no time is interpolated.
     up, down, status, illegal, belt, edge
         As sent (`daq.wire.decode.Stream`), the illegal count repeated over its frame.
     repeated : int
@@ -66,6 +68,7 @@ class Samples:
     illegal: NDArray[np.uint16]
     belt: NDArray[np.uint16] | None
     edge: NDArray[np.uint16] | None
+    time_error: NDArray[np.int64] | None = None
     repeated: int = 0
 
     def __len__(self) -> int:
@@ -178,6 +181,7 @@ def _samples(stream: decode.Stream, order: counters.Order, part: NDArray[np.int6
         illegal=stream.illegal[frame].astype(np.uint16),
         belt=stream.belt,
         edge=stream.edge,
+        time_error=None if stream.time_error is None else stream.time_error[frame],
     )
     return made if np.all(order.keep) else made.take(order.keep[frame])
 

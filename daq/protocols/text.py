@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 BAUD = 115_200
 TICK_NS = 1000
+MILLISECOND = 1000  # ticks
 LISTEN_S = 1.0  # of good lines, by their own times, before the rate is believed
 FEWEST_LINES = 20
 RATE_WITHIN = 0.1  # of the requested rate
@@ -203,7 +204,14 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     """Decode the reads of one connection."""
     form = columns(header["columns"])
     period_ticks = 1e9 / (TICK_NS * float(header["rate_hz"]))
-    return lines.decode(reads, reader(form), ident(form, header.get("decoder")), period_ticks, net=form.net)
+    return lines.decode(
+        reads,
+        reader(form),
+        ident(form, header.get("decoder")),
+        period_ticks,
+        net=form.net,
+        resolution=MILLISECOND,
+    )
 
 
 class Text(Session):

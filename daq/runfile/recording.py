@@ -25,6 +25,7 @@ EVENTS = {
     "invalid": 8,  # a gap too long to unwrap the counters across
     "reopened": 9,  # the port went away and came back: a new segment
     "notice": 10,  # the board reported something in words
+    "retimed": 11,  # the time as sent was not true and has been interpolated
 }
 EVENT_NAMES = {code: name for name, code in EVENTS.items()}
 
@@ -40,7 +41,7 @@ class Raw:
     count_up, count_down : u2, or u4 of counters wider than 16 bits
         The two counters, rolling over at their width.
     device_time : u4
-        Device time in us, rolling over at 2^32.
+        Device time in us as sent, rolling over at 2^32.
     levels : u1
         Channel levels at the sample, A = 1, B = 2.
     flags : u2

@@ -190,7 +190,7 @@ TREE: tuple[Group | Field, ...] = (
     Field("raw/count_down", "u2 or u4[n]", "", "counter of steps down", "raw.count_down"),
     Field("raw/device_time", "u4[n]", "us", "device time, rolling over at 2^32", "raw.device_time"),
     Field("raw/levels", "u1[n]", "", "channel levels, A = 1, B = 2", "raw.levels"),
-    Field("raw/flags", "u2[n]", "", "status bits of the sample", "raw.flags"),
+    Field("raw/flags", "u2[n]", "", "status bits of the sample, and the checks of `daq.wire.counters`", "raw.flags"),
     Field("raw/illegal", "u2[n]", "", "illegal transitions so far, rolling over", "raw.illegal"),
     Field("raw/belt_count", "u2[n]", "", "the belt encoder's counter", "raw.belt_count", optional=True),
     Field("raw/edge_time", "u2[n]", "us", "from the last edge to the sample", "raw.edge_time", optional=True),

@@ -33,6 +33,7 @@ FLAG_ILLEGAL = 0x0100  # the illegal count rose within this sample's frame
 FLAG_PHASE = 0x0200  # (up - down) mod 4 is not the phase of the levels sent with it
 FLAG_BOTH = 0x0400  # up and down both changed since the previous sample
 FLAG_GAP = 0x0800  # samples are missing directly before this one
+FLAG_TIME = 0x2000  # the time as sent was not true and has been interpolated (lines without a checksum)
 FLAG_COUNT_UNCERTAIN = 0x1000  # illegal transitions came before this sample: its count may be off by two for each
 
 

@@ -38,6 +38,8 @@ class Stream:
         Before which frame each identification came.
     configs, notices : tuple of (int, str)
         Before which frame, and its text.
+    time_error : (f,) int64 or None
+        The time as sent less ``ticks``: not 0 where it was not true and has been interpolated.  None: as sent.
     truth_seq, truth_frame : (m,) int64
         Sequence number as sent of each row of truth, and the frame it came before.
     truth : (m, 4) float64
@@ -73,6 +75,7 @@ class Stream:
     configs: tuple[tuple[int, str], ...] = ()
     notices: tuple[tuple[int, str], ...] = ()
     unknown: int = 0
+    time_error: NDArray[np.int64] | None = None
     truth_seq: NDArray[np.int64] = field(default_factory=_nothing)
     truth_frame: NDArray[np.int64] = field(default_factory=_nothing)
     truth: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from daq import protocols
 from daq.errors import DeviceError, InputError
-from daq.protocols import lines as lines_module
-from daq.protocols import qsb, text
+from daq.protocols import neighbours, qsb, text
 from daq.protocols import session as session_module
 from daq.protocols.lines import Other
 from daq.protocols.request import RecordRequest
@@ -142,7 +141,7 @@ def test_a_million_corrupted_bytes_are_survived(form):
     assert wrong <= share * len(touched), wrong / len(touched)
     # What passed alone is wrong by little; two damaged lines side by side may vouch for each other.
     alone = np.array([k not in touched or not {k - 1, k + 1} & touched for k in whole.tolist()])
-    assert np.abs(counts(stream) - motion(whole))[alone].max() <= lines_module.LEAP_COUNTS + 8 * 110
+    assert np.abs(counts(stream) - motion(whole))[alone].max() <= neighbours.LEAP_COUNTS + 8 * 110
 
 
 @pytest.mark.parametrize(
@@ -164,10 +163,11 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
     lines[100] = b"s0E" + b"00100000" + lines[100][11:]
     lines[150] = lines[150][:11] + b"00010096" + lines[150][19:]
     stream = qsb.decode([(0, b"".join(lines))], {"rate_hz": 512.0})
-    assert stream.crc_errors == 2
+    assert stream.crc_errors == 1
+    assert stream.crc_frame.tolist() == [100]
     assert np.array_equal(counts(stream), motion(stream.ticks))
-    assert len(stream.ticks) == 198
-    assert stream.crc_frame.tolist() == [100, 149]
+    assert len(stream.ticks) == 199
+    assert np.flatnonzero(stream.time_error).tolist() == [149]  # its count is kept, at the time it should have had
 
 
 @pytest.mark.parametrize(
@@ -331,32 +331,3 @@ def test_an_endless_line_is_one_damaged_one(form):
         found = decode(good + b"7" * 5000, cut_at)
         assert (found.crc_errors, found.discarded_bytes) == (1, 5000 + (name == "qsb"))  # and its line feed
         assert np.array_equal(found.ticks, sound.ticks)
-
-
-@pytest.mark.parametrize(
-    ("line", "seen"),
-    [
-        (lambda k: b"%d,%d\n" % (2000 * k + 7, int(motion(k)) + 10), "a count off by 10"),
-        (lambda k: b"%d,%d\n" % (2000 * k + 47, int(motion(k))), "a time off by 40 us"),
-    ],
-)
-def test_one_wrong_digit_among_sound_lines_is_seen(line, seen):
-    # Both used to pass: less than a leap, and a time still in order.
-    lines = [text_line(k) for k in range(200)]
-    lines[90] = line(90)
-    stream = text.decode([(0, b"".join(lines))], {"columns": "t_us,count", "rate_hz": 500.0})
-    assert stream.crc_errors == 1, seen
-    assert 90 * 2000 not in (stream.ticks - 7) // 100 * 100
-
-
-@pytest.mark.parametrize("noise", [0.0, 5.0, 30.0, 100.0])
-def test_jitter_kicks_jumps_and_gaps_are_no_damage(noise):
-    rng = np.random.default_rng(int(noise))
-    k = np.arange(20_000)
-    time = 2000 * k + np.round(noise * rng.normal(size=k.size)).astype(int)
-    speed = np.where(k // 700 % 2, 40.0, -3.0) + np.where(k // 333 % 3 == 0, 5.0, 0.0)  # kicked, and reversed
-    count = np.floor(np.cumsum(speed)).astype(int) + 500 * (k > 9000)  # and a cog that slipped
-    sent = (k % 997 != 5) & (k // 40 != 77)
-    data = b"".join(b"%d,%d\n" % row for row in zip(time[sent].tolist(), count[sent].tolist(), strict=True))
-    stream = text.decode([(0, data)], {"columns": "t_us,count", "rate_hz": 500.0})
-    assert stream.crc_errors <= 1e-4 * k.size * (noise > 0)
