@@ -131,7 +131,7 @@ def smooth_file(
     some = _spread(path, n, times)
     setting = _setting(window, order, belt_speed, some)
     if registry.resolve(method, setting) == "sg" and setting.window is None:
-        chosen = window_choice.choose(some, setting.order)
+        chosen = window_choice.choose(without_faults(some).series, setting.order)
         setting = replace(setting, window=chosen.window, order=chosen.order)
     reader = _Reader(path, n, times, max(MARGIN, 2 * (setting.window or 0)))
     blocks = BlockSmoother(method, setting, repair_counts)
@@ -181,8 +181,7 @@ def _spread(path: Path, n: int, times: str) -> Series:
     """Return stretches spread over the record, as one series of as many pieces."""
     size = min(SPREAD_SIZE, n)
     starts = np.unique(np.linspace(0, n - size, SPREAD).astype(int)).tolist()
-    read = (series.from_recording(store.load(path, slice(at, at + size)), times) for at in starts)
-    parts = [without_faults(part).series for part in read]
+    parts = [series.from_recording(store.load(path, slice(at, at + size)), times) for at in starts]
     pieces, at, end = [], 0, 0.0
     time, position = [], []
     for part in parts:
