@@ -153,8 +153,10 @@ def _zip(path: Path) -> Iterator[zipfile.ZipFile]:
 
 def _device(text: bytes, where: str) -> dict[str, str]:
     parser = configparser.ConfigParser(interpolation=None, strict=False)
+    # A line of its own is a key, even where it is indented: a parser of ini files takes it for more of the value above.
+    lines = [line.strip() for line in text.decode("utf-8", "replace").splitlines()]
     try:
-        parser.read_string(text.decode("utf-8", "replace"))
+        parser.read_string("\n".join(lines))
     except configparser.Error as error:
         what = f"has broken metadata: {' '.join(str(error).split())}"
         raise InputError(what, where, "copy the capture again from its source") from error

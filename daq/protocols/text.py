@@ -222,7 +222,7 @@ class Text(Session):
         self._form = columns(request.columns)
         self._rate_hz = 0.0
         self._line_bytes = 0.0
-        self._coarse = False
+        self._coarse = self._even = False
 
     def identify(self) -> Identity:
         """Read lines until their rate is known.
@@ -256,7 +256,8 @@ class Text(Session):
         usual = [step for step in steps if 0.5 * typical <= step <= 1.5 * typical]
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
         self._line_bytes = heard / max(1, len(times) + bad)
-        self._coarse = all(ticks % 1000 == 0 for ticks in times)
+        self._coarse = all(ticks % MILLISECOND == 0 for ticks in times)
+        self._even = all(step > 0 and step % typical == 0 for step in steps)  # a line may be missing
         return Identity(ident(self._form, self.request.decoder))
 
     def plan(self, identity: Identity) -> Plan:
@@ -276,7 +277,12 @@ class Text(Session):
         else:
             rate_hz = float(f"{rate_hz:.3g}") if abs(float(f"{rate_hz:.3g}") / rate_hz - 1) < 0.005 else rate_hz
         notes = []
-        if self._coarse:
+        if self._coarse and self._even:
+            what = "the times are whole milliseconds, evenly spaced: exact if a timer takes the samples"
+            notes.append(
+                f"{what}; if they come from millis(), their errors are up to 1 ms: let the sketch print micros()"
+            )
+        elif self._coarse:
             notes.append("the times are whole milliseconds, with errors up to 1 ms: let the sketch print micros()")
         return Plan(rate_hz, 1, rate_hz * self._line_bytes, tuple(notes), comes_already=True)
 

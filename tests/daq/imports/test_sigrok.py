@@ -234,3 +234,9 @@ def test_illegal_transitions_are_a_warning_not_a_failure(
     write_capture(path, [0, 3, 0], {0: "A", 1: "B"})
     assert application.run(app, ["decode", str(path), "--channels", "A=A,B=B"]) == 0
     assert "warning: 2 illegal" in capsys.readouterr().out
+
+
+def test_an_indented_key_is_no_part_of_a_probe_name(path: Path, write_capture: Any) -> None:
+    # 13 of 1015 public captures have such metadata; the keys used to be part of the name above them.
+    write_capture(path, [0, 1, 3], {0: 'A "upper"\n\tinverted=no', 1: "B\n    samples=3"})
+    assert sigrok.read(path).probes == {0: 'A "upper"', 1: "B"}

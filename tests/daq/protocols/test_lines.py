@@ -331,3 +331,19 @@ def test_an_endless_line_is_one_damaged_one(form):
         found = decode(good + b"7" * 5000, cut_at)
         assert (found.crc_errors, found.discarded_bytes) == (1, 5000 + (name == "qsb"))  # and its line feed
         assert np.array_equal(found.ticks, sound.ticks)
+
+
+@pytest.mark.parametrize(
+    ("columns", "line", "said"),
+    [
+        # Exact micros() in whole milliseconds used to be advised to print micros().
+        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k), "exact if a timer takes the samples"),
+        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k + 1000 * (k % 20 == 7)), "with errors up to 1 ms: let"),
+        ("ms,count", lambda k: b"%d,5\n" % (2.3 * k), "with errors up to 1 ms: let"),
+        ("t_us,count", lambda k: b"%d,5\n" % (2000 * k + 4 * (k % 20 == 7)), None),
+    ],
+)
+def test_the_advice_about_whole_milliseconds_says_what_can_be_known(columns, line, said):
+    notes = planned(line, RecordRequest(columns=columns)).notes
+    assert len(notes) == (said is not None)
+    assert said is None or said in notes[0]
