@@ -19,7 +19,7 @@ HAND_EDGES = 40  # a hand moves a mass by more
 
 
 @dataclass(frozen=True)
-class Finding:
+class BoardCheck:
     """The result of one check.
 
     Attributes
@@ -58,26 +58,26 @@ def stretch(run: Recording, begin_s: float, end_s: float) -> CountedSpan:
     return CountedSpan(float(np.ptp(run.time[here])), int(count[-1] - count[0]), int(np.ptp(count)))
 
 
-def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list[Finding]:
+def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list[BoardCheck]:
     """Check a recording: the mass is left alone for ``parked_s`` seconds, then moved by hand."""
     parked = stretch(run, 0.0, parked_s)
     moved = stretch(run, parked_s, float("inf"))
     pace = summary.measured_rate_hz / summary.rate_hz - 1
     found = [
-        Finding(
+        BoardCheck(
             "rate",
             abs(pace) <= RATE_TOLERANCE,
             f"{summary.measured_rate_hz:.6g} Hz by the board's clock, {summary.rate_hz:.6g} requested",
             "lower --rate, or update its firmware",
         ),
-        Finding(
+        BoardCheck(
             "line",
             summary.lost + summary.crc_errors + summary.dropped_bytes == 0,
             f"{summary.lost} samples lost, {summary.crc_errors} damaged",
             "try another cable or port, a lower --rate, or a faster line",
         ),
         _clock(summary),
-        Finding(
+        BoardCheck(
             "counting",
             summary.illegal + summary.phase_errors == 0,
             f"{summary.illegal} illegal transitions, {summary.phase_errors} samples that contradict their levels",
@@ -94,26 +94,26 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
     return found
 
 
-def _clock(summary: RecordingQuality) -> Finding:
+def _clock(summary: RecordingQuality) -> BoardCheck:
     if summary.clock_ppm is None:
-        return Finding("clock", None, "cannot be compared with this machine's in so short a time, or not at all")
-    return Finding("clock", True, f"{summary.clock_ppm:+.0f} ppm against this machine's")
+        return BoardCheck("clock", None, "cannot be compared with this machine's in so short a time, or not at all")
+    return BoardCheck("clock", True, f"{summary.clock_ppm:+.0f} ppm against this machine's")
 
 
-def _parked(parked: CountedSpan, run: Recording) -> Finding:
+def _parked(parked: CountedSpan, run: Recording) -> BoardCheck:
     edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
     seen = f"{parked.counts:+d} counts in {parked.seconds:.3g} s, within a span of {parked.span}"
     if parked.span * edges > MOVED_EDGES and run.rig.decoder in ("x4", "x1"):
-        return Finding("parked drift", False, seen + ": the mass moved", "leave it alone while it is parked")
+        return BoardCheck("parked drift", False, seen + ": the mass moved", "leave it alone while it is parked")
     do = (
         "it vibrates about an edge, which a J-K decoder counts; use x4"
         if "jk" in run.rig.decoder
         else "check its mount"
     )
-    return Finding("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, seen, do)
+    return BoardCheck("parked drift", abs(parked.counts) * edges <= PARKED_EDGES, seen, do)
 
 
-def _moved(moved: CountedSpan, run: Recording) -> Finding:
+def _moved(moved: CountedSpan, run: Recording) -> BoardCheck:
     edges = EDGES_PER_COUNT.get(run.rig.decoder, 1)
     pitch = run.rig.metres_per_count
     sign = -1 if pitch is not None and pitch.value < 0 else 1
@@ -121,23 +121,23 @@ def _moved(moved: CountedSpan, run: Recording) -> Finding:
     if pitch is not None:
         seen += f", {1e3 * moved.counts * pitch.value:+.3g} mm"
     if moved.span * edges < HAND_EDGES:
-        return Finding(
+        return BoardCheck(
             "direction", False, seen, "nothing was counted: check the encoder's supply, and its wires A and B"
         )
     if abs(moved.counts) * edges < HAND_EDGES:
-        return Finding("direction", None, seen + ": it came back", "move it one way and leave it there")
+        return BoardCheck("direction", None, seen + ": it came back", "move it one way and leave it there")
     do = "swap the wires A and B, or give metres_per_count the other sign"
-    return Finding("direction", moved.counts * sign > 0, seen, do)
+    return BoardCheck("direction", moved.counts * sign > 0, seen, do)
 
 
-def _levels(run: Recording, parked_s: float, moved: CountedSpan) -> Finding | None:
+def _levels(run: Recording, parked_s: float, moved: CountedSpan) -> BoardCheck | None:
     """Return whether both channels change while the mass moves; None when the board sends no levels."""
     if run.raw is None or moved.span * EDGES_PER_COUNT.get(run.rig.decoder, 1) < HAND_EDGES or not run.raw.levels.any():
         return None
     levels = run.raw.levels[run.time >= parked_s]
     still = [name for name, bit in (("A", 1), ("B", 2)) if np.ptp(levels & bit) == 0]
     if not still:
-        return Finding("channels", True, "A and B both change")
-    return Finding(
+        return BoardCheck("channels", True, "A and B both change")
+    return BoardCheck(
         "channels", False, f"{' and '.join(still)} never changes", f"check the wire of {' and '.join(still)}"
     )
