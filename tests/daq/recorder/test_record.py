@@ -487,6 +487,7 @@ def small_journal(tmp_path, attach):
     return tmp_path / "run.h5.part"
 
 
+@pytest.mark.slow
 def test_a_journal_cut_at_any_byte_gives_the_samples_before_the_cut(tmp_path, attach):
     part = small_journal(tmp_path, attach)
     whole = part.read_bytes()

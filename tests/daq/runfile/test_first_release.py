@@ -1,4 +1,4 @@
-"""Run files and journals of the first release load, recover, smooth and fit with the numbers it gave itself."""
+"""Run files and journals of the first release load, recover, smooth and fit with the numbers it gave, or nearly."""
 
 import gzip
 import json
@@ -91,17 +91,23 @@ def test_a_run_smooths_to_the_same_motion(files: Path, name: str) -> None:
     assert motion.method == wanted["method"]
     assert sum(phase.kind == "stick" for phase in motion.phases) == wanted["sticks"]
     assert motion.belt_speed == pytest.approx(wanted["belt_speed"], rel=1e-6)
-    assert float(np.sqrt(np.mean(motion.velocity**2))) == pytest.approx(wanted["rms_velocity"], rel=1e-6)
-    assert float(np.sqrt(np.mean(motion.acceleration**2))) == pytest.approx(wanted["rms_acceleration"], rel=1e-5)
+    # Since then landings at which the mass overtakes the belt have corners of their own: one in either run.
+    assert float(np.sqrt(np.mean(motion.velocity**2))) == pytest.approx(wanted["rms_velocity"], rel=1e-5)
+    assert float(np.sqrt(np.mean(motion.acceleration**2))) == pytest.approx(wanted["rms_acceleration"], rel=2e-3)
 
 
 @pytest.mark.parametrize("name", ["simulated", "imported"])
 def test_a_run_fits_with_the_same_parameters(files: Path, name: str) -> None:
     wanted: Any = NUMBERS[name]["fit"]
     found = fitting.rank(processing.smooth(daq.load(files / f"{name}.h5")), laws=wanted["laws"])
-    assert list(found.laws_in_set) == wanted["set"]
+    # Since then evidence counts effective samples, not cycles: the simulated run's law 5 stands alone.
+    assert found.laws_in_set[0] == wanted["set"][0]
+    assert set(found.laws_in_set) <= set(wanted["set"])
     rows = {str(row.law): row for row in found.rows}
     for law, parameters in wanted["parameters"].items():
-        for key, (value, stderr) in parameters.items():
+        # An import without a calibration no longer reports a damping that the record says next to nothing of, and
+        # its friction level is known less well: the scatter of the levels no longer stands in for the datum.
+        left_out = {"c", "c/m"} if name == "imported" else set()
+        for key, (value, stderr) in ((key, parameters[key]) for key in parameters.keys() - left_out):
             assert rows[law].parameters[key].value == pytest.approx(value, abs=stderr / 10), key
-            assert rows[law].parameters[key].stderr == pytest.approx(stderr, rel=0.1), key
+            assert stderr * 0.9 < rows[law].parameters[key].stderr < stderr * (3.0 if name == "imported" else 1.1), key
