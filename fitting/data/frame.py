@@ -1,7 +1,8 @@
 """The measured motion as the fit sees it: metres, seconds, and a belt that runs towards +x.
 
 A record of a backward belt is mirrored (x -> -x, v -> -v) on the way in; the physics is odd, so the same fit serves
-both and only the signs of datum and belt speed are turned back in the result.
+both and only the signs of datum and belt speed are turned back in the result.  Samples that the smoothing left out as
+faults of the sensor are not in it: what stands there is an estimate, and no data.
 """
 
 import math
@@ -17,6 +18,7 @@ from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
+from processing.record.series import HOLE, LONG
 
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
 FEWEST_STICKS = 4
@@ -28,14 +30,15 @@ FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMotion:
-    """What was measured, in the fit's frame.
+    """What was measured, in the fit's frame; n is the number of samples that were not left out as faults.
 
     Attributes
     ----------
     time, measured, position, velocity, acceleration : (n,) f8
         s; measured position (counted, m); smoothed position, velocity and acceleration (m, m/s, m/s^2).
     broken : (n,) bool
-        True at a sample that does not follow the one before it: a gap, or a new segment.
+        True at a sample that does not follow the one before it: a gap, a new segment, or a hole left by faults that is
+        as long as the smoothing does not cross.
     belt_speed : float
         m/s, > 0: a first value; the fit finds its own.
     stated_speed : Measured or None
@@ -135,7 +138,9 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     if belt_speed == 0:
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
     resolution, step = _resolution(kinematics)
-    if np.ptp(kinematics.position) < 20 * resolution:
+    kept = ~kinematics.missing
+    position = kinematics.position[kept]
+    if np.ptp(position) < 20 * resolution:
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
         )
@@ -145,24 +150,21 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     believed = stated if stated is not None and _is_possible(stated, seen) else None
     speed = _belt_speed(kinematics, believed, seen, given=isinstance(belt_speed, float | int))
     sign = math.copysign(1.0, speed)
-    interval = np.diff(kinematics.time)
-    usual = float(np.median(interval))
-    segment = recording.segment
-    broken = np.r_[True, (interval > FASTER_GAP * usual) | (np.diff(segment.astype(np.int64)) != 0)]
+    usual = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig, sign)
     prior = believed
     if channel is not None:
-        middle = 0.5 * float(kinematics.position.max() + kinematics.position.min())
-        unknown = Measured(middle, 0.5 * float(np.ptp(kinematics.position)))
+        middle = 0.5 * float(position.max() + position.min())
+        unknown = Measured(middle, 0.5 * float(np.ptp(position)))
         prior = channel.speed_without_load(unknown if rest is None else Measured(sign * rest.value, rest.sd))
         prior = replace(prior, sd=math.hypot(prior.sd, _length_error(recording.rig) * prior.value))
     return MeasuredMotion(
-        time=kinematics.time,
-        measured=sign * kinematics.measured,
-        position=sign * kinematics.position,
-        velocity=sign * kinematics.velocity,
-        acceleration=sign * kinematics.acceleration,
-        broken=broken,
+        time=kinematics.time[kept],
+        measured=sign * kinematics.measured[kept],
+        position=sign * position,
+        velocity=sign * kinematics.velocity[kept],
+        acceleration=sign * kinematics.acceleration[kept],
+        broken=_broken(kinematics, usual),
         belt_speed=abs(speed),
         stated_speed=stated,
         belt_prior=None if prior is None else Measured(abs(prior.value), prior.sd),
@@ -173,7 +175,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         sign=sign,
         resolution=resolution,
         step=step,
-        velocity_error=float(np.median(kinematics.velocity_errors)),
+        velocity_error=float(np.median(kinematics.velocity_errors[kept])),
         half_window=kinematics.window * usual / 2,
         length_error=_length_error(recording.rig),
         compliance=Measured(-channel.slope.value, channel.slope.sd)
@@ -182,6 +184,16 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         belt_measured=channel is not None,
         speed_variation=0.0 if channel is None or not channel.is_unsteady else channel.speed_variation,
     )
+
+
+def _broken(kinematics: Kinematics, usual: float) -> NDArray[np.bool_]:
+    """Return which of the samples kept do not follow the one before, where samples are ``usual`` seconds apart."""
+    time, kept = kinematics.time, ~kinematics.missing
+    new = (np.diff(time) > FASTER_GAP * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
+    piece = np.r_[0, np.cumsum(new)][kept]
+    broken = np.ones(piece.size, np.bool_)
+    broken[1:] = (np.diff(piece) > 0) | (np.diff(time[kept]) > max(HOLE * usual, LONG))
+    return broken
 
 
 def _channel(kinematics: Kinematics, belt_speed: float | str | None) -> BeltLine | None:
@@ -214,8 +226,9 @@ def _resolution(kinematics: Kinematics) -> tuple[float, float]:
     count = recording.rig.metres_per_count
     if recording.count is not None and count is not None:
         return abs(count.value) / math.sqrt(12), abs(count.value)
-    least = 1e-9 * float(np.ptp(recording.position))
-    return max(kinematics.noise, least), smallest_step(recording.position)
+    position = recording.position[~kinematics.missing]
+    least = 1e-9 * float(np.ptp(position))
+    return max(kinematics.noise, least), smallest_step(position)
 
 
 def speed_in_sticks(kinematics: Kinematics) -> float:
@@ -248,9 +261,10 @@ def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, 
     if believed is not None and believed.value != 0:
         return believed.value
     # Constant friction ends in a sine that just reaches the belt's speed; the drag displaces its middle.
-    middle = 0.5 * (kinematics.position.max() + kinematics.position.min())
-    direction = 1.0 if middle >= kinematics.position[0] else -1.0
-    return direction * float(np.percentile(direction * kinematics.velocity, 99.5))
+    position, velocity = kinematics.position[~kinematics.missing], kinematics.velocity[~kinematics.missing]
+    middle = 0.5 * (position.max() + position.min())
+    direction = 1.0 if middle >= position[0] else -1.0
+    return direction * float(np.percentile(direction * velocity, 99.5))
 
 
 def _rest_position(rig: Rig, recorded: Rig, sign: float) -> Measured | None:

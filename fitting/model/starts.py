@@ -36,14 +36,21 @@ class SlipSamples:
 
 
 def slip_samples(motion: MeasuredMotion, cut: CycleSegmentation) -> SlipSamples:
-    """Collect the samples of every slip, half a smoothing window away from its two corners."""
-    keep = np.zeros(motion.time.size, bool)
-    for cycle in cut.used:
-        i = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + motion.half_window))
-        j = int(np.searchsorted(motion.time, cycle.landing - motion.half_window))
-        keep[i:j] = True
+    """Collect the samples of every slip, half a smoothing window away from its two corners.
+
+    Where the window is as long as all slips, what is left of them without a quarter on either side.
+    """
     s = motion.belt_speed - motion.velocity
-    keep &= s > 0.02 * motion.belt_speed
+    slips = s > 0.02 * motion.belt_speed
+    begin = np.array([motion.time[cycle.slip[0]] for cycle in cut.used])
+    landing = np.array([cycle.landing for cycle in cut.used])
+    for margin in (np.full(begin.size, motion.half_window), (landing - begin) / 4):
+        inside = np.zeros(motion.time.size, bool)
+        for first, last in zip(begin + margin, landing - margin, strict=True):
+            inside[slice(*np.searchsorted(motion.time, (first, last)))] = True
+        keep = inside & slips
+        if keep.any():
+            break
     return SlipSamples(motion.position[keep], s[keep], motion.acceleration[keep])
 
 

@@ -80,8 +80,8 @@ def rank(
         a record in counts, a belt speed of zero, belt
         counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
-        When a record shows no belt stick-slip, when there are fewer than four complete cycles, or when some of the
-        runs stick and others do not.
+        When a record shows no belt stick-slip, when there are fewer than four complete cycles, when some of the
+        runs stick and others do not, or when frames were lost or doubled among even times.
 
     Notes
     -----
@@ -106,6 +106,8 @@ def rank(
         raise InputError(f"jobs is {jobs}", "--jobs", "give 1 or more")
     records = [_smoothed(one) for one in ([kinematics] if isinstance(kinematics, Kinematics) else kinematics)]
     _check_together(records, belt_speed, excluded)
+    for record in records:
+        screening.refuse_wrong_times(record)
     rigs = [None] * len(records) if rig is None else [rig] * len(records) if isinstance(rig, Rig) else rig
     runs = []
     for record, known in zip(records, rigs, strict=True):

@@ -13,6 +13,7 @@ import numpy as np
 
 from daq.compute.arrays import Array, Integers
 from daq.compute.least_squares import least_squares
+from daq.errors import DataError
 from fitting.data.cycles import SLIPPING, Cycle, CycleSegmentation
 from fitting.data.frame import REST_FRACTION, MeasuredMotion
 from fitting.estimation import trajectory
@@ -43,6 +44,7 @@ LEAST_FRICTION = 1e-3  # of the spring's pull over a slip: with less, nothing ho
 SCREENED_MISFIT = 0.03
 SCREENED_CYCLES, SCREENING_STEPS = 8, 30
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
+WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
 NONE_NEAR = "no law comes near it"
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
@@ -74,6 +76,23 @@ def refusal(why: str, records: Sequence[Kinematics]) -> tuple[str, str, str]:
     if records[0].sticks and why == NONE_NEAR:
         why = f"{why}, and it sticks for {100 * records[0].plateau_fraction:.2g} % of the time"
     return f"no belt stick-slip in this record: {why}", where, AGAIN
+
+
+def refuse_wrong_times(record: Kinematics) -> None:
+    """Raise DataError for a record with frames lost or doubled among even times.
+
+    Where they are missing is not known to a frame, so the times cannot be put right: the dynamics would be fitted to a
+    clock that is wrong by an unknown amount.
+    """
+    for finding in record.findings:
+        if finding.code in WRONG_TIMES:
+            raise DataError(
+                f"about {100 * finding.value:.2g} % of the frames are {WRONG_TIMES[finding.code]} although the times "
+                "are even: the times are wrong, and every parameter with them",
+                str(record.recording.source),
+                "import the track with the camera's own time stamps ('daq import --time NAME'), or record again and "
+                "keep them",
+            )
 
 
 def is_stick_slip(record: Kinematics) -> bool:

@@ -20,7 +20,7 @@ from processing.defects import fault_kernel
 from processing.record.faults import Fault
 from processing.record.motion import mask_of
 from processing.record.noise import position_noise, smallest_step
-from processing.record.series import HOLE, Series
+from processing.record.series import HOLE, LONG, Series
 
 KERNELS = ("processing.defects.fault_kernel",)
 
@@ -33,7 +33,6 @@ DROPPED, FROZEN = 3, 5  # samples of one value
 BESIDE = 8  # steps on either side of held values that say how the mass moves there
 CATCH_UP = 4.0  # times the mean step beside them: what the value jumps by when it is released
 LESS = 0.95  # of the noise before: where it falls below that without the faults, more of them show
-LONG = 0.03  # s: a hole as long as the shortest stick may hide one, so nothing is smoothed across it
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 
 HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or two, shorter than a lost frame of eight
+LONG = 0.03  # s: a hole left by faults, as long as the shortest stick, may hide one: nothing is smoothed across it
 LEAST = 5  # samples: a local parabola and its error need as many
 TIMES = ("recorded", "nominal")
 

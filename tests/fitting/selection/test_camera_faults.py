@@ -1,0 +1,81 @@
+"""Camera tracks with faults of the sensor or of the clock: left out of the fit, or refused by name."""
+
+import numpy as np
+import pytest
+
+from daq.errors import DataError
+from fitting.data import frame
+from fitting.selection import ranking
+from fitting.selection.ranking import rank
+from processing.smoothing import smooth
+
+
+def spoilt(kind, time, position):
+    """Return a track with a fault: what a tracker, or a program that numbers the frames itself, makes of it."""
+    rng, x, n = np.random.default_rng(3), position.copy(), position.size
+    if kind == "one sample 50 m out":
+        x[n // 3] = 50.0
+    elif kind == "60 zeros":
+        x[rng.choice(n, 60, replace=False)] = 0.0
+    elif kind == "frozen for 400 ms":
+        x[n // 3 : n // 3 + 160] = x[n // 3]
+    elif kind == "frozen for 400 ms four times":
+        for begin in (np.array([0.2, 0.4, 0.6, 0.8]) * n).astype(int):
+            x[begin : begin + 160] = x[begin]
+    else:
+        times = {"lost": 1 - (rng.random(n) < 0.05), "doubled": 1 + (rng.random(n) < 0.05)}[kind]
+        x = np.repeat(x, times)
+        time = np.arange(x.size) / 400.0
+    return time, x
+
+
+@pytest.fixture
+def faulty(synthetic, tmp_path):
+    """Give a function that imports a camera track of 0.2 mm of noise with a fault, "" for none, and smooths it."""
+
+    def of(kind, law, seed=1):
+        time, position = synthetic.camera(law, 2e-4, seed)
+        if kind:
+            time, position = spoilt(kind, time, position)
+        return smooth(synthetic.imported(tmp_path / "track.csv", time, position))
+
+    return of
+
+
+def test_samples_left_out_by_the_smoothing_are_no_data_of_the_fit(faulty):
+    # The smoothed estimate stood in their place and was fitted: 400 ms of a frozen sensor counted as positions.
+    made = faulty("frozen for 400 ms four times", 5)
+    motion = frame.from_kinematics(made, made.recording.rig, None)
+    assert made.frozen > 4 * 150
+    assert motion.time.size == made.samples - made.frozen
+    assert np.array_equal(motion.measured, made.recording.position[~made.missing])
+    assert motion.broken.sum() == 1 + 4  # the first sample, and the end of each hole
+    run = ranking._run(motion, frozenset())
+    held = made.time[made.missing]
+    for cycle in run.cut.used:
+        for first, end in (cycle.stick, cycle.slip):
+            assert end <= first or not np.any((held > motion.time[first]) & (held < motion.time[end - 1]))
+    assert {cycle.flag for cycle in run.cut.cycles} == {"", "gap"}
+
+
+@pytest.mark.parametrize("kind", ["lost", "doubled"])
+def test_a_track_with_frames_lost_or_doubled_among_even_times_is_refused(faulty, kind):
+    # A law was named, with Fs off by half: the times are wrong, and nothing said so.
+    with pytest.raises(DataError, match=f"frames are {kind} although the times are even.*--time NAME"):
+        rank(faulty(kind, 5))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [3, 5])
+@pytest.mark.parametrize(
+    "kind", ["one sample 50 m out", "60 zeros", "frozen for 400 ms", "frozen for 400 ms four times"]
+)
+def test_a_fault_of_the_sensor_changes_neither_law_nor_parameters(faulty, kind, law):
+    # A law was named with Fs off by 49 to 5485 %, without a word.
+    clean, found = (rank(faulty(own, law), laws=(1, 3, 5)) for own in ("", kind))
+    assert found.laws_in_set == clean.laws_in_set
+    assert law in found.laws_in_set
+    assert [finding.code for finding in found.findings] == ["frozen" if "frozen" in kind else "spikes"]
+    for name in ("Fs/k", "k/m", "v_dr"):
+        own, other = found.row(law).parameters[name], clean.row(law).parameters[name]
+        assert abs(own.value - other.value) < 3 * other.stderr
