@@ -79,10 +79,10 @@ def sigrok() -> dict[str, float] | None:
 
         start, _ = cpu(np.zeros(8, dtype=np.uint8))
         levels = stream(SIGROK_SAMPLES, 2, walk=False)
-        taken, told = cpu(levels)
+        taken, printed = cpu(levels)
     decoder = Decoder("x4")
     decoder.count(levels)
-    found = len(told.splitlines())
+    found = len(printed.splitlines())
     if found != decoder.edges:
         raise SystemExit(f"sigrok found {found} edges, we {decoder.edges}: the two did not do the same work")
     return {
@@ -123,8 +123,8 @@ def main(samples: int) -> None:
             f"as fast (the slowest of ours {peer['ratio_of_the_slowest']:.0f} times)"
         )
     RESULTS.mkdir(exist_ok=True)
-    told = {"samples": samples, "rows": rows, "sigrok": peer}
-    (RESULTS / "decoding.json").write_text(json.dumps(told, indent=1) + "\n")
+    results = {"samples": samples, "rows": rows, "sigrok": peer}
+    (RESULTS / "decoding.json").write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

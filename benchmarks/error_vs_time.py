@@ -66,7 +66,7 @@ def main(until: float) -> None:
     """Print the tables, write the figure and the JSON."""
     if Rig is None:
         print("heyoka is not installed and is omitted (pip install heyoka)")
-    told = {}
+    collected = {}
     figure, axes = plt.subplots(2, 4, figsize=(12.0, 6.0), sharex=True, sharey=True, layout="constrained")
     for axis, (name, changes) in zip(axes.flat, SCENES.items(), strict=False):
         played = scene("base", **changes)
@@ -74,7 +74,7 @@ def main(until: float) -> None:
         if Rig is not None:
             row = by_heyoka(played, until, found.cycles)
             found = replace(found, rows=(*found.rows, row))
-        told[name] = {"until": until, "ratios": ratios(found), **asdict(found)}
+        collected[name] = {"until": until, "ratios": ratios(found), **asdict(found)}
         print(f"\n{name}, {until:g} time units, {found.cycles} cycles; reference: {found.reference}")
         for row in found.rows:
             error = row.note if row.error is None else f"{row.error:.1e}"
@@ -91,7 +91,7 @@ def main(until: float) -> None:
     figure.supylabel("largest error of an event time")
     RESULTS.mkdir(exist_ok=True)
     figure.savefig(RESULTS / "error_vs_time.png", dpi=110)
-    (RESULTS / "error_vs_time.json").write_text(json.dumps(told, indent=1) + "\n")
+    (RESULTS / "error_vs_time.json").write_text(json.dumps(collected, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -63,9 +63,12 @@ def main(seeds: int) -> None:
             for name in TRUE
             if any(name in row["errors"] for row in mine)
         }
-        told = ", ".join(f"{name} {100 * error:.2f} %" for name, error in worst.items())
+        worst_errors = ", ".join(f"{name} {100 * error:.2f} %" for name, error in worst.items())
         first, inside = (sum(row[key] for row in mine) for key in ("first", "in_set"))
-        print(f"{law:>3} {first:>3}/{len(mine)} {inside:>4}/{len(mine)} " + " ".join(f"{x:7.1f}" for x in stages), told)
+        print(
+            f"{law:>3} {first:>3}/{len(mine)} {inside:>4}/{len(mine)} " + " ".join(f"{x:7.1f}" for x in stages),
+            worst_errors,
+        )
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / "pipe.json").write_text(json.dumps({"import_numpy_s": unit, "rows": rows}, indent=1) + "\n")
 

@@ -270,10 +270,10 @@ def main(repeats: int) -> None:
                 "ratio": engine_s / hand_s, "median_ratio": middle,
                 "interpreted_ratio": slow_engine / slow_hand, **extra,
             })  # fmt: skip
-            told = ", ".join(extra["modules"] + extra["channels"]) or "nothing"
+            added = ", ".join(extra["modules"] + extra["channels"]) or "nothing"
             print(
                 f"{name:22} {events:6} {1e6 * engine_s / events:6.3f} us {1e6 * hand_s / events:6.3f} us "
-                f"{engine_s / hand_s:6.3f} {slow_engine / slow_hand:11.3f}  {told}"
+                f"{engine_s / hand_s:6.3f} {slow_engine / slow_hand:11.3f}  {added}"
             )
     above = [row["scene"] for row in rows if row["ratio"] > ASKED]
     print(f"CPU per event, compiled; required ratio: {ASKED}; above it: {', '.join(above) or 'none'}")

@@ -77,12 +77,12 @@ def main(until: float) -> None:
     print(f"{'G_stick':>8} {'method':8} {'steps':>6} {'compiled':>8} {'interpr.':>8} {'x error':>8} {'t error':>8}")
     for row in rows:
         ratios = [row[name] / mildest[name] for name in ("steps_per_cycle", "compiled_s", "interpreted_s")]
-        told = f"{ratios[0]:6.3f} {ratios[1]:8.3f} {ratios[2]:8.3f}"
-        print(f"{row['G_stick']:8.0e} exact    {told} {row['exact_error']:8.1e} {row['exact_t_error']:8.1e}")
+        columns = f"{ratios[0]:6.3f} {ratios[1]:8.3f} {ratios[2]:8.3f}"
+        print(f"{row['G_stick']:8.0e} exact    {columns} {row['exact_error']:8.1e} {row['exact_t_error']:8.1e}")
         for method, _ in PEERS:
             x_error, t_error = row[f"{method}_error"], row[f"{method}_t_error"]
-            told = f"{row[f'{method}_outcome']:>8}" if x_error is None else f"{x_error:8.1e} {t_error:8.1e}"
-            print(f"{'':8} {method:8} {'':6} {row[f'{method}_s'] / row['compiled_s']:8.0f} {'':8} {told}")
+            columns = f"{row[f'{method}_outcome']:>8}" if x_error is None else f"{x_error:8.1e} {t_error:8.1e}"
+            print(f"{'':8} {method:8} {'':6} {row[f'{method}_s'] / row['compiled_s']:8.0f} {'':8} {columns}")
     print("exact: CPU time per cycle relative to G_stick = -5; others: relative to the compiled exact method")
     figure, (above, below) = plt.subplots(2, 1, figsize=(6, 6.5), sharex=True, layout="constrained")
     steepness = [-row["G_stick"] for row in rows]

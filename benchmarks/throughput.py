@@ -109,8 +109,8 @@ def recording(seconds: float, rate_hz: int) -> dict[str, float]:
     """Return the recorder's CPU share at a rate, from a board in another process."""
     master, slave = os.openpty()
     tty.setraw(slave)
-    told = wire.Capability.BLOCKS | wire.Capability.LEVELS
-    ident = wire.encode_ident(wire.Ident((1, 0, 0), "x4", told, 16, 1000, 8, 10_000, 10**7, "bench"))
+    capabilities = wire.Capability.BLOCKS | wire.Capability.LEVELS
+    ident = wire.encode_ident(wire.Ident((1, 0, 0), "x4", capabilities, 16, 1000, 8, 10_000, 10**7, "bench"))
     with tempfile.TemporaryDirectory() as folder:
         line = Path(folder) / "line"
         line.write_bytes(frames(round((seconds + 1) * rate_hz) // 8 * 8, 8, rate_hz))
@@ -192,8 +192,8 @@ def main(seconds: float) -> None:
         f"all of 'daq record --realtime --rate 5000 --duration {seconds:g}': {100 * share:.1f} %, with the simulation"
     )
     RESULTS.mkdir(exist_ok=True)
-    told = {"decoding": rows, "recording": found, "whole_command_share": share}
-    (RESULTS / "throughput.json").write_text(json.dumps(told, indent=1) + "\n")
+    results = {"decoding": rows, "recording": found, "whole_command_share": share}
+    (RESULTS / "throughput.json").write_text(json.dumps(results, indent=1) + "\n")
 
 
 if __name__ == "__main__":

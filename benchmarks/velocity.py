@@ -386,7 +386,7 @@ def picture(bench: Bench, table: dict[str, tuple[float, float, float]], target: 
 
 def main(seeds: int, samples: int) -> None:
     """Print the tables, write the figure and the JSON."""
-    told: dict[str, Any] = {}
+    collected: dict[str, Any] = {}
     for case, (pitch, jitter) in CASES.items():
         rows: dict[str, list[tuple[float, float, float]]] = {}
         claimed = []
@@ -403,15 +403,15 @@ def main(seeds: int, samples: int) -> None:
                 rows.setdefault(name, []).append(row)
             claimed.append(claims(bench))
         print(f"\n{case}: CPU ms, rms and largest error of v, mm/s")
-        told[case] = {name: np.mean(row, axis=0).tolist() for name, row in rows.items()}
-        for name, (cpu, rms, worst) in told[case].items():
+        collected[case] = {name: np.mean(row, axis=0).tolist() for name, row in rows.items()}
+        for name, (cpu, rms, worst) in collected[case].items():
             print(f"  {name:38} {cpu:9.2f} {rms:9.3f} {worst:9.2f}")
-        told[f"{case}, auto"] = {key: [own[key] for own in claimed] for key in claimed[0]}
-        for key, values in told[f"{case}, auto"].items():
+        collected[f"{case}, auto"] = {key: [own[key] for own in claimed] for key in claimed[0]}
+        for key, values in collected[f"{case}, auto"].items():
             print(f"  auto: {key:32} " + " ".join(f"{value:.3f}" for value in values))
-    told["auto over rts"] = scenes(1)
+    collected["auto over rts"] = scenes(1)
     print("\nauto against rts: method, rms of rts, ratio")
-    for name, (method, rms, ratio) in told["auto over rts"].items():
+    for name, (method, rms, ratio) in collected["auto over rts"].items():
         print(f"  {name:24} {method:8} {rms:8.3f} {ratio:6.3f}")
     sections: dict[str, Callable[[], dict[str, float]]] = {
         "sg --window auto over the best window": lambda: chosen_windows(1),
@@ -421,12 +421,12 @@ def main(seeds: int, samples: int) -> None:
         "long record": lambda: long_record(samples),
     }
     for name, section in sections.items():
-        told[name] = section()
+        collected[name] = section()
         print(f"\n{name}")
-        for key, value in told[name].items():
+        for key, value in collected[name].items():
             print(f"  {key:40} {value:12.4g}")
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / "velocity.json").write_text(json.dumps(told, indent=1) + "\n")
+    (RESULTS / "velocity.json").write_text(json.dumps(collected, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ def errors(seed: int) -> tuple[Row, Limits]:
             near = np.abs(off) < 2e-3
             row[f"{name}: landings late by, us"] = float(1e6 * np.mean(off[near]))
             row[f"{name}: landings scatter by, us"] = float(1e6 * np.std(off[near]))
-            row[f"{name}: landings told to, us"] = float(1e6 * np.median(sd))
+            row[f"{name}: standard error of landings, us"] = float(1e6 * np.median(sd))
     return row, limits
 
 

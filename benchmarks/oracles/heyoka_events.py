@@ -92,8 +92,8 @@ class Rig:
                 ta.state[:] = [y, w]
                 if ta.with_events:
                     ta.reset_cooldowns()
-                    told = ta.propagate_until(t_max)[0]
-                    side = -int(told) if told != hy.taylor_outcome.time_limit else 0
+                    reason = ta.propagate_until(t_max)[0]
+                    side = -int(reason) if reason != hy.taylor_outcome.time_limit else 0
                 else:
                     ta.propagate_until(min(begun + self.blind, t_max))
                 t, (y, w) = ta.time, ta.state.tolist()

@@ -143,8 +143,10 @@ class FakeFrames(Fake):
 
     def ident(self):
         has = frames.Capability
-        told = has.BLOCKS | has.LEVELS | has.ILLEGAL
-        return frames.encode_ident(frames.Ident((1, 2, 3), "x4", told, 16, 1000, self.block, 5000, 10**8, "fake"))
+        capabilities = has.BLOCKS | has.LEVELS | has.ILLEGAL
+        return frames.encode_ident(
+            frames.Ident((1, 2, 3), "x4", capabilities, 16, 1000, self.block, 5000, 10**8, "fake")
+        )
 
     def greeting(self):
         self.block = 8
@@ -203,7 +205,7 @@ class FakeQsb(Fake):
 
 
 class FakeText(Fake):
-    """Has no reset of its own that a reader is told: its time begins anew."""
+    """Has no reset of its own that a reader could see: its time begins anew."""
 
     protocol = "text"
     columns = "t_us,up,down,a,b"

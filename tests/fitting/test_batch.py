@@ -238,13 +238,13 @@ def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
 @pytest.fixture
 def own_scheduler(tmp_path):
     """Start a scheduler that a test may kill; give the process and the address."""
-    told = tmp_path / "scheduler.json"
+    contact = tmp_path / "scheduler.json"
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
-    with subprocess.Popen([*command, "--scheduler-file", str(told)], stderr=subprocess.DEVNULL) as run:
+    with subprocess.Popen([*command, "--scheduler-file", str(contact)], stderr=subprocess.DEVNULL) as run:
         deadline = time.monotonic() + 600
-        while not (told.exists() and told.read_text().endswith("}")) and time.monotonic() < deadline:
+        while not (contact.exists() and contact.read_text().endswith("}")) and time.monotonic() < deadline:
             time.sleep(0.05)
-        yield run, json.loads(told.read_text())["address"]
+        yield run, json.loads(contact.read_text())["address"]
         run.kill()
 
 

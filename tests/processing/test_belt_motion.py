@@ -1,4 +1,4 @@
-"""A counted belt: its speed through the mass's own filter, sticks told beside it, and the stage that keeps it."""
+"""A counted belt: its speed through the mass's own filter, sticks found beside it, and the stage that keeps it."""
 
 import json
 from pathlib import Path
@@ -94,13 +94,13 @@ def test_a_belt_that_swings_hides_its_sticks_from_a_record_without_its_counts(tm
 def test_on_a_steady_belt_sticks_are_the_same_with_and_without_its_counts(
     tmp_path: Path, changes: tuple[str, ...]
 ) -> None:
-    told = processing.smooth(daq.load(run(tmp_path / "told.h5", *changes)[0]))
+    with_counts = processing.smooth(daq.load(run(tmp_path / "with_counts.h5", *changes)[0]))
     plain = processing.smooth(daq.load(run(tmp_path / "plain.h5", *changes, channel=False)[0]))
-    assert np.mean(told.stick == plain.stick) > 0.97
-    assert len(told.sticks) == len(plain.sticks)
-    assert told.belt_speed == pytest.approx(0.22 * scale(told.recording), abs=5e-5)
+    assert np.mean(with_counts.stick == plain.stick) > 0.97
+    assert len(with_counts.sticks) == len(plain.sticks)
+    assert with_counts.belt_speed == pytest.approx(0.22 * scale(with_counts.recording), abs=5e-5)
     assert plain.belt_velocity is None
-    np.testing.assert_array_equal(told.velocity, plain.velocity)
+    np.testing.assert_array_equal(with_counts.velocity, plain.velocity)
 
 
 def test_a_speed_that_somebody_states_goes_before_the_counts(tmp_path: Path) -> None:

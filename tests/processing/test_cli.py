@@ -128,8 +128,8 @@ def test_compare_states_true_errors_only_where_truth_was_recorded(typed, path, t
 def test_smoothing_does_not_look_at_the_truth(typed, path, tmp_path, motion, run_data):
     silent = tmp_path / "silent.h5"
     store.write(silent, run_data(motion(5, 6.0, start=0.5)))
-    told, kept = (document(typed, "smooth", target) for target in (path, silent))
-    assert {**told, "cpu_s": 0} == {**kept, "cpu_s": 0}
+    printed, kept = (document(typed, "smooth", target) for target in (path, silent))
+    assert {**printed, "cpu_s": 0} == {**kept, "cpu_s": 0}
 
 
 def test_inspect_draws_the_run_smoothed_or_not(typed, path, tmp_path):

@@ -113,7 +113,7 @@ def test_a_ring_down_gives_the_rig_back_within_its_errors(capsys, tmp_path, law,
         assert abs(measured.value - true) < 4 * measured.sd
     assert abs(rig.datum.value - 0.1) < 4 * rig.datum.sd + 7.67e-6
     assert found["friction_length"] == pytest.approx(Fs / 10.5552, rel=0.01)
-    # The next run used to be told of a belt of 0 m/s.
+    # The next run used to take the belt for one at 0 m/s.
     assert (rig.belt_speed, found["left_out"]) == (None, ["belt_speed"])
 
 

@@ -1,4 +1,4 @@
-"""Ring-downs: exact motions come back, damping not biased by friction, what is none is told."""
+"""Ring-downs: exact motions come back, damping not biased by friction, what is none is reported."""
 
 import math
 

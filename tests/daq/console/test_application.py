@@ -7,7 +7,7 @@ from daq.errors import EXIT_DEVICE
 
 
 def test_a_system_error_without_a_file_name_is_a_json_document_too(capsys):
-    # It used to be taken for a stdout that cannot be written to, and told on stderr alone.
+    # It used to be taken for a stdout that cannot be written to, and reported on stderr alone.
     app = application.application("rig", "A rig.", "rig fail")
 
     @app.command

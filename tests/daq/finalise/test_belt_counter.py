@@ -140,15 +140,15 @@ def test_a_drooping_belt_slows_during_stick_by_its_fraction_and_a_backward_one_t
 
 
 def test_without_a_channel_the_file_holds_nothing_of_it(tmp_path: Path) -> None:
-    plain, told = (
+    plain, counted = (
         recorded(tmp_path / "plain.h5", duration=1.0),
-        recorded(tmp_path / "told.h5", "belt.channel=true", duration=1.0),
+        recorded(tmp_path / "counted.h5", "belt.channel=true", duration=1.0),
     )
     assert plain.belt_count is None
     assert plain.belt_velocity is None
-    assert plain.rig == told.rig.__class__(**{**vars(told.rig), "belt_metres_per_count": None})
+    assert plain.rig == counted.rig.__class__(**{**vars(counted.rig), "belt_metres_per_count": None})
     names: list[set[str]] = []
-    for path in (tmp_path / "plain.h5", tmp_path / "told.h5"):
+    for path in (tmp_path / "plain.h5", tmp_path / "counted.h5"):
         found: set[str] = set()
         with h5py.File(path) as file:
             file.visit(found.add)  # a hard link is visited once: the log's time is the encoder's
@@ -160,7 +160,7 @@ def test_without_a_channel_the_file_holds_nothing_of_it(tmp_path: Path) -> None:
         *(f"{belt_group}/calibration{name}" for name in ("", "/metres_per_count", "/metres_per_count_errors")),
     }
     assert names[0] < names[1]
-    with h5py.File(tmp_path / "told.h5") as file:
+    with h5py.File(tmp_path / "counted.h5") as file:
         log = file[f"{belt_group}/value_log"]
         assert (log["value"].attrs["units"], log["raw_value"].attrs["units"]) == ("m/s", "count")
         np.testing.assert_array_equal(log["time"][()], file["entry/instrument/encoder/value_log/time"][()])

@@ -97,14 +97,14 @@ def test_a_line_polled_each_16_ms_in_step_with_the_host_is_known_as_well_as_it_c
     assert abs(found.ppm - ppm) < (5 if within_frames > 0.5 * len(device) else 31)
     off = np.abs(found.offset - device[found.index] / (1 + ppm * 1e-6) + device[found.index])
     assert off.max() < 1.1e-3
-    # What is told of the error covers it, and is not told large where the line said more.
+    # The error that is given covers the true one, and is not large where the line shows more.
     assert abs(found.ppm - ppm) <= found.ppm_error < (11 if within_frames > 0.5 * len(device) else 40)
     assert np.all(off <= found.offset_error)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_whole_frames_polled_in_step_are_told_as_little_sharp_as_they_are(seed):
-    """A port without bytes to go by, polled with its frames: 20 ppm used to be told as 0, without a word of doubt."""
+    """A port without bytes to go by, polled with its frames: 20 ppm used to be given as 0, without an error."""
     rng = np.random.default_rng(seed)
     ppm, poll_s = 20.0, 8e-3
     device = np.arange(1, 7500) * 8e-3

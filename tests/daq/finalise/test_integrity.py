@@ -61,7 +61,7 @@ def test_the_doubt_ends_where_the_board_began_anew():
 
 @pytest.mark.parametrize("rate_hz", [1000, 30_000, 50_000, 100_000])
 def test_a_fast_signal_gives_its_rate_whatever_the_jitter(rate_hz):
-    # Above 30 kHz jitter of 30 us used to pass for gaps, and the peak was told as 0.
+    # Above 30 kHz jitter of 30 us used to pass for gaps, and the peak was given as 0.
     n = 2 * rate_hz
     jitter = np.clip(np.random.default_rng(3).normal(0, 30e-6, n), -0.45 / rate_hz, 0.45 / rate_hz)
     time = np.arange(n) / rate_hz + jitter

@@ -152,10 +152,10 @@ def test_a_journal_is_replayed_and_kept(
 ) -> None:
     before = part.read_bytes()
     assert application.run(app, ["replay", str(part), "-o", str(tmp_path / "a.h5"), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    printed = json.loads(capsys.readouterr().out)
     keys = "samples lost crc_errors illegal phase_errors segments rate_hz clock_ppm duration_s file warnings"
-    assert set(keys.split()) <= set(told)
-    assert (told["samples"], told["lost"], told["segments"], told["phase_errors"]) == (240, 0, 1, 0)
+    assert set(keys.split()) <= set(printed)
+    assert (printed["samples"], printed["lost"], printed["segments"], printed["phase_errors"]) == (240, 0, 1, 0)
     assert part.read_bytes() == before
     recording = store.load(tmp_path / "a.h5")
     start = 65_000 - 65_536
@@ -247,9 +247,9 @@ def test_real_captures_become_runs(captures: Path, app: cyclopts.App, tmp_path: 
     source = captures / "avago_adns_2051_move_mouse_up_down.sr"
     line = ["replay", str(source), "--channels", "A=YA,B=YB", "-o", str(run), "--json"]
     assert application.run(app, line) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["edges"], told["illegal"], told["samples"], told["rate_hz"]) == (629, 0, 3000, 1000)
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["edges"], printed["illegal"], printed["samples"], printed["rate_hz"]) == (629, 0, 3000, 1000)
     recording = store.load(run)
     assert recording.unit == "count"
     assert recording.count is not None
-    assert recording.count[-1] - recording.count[0] == told["net"]
+    assert recording.count[-1] - recording.count[0] == printed["net"]

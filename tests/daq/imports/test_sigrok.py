@@ -218,8 +218,8 @@ def test_the_command_answers_in_json(
 ) -> None:
     write_capture(path, walk_up_and_down(8, 4), {0: "A", 1: "B"})
     assert application.run(app, ["decode", str(path), "--channels", "A=A,B=B", "--decoder", "x1", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert {key: told[key] for key in ("up", "down", "net", "illegal", "edges")} == {
+    printed = json.loads(capsys.readouterr().out)
+    assert {key: printed[key] for key in ("up", "down", "net", "illegal", "edges")} == {
         "up": 2,
         "down": 1,
         "net": 1,

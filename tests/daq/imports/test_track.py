@@ -310,10 +310,10 @@ def test_the_command_writes_a_run_that_loads(csv: Path, app: cyclopts.App, capsy
     target = csv.with_name("run.h5")
     line = ["import", str(csv), "-o", str(target), "--mass", "300 g +- 1 g", "--belt", "22 cm/s", "--datum", "2 mm"]
     assert application.run(app, [*line, "--stiffness", "10.5552 N/m", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["samples"] == time.size
-    assert told["warnings"] == []
-    assert (told["delimiter"], told["decimal"], told["even"]) == ("semicolon", ",", True)
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["samples"] == time.size
+    assert printed["warnings"] == []
+    assert (printed["delimiter"], printed["decimal"], printed["even"]) == ("semicolon", ",", True)
     recording = store.load(target)
     np.testing.assert_allclose(recording.position, x + 0.002, atol=1e-9)
     assert recording.raw is None

@@ -741,8 +741,8 @@ def test_a_port_that_never_came_back_is_told_with_its_time(tmp_path, monkeypatch
 
     monkeypatch.setattr(ports, "open_port", once)
     found = record(RecordRequest("rig://rig?realtime=1", tmp_path / "run.h5", 1000, 5.0))
-    (told,) = [warning for warning in found.warnings if "not reopened" in warning]
-    assert 0.1 < float(told.split(") ")[1].split(" s after")[0]) < 0.6
+    (reopening,) = [warning for warning in found.warnings if "not reopened" in warning]
+    assert 0.1 < float(reopening.split(") ")[1].split(" s after")[0]) < 0.6
 
 
 def jumping(at, seq=0, ticks=0):

@@ -133,7 +133,7 @@ def test_the_layout_is_that_of_the_identification_before_the_samples():
     belted = Ident((0, 0, 1), "x4", Capability.BELT, 16, 1000, 8, 1000, 100_000, "rig")
     plain, wide = wire.encode_samples(block(0, 1, draw)), wire.encode_samples(block(0, 1, draw, belt=True))
     first, second = wire.encode_ident(IDENT), wire.encode_ident(belted)
-    # What a board sent before it could be told who it is has another layout: it is counted, not misread.
+    # What a board sent before it was identified has another layout: it is counted, not misread.
     found = decode.decode([(0, plain + second + wide + wide)])
     assert (len(found.n), found.unknown, len(found.belt)) == (2, 1, 2)
     found = decode.decode([(0, first + second + wide + first + plain)])

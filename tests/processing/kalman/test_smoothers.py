@@ -1,4 +1,4 @@
-"""The smoothers on the bench, where the truth is known: what is claimed of their errors, and that errors are told."""
+"""The smoothers on the bench, where the truth is known: their errors are as claimed, and are reported."""
 
 from dataclasses import replace
 
@@ -76,11 +76,11 @@ def test_corner_times_lie_within_their_uncertainties(motion, recorded):
     found = processing.smooth(recorded(true))
     starts = np.array([start for start, _ in true.sticks[1:]]) - true.time[0]
     ends = np.array([end for _, end in true.sticks[1:-1]]) - true.time[0]
-    for at, told, sd in (
+    for at, fitted, sd in (
         (starts, [s.start for s in found.sticks[-starts.size :]], [s.start_sd for s in found.sticks[-starts.size :]]),
         (ends, [s.end for s in found.sticks[1 : ends.size + 1]], [s.end_sd for s in found.sticks[1 : ends.size + 1]]),
     ):
-        off = (np.array(told) - at[: len(told)]) / np.array(sd)
+        off = (np.array(fitted) - at[: len(fitted)]) / np.array(sd)
         assert np.mean(np.abs(off) < 3) > 0.9
     assert np.median([s.start_sd for s in found.sticks[1:]]) < 3e-4
 

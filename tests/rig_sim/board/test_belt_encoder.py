@@ -108,8 +108,8 @@ def test_the_board_sends_sixteen_bits_of_the_belts_count_and_they_roll_over() ->
 
 
 def test_everything_else_the_board_says_is_the_same_with_and_without_the_channel() -> None:
-    plain, told = (frames_of(SimulatedBoard(scene("rig", **changes)), 3000) for changes in ({}, CHANNEL))
-    for one, other in zip(plain, told, strict=True):
+    plain, counted = (frames_of(SimulatedBoard(scene("rig", **changes)), 3000) for changes in ({}, CHANNEL))
+    for one, other in zip(plain, counted, strict=True):
         if isinstance(one, SampleBlock):
             assert one.belt is None
             assert (one.seq, one.time, one.dt, one.up, one.down, one.status) == (

@@ -191,8 +191,8 @@ def test_the_datum_turns_counts_into_positions_from_the_spring(decoder: str, sta
 
 
 def test_truth_comes_only_when_asked_and_is_exact() -> None:
-    told = scene("rig", tell={"truth": True})
-    board = SimulatedBoard(told)
+    truthful = scene("rig", tell={"truth": True})
+    board = SimulatedBoard(truthful)
     frames = frames_of(board.write(b"S\n") + board.samples(3000) + board.write(b"X\n"))
     rows = np.array([row for frame in frames if isinstance(frame, TruthFrame) for row in frame.rows])
     assert rows.shape == (3000, 4)
@@ -201,7 +201,7 @@ def test_truth_comes_only_when_asked_and_is_exact() -> None:
     assert np.all(np.abs((taken.net + 0.5) * DELTA - rows[:, 1]) <= 0.5 * DELTA * (1 + 1e-9))
     stick = rows[:, 2] == 0.22
     assert stick.sum() > 500
-    np.testing.assert_allclose(rows[stick, 3], told.spring.k * rows[stick, 1], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(rows[stick, 3], truthful.spring.k * rows[stick, 1], rtol=1e-9, atol=1e-12)
     untold = SimulatedBoard(scene("rig"))
     silent = frames_of(untold.write(b"S\n") + untold.samples(3000))
     assert not any(isinstance(frame, TruthFrame) for frame in silent)

@@ -88,8 +88,8 @@ def test_the_file_is_the_same_for_all_methods_and_names_its_own(
         path = tmp_path / f"{method}{ending}"
         line = ["run", "base", "--until", "10", "--rate", "20", "-o", str(path), "--method", method, "--json"]
         assert application.run(app, line) == 0
-        told = json.loads(capsys.readouterr().out)
-        assert (told["method"], told["samples"], told["outcome"]) == (method, 201, "completed")
+        printed = json.loads(capsys.readouterr().out)
+        assert (printed["method"], printed["samples"], printed["outcome"]) == (method, 201, "completed")
         if ending == ".csv":
             head, *rows = path.read_text().splitlines()
             shapes.append((head, len(rows)))

@@ -96,8 +96,8 @@ def test_a_mass_at_rest_loses_nothing() -> None:
     assert np.ptp(net(blocks_of(frames_of(SimulatedBoard(scene("rig", **still)), 3000)))) == 0
 
 
-def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
-    told = [
+def test_the_exact_motion_sent_is_the_mass_not_the_slipping_cog() -> None:
+    sent = [
         np.array(
             [
                 row
@@ -108,7 +108,7 @@ def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
         )
         for also in ({"tell.truth": True}, {"tell.truth": True, **LOSSES})
     ]
-    np.testing.assert_array_equal(*told)
+    np.testing.assert_array_equal(*sent)
 
 
 # Gaps ----------------------------------------------------------------------------------------------------------------
@@ -116,9 +116,9 @@ def test_the_exact_motion_told_is_the_mass_not_the_slipping_cog() -> None:
 
 @pytest.mark.parametrize("at_once", [1000, pytest.param(7, marks=pytest.mark.slow)])
 def test_samples_in_a_gap_are_missing_and_all_others_unchanged(at_once: int) -> None:
-    told = {"tell.truth": True}
-    whole = frames_of(SimulatedBoard(scene("rig", **told)), 20_000)
-    gappy = frames_of(SimulatedBoard(scene("rig", **told, **GAPS)), 20_000, at_once)
+    truthful = {"tell.truth": True}
+    whole = frames_of(SimulatedBoard(scene("rig", **truthful)), 20_000)
+    gappy = frames_of(SimulatedBoard(scene("rig", **truthful, **GAPS)), 20_000, at_once)
     all_blocks, blocks = blocks_of(whole), blocks_of(gappy)
     sent = numbers(blocks)
     np.testing.assert_array_equal(column(blocks, "up"), column(all_blocks, "up")[sent])
@@ -205,11 +205,11 @@ def test_a_file_says_nothing_of_effects_the_scene_does_not_name(tmp_path: Path) 
     plain, rippling = tmp_path / "plain.h5", tmp_path / "rippling.h5"
     write(scene("rig"), plain, until=1.0, rate=100.0)
     write(scene("rig", **{"belt.ripple": 0.004, "belt.ripple_hz": 3.0}), rippling, until=1.0, rate=100.0)
-    told = []
+    scenes = []
     for path in (plain, rippling):
         with h5py.File(path) as file:
-            told.append(file["entry/simulation/scene"][()].decode())
+            scenes.append(file["entry/simulation/scene"][()].decode())
             assert sorted(file["entry/motion"]) == ["F", "t", "v", "x"]
     for word in ("ripple", "droop", "slip_loss", "gaps", "wear", "joint", "shaker"):
-        assert word not in told[0]
-    assert "ripple" in told[1]
+        assert word not in scenes[0]
+    assert "ripple" in scenes[1]

@@ -308,7 +308,7 @@ def test_the_last_turn_of_a_thousand_million_time_units_is_whole_periods_after_t
 # Bounded, and refused -------------------------------------------------------------------------------------------------
 
 
-def told(capsys, *line, code=0):
+def document(capsys, *line, code=0):
     from rig_sim.cli.app import app
 
     assert application.run(app, [*line, "--json"]) == code
@@ -338,7 +338,7 @@ def test_every_run_ends_by_name(capsys, monkeypatch, changes, until, outcome):
         monkeypatch.setattr(play, "MOST_EVENTS", 10_000)
     sets = [word for change in changes for word in ("--set", change)]
     steps = [] if outcome == "event limit" else ["--max-steps", "20000"]
-    found = told(capsys, "events", "base", "--until", until, *sets, *steps)
+    found = document(capsys, "events", "base", "--until", until, *sets, *steps)
     assert found["outcome"] in {known.name for known in OUTCOMES.values()}
     assert found["steps"] <= 20_000
     if outcome:
@@ -347,7 +347,7 @@ def test_every_run_ends_by_name(capsys, monkeypatch, changes, until, outcome):
 
 @pytest.mark.slow
 def test_an_endless_list_of_events_ends_at_a_million(capsys):
-    found = told(capsys, "events", "base", "--until", "1e300")
+    found = document(capsys, "events", "base", "--until", "1e300")
     assert (found["outcome"], len(found["events"])) == ("event limit", 1_000_000)
 
 
@@ -363,7 +363,7 @@ def test_law_6_to_a_million_time_units_costs_its_transient():
     [("mass.m", "1e-300"), ("spring.k", "1e300"), ("start.x", "-1e101"), ("belt.speed", "1e-101")],
 )
 def test_a_number_beyond_arithmetic_is_refused_naming_the_key(capsys, key, value):
-    error = told(capsys, "events", "base", "--until", "1", "--set", f"{key}={value}", code=2)["error"]
+    error = document(capsys, "events", "base", "--until", "1", "--set", f"{key}={value}", code=2)["error"]
     assert key in error["what"]
     assert "1e-100 to 1e+100" in error["do"]
 
@@ -375,14 +375,14 @@ KEYS = ("mass.m", "spring.k", "friction.Fs", "friction.gamma", "belt.speed", "st
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 def test_what_is_no_finite_number_is_refused_naming_the_key(capsys, key, value):
     extra = ["--set", "drive.omega=1"] if key.startswith("drive") else []
-    error = told(capsys, "events", "base", "--until", "1", "--set", f"{key}={value}", *extra, code=2)["error"]
+    error = document(capsys, "events", "base", "--until", "1", "--set", f"{key}={value}", *extra, code=2)["error"]
     assert key in error["what"]
 
 
 @pytest.mark.parametrize("key", ["mass.m", "spring.k"])
 @pytest.mark.parametrize("value", ["-1", "0", "-1e-300"])
 def test_mass_and_stiffness_that_are_not_positive_are_refused_naming_the_key(capsys, key, value):
-    error = told(capsys, "cycle", "base", "--set", f"{key}={value}", code=2)["error"]
+    error = document(capsys, "cycle", "base", "--set", f"{key}={value}", code=2)["error"]
     assert key in error["what"]
     assert error["do"]
 

@@ -50,12 +50,12 @@ def test_a_recording_holds_the_truth_only_where_the_scene_tells_it(
     from daq.cli.app import app
 
     held = []
-    for name, changes in (("plain.h5", []), ("told.h5", ["--set", "tell.truth=true"])):
+    for name, changes in (("plain.h5", []), ("truthful.h5", ["--set", "tell.truth=true"])):
         path = tmp_path / name
         assert application.run(app, ["record", "--duration", "1", "-o", str(path), *changes, "--json"]) == 0
         capsys.readouterr()
         held.append(names_in(path))
-    plain, told = held
+    plain, truthful = held
     assert not any("truth" in name for name in plain)
-    assert {"entry/truth/x", "entry/truth/v", "entry/truth/F"} <= told - plain
-    assert plain <= told
+    assert {"entry/truth/x", "entry/truth/v", "entry/truth/F"} <= truthful - plain
+    assert plain <= truthful
