@@ -60,7 +60,7 @@ class BlockSmoother:
         self._plateau_speeds: list[float] = []
         self._noises: list[float] = []
         self._faults: list[Fault] = []
-        self._step_sums = np.zeros(8)
+        self._step_sums = np.zeros(10)
         self._samples = 0
         self._unit = ""
         self._means: list[tuple[float, float]] = []
@@ -149,7 +149,7 @@ class BlockSmoother:
         """Return what `SmoothingHeader` states: the method and window of most samples, the median belt speed."""
         window, order = max(set(self._windows), key=self._windows.count)
         faults, noise = tuple(self._faults), self._noise()
-        counted = frames.count_frames(self._step_sums, noise)
+        counted = frames.count_frames(self._step_sums)
         return {
             "method": max(self._methods, key=lambda name: self._methods[name]),
             "window": window,

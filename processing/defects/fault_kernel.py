@@ -86,10 +86,10 @@ def count_steps(x: Array, noise: float, least: float, near: float, sums: Array) 
         Standard deviation of one position, and the usual step above which a single step is clear of noise, m.
     near : float
         How near a multiple of the usual step a step must lie, in usual steps.
-    sums : array of shape (8,)
+    sums : array of shape (10,)
         Added to: number of clear steps; of those twice and three times the usual one, of those of none and of minus
         one; and of the steps that are not clear the sum of cubes of what they exceed the usual one by, the sum of its
-        own cubes, and their number.
+        own cubes, their number, and the sums of the excess and of its squares.
     """
     for i in range(WIDE, x.size - WIDE - 1):
         low = high = x[i] - x[i - 1]
@@ -113,3 +113,5 @@ def count_steps(x: Array, noise: float, least: float, near: float, sums: Array) 
             sums[5] += more**3
             sums[6] += size**3
             sums[7] += 1
+            sums[8] += more
+            sums[9] += more**2

@@ -25,8 +25,8 @@ NEAR = 0.35  # of the usual step: how near a multiple a step must lie
 SHARE = 1e-3  # of the steps compared, at least; and
 FEWEST = 5
 SHORT = 32  # samples: half of the shortest piece looked at
-SKEW = 0.02  # share of frames below which noise could look like them; clean cameras of 0.2 mm reach 0.009
-SIGNIFICANT = 5.0  # standard deviations of that share
+SKEW = 0.02  # share of frames below which noise could look like them; clean cameras of 0.2 mm reach 0.024
+SIGNIFICANT = 4.0  # standard deviations of that share; 30 clean cameras of 0.2 mm reach 2.1
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ class FrameCount:
 
 
 def step_sums(series: Series, own: slice, noise: float) -> Array:
-    """Return the sums that `count_frames` needs, (8,), over the samples ``own`` of a record without spikes.
+    """Return the sums that `count_frames` needs, (10,), over the samples ``own`` of a record without spikes.
 
     They are 0 for a piece whose times are not even: there the times show where frames are missing.  ``noise`` is the
     standard deviation of one position, m.
     """
-    sums = np.zeros(8)
+    sums = np.zeros(10)
     for piece in series.pieces:
         part = slice(max(piece.start, own.start), min(piece.stop, own.stop))
         if part.stop - part.start > 2 * SHORT and is_even(series.time[part]):
@@ -58,15 +58,18 @@ def step_sums(series: Series, own: slice, noise: float) -> Array:
     return sums
 
 
-def count_frames(sums: Array, noise: float) -> FrameCount:
+def count_frames(sums: Array) -> FrameCount:
     """Return the frames lost or doubled, from the sums over all of a record."""
     compared, one, two, none, back = (int(value) for value in sums[:5])
     lost, doubled = one + 2 * two - back, none - one
     few = max(FEWEST, SHARE * compared)
     if lost <= few and doubled <= few and sums[6] > 0 and compared < sums[7]:
-        # Steps of twice the usual length skew the distribution by the share of frames lost; noise does not.
-        share = float(sums[5] / sums[6])
-        error = math.sqrt(15 * sums[7] * (2 * noise**2) ** 3) / float(sums[6])
+        # Steps of twice the usual length skew the distribution by the share of frames lost; noise does not.  It is
+        # taken about the mean: usual steps chosen because they are long are too long, and shift it.
+        number, cubes = float(sums[7]), float(sums[6])
+        mean, square = float(sums[8]) / number, float(sums[9]) / number
+        share = (float(sums[5]) - 3 * square * float(sums[8]) + 2 * number * mean**3) / cubes
+        error = math.sqrt(6 * number * square**3) / cubes
         if share > max(SKEW, SIGNIFICANT * error):
             return FrameCount(int(sums[7]), round(share * float(sums[7])), 0)
     return FrameCount(compared, lost if lost > few else 0, doubled if doubled > few else 0)

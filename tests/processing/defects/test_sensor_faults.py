@@ -85,7 +85,7 @@ def test_clean_records_have_no_faults(seen, sensor, law):
     recording, _ = seen(sensor, law)
     assert found_in(recording).faults == ()
     data = series.from_recording(recording)
-    frames = count_frames(step_sums(data, slice(0, data.time.size), position_noise(data)), position_noise(data))
+    frames = count_frames(step_sums(data, slice(0, data.time.size), position_noise(data)))
     assert (frames.lost, frames.doubled) == (0, 0)
 
 
