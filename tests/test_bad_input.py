@@ -119,7 +119,6 @@ def test_a_missing_port_is_a_device_error(folder):
     ("arguments", "names"),
     [
         (("--protocol", "qsb", "--rate", "1000"), ["1000 Hz", "512"]),
-        (("--protocol", "text"), ["--columns", "t_us,up,down"]),
         (("--protocol", "text", "--columns", "t_us,cuont"), ["cuont", "count"]),
         (("--protocol", "qbs"), ["qbs", "qsb"]),
         (("--rig", "none.toml"), ["none.toml"]),

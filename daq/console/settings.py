@@ -44,7 +44,9 @@ class BoardFlags:
     protocol: Annotated[
         str | None, Parameter(help="What the board sends: frames (our firmware, default), qsb or text.")
     ] = None
-    columns: Annotated[str | None, Parameter(help="Columns of text lines, such as t_us,up,down or ticks,ms.")] = None
+    columns: Annotated[
+        str | None, Parameter(help="Columns of text lines, as in t_us,up,down; not needed for t=1,pos=2.")
+    ] = None
     decoder: Annotated[str | None, Parameter(help="Decoder of the board: x4, x1, jk, jk-latched or two-counter.")] = (
         None
     )

@@ -55,7 +55,7 @@ class LineReader:
     Attributes
     ----------
     example : bytes
-        The first line that was damaged.
+        The last line that was damaged; the first one of a stream may only be cut.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class LineReader:
                     rows.append(item)
             elif item:
                 if Other.DAMAGED in item:
-                    self.example = self.example or line
+                    self.example = line
                     self._damaged_bytes += len(line)
                 if self._first:
                     item &= ~Other.DAMAGED

@@ -25,7 +25,7 @@ class RecordRequest:
     protocol : str
         One of `daq.protocols.PROTOCOLS`.
     columns : str or None
-        The columns of text lines.
+        The columns of text lines; None for labelled ones.
     decoder : str or None
         The decoder that the board is to use, one of `daq.wire.frames.DECODERS`.
     calibration : str or None

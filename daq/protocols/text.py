@@ -16,23 +16,26 @@ xor                 two hex digits: XOR of the bytes before the separator in fro
 ``-``               anything; ignored
 ==================  ===================================================================================================
 
+Labelled lines (``t=12,pos=34``, ``us: 12; count: 34``) need no columns: micros, millis, t and time are times, too; pos,
+position, counts and encoder are counts; other labels are ignored.  The unit of t and time is that of the declared
+column, us without.
+
 The rate is the sketch's own: it is measured before the recording starts.  Nothing is sent to the board.
 """
 
-import re
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import partial, reduce
-from itertools import pairwise
-from operator import xor
+from dataclasses import replace
+from functools import partial
+from itertools import chain, pairwise
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import DeviceError, InputError, check_known
 from daq.protocols import lines
 from daq.protocols import session as sessions
-from daq.protocols.lines import LineReader, LineTally, Other, Row
+from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, LineParser, columns, lacking
+from daq.protocols.lines import LineReader, LineTally
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
@@ -45,22 +48,8 @@ TICK_NS = 1000
 MILLISECOND = 1000  # ticks
 LISTEN_S = 1.0  # of good lines, by their own times, before the rate is believed
 FEWEST_LINES = 20
+SLOWEST = 0.05  # clock that is slower than this share of the host's has another unit, most often by 1000
 RATE_WITHIN = 0.1  # of the requested rate
-LONGEST_LINE = 256
-
-
-_TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
-_COUNTS = ("up", "down", "count", "ticks")
-_PATTERNS = {
-    **dict.fromkeys(_TIMES, r"(\d{1,12}+)(?:\.(\d{0,9}+))?+"),
-    **dict.fromkeys(("up", "down"), r"(\d{1,10}+)"),
-    **dict.fromkeys(("count", "ticks"), r"([+-]?+\d{1,10}+)"),
-    **dict.fromkeys(("a", "b"), "([01])"),
-    "illegal": r"(\d{1,5}+)",
-    "xor": r"\*?+([0-9A-Fa-f]{2})",
-    "-": r"[^,;\s]*",
-}
-_SEPARATOR = r"(?:[,;]|[ \t]+[,;]?)[ \t]*"
 
 
 def check(request: RecordRequest) -> None:
@@ -68,116 +57,6 @@ def check(request: RecordRequest) -> None:
     columns(request.columns)
     if request.decoder is not None:
         check_known(request.decoder, frames.DECODERS, "decoder", "--decoder")
-
-
-@dataclass(frozen=True)
-class Columns:
-    """How to read a line of the declared columns.
-
-    Attributes
-    ----------
-    pattern : re.Pattern
-        Of a whole line; its last group is empty and takes the place of every column that is not declared.
-    counts : tuple of int
-        Groups that hold the time's whole part and fraction, up (or the net count) and down.
-    checks : tuple of int
-        Groups that hold a, b, illegal and xor; empty when none of them is declared.
-    us_per_unit : int
-        Unit of the time, us.
-    net : bool
-        There is only one count, signed.
-    bits : int
-        Width of the counters.
-    capabilities : Capability
-        What the columns hold in addition to counts.
-    """
-
-    pattern: re.Pattern[bytes]
-    counts: tuple[int, ...]
-    checks: tuple[int, ...]
-    us_per_unit: int
-    net: bool
-    bits: int
-    capabilities: frames.Capability
-
-    def read(self, line: bytes) -> Row | Other:
-        """Return the values in a line."""
-        found = self.pattern.fullmatch(line)
-        if found is None:
-            return Other.REMARK if line.startswith(b"#") or not line.rstrip(b"\r") else Other.DAMAGED
-        whole, fraction, up_text, down_text = found.group(*self.counts)
-        ticks = int(whole) * self.us_per_unit
-        if fraction:  # digits beyond the microsecond are cut off
-            ticks += int(fraction.ljust(6, b"0")[:6]) * self.us_per_unit // 1_000_000
-        limit = 1 << self.bits
-        up, down = int(up_text), int(down_text or 0)
-        if not (-limit <= 2 * up < 2 * limit if self.net else up < limit and down < limit):
-            return Other.DAMAGED
-        if not self.checks:
-            return ticks & 0xFFFFFFFF, up & limit - 1, down
-        a, b, illegal, check = found.group(*self.checks)
-        if check and reduce(xor, self._guarded(found), 0) != int(check, 16):
-            return Other.DAMAGED
-        levels = int(a or 0) | int(b or 0) << 1
-        return ticks & 0xFFFFFFFF, up & limit - 1, down, levels, int(illegal or 0) & 0xFFFF
-
-    def _guarded(self, found: re.Match[bytes]) -> bytes:
-        """Return the part of a line that its xor covers: everything before the separator in front of it."""
-        before = found.string[: found.start(self.checks[-1])].removesuffix(b"*").rstrip(b" \t")
-        return (before[:-1] if before.endswith((b",", b";")) else before).rstrip(b" \t")
-
-
-def columns(declared: str | None) -> Columns:
-    """Return how to read lines of the declared columns.
-
-    Raises
-    ------
-    InputError
-        None are declared, one is unknown or declared twice, or time or counts are missing.
-    """
-    where = "--columns"
-    if not declared:
-        raise InputError("text lines need their columns declared", where, "give for example --columns t_us,up,down")
-    names, widths = [], set()
-    for part in declared.split(","):
-        name, _, width = part.strip().partition(":")
-        check_known(name, list(_PATTERNS), "column", where)
-        if name in names and name != "-":
-            raise InputError(f"column {name!r} occurs twice", where, "call what you do not need '-'")
-        if width and (width not in ("16", "32") or name not in _COUNTS):
-            raise InputError(f"{part.strip()!r} is not a width of a counter", where, "write up:16 or up:32")
-        names.append(name)
-        if name in _COUNTS:
-            widths.add(int(width or 32))
-    times = [name for name in names if name in _TIMES]
-    if len(times) != 1:
-        what = "which column is the time?" if times else "there is no time column, which is required"
-        raise InputError(what, where, "declare one of t_us, t_ms, t_s; a sketch prints it by micros()")
-    counts = sorted(name for name in names if name in _COUNTS)
-    if counts not in (["down", "up"], ["count"], ["ticks"]):
-        raise InputError("which columns are the counts?", where, "declare up and down, or count (or ticks)")
-    if len(widths) > 1:
-        raise InputError("up and down differ in width", where, "give both the same, as in up:16,down:16")
-    if ("a" in names) != ("b" in names):
-        raise InputError("one level of two", where, "declare both a and b, or neither")
-    group = {"": 1}  # of each column; of the time, a second one behind it holds the fraction
-    for name in names:
-        if name != "-":
-            group[name] = group[""]
-            group[""] += 2 if name in _TIMES else 1
-    fields = _SEPARATOR.join(_PATTERNS[name] for name in names)
-    up, down = ("up", "down") if len(counts) == 2 else (counts[0], "")
-    checks = ("a", "b", "illegal", "xor")
-    has = frames.Capability
-    return Columns(
-        pattern=re.compile(rf"[ \t]*{fields}[ \t]*\r*()".encode()),
-        counts=(group[times[0]], group[times[0]] + 1, group[up], group[down]),
-        checks=tuple(group.get(name, group[""]) for name in checks) if group.keys() & checks else (),
-        us_per_unit=_TIMES[times[0]],
-        net=len(counts) == 1,
-        bits=widths.pop(),
-        capabilities=has(has.LEVELS * ("a" in names) | has.ILLEGAL * ("illegal" in names)),
-    )
 
 
 def ident(form: Columns, decoder: str | None) -> frames.Ident:
@@ -197,15 +76,23 @@ def ident(form: Columns, decoder: str | None) -> frames.Ident:
 
 def reader(form: Columns) -> LineReader:
     """Return a reader of lines.  The first line is not used: digits missing at its beginning could not be detected."""
-    return LineReader(b"\n", LONGEST_LINE, form.read, trusts_first=False)
+    return LineReader(b"\n", LONGEST_LINE, LineParser(form).read, trusts_first=False)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
     """Decode the reads of one connection."""
-    form = columns(header["columns"])
+    declared, first, rest = header["columns"], [], iter(reads)
+    if declared is None:
+        vote = ColumnVote()
+        for read in rest:
+            first.append(read)
+            if vote.feed(read[1]):
+                break
+        declared = vote.columns
+    form = columns(declared)
     period_ticks = 1e9 / (TICK_NS * float(header["rate_hz"]))
     return lines.decode(
-        reads,
+        chain(first, rest),
         reader(form),
         ident(form, header.get("decoder")),
         period_ticks,
@@ -225,7 +112,7 @@ class Text(Session):
         self._coarse = self._even = False
 
     def identify(self) -> Identity:
-        """Read lines until their rate is known.
+        """Read lines until their rate is known; and their columns, if they are labelled and none are declared.
 
         Raises
         ------
@@ -233,31 +120,48 @@ class Text(Session):
             Nothing is received, or no line with the declared columns.
         """
         listener = reader(self._form)
+        vote, kept = ColumnVote(), b""
         times: list[int] = []
-        heard = bad = 0
+        heard, bad, began = 0, 0, 0.0
         until = time.monotonic() + sessions.ANSWER_S
         while time.monotonic() < until:
             data = self.read()
             heard += len(data)
+            if self.request.columns is None:
+                kept += data
+                if vote.feed(data):
+                    self.request = replace(self.request, columns=vote.columns)
+                    self._form = columns(vote.columns)
+                    listener, data, times, bad = reader(self._form), kept, [], 0
             rows, others = listener.feed(data)
+            if rows and not times:
+                began = time.monotonic()
             times += [row[0] for row in rows]
             bad += len(others)
             steps = [later - earlier & 0xFFFFFFFF for earlier, later in pairwise(times)]
-            if len(times) > FEWEST_LINES and median(steps) * len(steps) >= LISTEN_S * 1e9 / TICK_NS:
+            advance = sum(sorted(steps)[: len(steps) * 9 // 10])  # whatever single lines say
+            if len(times) > FEWEST_LINES and advance >= LISTEN_S * 1e9 / TICK_NS:
                 break
         if len(times) <= FEWEST_LINES:
             raise DeviceError(*self._silent(heard, len(times), bad, listener.example))
         typical = median(steps)
-        if typical == 0:
+        if not any(steps):
             raise DeviceError("the time in the lines does not change", self.url, "print micros() with each sample")
         if typical >= 1 << 31:
             what = f"the time in the lines runs backwards, by {(1 << 32) - typical:.0f} us from line to line"
             raise DeviceError(what, self.url, "check which of --columns is the time; print micros() with each sample")
-        usual = [step for step in steps if 0.5 * typical <= step <= 1.5 * typical]
-        self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
-        self._line_bytes = heard / max(1, len(times) + bad)
+        took, advanced = time.monotonic() - began, sum(steps) * TICK_NS / 1e9
+        if took > 0.5 * sessions.ANSWER_S and advanced < SLOWEST * took:
+            what = f"the time in the lines advances by {1e3 * advanced:.3g} ms in {took:.3g} s"
+            raise DeviceError(what, self.url, "give its unit by the column, as in --columns t_ms,count")
         self._coarse = all(ticks % MILLISECOND == 0 for ticks in times)
         self._even = all(step > 0 and step % typical == 0 for step in steps)  # a line may be missing
+        least, most = 0.5 * typical, 1.5 * typical
+        if self._coarse and not self._even:  # its steps differ by a millisecond: their mean is the interval
+            least, most = 0.0, max(most, typical + 2 * MILLISECOND)
+        usual = [step for step in steps if least <= step <= most]
+        self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
+        self._line_bytes = heard / max(1, len(times) + bad)
         return Identity(ident(self._form, self.request.decoder))
 
     def plan(self, identity: Identity) -> Plan:
@@ -317,7 +221,12 @@ class Text(Session):
             do = "check the port ('daq ports'), the cable, and that the sketch prints without a command"
             return f"nothing came within {sessions.ANSWER_S:g} s", self.url, do
         if bad > good:
+            if (labels := lacking(example)) is not None:
+                return labels[0], self.url, labels[1]
             seen = example.rstrip(b"\r")[:60].decode("ascii", "backslashreplace")
+            if self.request.columns is None:
+                do = "declare the columns, as in --columns t_us,up,down, or print labels, as in t=1,pos=2; check --baud"
+                return f"the lines have no labels, and no columns are declared; one is {seen!r}", self.url, do
             what = f"the lines are not of the columns {self.request.columns}; one is {seen!r}"
             return what, self.url, "declare the actual columns by --columns, and check --baud"
         what = f"only {good} lines came within {sessions.ANSWER_S:g} s"

@@ -230,7 +230,7 @@ def _header(
 ) -> dict[str, Any]:
     now = datetime.now().astimezone()
     offset = now.utcoffset()
-    return {name: getattr(request, name) for name in ("protocol", "columns", "decoder", "port")} | {
+    return {name: getattr(board.request, name) for name in ("protocol", "columns", "decoder", "port")} | {
         "baud": ports.uart_baud(request.port, board.port),
         "rate_hz": plan.rate_hz,
         "samples": samples,

@@ -12,7 +12,7 @@ from daq.recorder import reader
 from daq.recorder.record import RecordingInterruptedError, record
 from daq.runfile import journal
 
-from .conftest import AWAY_S, motion
+from .conftest import AWAY_S, FakeLabelled, motion
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
 
@@ -94,6 +94,18 @@ def test_a_flipped_bit_costs_its_unit(make_fake, tmp_path):
     found, run = taken(fake, tmp_path, 1900 * fake.unit)
     assert (found.crc_errors, found.lost, found.segments) == (1, fake.unit, 1)
     assert "crc" in [kind for _, kind in kinds(run)]
+    assert np.ptp(offsets(fake, run)) == 0
+
+
+def test_labelled_lines_are_recorded_without_declared_columns(tmp_path):
+    # They used to be refused.
+    fake = FakeLabelled(tmp_path / "ttyFAKE", {1500: "flip"})
+    fake.start()
+    try:
+        found, run = taken(fake, tmp_path, 1900)
+    finally:
+        fake.finish()
+    assert (found.crc_errors, found.lost, found.segments) == (1, 1, 1)
     assert np.ptp(offsets(fake, run)) == 0
 
 

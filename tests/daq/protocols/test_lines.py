@@ -1,6 +1,7 @@
 """Records of a QSB and text lines: read as declared, damage seen as far as it can be, refusals with their cure."""
 
 import random
+import time
 
 import numpy as np
 import pytest
@@ -173,7 +174,6 @@ def test_a_flipped_high_digit_of_a_count_or_a_time_is_seen():
 @pytest.mark.parametrize(
     ("declared", "said"),
     [
-        (None, "--columns t_us,up,down"),
         ("t_us", "which columns are the counts"),
         ("up,down", "no time column"),
         ("t_us,t_ms,count", "which column is the time"),
@@ -219,6 +219,59 @@ def test_a_line_is_read_as_its_columns_say(declared, line, row):
     assert text.columns(declared).read(line) == row
 
 
+# All of these lines used to be refused.
+@pytest.mark.parametrize(
+    ("declared", "line", "row"),
+    [
+        (None, b"t=123456 pos=789", (123_456, 789, 0)),
+        (None, b"t:123456,pos:789\r", (123_456, 789, 0)),
+        (None, b"time: 12, count: -3", (12, 2**32 - 3, 0)),
+        (None, b"us = 5;count = 6", (5, 6, 0)),
+        (None, b"Encoder:+6\tMillis:5", (5000, 6, 0)),
+        (None, b"v=-1.5e3 , micros=7 state=ok;position=8,v=2", (7, 8, 0)),
+        ("t_ms,count:16", b"T=4,Ticks=-1,temp=21.5", (4000, 65535, 0)),
+        ("t_ms,count", b"us=4,counts=5", (4, 5, 0)),  # a unit in the label is the unit
+        ("us,count", b"us=1,ms=2,pos=3,count=4", (1, 4, 0)),  # declared names come first
+        ("t_us,up,down", b"down=1 up=2 time=3", (3, 2, 1)),
+        ("t_us,count,a,b,illegal", b"illegal=3,a=1,b=0,t=4,pos=5", (4, 5, 0, 1, 3)),
+        ("t_us,count,xor", b"t=10;pos=2, xor: *10", (10, 2, 0, 0, 0)),
+        ("t_us,count,xor", b"t=10;pos=3, xor: *10", Other.DAMAGED),
+        (None, b"t=1,pis=2", Other.DAMAGED),
+        (None, b"t=1,pos=2.5", Other.DAMAGED),
+        (None, b"t=1,pos=2,3", Other.DAMAGED),
+        (None, b"t=1,pos=2,pos=2", Other.DAMAGED),
+        (None, b"t=1,pos=2,Pos=2", Other.DAMAGED),
+        (None, b"t=1,ms=1,pos=2", Other.DAMAGED),
+        (None, b"t=1,pos=2t=3,pos=4", Other.DAMAGED),
+        (None, b"1,2", Other.DAMAGED),
+        (None, b"# t=1,pos=2", Other.REMARK),
+    ],
+)
+def test_a_labelled_line_is_read_by_its_labels(declared, line, row):
+    assert text.columns(declared).read(line) == row
+
+
+@pytest.mark.parametrize("shape", ["t=%d,pos=%d\n", "time: %d, count: %d, temp: 21.5\n"])
+def test_damaged_labelled_lines_are_found(shape):
+    data, touched = corrupted(lambda k: (shape % (2000 * k + 7, motion(k))).encode(), 8000, 5)
+    stream = text.decode([(0, data)], {"columns": None, "rate_hz": 500.0})
+    k = (stream.ticks - 7) / 2000
+    right = (k == np.round(k)) & (counts(stream) == motion(np.round(k)))
+    assert np.count_nonzero(~right) <= 0.016 * len(touched)  # what passes of plain lines, by this damage
+    near = np.add.outer(sorted(touched), np.arange(-1, 3))
+    assert np.isin(np.setdiff1d(np.arange(8, 8000), near), k[right]).all()
+
+
+def test_a_label_that_changes_is_damage():
+    """Without its u, the label us means seconds."""
+    lines = [b"us=%d,pos=%d\n" % (2000 * k, k) for k in range(100)]
+    lines[40] = lines[40][1:]
+    lines[60] = lines[60].replace(b"pos", b"Pos")
+    stream = text.decode(list(enumerate(lines)), {"columns": None, "rate_hz": 500.0})
+    assert stream.stamp_ns.tolist() == [k for k in range(1, 100) if k not in (40, 60)]
+    assert np.array_equal(stream.ticks, 2000 * stream.stamp_ns)
+
+
 @pytest.mark.parametrize(
     ("name", "wish", "said"),
     [
@@ -227,7 +280,6 @@ def test_a_line_is_read_as_its_columns_say(declared, line, row):
         ("qsb", RecordRequest(columns="t_us,count"), "--columns"),
         ("frames", RecordRequest(columns="t_us,count"), "--columns"),
         ("frames", RecordRequest(decoder="x3"), "x4"),
-        ("text", RecordRequest(), "--columns"),
     ],
 )
 def test_what_a_protocol_can_never_do_is_refused_before_anything_is_touched(name, wish, said):
@@ -259,12 +311,59 @@ def planned(line, wish):
     return session.plan(session.identify())
 
 
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        (lambda k: b"millis:%d up:%d down:3 temp:%d.5\n" % (2 * k, k, k), "ms,up,down"),
+        (lambda k: b"t=%d,pos=%d,a=%d,b=1,illegal=0\n" % (2000 * k, k, k & 1), "t_us,count,a,b,illegal"),
+        (lambda k: b"t=%d,pos=%d,a=%d,b=1\n" % (2000 * k, k, k), "t_us,count"),  # an acceleration, no level
+    ],
+)
+def test_the_columns_of_labelled_lines_are_found_and_kept(line, found):
+    session = text.session(Sketch(line), "fake", RecordRequest())
+    assert session.plan(session.identify()).rate_hz == 500.0
+    assert session.request.columns == found
+
+
+@pytest.mark.parametrize("micros", [300, 700, 1000, 1500, 1900, 2300])
+def test_the_rate_of_a_coarse_clock_is_that_of_all_lines(micros):
+    # Steps of 1, 2, 1, 2 ms used to be 1000 Hz, and more than two lines in a millisecond to be a clock that stands.
+    wish = RecordRequest(columns="ms,count")
+    assert planned(lambda k: b"%d,7\n" % (micros * k // 1000), wish).rate_hz == pytest.approx(1e6 / micros, rel=3e-3)
+
+
 def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
     wish = RecordRequest(columns="t_us,count")
     assert planned(text_line, wish).rate_hz == 500.0
     assert planned(lambda k: b"%d,7\n" % (2013 * k), wish).rate_hz == pytest.approx(497, rel=2e-3)
     with pytest.raises(InputError, match="arrive at 500 Hz, not at 1000 Hz"):
         planned(text_line, RecordRequest(rate_hz=1000, columns="t_us,count"))
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (lambda k: b"t=%d,foo=%d\n" % (k, k), "labels t, foo: none is a position; label .* pos, position, count"),
+        (lambda k: b"x=%d,pos=%d\n" % (k, k), "labels x, pos: none is a time; .* micros"),
+        (lambda k: b"t=%d,pos=1,count=2\n" % k, "more than one is a position; .* --columns"),
+        (lambda k: b"%d,1\n" % k, "no columns are declared; one is .* --columns t_us,up,down"),
+    ],
+)
+def test_lines_that_need_columns_or_labels_are_refused_with_them(monkeypatch, line, said):
+    monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
+    with pytest.raises(DeviceError, match=said):
+        planned(line, RecordRequest())
+
+
+def test_milliseconds_taken_for_microseconds_are_refused(monkeypatch):
+    class Slow(Sketch):
+        def read(self, size=1):
+            time.sleep(0.04)
+            return super().read()
+
+    monkeypatch.setattr(session_module, "ANSWER_S", 0.4)
+    with pytest.raises(DeviceError, match=r"advances by .* ms in .* s; .*--columns t_ms"):
+        text.session(Slow(lambda k: b"t=%d,pos=%d\n" % (k, k)), "fake", RecordRequest()).identify()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,277 @@
+"""Columns of text lines: how the values of a line become a sample; see `daq.protocols.text` for their names.
+
+A line holds values in the order of the columns, or labelled values (``t=12,pos=34``).  Labels are mapped to columns
+once; one pattern, which contains these labels, then reads all lines that have them.
+"""
+
+import re
+from dataclasses import dataclass, replace
+from functools import lru_cache, reduce
+from itertools import islice
+from operator import xor
+
+from daq.errors import InputError, check_known
+from daq.protocols.lines import Other, Row
+from daq.wire import frames
+from daq.wire.splitter import Splitter
+
+_TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
+_COUNTS = ("up", "down", "count", "ticks")
+_PATTERNS = {
+    **dict.fromkeys(_TIMES, r"(\d{1,12}+)(?:\.(\d{0,9}+))?+"),
+    **dict.fromkeys(("up", "down"), r"(\d{1,10}+)"),
+    **dict.fromkeys(("count", "ticks"), r"([+-]?+\d{1,10}+)"),
+    **dict.fromkeys(("a", "b"), "([01])"),
+    "illegal": r"(\d{1,5}+)",
+    "xor": r"\*?+([0-9A-Fa-f]{2})",
+    "-": r"[^,;\s]*",
+}
+_SEPARATOR = r"(?:[,;]|[ \t]+[,;]?)[ \t]*"
+
+_TIME_OF_LABEL = {"t": None, "time": None, "micros": "us", "millis": "ms", **{name: name for name in _TIMES}}
+_COUNT_LABELS = ("pos", "position", "count", "counts", "ticks", "encoder")
+_KINDS = {
+    **{name: name for name in _PATTERNS},
+    **dict.fromkeys(_TIME_OF_LABEL, "time"),
+    **dict.fromkeys(_COUNT_LABELS, "position"),
+}
+_NAME, _IS, _VALUE = r"[A-Za-z_][\w.()\[\]/%-]*+", r"[ \t]*+[=:][ \t]*+", r"[^,;:=\s]++"
+_LABELLED = re.compile(rf"(?:\A|[,;\s])[ \t]*+({_NAME}){_IS}({_VALUE})?+".encode())
+_MOST_FORMS = 64  # kept compiled; only damaged lines make more of them
+ENOUGH_LINES = 20  # labelled lines that define the columns when none are declared
+LONGEST_LINE = 256
+
+
+@dataclass(frozen=True)
+class Columns:
+    """How to read a line of the declared columns.
+
+    Attributes
+    ----------
+    pattern : re.Pattern
+        Of a whole line; its last group is empty and takes the place of every column that is not declared.
+    names : tuple of str
+        Columns in the order of the line; empty when none are declared.
+    labels : tuple of str
+        Labels of the columns in the line; empty when the line holds values only.
+    counts : tuple of int
+        Groups that hold the time's whole part and fraction, up (or the net count) and down.
+    checks : tuple of int
+        Groups that hold a, b, illegal and xor; empty when none of them is declared.
+    us_per_unit : int
+        Unit of the time, us.
+    net : bool
+        There is only one count, signed.
+    bits : int
+        Width of the counters.
+    capabilities : Capability
+        What the columns hold in addition to counts.
+    """
+
+    pattern: re.Pattern[bytes]
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    counts: tuple[int, ...]
+    checks: tuple[int, ...]
+    us_per_unit: int
+    net: bool
+    bits: int
+    capabilities: frames.Capability
+
+    def read(self, line: bytes) -> Row | Other:
+        """Return the values in a line, whatever the labels in other lines."""
+        return LineParser(self).read(line)
+
+    def row(self, found: re.Match[bytes]) -> Row | Other:
+        """Return the values in a line that matches the pattern."""
+        whole, fraction, up_text, down_text = found.group(*self.counts)
+        ticks = int(whole) * self.us_per_unit
+        if fraction:  # digits beyond the microsecond are cut off
+            ticks += int(fraction.ljust(6, b"0")[:6]) * self.us_per_unit // 1_000_000
+        limit = 1 << self.bits
+        up, down = int(up_text), int(down_text or 0)
+        if not (-limit <= 2 * up < 2 * limit if self.net else up < limit and down < limit):
+            return Other.DAMAGED
+        if not self.checks:
+            return ticks & 0xFFFFFFFF, up & limit - 1, down
+        a, b, illegal, check = found.group(*self.checks)
+        if check and reduce(xor, self._guarded(found), 0) != int(check, 16):
+            return Other.DAMAGED
+        levels = int(a or 0) | int(b or 0) << 1
+        return ticks & 0xFFFFFFFF, up & limit - 1, down, levels, int(illegal or 0) & 0xFFFF
+
+    def _guarded(self, found: re.Match[bytes]) -> bytes:
+        """Return the part of a line that its xor covers: everything before the separator in front of it."""
+        before = found.string[: found.start(self.checks[-1])].removesuffix(b"*").rstrip(b" \t")
+        if self.labels:
+            before = before[:-1].rstrip(b" \t")[: -len("xor")].rstrip(b" \t")
+        return (before[:-1] if before.endswith((b",", b";")) else before).rstrip(b" \t")
+
+    def labelled(self, line: bytes) -> "Columns | None":
+        """Return how to read lines with the labels of this one; None unless they name each column once."""
+        labels = [label for label, _ in _pairs(line)]
+        columns_of = {}
+        for name in self.names or ("t_us", "count"):
+            if name == "-":
+                continue
+            same = [label for label in labels if _KINDS.get(label.lower()) == _KINDS[name]]
+            if len(same) > 1 and self.names:
+                same = [label for label in same if label.lower() == name]
+            if len(same) != 1:
+                return None
+            columns_of[same[0]] = _TIME_OF_LABEL.get(same[0].lower()) or name
+        used = tuple(label for label in labels if label in columns_of)
+        return _form(tuple(columns_of[label] for label in used), self.bits, used) if used else None
+
+
+class LineParser:
+    """Parse the lines of one stream; from two lines in a row with the same labels on, other labels are damage."""
+
+    def __init__(self, form: Columns) -> None:
+        self._declared = self._form = form
+        self._last: Columns | None = None
+
+    def read(self, line: bytes) -> Row | Other:
+        """Return the values in a line."""
+        found = self._form.pattern.fullmatch(line)
+        if found is not None:
+            return self._form.row(found)
+        if line.startswith(b"#") or not line.rstrip(b"\r"):
+            return Other.REMARK
+        form = self._declared.labelled(line) if self._form is self._declared else self._declared
+        found = form.pattern.fullmatch(line) if form is not None else None
+        if form is None or found is None:
+            return Other.DAMAGED
+        if form == self._last:
+            self._form = form
+        self._last = form
+        return form.row(found)
+
+
+def columns(declared: str | None) -> Columns:
+    """Return how to read lines of the declared columns; None: labelled lines with a time and a net count.
+
+    Raises
+    ------
+    InputError
+        A column is unknown or declared twice, or time or counts are missing.
+    """
+    where = "--columns"
+    if declared is None:
+        return replace(columns("t_us,count"), pattern=re.compile(rb"(?!)"), names=())
+    names, widths = [], set()
+    for part in declared.split(","):
+        name, _, width = part.strip().partition(":")
+        check_known(name, list(_PATTERNS), "column", where)
+        if name in names and name != "-":
+            raise InputError(f"column {name!r} occurs twice", where, "call what you do not need '-'")
+        if width and (width not in ("16", "32") or name not in _COUNTS):
+            raise InputError(f"{part.strip()!r} is not a width of a counter", where, "write up:16 or up:32")
+        names.append(name)
+        if name in _COUNTS:
+            widths.add(int(width or 32))
+    times = [name for name in names if name in _TIMES]
+    if len(times) != 1:
+        what = "which column is the time?" if times else "there is no time column, which is required"
+        raise InputError(what, where, "declare one of t_us, t_ms, t_s; a sketch prints it by micros()")
+    counts = sorted(name for name in names if name in _COUNTS)
+    if counts not in (["down", "up"], ["count"], ["ticks"]):
+        raise InputError("which columns are the counts?", where, "declare up and down, or count (or ticks)")
+    if len(widths) > 1:
+        raise InputError("up and down differ in width", where, "give both the same, as in up:16,down:16")
+    if ("a" in names) != ("b" in names):
+        raise InputError("one level of two", where, "declare both a and b, or neither")
+    return _form(tuple(names), widths.pop(), ())
+
+
+@lru_cache(_MOST_FORMS)
+def _form(names: tuple[str, ...], bits: int, labels: tuple[str, ...]) -> Columns:
+    """Return how to read lines of these columns, which have these labels unless there are none."""
+    group = {"": 1}  # of each column; of the time, a second one behind it holds the fraction
+    for name in names:
+        if name != "-":
+            group[name] = group[""]
+            group[""] += 2 if name in _TIMES else 1
+    fields = [_PATTERNS[name] for name in names]
+    separator, end = _SEPARATOR, ""
+    if labels:
+        other = rf"(?!(?i:{'|'.join(labels)}){_IS}){_NAME}{_IS}{_VALUE}"
+        fields = [f"{label}{_IS}{field}" for label, field in zip(labels, fields, strict=True)]
+        fields[0] = f"(?:{other}{_SEPARATOR})*+{fields[0]}"
+        separator, end = f"{_SEPARATOR}(?:{other}{_SEPARATOR})*+", f"(?:{_SEPARATOR}{other})*+"
+    time = next(name for name in names if name in _TIMES)
+    counts = [name for name in ("up", "down", "count", "ticks") if name in names]
+    up, down = (*counts, "")[:2]
+    checks = ("a", "b", "illegal", "xor")
+    has = frames.Capability
+    return Columns(
+        pattern=re.compile(rf"[ \t]*{separator.join(fields)}{end}[ \t]*\r*()".encode()),
+        names=names,
+        labels=labels,
+        counts=(group[time], group[time] + 1, group[up], group[down]),
+        checks=tuple(group.get(name, group[""]) for name in checks) if group.keys() & checks else (),
+        us_per_unit=_TIMES[time],
+        net=len(counts) == 1,
+        bits=bits,
+        capabilities=has(has.LEVELS * ("a" in names) | has.ILLEGAL * ("illegal" in names)),
+    )
+
+
+def _pairs(line: bytes) -> list[tuple[str, str]]:
+    """Return the labels in a line and their values."""
+    return [(label.decode("latin-1"), value.decode("latin-1")) for label, value in _LABELLED.findall(line)]
+
+
+def labelled_columns(line: bytes) -> str | None:
+    """Return the columns of a labelled line, as they are declared; None unless there are one time and one position.
+
+    Levels, ``illegal`` and ``xor`` are columns where their values can be such; else they are ignored as other labels.
+    """
+    pairs = [(label.lower(), value) for label, value in _pairs(line)]
+    kinds = [_KINDS.get(label) for label, _ in pairs]
+    single = {kind: pair for kind, pair in zip(kinds, pairs, strict=True) if kind and kinds.count(kind) == 1}
+    both = {"up", "down"} <= single.keys()
+    if "time" not in single or both == ("position" in single) or (both and "position" in kinds):
+        return None
+    names = [_TIME_OF_LABEL[single["time"][0]] or "t_us", *(["up", "down"] if both else ["count"])]
+    for name in ("a", "b", "illegal", "xor"):
+        if name in single and re.fullmatch(_PATTERNS[name], single[name][1]):
+            names.append(name)
+    if ("a" in names) != ("b" in names):
+        names = [name for name in names if name not in ("a", "b")]
+    return ",".join(names)
+
+
+class ColumnVote:
+    """Find the columns of labelled lines when none are declared: those that most of the first lines have."""
+
+    def __init__(self) -> None:
+        self._splitter = Splitter(b"\n", LONGEST_LINE)
+        self._found: list[str] = []
+
+    @property
+    def columns(self) -> str | None:
+        """The columns, as they are declared; None if no line has a time and a position."""
+        return max(self._found, key=self._found.count, default=None)
+
+    def feed(self, data: bytes) -> bool:
+        """Take bytes as they came; return whether they are enough."""
+        found = filter(None, map(labelled_columns, self._splitter.feed(data)))
+        self._found += islice(found, ENOUGH_LINES - len(self._found))
+        return len(self._found) == ENOUGH_LINES
+
+
+def lacking(line: bytes) -> tuple[str, str] | None:
+    """Return what the labels of a line lack, and what is expected; None without labels, or if they name a sample."""
+    labels = [label for label, _ in _pairs(line)]
+    if not labels or labelled_columns(line) is not None:
+        return None
+    kinds = [_KINDS.get(label.lower()) for label in labels]
+    seen = f"the lines have the labels {', '.join(labels)}"[:200]
+    positions, times = f"{', '.join(_COUNT_LABELS)}, or up and down", ", ".join(_TIME_OF_LABEL)
+    if not ("position" in kinds or {"up", "down"} <= set(kinds)):
+        return f"{seen}: none is a position", f"label the position as one of {positions}"
+    if "time" not in kinds:
+        return f"{seen}: none is a time", f"label the time as one of {times}"
+    which = "time" if kinds.count("time") > 1 else "position"
+    return f"{seen}: more than one is a {which}", "say by --columns which one to use, for example t_us,count"
