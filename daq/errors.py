@@ -11,6 +11,9 @@ Exit codes: 0 done (also after the first Ctrl-C), 1 a bug, 2 usage or bad input,
 5 the fit could not decide between laws (a result, not an error), 130 second Ctrl-C.
 """
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 EXIT_DONE = 0
 EXIT_BUG = 1
 EXIT_INPUT = 2
@@ -31,6 +34,13 @@ class StickslipError(Exception):
         The file, key, flag, port or sample it was found at.
     do : str
         What to do about it.
+
+    Attributes
+    ----------
+    data : dict
+        What was found out all the same: keys that stand beside ``error`` in the JSON document.
+    lines : list of str
+        The same in words, printed before the error.
     """
 
     exit_code = EXIT_BUG
@@ -40,6 +50,17 @@ class StickslipError(Exception):
         self.what = what
         self.where = where
         self.do = do
+        self.data: dict[str, Any] = {}
+        self.lines: list[str] = []
+
+    def add_result(self, data: Mapping[str, Any], lines: Sequence[str]) -> None:
+        """Add what was found out in spite of the error, as JSON keys and in words."""
+        self.data |= data
+        self.lines += lines
+
+    def as_json(self) -> dict[str, str]:
+        """Return what a JSON document has under ``error``."""
+        return {"what": self.what, "where": self.where, "do": self.do}
 
     def __str__(self) -> str:
         """One line: ``where: what; do``."""

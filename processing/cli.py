@@ -49,7 +49,7 @@ def smooth(
     Example: process smooth run.h5 --window 20ms
     """
     from daq.runfile import store
-    from processing import smoothing, stage, statistics, summary
+    from processing import smoothing, stage, summary
 
     asked = (method, window, order, times, belt_speed, repair_counts)
     motion: Kinematics | SmoothingSummary
@@ -61,7 +61,7 @@ def smooth(
         made = smoothing.smooth(store.load(file), *asked)
         stage.save(made, file)
         motion = made
-    counted = statistics.statistics(motion, *stage.load_columns(file, "position", "time"))
+    counted = stage.load_statistics(file)
     data = summary.as_json(motion) | {"statistics": counted.as_json()}
     lines = summary.sentences(motion, chosen=window == "auto") + counted.sentences(motion.unit)
     return Answer(data, [*lines, f"written to /entry/smooth of {file}"])

@@ -1,27 +1,32 @@
-"""Pictures of a smoothed run: position and velocity against time with the sticks shaded, and the phase portrait.
+"""Pictures of a smoothed run: position and velocity against time, the phase portrait, and the break-aways.
 
 matplotlib is imported here and nowhere else in `processing`; the look is that of ``stickslip.mplstyle``.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from daq.errors import InputError
 from daq.output import atomic
 from processing import portrait
 from processing.record import series
 from processing.record.kinematics import Kinematics
+from processing.statistics import FEWEST_SLIPS, StickSlipStatistics, from_kinematics, shown_length
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.gridspec import GridSpecBase
 
 STYLE = Path(__file__).with_name("stickslip.mplstyle")
 FORMATS = (".png", ".svg", ".pdf")
 CYCLES = 12  # drawn against time; the portrait shows them all
+MOST_DRAWN = 500  # break-aways drawn as shapes, of some 80 bytes each; more become an image of some 15 kB
+BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 
 SHADE, MOTION, STICK, BELT = "#f3e6c8", "#0072B2", "#E69F00", "#D55E00"
 
@@ -39,18 +44,65 @@ def inspection(kinematics: Kinematics) -> Figure:
     Figure
         Left: position (cm) and velocity (cm/s) against time (s), sticks shaded, from the beginning over at most
         `CYCLES` cycles.  Right: the phase portrait of the whole record.  In counts for a rig without a calibration.
+        Below, where there are at least `FEWEST_SLIPS` slips: the panels of `break_aways`.
     """
+    counted = from_kinematics(kinematics)
+    several = counted.slips >= FEWEST_SLIPS and len(counted.events) >= FEWEST_SLIPS
     factor, unit = (100.0, "cm") if kinematics.recording.unit == "m" else (1.0, kinematics.recording.unit)
     with mpl.rc_context(fname=STYLE):
-        figure = Figure(figsize=(11.5, 5.6), layout="constrained")
-        grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1.0), hspace=0.04, wspace=0.05)
+        figure = Figure(figsize=(11.5, 8.8 if several else 5.6), layout="constrained")
+        parts = figure.add_gridspec(2 if several else 1, 1, height_ratios=(5.6, 3.2) if several else None)
+        grid = parts[0].subgridspec(2, 2, width_ratios=(1.35, 1.0), hspace=0.04, wspace=0.05)
         above = figure.add_subplot(grid[0, 0])
         below = figure.add_subplot(grid[1, 0], sharex=above)
         right = figure.add_subplot(grid[:, 1])
+        if several:
+            _break_aways(figure, parts[1].subgridspec(1, 3, wspace=0.06), counted, kinematics.unit)
         _against_time(above, below, kinematics, factor, unit)
         _portrait(right, kinematics, factor, unit)
         figure.suptitle(_caption(kinematics), x=0.01, ha="left", fontsize=11.5)
     return figure
+
+
+def break_aways(counted: StickSlipStatistics, unit: str) -> Figure:
+    """Return a figure of the break-away levels: their distribution, their trend, and level against stick time.
+
+    Parameters
+    ----------
+    counted : StickSlipStatistics
+        Of one record, with at least one event.
+    unit : str
+        Unit of its lengths, "m" (drawn in mm) or "count".
+    """
+    with mpl.rc_context(fname=STYLE):
+        figure = Figure(figsize=(11.0, 3.2), layout="constrained")
+        _break_aways(figure, figure.add_gridspec(1, 3, wspace=0.06), counted, unit)
+    return figure
+
+
+def _break_aways(figure: Figure, cells: "GridSpecBase", counted: StickSlipStatistics, unit: str) -> None:
+    """Draw the three panels of `break_aways` into one row of cells."""
+    distribution, trend, stick = (figure.add_subplot(cells[0, column]) for column in range(3))
+    factor, shown = shown_length(unit)
+    time, level = counted.column("t"), factor * counted.column("break_away_m")
+    label = f"break-away level ({shown})"
+    bins = int(np.clip(np.sqrt(level.size), *BINS))
+    distribution.hist(level, bins, color=MOTION, alpha=0.55, edgecolor="white", lw=0.6)
+    distribution.axvline(level.mean(), color=BELT, lw=1.2, ls=(0, (5, 3)), label=f"mean {level.mean():.4g} {shown}")
+    distribution.yaxis.set_major_locator(MaxNLocator(integer=True))
+    distribution.set(title="distribution", xlabel=label, ylabel="number of break-aways")
+    cloud: dict[str, Any] = {"ms": 4, "mew": 0, "color": MOTION, "alpha": 0.75, "rasterized": level.size > MOST_DRAWN}
+    trend.plot(time, level, "o", **cloud)
+    summary = counted.summary("break_away_m")
+    if summary is not None and summary["trend_per_s"] is not None:
+        slope, ends = factor * summary["trend_per_s"], np.array([time.min(), time.max()])
+        line = level.mean() + slope * (ends - time.mean())
+        trend.plot(ends, line, color=BELT, lw=1.4, label=f"trend {slope:+.2g} {shown}/s")
+    trend.set(title="against time", xlabel="time (s)", ylabel=label)
+    stick.plot(counted.column("stick_s"), level, "o", **cloud)
+    stick.set(title="against stick time", xlabel="stick time (s)", ylabel=label)
+    for axes in (distribution, trend):
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), borderaxespad=0.2, handlelength=1.6)
 
 
 def _caption(kinematics: Kinematics) -> str:

@@ -12,6 +12,10 @@
       kicks           NXdata      one row a step of the velocity: sample, step (absent without any)
       faults          NXdata      one row a run of samples left out: first, last, frozen (1) or spike (0) (likewise)
       findings        NXcollection  one row a contradiction or fault: code, text, value, expected, sigmas (likewise)
+      break_aways     NXdata      one row a break-away: stick_time, slip_time, drop and break_away (the level) over
+                                  time, NaN where the record does not show it whole (likewise)
+      statistics      NXcollection  sticks, slips, spikes, frozen; mean, sd, min, max and trend of each of the columns
+                                  of break_aways, as break_away_mean (absent with fewer than three slips)
 """
 
 from collections.abc import Mapping
@@ -31,8 +35,11 @@ from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.lost_counts import LostCounts
 from processing.record.motion import Phase, VelocityStep
 from processing.record.noise import position_noise
+from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematics, statistics
 
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
+EVENTS = {"stick_s": "stick_time", "slip_s": "slip_time", "drop_m": "drop", "break_away_m": "break_away"}
+COUNTS = ("sticks", "slips", "spikes", "frozen")
 
 
 def save(kinematics: Kinematics, path: Path) -> None:
@@ -157,6 +164,24 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
             nexus.field(made, name, [getattr(finding, name) for finding in motion.findings])
         for name in ("value", "expected", "sigmas"):
             nexus.field(made, name, np.array([getattr(finding, name) for finding in motion.findings]), "")
+    kinematics = smooth["kinematics"]
+    _write_statistics(smooth, statistics(motion, kinematics["position"][()], kinematics["time"][()]), unit)
+
+
+def _write_statistics(smooth: h5py.Group, counted: StickSlipStatistics, unit: str) -> None:
+    made = nexus.group(smooth, "statistics", "NXcollection")
+    for name in COUNTS:
+        nexus.field(made, name, np.int64(getattr(counted, name)))
+    for name, stored in EVENTS.items():
+        own = "s" if name.endswith("_s") else unit
+        for key, value in (counted.summary(name) or {}).items():
+            if value is not None:
+                per = "/s" if key == "trend_per_s" else ""
+                nexus.field(made, f"{stored}_{key.removesuffix('_per_s')}", np.float64(value), own + per)
+    if counted.events:
+        columns = {EVENTS[name]: (counted.column(name), "s" if name.endswith("_s") else unit) for name in EVENTS}
+        columns["time"] = (counted.column("t"), "s")
+        nexus.table(smooth, "break_aways", columns, axis="time", signal="break_away", title="break-aways")
 
 
 def load(path: Path) -> Kinematics | None:
@@ -204,10 +229,27 @@ def load(path: Path) -> Kinematics | None:
         )
 
 
-def load_columns(path: Path, *names: str) -> list[Array]:
-    """Return columns of the kinematics of a smoothed run, each of shape (n,), without reading the others."""
+def load_statistics(path: Path) -> StickSlipStatistics:
+    """Read the statistics of stick-slip back; of a stage written before they were stored, computed again.
+
+    Raises
+    ------
+    InputError
+        As `load` does, and for a run that is not smoothed.
+    """
     with store.opened(path) as file:
-        return [nexus.read_array(file["entry"], f"smooth/kinematics/{name}", np.float64, path) for name in names]
+        entry = file["entry"]
+        if "smooth/statistics" in entry:
+            counts = [int(nexus.read_number(entry, f"smooth/statistics/{name}", path)) for name in COUNTS]
+            return StickSlipStatistics(
+                **dict(zip(COUNTS, counts, strict=True)),
+                dropped_frames=_dropped_frames(entry, path),
+                events=_slip_events(entry, path),
+            )
+    motion = load(path)
+    if motion is None:
+        raise InputError("is not smoothed yet", str(path), f"run: process smooth {path.name}")
+    return from_kinematics(motion)
 
 
 def _noise(entry: h5py.Group, recording: Recording, times: str, path: Path) -> float:
@@ -240,6 +282,14 @@ def _findings(entry: h5py.Group, path: Path) -> tuple[Finding, ...]:
         for name in ("value", "expected", "sigmas")
     ]
     return tuple(Finding(*row) for row in zip(code, text, *numbers, strict=True))
+
+
+def _slip_events(entry: h5py.Group, path: Path) -> tuple[SlipEvent, ...]:
+    if "smooth/break_aways" not in entry:
+        return ()
+    names = ("time", *EVENTS.values())
+    columns = [nexus.read_array(entry, f"smooth/break_aways/{name}", np.float64, path) for name in names]
+    return tuple(SlipEvent(*row) for row in zip(*(column.tolist() for column in columns), strict=True))
 
 
 def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:

@@ -105,23 +105,38 @@ class StickSlipStatistics:
         ]
         return document
 
+    def rows(self, unit: str) -> list[tuple[str, str, str, str, str, str, str]]:
+        """Return the table of the quantities as text: name, mean, sd, min, max, trend ("" over several records), unit.
+
+        Lengths are in mm, or in counts where ``unit`` is "count".
+        """
+        found = []
+        for name, own in QUANTITIES.items():
+            summary = self.summary(name)
+            if summary is None:
+                continue
+            size, shown = (1.0, own) if own == "s" else shown_length(unit)
+            mean, sd, low, high = (f"{size * (summary[key] or 0.0):.4g}" for key in ("mean", "sd", "min", "max"))
+            trend = summary["trend_per_s"]
+            drift = "" if trend is None else f"{size * trend:+.2g} {shown}/s"
+            found.append((TITLES[name], mean, sd, low, high, drift, shown))
+        return found
+
     def sentences(self, unit: str) -> list[str]:
         """Return a compact table as lines; lengths in mm, or in counts where ``unit`` is "count"."""
         if not self.sticks:
             return []
         if self.slips < FEWEST_SLIPS:
             return [f"statistics: {self.slips} slips are too few (at least {FEWEST_SLIPS})"]
-        lines = []
-        for name, own in QUANTITIES.items():
-            found = self.summary(name)
-            if found is None:
-                continue
-            size, shown = (1.0, own) if own == "s" else (1e3, "mm") if unit == "m" else (1.0, unit)
-            mean, sd, low, high = (f"{size * (found[key] or 0.0):.4g}" for key in ("mean", "sd", "min", "max"))
-            trend = found["trend_per_s"]
-            drift = "" if trend is None else f", trend {size * trend:+.2g} {shown}/s"
-            lines.append(f"{TITLES[name]:10} {mean} ± {sd} {shown} ({low} to {high}{drift})")
-        return lines
+        return [
+            f"{name:10} {mean} ± {sd} {shown} ({low} to {high}{f', trend {drift}' if drift else ''})"
+            for name, mean, sd, low, high, drift, shown in self.rows(unit)
+        ]
+
+
+def shown_length(unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which lengths in ``unit`` ("m" or "count") are shown."""
+    return (1e3, "mm") if unit == "m" else (1.0, unit)
 
 
 def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSlipStatistics:

@@ -1,7 +1,8 @@
 """The terminal: results on stdout, progress and errors on stderr, one exit-code rule.
 
 A command returns an `Answer`; `main` prints it as text, or with ``--json`` as a single JSON document.
-Errors of `daq.errors` become one line on stderr, or ``{"error": {"what", "where", "do"}}`` on stdout under ``--json``.
+Errors of `daq.errors` become one line on stderr, or ``{"error": {"what", "where", "do"}}`` on stdout under ``--json``;
+what such an error has found out all the same goes to stdout, before the line or beside ``error``.
 Nothing here imports numpy: arrays are written through their own ``tolist``.
 
 What is printed decides nothing: a stderr that is closed, full or gone loses its lines and raises no error.  A result
@@ -106,14 +107,15 @@ def note(line: str) -> None:
     sys.stderr.write(line + "\n")
 
 
-def _fail(name: str, what: str, where: str, do: str, code: int, as_json: bool) -> int:
-    if as_json:
-        try:
-            print_json({"error": {"what": what, "where": where, "do": do}})
+def _fail(name: str, error: StickslipError, code: int, as_json: bool) -> int:
+    try:
+        if as_json:
+            print_json({"error": error.as_json()} | error.data)
             return code
-        except OSError:
-            _discard_stdout()
-    note(f"{name}: {StickslipError(what, where, do)}")
+        _print_text(error.lines)
+    except OSError:
+        _discard_stdout()
+    note(f"{name}: {error}")
     return code
 
 
@@ -142,24 +144,26 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     try:
         answer = app(list(arguments), exit_on_error=False, print_error=False)
     except StickslipError as error:
-        return _fail(name, error.what, error.where, error.do, error.exit_code, as_json)
+        return _fail(name, error, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
         what = " ".join(str(error).split())
         command = " ".join([name, *(error.command_chain or ())])
-        return _fail(name, what, "command line", f"see '{command} --help'", EXIT_INPUT, as_json)
+        usage = StickslipError(what, "command line", f"see '{command} --help'")
+        return _fail(name, usage, EXIT_INPUT, as_json)
     except KeyboardInterrupt:
-        return _fail(name, "interrupted", "", "", EXIT_INTERRUPTED, as_json)
+        return _fail(name, StickslipError("interrupted"), EXIT_INTERRUPTED, as_json)
     except BrokenPipeError:  # the reader of a help page has gone, as `| head` does
         _discard_stdout()
         return EXIT_DONE
     except OSError as error:
         do = "check the path, its permissions and the free space on the disk"
-        return _fail(name, error.strerror or str(error), str(error.filename or name), do, EXIT_DEVICE, as_json)
+        refused = StickslipError(error.strerror or str(error), str(error.filename or name), do)
+        return _fail(name, refused, EXIT_DEVICE, as_json)
     except Exception as error:
         if not as_json:
             raise
-        what = f"{type(error).__name__}: {error}"
-        return _fail(name, what, name, "this is a bug: run it again without --json and report it", EXIT_BUG, as_json)
+        do = "this is a bug: run it again without --json and report it"
+        return _fail(name, StickslipError(f"{type(error).__name__}: {error}", name, do), EXIT_BUG, as_json)
     try:
         return _shown(answer, as_json)
     except BrokenPipeError:
@@ -168,7 +172,8 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     except OSError as error:  # an error in JSON could not be written there either
         _discard_stdout()
         what = f"the command is done, but its result could not be printed: {error.strerror or error}"
-        code = _fail(name, what, "stdout", "check the free space where stdout goes", EXIT_DEVICE, as_json=False)
+        unprinted = StickslipError(what, "stdout", "check the free space where stdout goes")
+        code = _fail(name, unprinted, EXIT_DEVICE, as_json=False)
         return (answer.exit_code if isinstance(answer, Answer) else EXIT_DONE) or code
 
 

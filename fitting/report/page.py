@@ -15,6 +15,7 @@ from fitting.report import plot
 from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_length
 from processing.record.kinematics import Kinematics
+from processing.statistics import from_kinematics
 
 TEMPLATES = Path(__file__).with_name("templates")
 MARK = '<meta name="generator" content="stickslip fit-friction'
@@ -79,6 +80,7 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
     )
     recording = kinematics.recording
     cut, motion = ranking.cut, ranking.motion
+    counted = from_kinematics(kinematics)
     return environment.get_template("report.html").render(
         mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
         title=recording.title or recording.source.name,
@@ -95,7 +97,8 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         confidence=f"{100 * (1 - alpha):g} %",
         events=[_event(event) for event in ranking.events],
         warnings=ranking.warnings,
-        pictures={name: Markup(text) for name, text in plot.draw(ranking).items()},
+        statistics=counted.rows(kinematics.unit),
+        pictures={name: Markup(text) for name, text in plot.draw(ranking, counted).items()},
         facts=[
             ("record", f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples"),
             ("break-aways", f"{len(cut.cycles)} found, {len(cut.used)} fitted"),

@@ -1,4 +1,6 @@
-"""Pictures of a ranking, each a matplotlib Figure: portrait, friction curves, residuals, evidence, levels, cost.
+"""Pictures of a report, each a matplotlib Figure: portrait, friction curves, residuals, evidence, levels, cost.
+
+The picture of the break-aways is that of `process inspect`.
 
 matplotlib is imported here and nowhere else in `fitting`; the look is that of processing's style file.
 """
@@ -17,12 +19,15 @@ from daq.compute.arrays import Array
 from fitting.data.cycles import Cycle
 from fitting.report import curves
 from fitting.selection.result import Ranking
-from processing.plot import STYLE
+from processing.plot import STYLE, break_aways
+from processing.statistics import StickSlipStatistics
 
 COLOURS = {1: "#56B4E9", 2: "#0072B2", 3: "#E69F00", 4: "#D55E00", 5: "#009E73", 6: "#CC79A7"}
 MEASURED = "#9a9a9a"
 INK = "#222222"
-RESOLUTION = 220  # dots per inch of the clouds, which are pictures inside the vector drawing
+# Dots per inch of the clouds, which are pictures inside the vector drawing.  A page is to stay below 500 kB: that of
+# data_samples/law5.h5 has 525 kB at 220.  At 180 a printed page has some 280 dots an inch.
+RESOLUTION = 180
 MOST_POINTS = 12_000
 
 
@@ -179,7 +184,10 @@ def _since_break_away(time: Array, rows: tuple[slice, ...], cycles: tuple[Cycle,
 PICTURES = (portrait, friction, residuals, evidence, levels, cost)
 
 
-def draw(ranking: Ranking) -> dict[str, str]:
-    """Return every picture of the report as an ``<svg>`` element, by name."""
+def draw(ranking: Ranking, counted: StickSlipStatistics) -> dict[str, str]:
+    """Return every picture of the report as an ``<svg>`` element, by name; `break_aways` where there are statistics."""
     with mpl.rc_context(fname=str(STYLE)):
-        return {picture.__name__: svg(picture(ranking)) for picture in PICTURES}
+        drawn = {picture.__name__: svg(picture(ranking)) for picture in PICTURES}
+        if counted.rows("m"):
+            drawn["break_aways"] = svg(break_aways(counted, "m"))
+    return drawn

@@ -16,6 +16,7 @@ from daq.runfile import store
 from processing import stage
 from processing.record.finding import Finding
 from processing.smoothing import smooth
+from processing.statistics import from_kinematics
 
 
 @pytest.fixture
@@ -64,8 +65,30 @@ def test_noise_of_a_stage_written_before_it_was_kept_is_estimated_again(path):
     assert stage.load(path).noise == made.noise
 
 
+def test_the_statistics_are_stored_with_units_and_computed_for_an_older_stage(path):
+    made = smooth(daq.load(path))
+    stage.save(made, path)
+    expected = from_kinematics(made).as_json()
+    stored = stage.load_statistics(path)
+    assert repr(stored.as_json()) == repr(expected)
+    with xarray.open_dataset(path, engine="h5netcdf", group="entry/smooth/break_aways") as table:
+        assert table["break_away"].dims == ("time",)
+        assert table["break_away"].attrs["units"] == "m"
+        assert table["break_away"].values.tolist() == [row["break_away_m"] for row in expected["break_aways"]]
+    with h5py.File(path, "r+") as file:
+        counted = file["entry/smooth/statistics"]
+        assert counted["slips"][()] == expected["slips"] > 3
+        assert counted["break_away_mean"][()] == expected["break_away_m"]["mean"]
+        assert counted["break_away_trend"].attrs["units"] == "m/s"
+        del file["entry/smooth/statistics"]
+        del file["entry/smooth/break_aways"]
+    assert repr(stage.load_statistics(path).as_json()) == repr(expected)
+
+
 def test_a_run_that_was_not_smoothed_has_no_stage(path):
     assert stage.load(path) is None
+    with pytest.raises(InputError, match=r"not smoothed yet; run: process smooth run\.h5"):
+        stage.load_statistics(path)
 
 
 def test_raw_data_are_untouched_and_smoothing_again_replaces(path):
