@@ -3,7 +3,7 @@
 import os
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,13 @@ SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, *FAILURES)  # least first
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a run has no ranking, and the exit code that it alone would end in."""
+    """Why a run has no ranking, the exit code that it alone would end in, and what was found out all the same."""
 
     what: str
     where: str
     do: str
     code: int
+    data: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class BatchRow:
         if self.failure is None:
             return {"file": self.file} | self.document
         error = {"what": self.failure.what, "where": self.failure.where, "do": self.failure.do}
-        return {"file": self.file, "error": error}
+        return {"file": self.file, "error": error} | self.failure.data
 
 
 def fit(
@@ -137,7 +138,7 @@ def _saved(file: Path, place: Path, found: FitOutput | Failure) -> BatchRow:
 def _failure(error: Exception, file: Path) -> Failure:
     """Return what the command would say of an error, and end in."""
     if isinstance(error, StickslipError):
-        return Failure(error.what, error.where, error.do, error.exit_code)
+        return Failure(error.what, error.where, error.do, error.exit_code, error.data)
     if isinstance(error, OSError):
         do = "check the path, its permissions and the free space on the disk"
         return Failure(error.strerror or str(error), os.fspath(error.filename or file), do, errors.EXIT_DEVICE)

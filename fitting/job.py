@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.errors import InputError
+from daq.errors import DataError, InputError
 from daq.runfile import store as runfile
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
@@ -92,25 +92,39 @@ def fit_runs(
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FitOutput:
-    """Smooth what is not yet smoothed, rank the laws, and write the pages."""
+    """Smooth what is not yet smoothed, rank the laws, and write the pages.
+
+    Raises
+    ------
+    DataError
+        When the laws cannot be ranked; it holds the statistics and the findings of smoothing.
+    """
     # Sticks are looked for at the record's own speed: a wrong stated one would hide them.
     motions = [smooth(run.recording) if run.kinematics is None else run.kinematics for run in runs]
-    ranking = rank(
-        motions,
-        [run.rig for run in runs],
-        options.laws,
-        belt_speed=options.belt_speed,
-        excluded=options.excluded,
-        alpha=options.alpha,
-        jobs=jobs,
-        progress=progress,
-        scheduler=scheduler,
-    )
+    counted = tuple(from_kinematics(motion) for motion in motions)
+    try:
+        ranking = rank(
+            motions,
+            [run.rig for run in runs],
+            options.laws,
+            belt_speed=options.belt_speed,
+            excluded=options.excluded,
+            alpha=options.alpha,
+            jobs=jobs,
+            progress=progress,
+            scheduler=scheduler,
+        )
+    except DataError as error:
+        together = pooled(counted)
+        findings = [vars(finding) for motion in motions for finding in motion.findings]
+        document = {"statistics": together.as_json(), "findings": findings}
+        error.add_result(document, together.sentences(motions[0].unit))
+        raise
     sides = ranking.runs or (ranking,)
     return FitOutput(
         ranking,
         tuple(report.render(side, motion, options.alpha) for side, motion in zip(sides, motions, strict=True)),
-        tuple(from_kinematics(motion) for motion in motions),
+        counted,
     )
 
 

@@ -73,6 +73,7 @@ def test_a_batch_says_of_each_run_what_the_command_says_of_it_alone(folder, caps
     assert without_times(three) == without_times(alone["three"])
     assert "HDF5" in none["error"]["what"]
     assert "complete stick-slip" in short["error"]["what"]
+    assert short["statistics"]["slips"] > 0
     assert "no such file" in missing["error"]["what"]
     assert code == 2
     with h5py.File(files[0]) as file:

@@ -40,12 +40,15 @@ def force_record(slips=24, belt=1e-3, seed=3, rate=500.0):
     return time, position, np.array(tops), np.array(drops), int(wild.sum())
 
 
+def recorded(time, position):
+    at = "2024-05-01T12:00:00+02:00"
+    return Recording("", at, at, 500.0, Rig(), time, position)
+
+
 @pytest.fixture(scope="module")
 def motion():
     time, position, *known = force_record()
-    at = "2024-05-01T12:00:00+02:00"
-    recording = Recording("", at, at, 500.0, Rig(), time, position)
-    return processing.smooth(recording), known
+    return processing.smooth(recorded(time, position)), known
 
 
 def test_the_statistics_of_a_force_record_are_those_it_was_made_with(motion):
@@ -80,19 +83,23 @@ def test_what_an_end_of_the_record_cuts_off_has_no_duration(motion):
     assert all(math.isfinite(event["break_away_m"]) for event in events)
 
 
-def test_the_commands_print_the_statistics(motion, tmp_path, capsys):
+def test_the_commands_print_and_draw_the_statistics(tmp_path, capsys):
     import json
 
     from daq.console import application
     from daq.runfile import store
     from processing import cli
 
-    path = tmp_path / "run.h5"
-    store.write(path, motion[0].recording)
+    recording = recorded(*force_record(slips=8)[:2])
+    path, picture = tmp_path / "run.h5", tmp_path / "run.svg"
+    store.write(path, recording)
     assert application.run(cli.app, ["smooth", str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["statistics"]
-    expected = json.loads(json.dumps(statistics.from_kinematics(motion[0]).as_json()))
+    expected = json.loads(json.dumps(statistics.from_kinematics(processing.smooth(recording)).as_json()))
     assert found["break_aways"] == expected["break_aways"]
     assert set(found["slip_s"]) == {"mean", "sd", "min", "max", "trend_per_s"}
-    assert application.run(cli.app, ["inspect", str(path)]) == 0
+    assert application.run(cli.app, ["inspect", str(path), "--plot", str(picture)]) == 0
     assert "break-away" in capsys.readouterr().out
+    drawn = picture.read_text()
+    assert "break-away level (mm)" in drawn
+    assert f"mean {1e3 * found['break_away_m']['mean']:.4g} mm" in drawn

@@ -10,6 +10,7 @@ import pytest
 from daq.cli import app as daq_cli
 from daq.console import application
 from daq.errors import DataError
+from daq.runfile import store
 from daq.runfile.rig import Measured, Rig
 from fitting import cli
 from fitting.estimation import search
@@ -125,6 +126,22 @@ def test_a_belt_that_never_runs_is_named_so(synthetic):
 def test_a_few_cycles_are_counted_and_more_asked_for(synthetic, seconds, cycles):
     with pytest.raises(DataError, match=f"^.*{cycles} complete stick-slip cycles?; a verdict needs 4; record longer"):
         rank(smooth(synthetic.recording(law=5, duration=seconds)))
+
+
+def test_a_refused_record_keeps_its_statistics(synthetic, tmp_path, capsys):
+    # The error stood alone: what the record shows without any law was printed only with a ranking.
+    run = tmp_path / "run.h5"
+    store.write(run, synthetic.recording(law=5, duration=7.0))
+    assert application.run(cli.app, [str(run), "--json"]) == 4
+    document = json.loads(capsys.readouterr().out)
+    assert set(document) == {"error", "statistics", "findings"}
+    assert document["statistics"]["slips"] >= 3
+    assert document["statistics"]["break_away_m"]["mean"] > 0.05
+    assert application.run(cli.app, [str(run)]) == 4
+    shown = capsys.readouterr()
+    assert shown.out.splitlines()[-1].startswith("break-away ")
+    assert shown.err.startswith("fit-friction: ")
+    assert "a verdict needs 4" in shown.err
 
 
 def test_less_than_a_cycle_is_no_stick_slip_yet(synthetic):
