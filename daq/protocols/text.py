@@ -155,7 +155,7 @@ class Text(Session):
             what = f"the time in the lines advances by {1e3 * advanced:.3g} ms in {took:.3g} s"
             raise DeviceError(what, self.url, "give its unit by the column, as in --columns t_ms,count")
         self._coarse = all(ticks % MILLISECOND == 0 for ticks in times)
-        self._even = all(step > 0 and step % typical == 0 for step in steps)  # a line may be missing
+        self._even = typical > 0 and all(step > 0 and step % typical == 0 for step in steps)  # a line may be missing
         least, most = 0.5 * typical, 1.5 * typical
         if self._coarse and not self._even:  # its steps differ by a millisecond: their mean is the interval
             least, most = 0.0, max(most, typical + 2 * MILLISECOND)

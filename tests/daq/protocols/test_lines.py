@@ -329,7 +329,9 @@ def test_the_columns_of_labelled_lines_are_found_and_kept(line, found):
 def test_the_rate_of_a_coarse_clock_is_that_of_all_lines(micros):
     # Steps of 1, 2, 1, 2 ms used to be 1000 Hz, and more than two lines in a millisecond to be a clock that stands.
     wish = RecordRequest(columns="ms,count")
-    assert planned(lambda k: b"%d,7\n" % (micros * k // 1000), wish).rate_hz == pytest.approx(1e6 / micros, rel=3e-3)
+    assert planned(lambda k: b"%d,7\n" % ((micros * k + 500) // 1000), wish).rate_hz == pytest.approx(
+        1e6 / micros, rel=3e-3
+    )
 
 
 def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
