@@ -128,11 +128,14 @@ def smooth_file(
     begun = clock.process_time()
     _check(method, repair_counts)
     n = store.samples(path)
-    some = _spread(path, n, times)
-    setting = _setting(window, order, belt_speed, some)
-    if registry.resolve(method, setting) == "sg" and setting.window is None:
-        chosen = window_choice.choose(without_faults(some).series, setting.order)
-        setting = replace(setting, window=chosen.window, order=chosen.order)
+    if window == "auto" and order is None and method != "sg":
+        setting = Setting(None, None, parse_belt_speed(belt_speed))
+    else:
+        some = _spread(path, n, times)
+        setting = _setting(window, order, belt_speed, some)
+        if registry.resolve(method, setting) == "sg" and setting.window is None:
+            chosen = window_choice.choose(without_faults(some).series, setting.order)
+            setting = replace(setting, window=chosen.window, order=chosen.order)
     reader = _Reader(path, n, times, max(MARGIN, 2 * (setting.window or 0)))
     blocks = BlockSmoother(method, setting, repair_counts)
     first = store.load(path, slice(0, 1))

@@ -35,6 +35,23 @@ def captures() -> Path:
 
 
 @pytest.fixture(scope="session")
+def published() -> Callable[[str], Any]:
+    """Give a function that imports a published record of paper on paper by its name."""
+    from daq.imports import track
+    from daq.imports.options import ImportOptions
+
+    root = Path(__file__).resolve().parents[1]
+    folder = Path(os.environ.get("STICKSLIP_SHARED", root.parent / "shared")) / "records/paper-on-paper"
+    if not folder.is_dir():
+        pytest.skip(f"no records at {folder}; set STICKSLIP_SHARED to the folder that holds records/")
+
+    def of(name: str) -> Any:
+        return track.read(folder / f"{name}.mat", ImportOptions(time="t", position="Fnorm")).run
+
+    return of
+
+
+@pytest.fixture(scope="session")
 def write_capture() -> Callable[..., Path]:
     """Return a function that writes a logic-analyser capture as sigrok does."""
     return _capture

@@ -38,10 +38,11 @@ def find_outliers(x: Array, limit: float, share: float, found: Integers, size: A
     n = x.size - 6
     for i in range(3, n + 3):
         here = x[i]
+        # These two first: they cost least, and reject nearly every reading.
+        if abs(here - 2 * x[i - 1] + x[i - 2]) <= limit or abs(here - 2 * x[i + 1] + x[i + 2]) <= limit:
+            continue
         off = abs(here - median_of_five(x[i - 2], x[i - 1], here, x[i + 1], x[i + 2]))
         if off <= limit:
-            continue
-        if abs(here - 2 * x[i - 1] + x[i - 2]) <= limit or abs(here - 2 * x[i + 1] + x[i + 2]) <= limit:
             continue
         before, behind = abs(x[i - 1] - 2 * x[i - 2] + x[i - 3]), abs(x[i + 1] - 2 * x[i + 2] + x[i + 3])
         if off <= 2 * min(before, behind) + 0.4 * max(before, behind):

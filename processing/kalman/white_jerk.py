@@ -24,7 +24,7 @@ from processing.kalman import jerk_kernel
 from processing.kalman.first_state import first_state
 from processing.polynomial import uneven
 from processing.record.motion import Motion
-from processing.record.series import Series
+from processing.record.series import Series, computed_once
 from processing.record.stretches import representative_stretches
 
 KERNELS = ("processing.kalman.jerk_kernel",)
@@ -49,6 +49,7 @@ class Noise:
         return self.jerk * interval**5 / self.reading
 
 
+@computed_once
 def fit(series: Series) -> Noise:
     """Find the noise levels of greatest likelihood.
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from daq.compute.arrays import Array, Integers
-from processing.record.series import Series
+from processing.record.series import Series, computed_once
 
 ORDER = 4  # of the differences: the third leave motion of 30 samples a second, the fifth gain nothing
 MOST = 2**12  # differences looked at, spread over the record: their median is known to 2 %
@@ -26,6 +26,7 @@ GOLDEN = 0.6180339887498949  # its multiples modulo 1 are spread evenly
 NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal number
 
 
+@computed_once
 def position_noise(series: Series) -> float:
     """Return the standard deviation of one position, m (or counts, as the positions are).
 

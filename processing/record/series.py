@@ -5,10 +5,12 @@ of more than `HOLE` sample intervals ends a piece, and so does a new segment; no
 A shorter hole (a lost sample or two) stays inside its piece: the recorded times say where the neighbours lie.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, wraps
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,8 @@ HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or tw
 LONG = 0.03  # s: a hole left by faults, as long as the shortest stick, may hide one: nothing is smoothed across it
 LEAST = 5  # samples: a local parabola and its error need as many
 TIMES = ("recorded", "nominal")
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +69,19 @@ class Series:
         """Positions of each piece on its even grid, in counts; empty for a lone sample.  Needs a pitch."""
         own = [(self.time[piece], self.position[piece] / self.pitch) for piece in self.pieces]
         return tuple(even_grid(time, count) if time.size > 1 else np.empty(0) for time, count in own)
+
+
+def computed_once(function: Callable[[Series], Result]) -> Callable[[Series], Result]:
+    """Return ``function``, whose result is kept for as long as the series it was computed from exists."""
+    found: WeakKeyDictionary[Series, Result] = WeakKeyDictionary()
+
+    @wraps(function)
+    def kept(series: Series) -> Result:
+        if series not in found:
+            found[series] = function(series)
+        return found[series]
+
+    return kept
 
 
 def from_recording(

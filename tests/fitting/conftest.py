@@ -1,15 +1,12 @@
 """Rankings of synthetic runs and smoothed runs of the simulated rig, made once and shared by the tests of the fit."""
 
 import importlib.util
-import os
 import sys
 from functools import cache
 from pathlib import Path
 
 import pytest
 
-from daq.imports import track
-from daq.imports.options import ImportOptions
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
@@ -63,19 +60,6 @@ def motion_of(synthetic):
     def of(**changes):
         recording = synthetic.recording(**changes)
         return frame.from_kinematics(smooth(recording), recording.rig, None)
-
-    return of
-
-
-@pytest.fixture(scope="session")
-def published():
-    """Give a function that imports a published record of paper on paper by its name."""
-    folder = Path(os.environ.get("STICKSLIP_SHARED", Path(__file__).parents[3] / "shared")) / "records/paper-on-paper"
-    if not folder.is_dir():
-        pytest.skip(f"no records at {folder}; set STICKSLIP_SHARED to the folder that holds records/")
-
-    def of(name):
-        return track.read(folder / f"{name}.mat", ImportOptions(time="t", position="Fnorm")).run
 
     return of
 

@@ -249,6 +249,14 @@ def test_a_belt_that_moves_whole_counts_a_sample_does_not_overflow_the_likelihoo
     assert velocity_error(found, true.v)[0] < 1.0
 
 
+def test_noise_levels_of_a_record_are_fitted_once(motion, recorded):
+    # The first motion, the search for plateaus and the bridge across faults fitted them three times.
+    data, other = (series.from_recording(recorded(motion(5, 3.0, seed=seed))) for seed in (1, 2))
+    noise = white_jerk.fit(data)
+    assert white_jerk.fit(data) is noise
+    assert white_jerk.fit(other) != noise
+
+
 @pytest.mark.parametrize("method", ["rts", "segment"])
 @pytest.mark.parametrize("setting", [Setting(41, 4), Setting(None, 4)])
 def test_a_smoother_has_no_window(motion, recorded, method, setting):
