@@ -229,7 +229,7 @@ def test_the_examples_of_calibrate_run_on_the_simulated_rig(capsys, tmp_path):
         (["calibrate", "--port", "/dev/ttyNOPE", "--distance", "0.1"], 3),
         (["calibrate", "--port", "rig://rig", "--duration", "-1"], 2),
         (["calibrate", "--port", "rig://rig", "--move", "nan", "--distance", "0.1"], 2),
-        (["calibrate", "--port", "/dev/null", "--protocol", "text"], 2),
+        (["calibrate", "--port", "/dev/null", "--protocol", "text", "--columns", "t_us,cuont"], 2),
     ],
 )
 def test_nobody_is_asked_to_do_anything_before_the_request_is_known_to_be_possible(capsys, arguments, code):
