@@ -154,9 +154,9 @@ def contain(problem: EstimationProblem, near: Fit) -> Fit | None:
 
 
 def fit_from(problem: EstimationProblem, near: Fit) -> Fit | None:
-    """Fit one law from another's fit alone, refined; None where that leads nowhere."""
+    """Fit one law from another's fit alone, refined where that succeeds; None where it leads nowhere."""
     first = coarse_fit(problem, near, alone=True)
-    return None if first is None else refine(first)
+    return None if first is None else refine(first) or first
 
 
 def final_fit(fit: Fit) -> Fit:
