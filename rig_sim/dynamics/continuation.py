@@ -91,9 +91,10 @@ def continuation(
     fixed, stable, unstable = [], [], []
     for done, value in enumerate(values.tolist()):
         flow = flow_at(value)
+        orbit = cycle(flow)
         fixed.append(BranchPoint(value, fixed_point(flow)))
-        stable.append(BranchPoint(value, floquet(flow, "stable")))
-        unstable.append(BranchPoint(value, floquet(flow, "unstable")))
+        stable.append(BranchPoint(value, floquet(flow, "stable", orbit=orbit)))
+        unstable.append(BranchPoint(value, floquet(flow, "unstable", orbit=orbit)))
         progress(done + 1.0)
     points = [*stability_changes(flow_at, fixed), *folds(flow_at, stable)]
     branches = [

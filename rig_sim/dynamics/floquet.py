@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rig_sim.dynamics.fixed_point import fixed_point
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.limit_cycle import Orbit, cycle
 from rig_sim.dynamics.minimum_map import MinimumTurn, next_minimum
 from rig_sim.dynamics.return_map import STEPS_ALLOWED_HERE
 from rig_sim.integrate import modes
@@ -51,8 +51,10 @@ class FloquetOrbit:
     sequence: str = ""
 
 
-def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable") -> FloquetOrbit:
+def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbit: Orbit | None = None) -> FloquetOrbit:
     """Return the stable or the unstable periodic orbit of a flow (one mass, no drive) with its multipliers.
+
+    ``orbit`` is what `rig_sim.dynamics.limit_cycle.cycle` finds of the flow, where that is known already.
 
     Raises
     ------
@@ -63,7 +65,7 @@ def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable") -> Floq
     -----
     Not looked for: a second unstable orbit between the same two attractors, and orbits that no attractor bounds.
     """
-    orbit = cycle(flow)
+    orbit = cycle(flow) if orbit is None else orbit
     if orbit.outcome not in ("cycle", "grazing") or orbit.x_min is None or orbit.x_max is None:
         if which == "unstable" and orbit.outcome == "fixed point":
             return FloquetOrbit("no cycle", "no stick-slip orbit around the fixed point, so nothing separates the two")
