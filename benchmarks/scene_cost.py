@@ -25,13 +25,13 @@ import numpy as np
 from hand.kernels import KICK, LEAST_FACTOR, Constants, Terms, specialised
 from hand.polynomial import SIZE
 
+from rig_sim.flow.contact_state import initial_mode
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.frame import displacement, frame
+from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, RAMP, STICK
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR
 from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.compiled import compiled
-from rig_sim.integrate.contact_state import initial_mode
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.frame import displacement, frame
-from rig_sim.integrate.modes import COMPLETED, FORCE_REVERSAL, RAMP, STICK
 from rig_sim.integrate.phases import next_event, run
 from rig_sim.scenes.scene import Scene, scene
 

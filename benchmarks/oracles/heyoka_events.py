@@ -13,9 +13,9 @@ import time
 
 import heyoka as hy
 
+from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR
 from rig_sim.integrate.events import EventList
-from rig_sim.integrate.flow import Flow
 
 TOLERANCE = 1e-18
 BLIND = 1e-4

@@ -3,7 +3,7 @@
 A belt that slows in proportion to its load loses ``compliance`` metres a second per metre of spring extension.  In
 stick the load is the spring force, so the belt's measured velocity against the mass's position is a straight line of
 slope -compliance, whatever the friction law: this calibration does not depend on the fit, which uses it as a prior.  In
-the flow it is droop = compliance Fs/k (`rig_sim.integrate.flow.Flow`).
+the flow it is droop = compliance Fs/k (`rig_sim.flow.flow.Flow`).
 
 Samples within half a smoothing window of a stick's ends are left out, where slip is blurred into it.  The error of the
 line is the larger of two: for residuals that are correlated within a smoothing window, and for residuals that are

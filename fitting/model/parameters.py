@@ -77,7 +77,7 @@ def active_places(law: int, compliant: Sequence[bool], rippled: Sequence[bool]) 
     law : int
     compliant, rippled : sequence of bool
         Of each run's belt: whether it slows under load, whether its speed ripples.  On a belt that slows under load a
-        ramp's break-away level is that of slip (`rig_sim.integrate.flow.validate`).
+        ramp's break-away level is that of slip (`rig_sim.flow.flow.validate`).
     """
     kind = LAWS[law]
     shape = () if kind.curve == "constant" else (Global.SHAPE,)

@@ -13,10 +13,10 @@ from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.model import parameters
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
 from rig_sim.integrate.buffer import STEPS, Buffer, new_work
 from rig_sim.integrate.compiled import compiled
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
 from rig_sim.integrate.phases import sample_phase
 
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding

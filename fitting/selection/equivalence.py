@@ -1,6 +1,6 @@
 """Equivalent laws: a narrow ramp, or a jump on a belt that slows under load, make the same motion.
 
-Without the belt's own counts the two are one observable (`rig_sim.integrate.modes`, droop): a belt that loses 1 % of
+Without the belt's own counts the two are one observable (`rig_sim.flow.modes`, droop): a belt that loses 1 % of
 its speed at the load Fs turns law 5 into a perfect law 6.  So where a ramp law is in the set and its ramp is no wider
 than the speed drop of a realistic belt, its jump law is fitted once more with a compliance of its own, and joins the
 set if its error is then no larger.  A wider ramp is taken as one: no belt drive loses that much.  Runs at several belt

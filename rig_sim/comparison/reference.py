@@ -14,8 +14,8 @@ from typing import Any
 
 import mpmath  # type: ignore[import-untyped]
 
+from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import HYPERBOLIC, LINEAR
-from rig_sim.integrate.flow import Flow
 
 DIGITS = 40
 ORDER = 44

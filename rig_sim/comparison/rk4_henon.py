@@ -18,9 +18,10 @@ from bisect import bisect_right
 from functools import partial
 
 from rig_sim.comparison.stepping import PhaseResult, PhaseSolver, Slopes, right_hand_side
-from rig_sim.integrate import buffer, modes
+from rig_sim.flow import modes
+from rig_sim.flow.frame import Frame, mode_bounds
+from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.frame import Frame, mode_bounds
 
 HALVINGS = 60  # of a step whose end is outside while w' at its start points inwards
 

@@ -12,9 +12,10 @@ from typing import Any
 from scipy.integrate import solve_ivp
 
 from rig_sim.comparison.stepping import PhaseResult, PhaseSolver, right_hand_side
-from rig_sim.integrate import buffer, modes
+from rig_sim.flow import modes
+from rig_sim.flow.frame import Frame, mode_bounds
+from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.frame import Frame, mode_bounds
 
 SOLVERS = {"dop853": "DOP853", "radau": "Radau", "lsoda": "LSODA"}
 

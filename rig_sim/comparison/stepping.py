@@ -1,6 +1,6 @@
 """The loop over phases for methods that step numerically: thesis's Runge-Kutta and scipy's solvers, for comparison.
 
-What ends a phase, which mode follows and how a run ends are the exact method's own rules (`rig_sim.integrate.modes`,
+What ends a phase, which mode follows and how a run ends are the exact method's own rules (`rig_sim.flow.modes`,
 and `rig_sim.integrate.phases.sample_phase`, whose signature `sample_phase` has); stick is in closed form too.  A method
 adds how it goes through one slip or ramp: a `PhaseSolver`.
 """
@@ -9,12 +9,13 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from rig_sim.integrate import buffer, modes
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import transition
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored, position
+from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.contact_state import transition
 from rig_sim.integrate.driven import driven_stick_exit
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored, position
 from rig_sim.integrate.linear import stick_exit
 from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME, unmirrored_kind
 

@@ -11,10 +11,10 @@ are equal and the mass oscillates is the Hopf point.
 import math
 from dataclasses import dataclass
 
-from rig_sim.integrate import modes
-from rig_sim.integrate.contact_state import force
-from rig_sim.integrate.flow import Flow, validate
-from rig_sim.integrate.frame import frame, friction_slope, mirrored
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import force
+from rig_sim.flow.flow import Flow, validate
+from rig_sim.flow.frame import frame, friction_slope, mirrored
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ def fixed_point(flow: Flow) -> FixedPoint:
     Raises
     ------
     ValueError
-        For a flow that is not physical: see `rig_sim.integrate.flow.validate`.
+        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
     """
     validate(flow)
     if flow.u0 != 0.0:

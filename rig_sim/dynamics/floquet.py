@@ -14,10 +14,10 @@ from rig_sim.dynamics.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycle import Orbit, cycle
 from rig_sim.dynamics.minimum_map import MinimumTurn, next_minimum
 from rig_sim.dynamics.return_map import STEPS_ALLOWED_HERE
-from rig_sim.integrate import modes
+from rig_sim.flow import modes
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.frame import Frame, displacement, frame, mirrored, position
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.frame import Frame, displacement, frame, mirrored, position
 
 STABLE_TO = 1e-9  # of the distance between the fixed point and the stable orbit: how near either the search comes
 PARTS = 4.0  # by which the search divides the distance to the fixed point from one try to the next; not swept
@@ -59,7 +59,7 @@ def floquet(flow: Flow, which: Literal["stable", "unstable"] = "stable", *, orbi
     Raises
     ------
     ValueError
-        For a flow that is not physical: see `rig_sim.integrate.flow.validate`.
+        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
 
     Notes
     -----

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rig_sim.dynamics.return_map import STEPS_ALLOWED_HERE, Turn, next_slip
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import classify, force
+from rig_sim.flow.flow import Flow, validate
+from rig_sim.flow.frame import Frame, frame, linear_terms, mirrored, position
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate import modes
 from rig_sim.integrate.buffer import Buffer, new_work
-from rig_sim.integrate.contact_state import classify, force
-from rig_sim.integrate.flow import Flow, validate
-from rig_sim.integrate.frame import Frame, frame, linear_terms, mirrored, position
 from rig_sim.integrate.newton import EPS
 
 TURNS = 300  # evaluations of the return map; not swept
@@ -82,7 +82,7 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
     Raises
     ------
     ValueError
-        For a flow that is not physical: see `rig_sim.integrate.flow.validate`.
+        For a flow that is not physical: see `rig_sim.flow.flow.validate`.
 
     Notes
     -----

@@ -2,7 +2,7 @@
 
 At a minimum the mass stands and turns forwards (u = x' = 0, u' > 0).  From there the motion goes through whatever
 phases follow, slip, stick or ramp, back to the next minimum, so the map p -> p is one-dimensional and sees stick-slip
-cycles and orbits that never stick alike.  Undriven flows alone, in the frame of `rig_sim.integrate.frame`.
+cycles and orbits that never stick alike.  Undriven flows alone, in the frame of `rig_sim.flow.frame`.
 
 The derivative is that of the flow in the plane across the orbit, which for an orbit is its Floquet multiplier beside 1:
 
@@ -17,10 +17,11 @@ from dataclasses import dataclass
 from functools import cache
 
 from rig_sim.dynamics.return_map import PHASES_PER_TURN, creeps
-from rig_sim.integrate import buffer, modes
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import classify, transition
+from rig_sim.flow.frame import Frame, free_acceleration, friction_slope, mode_bounds
+from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.contact_state import classify, transition
-from rig_sim.integrate.frame import Frame, free_acceleration, friction_slope, mode_bounds
 from rig_sim.integrate.phases import increments, is_series, phase_exit
 
 # Points of the Gauss-Legendre rule on every Taylor step.  A step ends at a quarter of the series' radius of

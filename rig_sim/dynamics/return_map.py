@@ -1,6 +1,6 @@
 """The return map of slip: from one beginning of slip out of stick or ramp to the next, phase by phase.
 
-Undriven flows alone, in the frame (`rig_sim.integrate.frame`), where slip always begins in the same direction and at
+Undriven flows alone, in the frame (`rig_sim.flow.frame`), where slip always begins in the same direction and at
 the same relative velocity, so that the map is one-dimensional: p -> p.  Each turn ends: within `STEPS_ALLOWED_HERE`
 steps of the integrator and `PHASES_PER_TURN` phases, in the next beginning of slip or in a named outcome.
 """
@@ -8,11 +8,12 @@ steps of the integrator and `PHASES_PER_TURN` phases, in the next beginning of s
 import math
 from dataclasses import dataclass
 
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import transition
+from rig_sim.flow.frame import Frame, acceleration, curve_deficit, linear_terms, mode_bounds, slip_speed
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate import buffer, modes
+from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.contact_state import transition
-from rig_sim.integrate.frame import Frame, acceleration, curve_deficit, linear_terms, mode_bounds, slip_speed
 from rig_sim.integrate.linear import first_extreme
 from rig_sim.integrate.phases import increments, is_series, phase_exit
 from rig_sim.integrate.taylor import first_root, value

@@ -15,7 +15,7 @@ Not modelled: more than one harmonic, so a drive of the mass beside the ripple.
 import cmath
 import math
 
-from rig_sim.integrate.flow import Flow
+from rig_sim.flow.flow import Flow
 
 
 class SwingingBelt:

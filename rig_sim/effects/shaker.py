@@ -37,7 +37,7 @@ import cmath
 import math
 
 from rig_sim.dynamics.fixed_point import friction_at_rest
-from rig_sim.integrate.flow import Flow
+from rig_sim.flow.flow import Flow
 
 CREEP = 0.1  # of abs(delta): a slower oscillation is over, or grown e^63-fold, within one period
 NO_SHIFT = 1e-5  # rad

@@ -42,7 +42,7 @@ def force(
 
     Notes
     -----
-    In stick a jump law's force is whatever balances the rest: `rig_sim.integrate.contact_state.force` knows the state.
+    In stick a jump law's force is whatever balances the rest: `rig_sim.flow.contact_state.force` knows the state.
     """
     velocity: float = w  # type: ignore[assignment]  # arithmetic is the same for arrays
     sign = (velocity > 0) * 1.0 - (velocity < 0) * 1.0

@@ -9,9 +9,9 @@ that falls as the fast root dies.
 import math
 from typing import NamedTuple
 
-from rig_sim.integrate.frame import Frame, acceleration, linear_terms
+from rig_sim.flow.frame import Frame, acceleration, linear_terms
+from rig_sim.flow.modes import RAMP
 from rig_sim.integrate.linear import LARGEST_EXPONENT, fundamental, roots
-from rig_sim.integrate.modes import RAMP
 from rig_sim.integrate.newton import EPS, newton_step
 
 PIECES = 500  # searched in one step of a driven ramp; the caller continues from there; not swept

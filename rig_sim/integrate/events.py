@@ -8,10 +8,11 @@ from fractions import Fraction
 from functools import cache
 from typing import Any
 
-from rig_sim.integrate import buffer, modes
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import initial_mode
+from rig_sim.flow.flow import Flow, validate
+from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.contact_state import initial_mode
-from rig_sim.integrate.flow import Flow, validate
 from rig_sim.integrate.phases import run
 
 EVENTS_PER_CALL = 1024  # of the kernel; not swept

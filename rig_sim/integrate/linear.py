@@ -14,9 +14,9 @@ taken to the right extreme by a logarithm: no loop depends on how long the phase
 import math
 from typing import NamedTuple
 
+from rig_sim.flow.frame import Frame
 from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.frame import Frame
 from rig_sim.integrate.newton import EPS, newton_step
 
 LARGEST_EXPONENT = 700.0  # below 709, so that exp stays finite; growth by e^700 is beyond every edge

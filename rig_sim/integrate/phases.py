@@ -18,22 +18,14 @@ A driver that changes the Flow between events (belt start, wear, scatter, kicks)
 
 import math
 
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import transition
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.frame import Frame, displacement, frame, kept_inside, linear_terms, mirrored, mode_bounds, position
 from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate import buffer, modes
+from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
-from rig_sim.integrate.contact_state import transition
 from rig_sim.integrate.driven import driven_ramp, driven_stick_exit, is_steep, ramp_exit, ramp_state
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.frame import (
-    Frame,
-    displacement,
-    frame,
-    kept_inside,
-    linear_terms,
-    mirrored,
-    mode_bounds,
-    position,
-)
 from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exit, stick_exit, stick_lateness
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.taylor import changes, series_exit

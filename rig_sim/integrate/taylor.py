@@ -16,10 +16,10 @@ one of the two holds.
 
 import math
 
+from rig_sim.flow.frame import Frame, curve_deficit, drive, kept_inside, linear_terms, slip_speed
+from rig_sim.flow.modes import NEGATIVE, RAMP
 from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate.buffer import ORDER, TIME_SCALE, Buffer, D, P, Q, U, W
-from rig_sim.integrate.frame import Frame, curve_deficit, drive, kept_inside, linear_terms, slip_speed
-from rig_sim.integrate.modes import NEGATIVE, RAMP
 from rig_sim.integrate.newton import EPS, newton_step
 
 INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))

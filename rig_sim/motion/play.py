@@ -12,7 +12,7 @@ The integrator runs one phase at a time.  What changes the equation of motion be
 Random numbers come from one stream per effect, seeded by the scene's ``seed`` and the effect's name, so that adding an
 effect does not change the numbers of another one.
 
-The belt's compliance (droop) is part of the flow (`rig_sim.integrate.modes`), and so is its ripple, in coordinates that
+The belt's compliance (droop) is part of the flow (`rig_sim.flow.modes`), and so is its ripple, in coordinates that
 swing with the belt (`rig_sim.effects.ripple`).  Not modelled: creep in stick; the joint passes as on a belt without
 ripple.
 """
@@ -24,11 +24,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import InputError
-from rig_sim.integrate import buffer, modes
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import force, initial_mode
+from rig_sim.flow.flow import Flow
+from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.contact_state import force, initial_mode
 from rig_sim.integrate.events import EventList, list_events
-from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.scenes.scene import Scene
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from daq.compute.arrays import Array, Integers
-from rig_sim.integrate.flow import Flow
+from rig_sim.flow.flow import Flow
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ from typing import Annotated, Any
 from pydantic import Field, ValidationError
 
 from daq.errors import InputError, nearest
+from rig_sim.flow.flow import LARGEST, SMALLEST, Flow, steepest_fall, validate
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.flow import LARGEST, SMALLEST, Flow, steepest_fall, validate
 from rig_sim.scenes import sections
 from rig_sim.scenes.sections import Section
 

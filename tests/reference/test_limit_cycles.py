@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.flow import Flow
 
 REFERENCE = json.loads(Path(__file__).with_name("limit_cycles.json").read_text())
 MEASURED = ("period", "t_stick", "t_slip", "x_slip", "x_stick", "x_min", "x_max", "v_min", "v_max")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from rig_sim.comparison import reference
-from rig_sim.integrate import modes
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import initial_mode
+from rig_sim.flow.flow import Flow
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.contact_state import initial_mode
-from rig_sim.integrate.flow import Flow
 from rig_sim.integrate.phases import sample_phase
 
 

@@ -16,9 +16,9 @@ from rig_sim.comparison.error_vs_time import compare, difference
 from rig_sim.comparison.reference import Uncovered, events
 from rig_sim.comparison.solve_ivp import SOLVERS, by_solver
 from rig_sim.comparison.stepping import sample_phase
+from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.flow import Flow
 from rig_sim.motion.play import play_events
 from rig_sim.scenes.scene import scene
 

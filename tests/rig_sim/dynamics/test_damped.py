@@ -15,9 +15,9 @@ from rig_sim.cli.parameter_range import ParameterRange, parse
 from rig_sim.dynamics.continuation import continuation
 from rig_sim.dynamics.fixed_point import fixed_point, quadratic_roots
 from rig_sim.dynamics.floquet import floquet
+from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.flow import Flow
 
 REFERENCE = json.loads((Path(__file__).parents[2] / "reference" / "dynamics.json").read_text())["chapter5"]
 

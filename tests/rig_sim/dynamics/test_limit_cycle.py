@@ -9,9 +9,9 @@ import pytest
 
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.dynamics.return_map import creeps
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.frame import frame
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.frame import frame
 
 
 def flow_of(law, **changes):
@@ -156,7 +156,7 @@ def test_unphysical_flow_is_refused():
 def test_an_orbit_costs_no_heavy_imports():
     code = (
         "import sys; from rig_sim.dynamics.limit_cycle import cycle;"
-        "from rig_sim.integrate.flow import Flow; cycle(Flow());"
+        "from rig_sim.flow.flow import Flow; cycle(Flow());"
         "print(*sorted({'numpy', 'scipy', 'numba', 'matplotlib'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

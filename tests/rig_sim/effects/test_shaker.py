@@ -10,7 +10,7 @@ from daq.errors import InputError
 from rig_sim.dynamics.fixed_point import friction_at_rest
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.effects.shaker import controlled, phasor
-from rig_sim.integrate.flow import Flow
+from rig_sim.flow.flow import Flow
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import Scene, scene
 from rig_sim.scenes.sections import Start

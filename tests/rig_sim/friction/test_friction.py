@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from rig_sim.flow.contact_state import force as force_in_mode
+from rig_sim.flow.contact_state import initial_mode
+from rig_sim.flow.flow import Flow
 from rig_sim.friction.contact import force
 from rig_sim.friction.curve import magnitude, reversal_speed
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.contact_state import force as force_in_mode
-from rig_sim.integrate.contact_state import initial_mode
-from rig_sim.integrate.flow import Flow
 
 SETTINGS = {"Fs": 1.3, "G_slip": 0.05, "gamma": 3.0, "d": 0.2}
 

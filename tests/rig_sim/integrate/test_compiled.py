@@ -7,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 
+from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.flow import Flow
 
 CASES = [
     *({"law": law} for law in LAWS),
@@ -36,8 +36,8 @@ def test_compiled_equals_interpreted_bit_for_bit(case):
 @pytest.mark.slow
 def test_first_use_says_that_it_compiles_and_the_second_does_not(tmp_path):
     code = (
-        "from rig_sim.integrate.compiled import compiled; from rig_sim.integrate.flow import Flow;"
-        "from rig_sim.integrate.contact_state import force, initial_mode;"
+        "from rig_sim.integrate.compiled import compiled; from rig_sim.flow.flow import Flow;"
+        "from rig_sim.flow.contact_state import force, initial_mode;"
         "print(compiled(initial_mode)(Flow(), 0.0, 0.0, 0.0)); compiled(force)"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -12,13 +12,13 @@ from scipy.optimize import brentq
 
 from daq.errors import InputError
 from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.flow.contact_state import force, initial_mode
+from rig_sim.flow.flow import Flow, validate
+from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP
 from rig_sim.friction import contact
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.contact_state import force, initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.flow import Flow, validate
-from rig_sim.integrate.modes import NEGATIVE, POSITIVE, RAMP
 from rig_sim.integrate.phases import next_event
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.scene import scene

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from rig_sim.flow.contact_state import initial_mode
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.modes import COMPLETED, KINDS, NEGATIVE, NOT_FINITE, OUTCOMES, POSITIVE, RAMP, STICK
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.modes import COMPLETED, KINDS, NEGATIVE, NOT_FINITE, OUTCOMES, POSITIVE, RAMP, STICK
 from rig_sim.integrate.phases import next_event
 
 

@@ -12,12 +12,12 @@ import pytest
 from daq.console import application
 from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.flow.contact_state import initial_mode
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, OUTCOMES
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.contact_state import initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.modes import COMPLETED, FORCE_REVERSAL, OUTCOMES
 from rig_sim.integrate.phases import next_event
 from rig_sim.motion import play
 from rig_sim.scenes.scene import scene

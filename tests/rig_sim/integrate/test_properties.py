@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.flow.contact_state import force, initial_mode
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.modes import NEGATIVE
 from rig_sim.friction.contact import force as force_of_law
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.buffer import new_work
-from rig_sim.integrate.contact_state import force, initial_mode
 from rig_sim.integrate.events import list_events
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.modes import NEGATIVE
 from rig_sim.integrate.phases import sample_phase
 
 TWO_ULP = 2.3e-13  # of a time near 1000

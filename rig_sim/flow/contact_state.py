@@ -1,8 +1,8 @@
 """The contact of a state: which mode it is in, which mode follows at an edge, and the force there."""
 
-from rig_sim.integrate import modes
-from rig_sim.integrate.flow import Flow
-from rig_sim.integrate.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored
+from rig_sim.flow import modes
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored
 
 
 def classify(fr: Frame, p: float, w: float, t: float) -> int:

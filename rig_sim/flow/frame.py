@@ -3,9 +3,9 @@
 import math
 from typing import NamedTuple
 
+from rig_sim.flow import modes
+from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, reversal_speed
-from rig_sim.integrate import modes
-from rig_sim.integrate.flow import Flow
 
 
 class Frame(NamedTuple):

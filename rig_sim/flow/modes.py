@@ -45,7 +45,7 @@ refuses it.
 Kernels work in a frame without cancellation of large numbers: mirrored so that the belt moves forwards, with
 p = x - x_slip, the displacement from the slip point k (x_slip - x0) = B - c v_belt.  There L = B + k p - drive.
 
-`rig_sim.integrate.flow` holds the numbers of the equation, `frame` its form in these coordinates, and `contact_state`
+`rig_sim.flow.flow` holds the numbers of the equation, `frame` its form in these coordinates, and `contact_state`
 the rules of the table as code.
 """
 
