@@ -32,7 +32,7 @@ def covariance(fit: Fit, precision: Array) -> Array:
     H = reduced.H
     own = blocks.cycle_g - np.einsum("cpq,cq->cp", blocks.cross, reduced.local_step(blocks.gl))
     cycles = own.shape[0]
-    scale, bread = _inverse(H, np.diag(blocks.H))
+    scale, bread = scaled_inverse(H, np.diag(blocks.H))
     own = own * scale
     meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(precision * scale**2)
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
@@ -59,13 +59,13 @@ def without_prior(fit: Fit, index: int) -> Measured:
     curvature = blocks.H.copy()
     curvature[index, index] -= weight
     alone = replace(fit, solution=replace(fit.solution, blocks=replace(blocks, H=curvature)), precision=precision)
-    scale, bread = _inverse(SchurComplement(alone.solution.blocks).H, np.diag(curvature))
+    scale, bread = scaled_inverse(SchurComplement(alone.solution.blocks).H, np.diag(curvature))
     value = float(fit.u[place])
     step = float(bread[index, index] * scale[index] ** 2) * weight * (value - float(fit.problem.prior[place]))
     return Measured(value + step, math.sqrt(float(covariance(alone, precision)[index, index])))
 
 
-def _inverse(H: Array, raw: Array) -> tuple[Array, Array]:
+def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:
     """Return units (p,) of the parameters and the inverse (p, p) of reduced curvatures in these units.
 
     In units of the curvatures nothing overflows where a record shows next to nothing of an unknown.  A weak direction

@@ -50,6 +50,28 @@ def sum_gradients(jacobian: Array, residual: Array, first: Integers, gradient: A
                 gradient[k, i] += jacobian[row, i] * residual[row]
 
 
+def sum_cross(left: Array, right: Array, first: Integers, out: Array) -> None:
+    """Add L'R to ``out`` (c, m, n), cycle by cycle; L (N, m), R (N, n), ``first`` as for `sum_products`."""
+    cycles, m, n = out.shape
+    for k in range(cycles):
+        for row in range(first[k], first[k + 1]):
+            for i in range(m):
+                slope = left[row, i]
+                for j in range(n):
+                    out[k, i, j] += slope * right[row, j]
+
+
+def add_along(jacobian: Array, first: Integers, steps: Array, out: Array) -> None:
+    """Add J steps to ``out`` (N, n); ``steps`` (c, m, n) are each cycle's own."""
+    cycles, m, n = steps.shape
+    for k in range(cycles):
+        for row in range(first[k], first[k + 1]):
+            for i in range(m):
+                slope = jacobian[row, i]
+                for j in range(n):
+                    out[row, j] += slope * steps[k, i, j]
+
+
 def along(jacobian: Array, first: Integers, step: Array, out: Array) -> None:
     """Store J step in ``out`` (N,); ``step`` (c, m) is each cycle's own."""
     cycles, m = step.shape

@@ -312,6 +312,11 @@ def _priors(problem: EstimationProblem, state: PassState) -> tuple[Array, Array]
     return prior, precision
 
 
+def least_squares(fit: Fit) -> levenberg_marquardt.LeastSquaresProblem:
+    """Return what the last pass of a fit minimised."""
+    return _least_squares(fit.problem, fit.windows, fit.state, list(fit.active))
+
+
 def _least_squares(
     problem: EstimationProblem, windows: ShootingWindows, state: PassState, index: list[int]
 ) -> levenberg_marquardt.LeastSquaresProblem:

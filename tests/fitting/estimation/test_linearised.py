@@ -1,0 +1,87 @@
+"""The linearised fit agrees with a dense least-squares solution of the same problem, and with the fit itself."""
+
+import numpy as np
+import pytest
+
+from fitting.estimation.linearised import LinearisedFit
+
+CYCLES, SAMPLES, SHARED, LOCAL, MORE = 4, 12, 3, 2, 2
+
+
+@pytest.fixture
+def problem():
+    """Give a random problem, and the stacked matrix of all unknowns: shared, each cycle's, further ones."""
+    rng = np.random.default_rng(3)
+    n = CYCLES * SAMPLES
+    rows = tuple(slice(SAMPLES * k, SAMPLES * (k + 1)) for k in range(CYCLES))
+    root = rng.standard_normal((SHARED, SHARED))
+    found = LinearisedFit(
+        shared=rng.standard_normal((n, SHARED)),
+        local=rng.standard_normal((n, LOCAL)),
+        residual=rng.standard_normal(n),
+        rows=rows,
+        weights=rng.uniform(0.5, 2.0, CYCLES),
+        prior_precision=root @ root.T,
+        prior_gradient=rng.standard_normal(SHARED),
+        local_precision=rng.uniform(0.1, 3.0, (CYCLES, LOCAL)),
+        local_gradient=rng.standard_normal((CYCLES, LOCAL)),
+    )
+    further = rng.standard_normal((n, MORE))
+    dense = np.zeros((n, SHARED + CYCLES * LOCAL + MORE))
+    dense[:, :SHARED], dense[:, -MORE:] = found.shared, further
+    for k, own in enumerate(rows):
+        dense[own, SHARED + LOCAL * k : SHARED + LOCAL * (k + 1)] = found.local[own]
+    return found, further, dense
+
+
+def curvature(found, dense):
+    """Return Gauss-Newton curvature and gradient of all unknowns of the dense problem, priors included."""
+    weight = np.repeat(found.weights, SAMPLES)
+    H, g = dense.T @ (weight[:, None] * dense), dense.T @ (weight * found.residual)
+    H[:SHARED, :SHARED] += found.prior_precision
+    g[:SHARED] += found.prior_gradient
+    own = slice(SHARED, SHARED + CYCLES * LOCAL)
+    H[own, own] += np.diag(found.local_precision.ravel())
+    g[own] += found.local_gradient.ravel()
+    return H, g
+
+
+def test_information_is_the_schur_complement(problem):
+    found, _, dense = problem
+    H, _ = curvature(found, dense[:, :-MORE])
+    each, total = found.information()
+    assert total == pytest.approx(np.linalg.inv(np.linalg.inv(H)[:SHARED, :SHARED]))
+    assert each.sum(axis=0) + found.prior_precision == pytest.approx(total)
+    assert found.covariance == pytest.approx(np.linalg.inv(total))
+
+
+def test_a_refit_leaves_what_dense_least_squares_leave(problem):
+    found, further, dense = problem
+    H, _ = curvature(found, dense[:, :-MORE])
+    weight = np.repeat(found.weights, SAMPLES)
+    step = -np.linalg.solve(H, dense[:, :-MORE].T @ (weight[:, None] * further))
+    assert found.refit(further) == pytest.approx(further + dense[:, :-MORE] @ step)
+
+
+def test_scores_are_those_of_the_dense_problem(problem):
+    found, further, dense = problem
+    H, g = curvature(found, dense)
+    known, more = H[:-MORE, :-MORE], H[-MORE:, :-MORE]
+    scores = found.scores(further)
+    information = H[-MORE:, -MORE:] - more @ np.linalg.solve(known, more.T)
+    assert scores.total_information == pytest.approx(information)
+    assert scores.total == pytest.approx(g[-MORE:] - more @ np.linalg.solve(known, g[:-MORE]))
+    assert scores.raw == pytest.approx(np.diag(H)[-MORE:])
+
+
+def test_a_fit_is_linearised_at_its_minimum(ranked):
+    """At the minimum the gradients of all cycles and the priors cancel, and a refit moves next to nothing."""
+    fit = ranked(law=5).best.fit
+    found = LinearisedFit.at(fit)
+    assert found.residual == pytest.approx(fit.residual, abs=1e-12)
+    spread = np.sqrt(np.diag(found.covariance))
+    assert np.abs((found.gradients().sum(axis=0) + found.prior_gradient) * spread).max() < 0.1
+    noise = np.random.default_rng(1).standard_normal((fit.residual.size, 3))
+    left = found.refit(noise)
+    unknowns = found.shared.shape[1] + 6 * len(found.rows)
+    assert 0 < np.sum(noise**2) - np.sum(left**2) < 3 * unknowns
