@@ -26,12 +26,19 @@ def _beside(name):
 
 synthetic_rig = _beside("synthetic")
 stranger_records = _beside("strangers")
+other_contacts = _beside("contacts")
 
 
 @pytest.fixture(scope="session")
 def strangers():
     """Give the module of records that are no stick-slip."""
     return stranger_records
+
+
+@pytest.fixture(scope="session")
+def contacts():
+    """Give the module of contacts that are one of the six laws or none."""
+    return other_contacts
 
 
 @pytest.fixture(scope="session")

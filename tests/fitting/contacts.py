@@ -1,0 +1,253 @@
+"""Contacts on a belt that are one of the six laws or none, followed by scipy's DOP853 from event to event.
+
+Nothing of rig_sim is used: one right-hand side in newtons, a stick in closed form, and a root search for each event.
+A departure is one field of `Contact`; 0 means that it is absent.  `simulate` gives exact positions, `recorded` what a
+counting encoder shows of them.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+STEP = 2e-3  # s: longest time between two looks for an event
+TIGHT = {"method": "DOP853", "rtol": 1e-9, "atol": 1e-11}
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The rig of the design in SI units; the friction curve by name with its numbers, and what departs from it."""
+
+    curve: str = "hyperbolic"
+    Fs: float = 1.379353536
+    gamma: float = 9.618
+    G_slip: float = 0.3
+    Fc: float = 0.5  # Stribeck: level at high speed, N
+    v_s: float = 0.08  # Stribeck: speed over which it falls, m/s
+    power: float = 1.0  # Stribeck: 1 exponential, 2 Gaussian
+    Fv: float = 0.1  # Stribeck: viscous term, N s/m
+    log_fall: float = 0.2  # logarithmic: N
+    log_speed: float = 0.01  # logarithmic: m/s
+    m: float = 0.3
+    k: float = 10.5552
+    c: float = 0.0
+    belt: float = 0.22
+    belt_start: float = 0.5
+    duration: float = 30.0
+    static: float = 1.0
+    scatter: float = 0.0  # of the friction level, drawn at each landing
+    k3: float = 0.0  # N/m^3
+    drag: float = 0.0  # N s^2/m^2
+    guide: float = 0.0  # N
+    belt_drift: float = 0.0  # fraction over the record
+    stiffness_drift: float = 0.0  # fraction over the record
+    ripple: tuple = ()  # pairs of relative amplitude and frequency, Hz
+    second_mass: tuple = ()  # kg, N/m, N s/m
+    by_mass_position: tuple = ()  # relative amplitude, wavelength in m
+    by_belt_position: tuple = ()  # relative amplitude, wavelength in m
+    ageing: tuple = ()  # relative growth of the break-away level per e-fold of stick time, time constant in s
+    lugre: tuple = ()  # bristle stiffness N/m and damping N s/m; the steady curve is Stribeck with power 2
+    eccentricity: tuple = ()  # m, revolution in m: of the reading
+    sticks_at_start: bool = False  # the mass moves with the belt from its first moment on
+    seed: int = 1
+
+
+def curve(p, s):
+    """Friction at slip speed s >= 0, N."""
+    if p.curve == "constant":
+        return p.Fs
+    if p.curve == "linear":
+        return p.Fs - p.G_slip * s
+    if p.curve == "hyperbolic":
+        return p.Fs / (1 + p.gamma * s)
+    if p.curve == "stribeck":
+        return p.Fc + (p.Fs - p.Fc) * math.exp(-((s / p.v_s) ** p.power)) + p.Fv * s
+    if p.curve == "logarithmic":
+        return p.Fs - p.log_fall * math.log1p(s / p.log_speed)
+    raise ValueError(p.curve)
+
+
+def belt_motion(p, t):
+    """Position, speed and acceleration of the belt after its start."""
+    if t < p.belt_start:
+        return 0.0, 0.0, 0.0
+    x = (t - p.belt_start) + p.belt_drift * (t**2 - p.belt_start**2) / (2 * p.duration)
+    v, a = 1 + p.belt_drift * t / p.duration, p.belt_drift / p.duration
+    for size, hertz in p.ripple:
+        w = 2 * math.pi * hertz
+        x -= size / w * (math.cos(w * t) - math.cos(w * p.belt_start))
+        v += size * math.sin(w * t)
+        a += size * w * math.cos(w * t)
+    return p.belt * x, p.belt * v, p.belt * a
+
+
+def place(p, x, belt):
+    """Factor of friction at mass position x on the belt that has moved by ``belt``."""
+    factor = 1.0
+    if p.by_mass_position:
+        size, length = p.by_mass_position
+        factor *= 1 + size * math.sin(2 * math.pi * x / length)
+    if p.by_belt_position:
+        size, length = p.by_belt_position
+        factor *= 1 + size * math.sin(2 * math.pi * (belt - x) / length)
+    return factor
+
+
+def other_forces(p, t, state, v, way):
+    """All forces on the mass but the belt's friction; ``way`` is the direction in which the guide resists."""
+    x = state[0]
+    force = -p.k * (1 + p.stiffness_drift * t / p.duration) * x - p.k3 * x**3 - p.c * v - p.drag * v * abs(v)
+    force -= p.guide * way
+    if p.second_mass:
+        _, stiffness, damping = p.second_mass
+        force += stiffness * (state[2] - x) + damping * (state[3] - v)
+    return force
+
+
+def side_mass(p, state, v):
+    """Velocity and acceleration of the second mass."""
+    own, stiffness, damping = p.second_mass
+    return state[3], (-stiffness * (state[2] - state[0]) - damping * (state[3] - v)) / own
+
+
+def simulate(p, times):
+    """Exact positions (m) at ``times`` (s, rising from 0), starting at the spring's rest on a belt at rest."""
+    times = np.asarray(times, float)
+    rng = np.random.default_rng(p.seed + 991)
+    found = np.empty(times.size)
+    found[times < p.belt_start] = 0.0
+    state = np.zeros(4 if p.second_mass else 3 if p.lugre else 2)
+    t, end = p.belt_start, float(times[-1]) + 1e-9
+    if p.lugre:
+        stage = _memory(p, t, end, state, times)
+        found[times >= p.belt_start] = stage
+        return found
+    slipping, side, level = not p.sticks_at_start, -1.0, 1.0
+    began = 0.0 if p.sticks_at_start else t
+
+    def store(first, last, position):
+        own = slice(*np.searchsorted(times, (first, last)))
+        if own.stop > own.start:
+            found[own] = position(times[own])
+
+    while t < end:
+        if slipping:
+            t2, state, landed = _slip(p, t, end, state, side, level, store)
+            if landed:
+                level = 1 + p.scatter * float(np.clip(rng.standard_normal(), -3, 3))
+        else:
+            t2, state = _stick(p, t, end, state, level, began, store)
+        t = t2
+        if t >= end:
+            break
+        belt, v, a = belt_motion(p, t)
+        state[1] = v
+        need = p.m * a - other_forces(p, t, state, v, 1.0)
+        if not slipping or abs(need) > level * p.Fs * p.static * place(p, state[0], belt):
+            slipping, side = True, -math.copysign(1.0, need)
+        else:
+            slipping, began = False, t
+    return found
+
+
+def _slip(p, t, end, state, side, level, store):
+    """Follow a slip until the mass moves as the belt does; the guide's friction turns round with the velocity."""
+    state = state.copy()
+    way = math.copysign(1.0, state[1]) if state[1] else side
+
+    def rates(time, y):
+        belt, speed, _ = belt_motion(p, time)
+        s = max(side * (y[1] - speed), 0.0)
+        friction = -side * level * curve(p, s) * place(p, y[0], belt)
+        a = (other_forces(p, time, y, y[1], way) + friction) / p.m
+        return (y[1], a, *side_mass(p, y, y[1])) if p.second_mass else (y[1], a)
+
+    def lands(time, y):
+        return side * (y[1] - belt_motion(p, time)[1]) - (1e-9 if time <= t + 1e-6 else 0.0)
+
+    def turns(time, y):
+        return y[1]
+
+    lands.terminal, lands.direction = True, -1
+    turns.terminal, turns.direction = p.guide != 0, -way
+    first = True
+    while True:
+        if first:  # leave the belt's speed by one small step, so that the event is not found where the slip begins
+            h = min(1e-6, end - t)
+            y = state + h * np.array(rates(t, state))
+            first, t, state = False, t + h, y
+        run = solve_ivp(rates, (t, end), state, events=[lands, turns], dense_output=True, max_step=STEP * 5, **TIGHT)
+        store(t, run.t[-1] if run.status == 1 else end + 1, lambda when, run=run: run.sol(when)[0])
+        t, state = float(run.t[-1]), run.y[:, -1].copy()
+        if run.status != 1 or run.t_events[0].size:
+            return t, state, run.status == 1
+        way = -way
+        turns.direction = -way
+
+
+def _stick(p, t, end, state, level, began, store):
+    """Ride on the belt until the load exceeds the break-away level."""
+    x0, origin = state[0], belt_motion(p, t)[0]
+    ring = None
+    if p.second_mass:
+        ring = solve_ivp(
+            lambda time, y: side_mass(p, (x0 + belt_motion(p, time)[0] - origin, 0, *y), belt_motion(p, time)[1]),
+            (t, min(t + 3.0, end)),
+            state[2:],
+            dense_output=True,
+            **TIGHT,
+        )
+
+    def at(time):
+        x = x0 + belt_motion(p, time)[0] - origin
+        return np.array([x, belt_motion(p, time)[1], *(ring.sol(time) if ring is not None else ())])
+
+    def spare(time):
+        here = at(time)
+        belt, v, a = belt_motion(p, time)
+        cap = level * p.Fs * p.static * place(p, here[0], belt)
+        if p.ageing:
+            growth, scale = p.ageing
+            cap *= 1 + growth * math.log1p((time - began) / scale)
+        return cap - abs(p.m * a - other_forces(p, time, here, v, 1.0))
+
+    last = t
+    while last < end:
+        ahead = min(last + STEP, end)
+        if spare(ahead) < 0:
+            ahead = brentq(spare, last, ahead, xtol=1e-13) if spare(last) > 0 else last
+            break
+        last = ahead
+    else:
+        ahead = end
+    store(t, ahead, lambda when: np.array([at(one)[0] for one in when]))
+    return ahead, at(ahead)
+
+
+def _memory(p, t, end, state, times):
+    """Follow the LuGre model: bristles of stiffness and damping under a Stribeck curve; there is no event."""
+    stiffness, damping = p.lugre
+
+    def rates(time, y):
+        w = y[1] - belt_motion(p, time)[1]
+        steady = p.Fc + (p.Fs - p.Fc) * math.exp(-((w / p.v_s) ** 2))
+        bend = w - stiffness * abs(w) / steady * y[2]
+        friction = -(stiffness * y[2] + damping * bend + p.Fv * w)
+        return y[1], (other_forces(p, time, y, y[1], 1.0) + friction) / p.m, bend
+
+    run = solve_ivp(rates, (t, end), state, t_eval=times[times >= t], method="LSODA", rtol=1e-9, atol=1e-12)
+    return run.y[0]
+
+
+def recorded(p, *, rate=1000.0, count=7.67e-6, jitter=0.0):
+    """Return times (s) and positions (m) as an encoder with ``count`` m per count and jittering samples shows them."""
+    nominal = np.arange(round(p.duration * rate)) / rate
+    rng = np.random.default_rng([p.seed, 7])
+    times = np.maximum.accumulate(np.maximum(nominal + jitter * rng.standard_normal(nominal.size), 0.0))
+    x = simulate(p, times)
+    if p.eccentricity:
+        size, turn = p.eccentricity
+        x = x + size * np.sin(2 * np.pi * x / turn + 0.7)
+    return nominal, np.floor(x / count) * count if count else x
