@@ -116,7 +116,7 @@ def simulate(p, times):
     """Exact positions (m) at ``times`` (s, rising from 0), starting at the spring's rest on a belt at rest."""
     times = np.asarray(times, float)
     rng = np.random.default_rng(p.seed + 991)
-    found = np.empty(times.size)
+    found = np.full(times.size, np.nan)
     found[times < p.belt_start] = 0.0
     state = np.zeros(4 if p.second_mass else 3 if p.lugre else 2)
     t, end = p.belt_start, float(times[-1]) + 1e-9
@@ -175,9 +175,10 @@ def _slip(p, t, end, state, side, level, store):
     first = True
     while True:
         if first:  # leave the belt's speed by one small step, so that the event is not found where the slip begins
-            h = min(1e-6, end - t)
-            y = state + h * np.array(rates(t, state))
-            first, t, state = False, t + h, y
+            h, begin = min(1e-6, end - t), state
+            state = begin + h * np.array(rates(t, begin))
+            store(t, t + h, lambda when: np.full(when.size, begin[0]))
+            first, t = False, t + h
         run = solve_ivp(rates, (t, end), state, events=[lands, turns], dense_output=True, max_step=STEP * 5, **TIGHT)
         store(t, run.t[-1] if run.status == 1 else end + 1, lambda when, run=run: run.sol(when)[0])
         t, state = float(run.t[-1]), run.y[:, -1].copy()
