@@ -154,7 +154,6 @@ def simulate(p, times):
 
 def _slip(p, t, end, state, side, level, store):
     """Follow a slip until the mass moves as the belt does; the guide's friction turns round with the velocity."""
-    state = state.copy()
     way = math.copysign(1.0, state[1]) if state[1] else side
 
     def rates(time, y):
@@ -165,20 +164,18 @@ def _slip(p, t, end, state, side, level, store):
         return (y[1], a, *side_mass(p, y, y[1])) if p.second_mass else (y[1], a)
 
     def lands(time, y):
-        return side * (y[1] - belt_motion(p, time)[1]) - (1e-9 if time <= t + 1e-6 else 0.0)
+        return side * (y[1] - belt_motion(p, time)[1])
 
     def turns(time, y):
         return y[1]
 
     lands.terminal, lands.direction = True, -1
     turns.terminal, turns.direction = p.guide != 0, -way
-    first = True
+    # Leave the belt's speed by one small step, so that the event is not found where the slip begins.
+    h, begin = min(1e-6, end - t), state
+    store(t, t + h, lambda when: np.full(when.size, begin[0]))
+    t, state = t + h, begin + h * np.array(rates(t, begin))
     while True:
-        if first:  # leave the belt's speed by one small step, so that the event is not found where the slip begins
-            h, begin = min(1e-6, end - t), state
-            state = begin + h * np.array(rates(t, begin))
-            store(t, t + h, lambda when: np.full(when.size, begin[0]))
-            first, t = False, t + h
         run = solve_ivp(rates, (t, end), state, events=[lands, turns], dense_output=True, max_step=STEP * 5, **TIGHT)
         store(t, run.t[-1] if run.status == 1 else end + 1, lambda when, run=run: run.sol(when)[0])
         t, state = float(run.t[-1]), run.y[:, -1].copy()
