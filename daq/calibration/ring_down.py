@@ -25,10 +25,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.calibration import swing_kernel
 from daq.compute.arrays import autocorrelation_time
+from daq.compute.compile import compiled
 from daq.errors import DataError
 from daq.runfile.rig import Measured
 
+KERNELS = ("daq.calibration.swing_kernel",)
 FEWEST_SWINGS = 3  # half-swings; with fewer, friction and damping cannot be separated
 RELEASED = 0.97  # of the first amplitude: below it the mass is taken as released; chosen by judgement, not swept
 STEP = 0.03  # rad, between nodes; where friction weakens the error falls as its square
@@ -137,39 +140,11 @@ def motion(
 
     Between nodes friction is constant and the flow exact: for g = 0 there is no error, else it falls as `STEP`^2.
     """
-    beta = zeta * omega0
-    wd = omega0 * math.sqrt(max(1e-12, 1 - zeta * zeta))
-    h = STEP / omega0
-    decay, c, s = math.exp(-beta * h), math.cos(wd * h), math.sin(wd * h)
-    end = float(t[-1])
-    times, xs, vs = [0.0], [x], [v]
-    now = 0.0
-    sign = math.copysign(1.0, v) if v else math.copysign(1.0, rest - x)
-    while now < end and len(times) < MOST_NODES:
-        if v == 0 and abs(x - rest) <= a:
-            times.append(end + 1.0)
-            xs.append(x)
-            vs.append(0.0)
-            break
-        slowing = sign * a / (1 + g * abs(v))
-        middle = v - 0.5 * h * (omega0 * omega0 * (x - rest + slowing) + 2 * beta * v)
-        pull = rest - sign * a / (1 + g * abs(middle))
-        y = x - pull
-        x_next = pull + decay * (y * c + (v + beta * y) / wd * s)
-        v_next = decay * (v * c - (omega0 * omega0 * y + beta * v) / wd * s)
-        if v_next * sign > 0:
-            x, v, now = x_next, v_next, now + h
-        else:  # it turns within this step, where tan(wd t) is:
-            turn = math.atan2(v * wd, omega0 * omega0 * y + beta * v)
-            turn = (turn % math.pi) / wd
-            x = pull + math.exp(-beta * turn) * (y * math.cos(wd * turn) + (v + beta * y) / wd * math.sin(wd * turn))
-            v, now, sign = 0.0, now + turn, -sign
-            if turn == 0.0:
-                continue
-        times.append(now)
-        xs.append(x)
-        vs.append(v)
-    return _hermite(t, np.array(times), np.array(xs), np.array(vs))
+    times, xs, vs = np.empty((3, MOST_NODES))
+    times[0], xs[0], vs[0] = 0.0, x, v
+    run = compiled(swing_kernel.follow, KERNELS)
+    nodes = run(float(t[-1]), STEP / omega0, omega0, zeta, a, g, rest, times, xs, vs)
+    return _hermite(t, times[:nodes], xs[:nodes], vs[:nodes])
 
 
 def _hermite(

@@ -40,6 +40,13 @@ def test_it_rests_where_friction_holds_the_spring():
     assert abs(x[-1]) <= 9
 
 
+def test_a_mass_that_rounding_holds_rests():
+    # x - rest > a, and yet x - (rest + a) = 0: it used to turn for ever.
+    rest, a, x = 43.91491627785106, 114.98006706877551, 158.8949833466266
+    assert x - rest > a
+    assert np.all(ring_down.motion(np.linspace(0, 1, 5), W, 0.01, a, rest, x, 0.0) == x)
+
+
 @pytest.mark.parametrize("friction", [5.0, *(pytest.param(level, marks=pytest.mark.slow) for level in (100.0, 900.0))])
 @pytest.mark.parametrize("zeta", [0.002, 0.02])
 def test_damping_is_not_biased_by_friction(zeta, friction):
