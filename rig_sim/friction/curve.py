@@ -49,8 +49,32 @@ def magnitude(curve: int, s: Real, Fs: float, G_slip: float = 0.0, gamma: float 
     elif curve == HYPERBOLIC:
         force = Fs / (1.0 + gamma * speed)
     else:
-        raise ValueError(f"curve is {curve}; need one of {CURVES}")
+        raise ValueError("unknown curve: need 0 (constant), 1 (linear) or 2 (hyperbolic)")
     return force  # type: ignore[return-value]
+
+
+def slope(curve: int, s: Real, Fs: float, G_slip: float = 0.0, gamma: float = 0.0) -> Real:
+    """Return the derivative of `magnitude` by the slip speed, N s/m; parameters as there."""
+    speed: float = s  # type: ignore[assignment]  # arithmetic is the same for arrays
+    if curve == LINEAR:
+        rate = -G_slip + 0.0 * speed
+    elif curve == HYPERBOLIC:
+        rate = -Fs * gamma / (1.0 + gamma * speed) ** 2
+    else:
+        rate = 0.0 * speed
+    return rate  # type: ignore[return-value]
+
+
+def shape_slope(curve: int, s: Real, Fs: float, gamma: float = 0.0) -> Real:
+    """Return the derivative of `magnitude` by the curve's shape: G_slip/Fs of the linear one, else gamma; N m/s."""
+    speed: float = s  # type: ignore[assignment]  # arithmetic is the same for arrays
+    if curve == LINEAR:
+        rate = -Fs * speed
+    elif curve == HYPERBOLIC:
+        rate = -Fs * speed / (1.0 + gamma * speed) ** 2
+    else:
+        rate = 0.0 * speed
+    return rate  # type: ignore[return-value]
 
 
 def reversal_speed(curve: int, Fs: float, G_slip: float) -> float:

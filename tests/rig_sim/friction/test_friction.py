@@ -67,5 +67,5 @@ def test_linear_curve_reverses_at_its_stated_speed():
 def test_ramp_without_width_and_unknown_curve_are_refused():
     with pytest.raises(ValueError, match="d is 0"):
         force(LAWS[6], 0.1, gamma=3.0)
-    with pytest.raises(ValueError, match="curve is 9"):
+    with pytest.raises(ValueError, match="unknown curve"):
         magnitude(9, 0.1, 1.0)

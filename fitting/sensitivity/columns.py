@@ -1,0 +1,158 @@
+"""The columns of a fit's own unknowns: shared parameters, the cycles' own, and the coefficients of a spline."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.model import parameters
+from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
+from fitting.sensitivity.path import Path
+from fitting.sensitivity.tangents import tangents
+from rig_sim.flow.modes import STICK
+from rig_sim.friction.curve import shape_slope
+
+BELT = (Global.V_DR, Global.COSINE, Global.SINE, Global.OMEGA)
+
+
+def local_tangents(path: Path) -> Array:
+    """Return the derivatives of the positions by each cycle's own unknowns, shape (N, 6); 0 in another cycle."""
+    table = path.windows.table
+    stick = table[:, 1] == 1
+    acceleration = np.zeros((path.time.size, PER_CYCLE))
+    acts = path.mode != STICK
+    acceleration[:, PerCycle.LEVEL] = np.where(acts & ~(path.landed & ~stick[path.window]), path.friction, 0.0)
+    acceleration[:, PerCycle.NEXT_LEVEL] = np.where(acts & path.landed & ~stick[path.window], path.friction, 0.0)
+    x, v = np.zeros((2, stick.size, PER_CYCLE))
+    x[:, PerCycle.X_SLIP], x[:, PerCycle.X_STICK] = ~stick, stick
+    v[:, PerCycle.V_SLIP], v[:, PerCycle.V_STICK] = ~stick, stick
+    # what starts bound to the belt does not know a velocity of its own
+    v[path.stuck[path.first_point[:-1]]] = 0.0
+    return tangents(path, acceleration, start=(x, v))
+
+
+def shared_tangents(path: Path, places: Sequence[int]) -> Array:
+    """Return the derivatives of the positions by shared unknowns, shape (N, p).
+
+    Parameters
+    ----------
+    path : Path
+    places : sequence of int
+        p places of `fitting.model.parameters`; with a spline those of F and of the curve's shape act no more.
+    """
+    runs = path.u.size // PER_RUN
+    slots = sorted({place % PER_RUN for place in places})
+    acceleration, edge = parameter_forces(path, slots)
+    found = np.zeros((path.reached.size, len(slots)))
+    plain = [j for j, slot in enumerate(slots) if slot not in BELT]
+    moving = [j for j, slot in enumerate(slots) if slot in BELT]
+    found[:, plain] = tangents(path, acceleration[:, plain], edge=edge[:, plain])
+    if moving:
+        belt = belt_columns(path, [slots[j] for j in moving])
+        found[:, moving] = tangents(path, acceleration[:, moving], belt_speed=belt)
+    table = parameters.columns(places, runs)
+    run = path.run[path.reached]
+    column = {slot: j for j, slot in enumerate(slots)}
+    out = np.zeros((path.reached.size, len(places)))
+    for j in range(len(places)):
+        for r in range(runs):
+            if table[r, j] >= 0:
+                own = run == r
+                out[own, j] = found[own, column[int(table[r, j])]]
+    return out
+
+
+def spline_tangents(path: Path) -> Array:
+    """Return the derivatives of the positions by the coefficients of the path's spline, shape (N, n + 3)."""
+    spline = path.curve.spline
+    if spline is None:
+        raise ValueError("this path follows a law's curve: there are no coefficients")
+    slips = path.slips
+    forces = np.zeros((path.time.size, spline.coefficients.size))
+    forces[slips] = (path.level * path.side * _yielding(path))[slips, None] * spline.basis(path.slip_speed[slips])
+    d, q, at_rest = _contact(path)
+    ramp = ~slips & ~(path.mode == STICK)
+    forces[ramp, 0] = (path.friction / at_rest * d / np.maximum(d + q * at_rest, 1e-300))[ramp]
+    edge = np.zeros((path.windows.table.shape[0], spline.coefficients.size))
+    edge[:, 0] = q[path.first_point[:-1]]
+    return tangents(path, forces, edge=edge)
+
+
+def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
+    """Return what a unit of each slot adds to the acceleration, (M, slots), and to the ramp's edge, (windows, slots).
+
+    Those that move the belt do it through its speed alone (`belt_columns`): 0 here.
+    """
+    own = path.u.reshape(-1, PER_RUN)[path.run]
+    K, F = own[:, Global.K], np.exp(own[:, Global.LOG_F])
+    d, q, at_rest = _contact(path)
+    slips, friction, slope = path.slips, path.friction, path.friction_slope
+    ramp = ~slips & ~(path.mode == STICK)
+    width = np.maximum(d + q * at_rest, 1e-300)
+    n = np.abs(friction) / (path.level * F)
+    # by the ramp's half-width d and by q, the speed lost under the load F, at a given relative speed
+    by_d = np.where(slips, -path.side * slope, np.where(ramp, -friction / width, 0.0))
+    by_q = np.where(slips, by_d * n, by_d * at_rest)
+    by_q_of = {
+        Global.K: -own[:, Global.COMPLIANCE] * F / K**2,
+        Global.LOG_F: q,
+        Global.COMPLIANCE: F / K,
+    }
+    forces = np.zeros((path.time.size, len(slots)))
+    edge = np.zeros((path.windows.table.shape[0], len(slots)))
+    first = path.first_point[:-1]
+    for j, slot in enumerate(slots):
+        if slot == Global.K:
+            forces[:, j] = own[:, Global.DATUM] - path.position
+        elif slot == Global.LOG_F:
+            forces[:, j] = np.where(slips | ramp, friction, 0.0)
+        elif slot == Global.SHAPE and path.curve.spline is None:
+            shape = own[:, Global.SHAPE]
+            rate = shape_slope(path.curve.code, path.slip_speed, path.level * F, shape)  # type: ignore[arg-type]
+            forces[:, j] = np.where(slips, path.side * rate * _yielding(path), 0.0)
+        elif slot == Global.D:
+            forces[:, j], edge[:, j] = by_d, 1.0
+        elif slot == Global.DATUM:
+            forces[:, j] = K
+        elif slot == Global.DAMPING:
+            forces[:, j] = -path.velocity
+        elif slot == Global.FADE:
+            epoch = path.windows.level_epoch[path.window]
+            fall = (path.time - epoch) / (1 - own[:, Global.FADE] * (path.time - epoch))
+            forces[:, j] = np.where(slips | ramp, -fall * friction, 0.0)
+        elif slot == Global.STATIC:
+            forces[:, j] = np.where(ramp & (q == 0.0), friction / own[:, Global.STATIC], 0.0)
+        if slot in by_q_of:
+            forces[:, j] += by_q * by_q_of[Global(slot)]
+            edge[:, j] += (at_rest * by_q_of[Global(slot)])[first]
+    return forces, edge
+
+
+def belt_columns(path: Path, slots: Sequence[int]) -> Array:
+    """Return what a unit of each slot adds to the belt's speed, m/s, shape (M, slots)."""
+    own = path.u.reshape(-1, PER_RUN)[path.run]
+    turn = own[:, Global.OMEGA] * path.time
+    of = {
+        Global.V_DR: np.ones(turn.size),
+        Global.COSINE: np.cos(turn),
+        Global.SINE: np.sin(turn),
+        Global.OMEGA: path.time * (own[:, Global.SINE] * np.cos(turn) - own[:, Global.COSINE] * np.sin(turn)),
+    }
+    return np.asarray(np.column_stack([of[Global(slot)] for slot in slots]))
+
+
+def _contact(path: Path) -> tuple[Array, Array, Array]:
+    """Return d (m/s), q (m/s) and n(0) at every point; each (M,)."""
+    own = path.u.reshape(-1, PER_RUN)[path.run]
+    spline = path.curve.spline
+    d = own[:, Global.D] if path.curve.ramp else np.zeros(path.time.size)
+    q = own[:, Global.COMPLIANCE] * np.exp(own[:, Global.LOG_F]) / own[:, Global.K]
+    return d, q, np.full(d.size, 1.0 if spline is None else float(spline.coefficients[0]))
+
+
+def _yielding(path: Path) -> Array:
+    """Return 1/(1 + q n'), by which a compliant belt lowers the effect of a change of the curve; 1 on a stiff one."""
+    own = path.u.reshape(-1, PER_RUN)[path.run]
+    F = np.exp(own[:, Global.LOG_F])
+    q = own[:, Global.COMPLIANCE] * F / own[:, Global.K]
+    return np.asarray(1 - q * path.friction_slope / (path.level * F))

@@ -1,0 +1,429 @@
+"""Kernels: the motion along the windows of a fit by the classical Runge-Kutta method, stored where tangents need it.
+
+The windows, their unknowns and the rules at a landing are those of `fitting.model.shooting.integrate_window`.  There
+the flow is exact and knows the six laws; here it is stepped, for any curve and any small force besides.  A step ends at
+every sample and every change of mode.  It is short enough for the fastest rate of the motion; a ramp so steep that its
+transient moves the mass by less than `NO_TRANSIENT` of the spring's stretch is followed without inertia (`CREEP`).
+
+Every function runs as written or compiled (`daq.compute.compile`).
+"""
+
+import math
+from typing import NamedTuple
+
+from daq.compute.arrays import Array, Integers
+from fitting.model.parameters import Global, PerCycle
+from fitting.sensitivity.friction import Contact, edge_speed, friction, normal_curve
+from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
+
+CREEP = 4  # a mode beside those of `rig_sim.flow.modes`: a steep ramp, its velocity that of balanced forces
+
+# Longest step times the fastest rate: at 100 Hz positions of the rig scene's slips err by 2e-8 m, doubled by 1e-7 m,
+# against microns of noise.  At 1 kHz one step a sample is shorter than that anyhow, but on steep ramps.
+LONGEST_STEP = 0.1
+# Of the spring's stretch under F.  At 1e-5 a ramp's creep would miss a micron of its transient; at 1e-9 a steep ramp
+# takes ten times as many steps.
+NO_TRANSIENT = 1e-7
+MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
+MOST_BISECTIONS = 60
+
+# Rows of the table of points.
+TIME, POSITION, VELOCITY, RELATIVE, BELT, LEVEL, FRICTION, SLOPE, SPEED = range(9)
+# Columns of the table of steps: first of its three points, window, sample at its end or -1.
+FIRST_POINT, WINDOW, SAMPLE = range(3)
+
+K, LOG_F, V_DR, SHAPE = int(Global.K), int(Global.LOG_F), int(Global.V_DR), int(Global.SHAPE)
+D, DATUM, DAMPING, FADE = int(Global.D), int(Global.DATUM), int(Global.DAMPING), int(Global.FADE)
+COMPLIANCE, COSINE, SINE, OMEGA = (
+    int(Global.COMPLIANCE),
+    int(Global.COSINE),
+    int(Global.SINE),
+    int(Global.OMEGA),
+)
+STATIC = int(Global.STATIC)
+X_SLIP, V_SLIP, OWN, NEXT, X_STICK, V_STICK = (int(column) for column in PerCycle)
+
+
+class Extra(NamedTuple):
+    """A force and a change of the belt's speed besides, along an earlier path; each empty, or as long as ``time``.
+
+    ``first`` (windows + 1,) are the first points of each window, ``time`` (M,) in s, ``acceleration`` (M,) in m/s^2 and
+    ``belt`` (M,) in m/s.
+    """
+
+    first: Integers
+    time: Array
+    acceleration: Array
+    belt: Array
+
+
+class Window(NamedTuple):
+    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra."""
+
+    u: Array
+    contact: Contact
+    level: float
+    epoch: float
+    low: int
+    high: int
+    extra: Extra
+
+
+def between(times: Array, values: Array, low: int, high: int, t: float) -> float:
+    """Return values (M,) at time t by linear interpolation within [low, high); 0 where there are none."""
+    if values.size == 0:
+        return 0.0
+    last = high - 1
+    while last - low > 1:
+        middle = (low + last) // 2
+        if t < times[middle]:
+            last = middle
+        else:
+            low = middle
+    gap = times[last] - times[low]
+    part = (t - times[low]) / gap if gap > 0.0 else 0.0
+    part = min(max(part, 0.0), 1.0)
+    return float(values[low] + part * (values[last] - values[low]))
+
+
+def belt_speed(w: Window, t: float) -> float:
+    """Return the speed of the unloaded belt, m/s."""
+    u, omega = w.u, w.u[OMEGA]
+    steady = u[V_DR] + between(w.extra.time, w.extra.belt, w.low, w.high, t)
+    if omega == 0.0:
+        return float(steady)
+    return float(steady + u[COSINE] * math.cos(omega * t) + u[SINE] * math.sin(omega * t))
+
+
+def belt_acceleration(w: Window, t: float, h: float) -> float:
+    """Return the belt's acceleration within the step from t to t + h, m/s^2."""
+    if w.u[OMEGA] == 0.0 and w.extra.belt.size == 0:
+        return 0.0
+    return (belt_speed(w, t + h) - belt_speed(w, t)) / h if h > 0.0 else 0.0
+
+
+def level_at(w: Window, t: float) -> float:
+    """Return the friction level over F, which fades from the cycle's break-away on."""
+    return float(w.level * (1.0 - w.u[FADE] * (t - w.epoch)))
+
+
+def free_force(w: Window, t: float, x: float) -> float:
+    """Return what acts on the mass besides friction and damping, m/s^2."""
+    return float(-w.u[K] * (x - w.u[DATUM]) + between(w.extra.time, w.extra.acceleration, w.low, w.high, t))
+
+
+def acceleration(w: Window, mode: int, t: float, x: float, v: float) -> float:
+    """Return x'' (m/s^2) of slip or ramp."""
+    force, _, _ = friction(w.contact, mode, belt_speed(w, t) - v, level_at(w, t))
+    return float(free_force(w, t, x) - w.u[DAMPING] * v + force)
+
+
+def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
+    """Return x' (m/s) of a mode without inertia: the belt's in stick, that of balanced forces in creep."""
+    if mode == STICK:
+        return belt_speed(w, t)
+    _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
+    return float((rise * belt_speed(w, t) + free_force(w, t, x)) / (rise + w.u[DAMPING]))
+
+
+def advance(w: Window, mode: int, t: float, x: float, v: float, h: float) -> tuple[float, float]:
+    """Return (x, v) after a step of length h."""
+    half = 0.5 * h
+    if mode == STICK or mode == CREEP:
+        k1 = bound_velocity(w, mode, t, x)
+        k2 = bound_velocity(w, mode, t + half, x + half * k1)
+        k3 = bound_velocity(w, mode, t + half, x + half * k2)
+        k4 = bound_velocity(w, mode, t + h, x + h * k3)
+        x += h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        return x, bound_velocity(w, mode, t + h, x)
+    a1 = acceleration(w, mode, t, x, v)
+    v2 = v + half * a1
+    a2 = acceleration(w, mode, t + half, x + half * v, v2)
+    v3 = v + half * a2
+    a3 = acceleration(w, mode, t + half, x + half * v2, v3)
+    v4 = v + h * a3
+    a4 = acceleration(w, mode, t + h, x + h * v3, v4)
+    return x + h / 6.0 * (v + 2.0 * (v2 + v3) + v4), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+
+
+def margin(w: Window, mode: int, held: bool, t: float, x: float, v: float) -> float:
+    """Return how far a state is from the edge of its mode (m/s, in stick m/s^2); below 0 the mode has ended."""
+    if held:
+        return 1.0
+    e, edge = belt_speed(w, t) - v, edge_speed(w.contact)
+    if mode == NEGATIVE:
+        return e - edge
+    if mode == POSITIVE:
+        return -e - edge
+    if mode == STICK:
+        return w.contact.static * level_at(w, t) * w.contact.F * w.contact.at_rest - abs(load(w, t, x))
+    return edge - abs(e)
+
+
+def load(w: Window, t: float, x: float) -> float:
+    """Return the force that friction must bear in stick, m/s^2."""
+    return float(w.u[DAMPING] * belt_speed(w, t) - free_force(w, t, x))
+
+
+def time_of_edge(w: Window, mode: int, t: float, x: float, v: float, h: float) -> float:
+    """Return the part of the step h after which the mode ends, by bisection with a secant where that is faster."""
+    low, high = 0.0, h
+    at_low = max(margin(w, mode, False, t, x, v), 0.0)
+    far_x, far_v = advance(w, mode, t, x, v, h)
+    at_high = margin(w, mode, False, t + h, far_x, far_v)
+    for number in range(MOST_BISECTIONS):
+        if high - low <= 1e-15 * (abs(t) + h) or at_low == 0.0:
+            break
+        guess = low + (high - low) * at_low / (at_low - at_high) if number % 3 < 2 else 0.5 * (low + high)
+        if not low < guess < high:
+            guess = 0.5 * (low + high)
+        x_guess, v_guess = advance(w, mode, t, x, v, guess)
+        value = margin(w, mode, False, t + guess, x_guess, v_guess)
+        if value > 0.0:
+            low, at_low = guess, value
+        else:
+            high, at_high = guess, value
+    return low
+
+
+def next_mode(w: Window, mode: int, t: float, x: float, v: float) -> int:
+    """Return the mode that follows at an edge, as `rig_sim.flow.modes` has it; a steep ramp creeps."""
+    edge, pull = edge_speed(w.contact), load(w, t, x)
+    if mode == STICK:
+        return NEGATIVE if pull > 0.0 else POSITIVE
+    if mode == RAMP or mode == CREEP:
+        return NEGATIVE if belt_speed(w, t) > v else POSITIVE
+    if edge > 0.0:
+        return ramp_mode(w, t)
+    most = level_at(w, t) * w.contact.F * w.contact.at_rest
+    if mode == NEGATIVE:
+        return POSITIVE if pull < -most else STICK
+    return NEGATIVE if pull > most else STICK
+
+
+def ramp_mode(w: Window, t: float) -> int:
+    """Return RAMP, or CREEP where its transient would not show."""
+    edge = edge_speed(w.contact)
+    _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
+    stretch = w.contact.F * w.contact.at_rest / w.u[K]
+    return CREEP if edge < NO_TRANSIENT * rise * stretch else RAMP
+
+
+def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
+    """Return the fastest rate of the motion at a state, 1/s."""
+    if mode == STICK:
+        return float(w.u[OMEGA])
+    if mode == CREEP:
+        return float(w.u[OMEGA] + math.sqrt(w.u[K]))
+    _, slope, _ = friction(w.contact, mode, belt_speed(w, t) - v, level_at(w, t))
+    return float(w.u[OMEGA] + math.sqrt(w.u[K]) + w.u[DAMPING] + abs(slope))
+
+
+def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Array, i: int) -> None:
+    """Store one stage point in column i of ``points`` (9, M)."""
+    belt, level = belt_speed(w, t), level_at(w, t)
+    force, slope, s = 0.0, 0.0, 0.0
+    if mode == STICK:
+        force = load(w, t, x) + belt_acceleration(w, t, 1e-6)
+    else:
+        force, slope, s = friction(w.contact, RAMP if mode == CREEP else mode, belt - v, level)
+    points[TIME, i], points[POSITION, i], points[VELOCITY, i] = t, x, v
+    points[RELATIVE, i], points[BELT, i], points[LEVEL, i] = belt - v, belt, level
+    points[FRICTION, i], points[SLOPE, i], points[SPEED, i] = force, slope, s
+
+
+def follow_window(
+    w: Window,
+    stick: bool,
+    x: float,
+    v: float,
+    earliest: float,
+    overtakes: bool,
+    next_level: float,
+    times: Array,
+    first_sample: int,
+    row: int,
+    points: Array,
+    kinds: Integers,
+    steps: Integers,
+    jumps: Array,
+    reached: Integers,
+    m: int,
+    s: int,
+) -> tuple[int, int]:
+    """Follow one window from its start; return the numbers of points and of steps stored, or (-1, 0) or (0, -1).
+
+    ``points`` (9, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3) (`crossing`)
+    and ``reached`` (N,), the point of each sample, are filled from ``m`` and ``s`` on.  Returns (-1, 0) where they are
+    too small, and (0, -1) where the motion cannot be followed.
+    """
+    t = times[0]
+    e, edge = belt_speed(w, t) - v, edge_speed(w.contact)
+    held, landed = stick, stick
+    if stick:
+        mode = STICK if edge == 0.0 else ramp_mode(w, t)
+        v = belt_speed(w, t) if edge == 0.0 else min(max(v, belt_speed(w, t) - 10 * edge), belt_speed(w, t) + 10 * edge)
+    elif edge > 0.0 and abs(e) <= edge:
+        mode = ramp_mode(w, t)
+    else:
+        mode = NEGATIVE if e >= 0.0 else POSITIVE
+    if mode == CREEP:
+        v = bound_velocity(w, mode, t, x)
+    i, events, entered = 0, 0, True
+    while True:
+        if m + 3 > points.shape[1] or s >= steps.shape[0]:
+            return -1, 0
+        if entered:
+            store_point(w, mode, t, x, v, points, m)
+            kinds[0, m], kinds[1, m] = mode, int(landed)
+            entered = False
+            if i == 0:
+                reached[first_sample] = m
+                i = 1
+                if times.size == 1:
+                    return m + 1, s
+        gap = times[i] - t
+        h = gap / max(1.0, math.ceil(gap * fastest_rate(w, mode, t, v) / LONGEST_STEP))
+        x1, v1 = advance(w, mode, t, x, v, h)
+        if not math.isfinite(x1 + v1):
+            return 0, -1
+        ends = margin(w, mode, held, t + h, x1, v1) < 0.0
+        if ends:
+            h = time_of_edge(w, mode, t, x, v, h)
+            x1, v1 = advance(w, mode, t, x, v, h)
+        xm, vm = advance(w, mode, t, x, v, 0.5 * h)
+        done = not ends and h >= gap
+        store_point(w, mode, t + 0.5 * h, xm, vm, points, m + 1)
+        t = times[i] if done else t + h
+        store_point(w, mode, t, x1, v1, points, m + 2)
+        for j in range(m + 1, m + 3):
+            kinds[0, j], kinds[1, j] = mode, int(landed)
+        steps[s, FIRST_POINT], steps[s, WINDOW], steps[s, SAMPLE] = m, row, -1
+        jumps[s, 0] = jumps[s, 1] = jumps[s, 2] = 0.0
+        if done:
+            steps[s, SAMPLE] = first_sample + i
+            reached[first_sample + i] = m + 2
+            i += 1
+        m, s = m + 2, s + 1
+        x, v = x1, v1
+        if i == times.size:
+            return m + 1, s
+        if ends:
+            events += 1
+            if events > MOST_EVENTS:
+                return 0, -1
+            before = mode
+            slope_before = rates_at(w, before, t, x, v)
+            if landed and before == POSITIVE:
+                held = True
+                mode = STICK if edge == 0.0 else ramp_mode(w, t)
+            elif not landed and before == NEGATIVE and t >= earliest:
+                landed = True
+                w = Window(w.u, w.contact, next_level, w.epoch, w.low, w.high, w.extra)
+                if edge == 0.0:
+                    mode = POSITIVE if overtakes else STICK
+                else:
+                    mode = ramp_mode(w, t)
+                held = mode == STICK or (edge > 0.0 and not overtakes)
+            else:
+                mode = next_mode(w, before, t, x, v)
+            if mode == STICK or mode == CREEP:
+                v = bound_velocity(w, mode, t, x)
+            if before != STICK:
+                crossing(w, before, slope_before, mode, t, x, v, jumps[s - 1])
+            m += 1
+            entered = True
+
+
+def rates_at(w: Window, mode: int, t: float, x: float, v: float) -> tuple[float, float]:
+    """Return (x', x'') of a state in its mode, m/s and m/s^2."""
+    if mode == STICK or mode == CREEP:
+        h = 1e-7
+        x1 = x + h * bound_velocity(w, mode, t, x)
+        return v, (bound_velocity(w, mode, t + h, x1) - bound_velocity(w, mode, t, x)) / h
+    return v, acceleration(w, mode, t, x, v)
+
+
+def crossing(
+    w: Window, before: int, old: tuple[float, float], mode: int, t: float, x: float, v: float, out: Array
+) -> None:
+    """Store in ``out`` (3,) what a change of mode at a relative speed of +-edge does to a tangent.
+
+    The change comes later by dt = (d belt - d x' -+ d edge) / (x'' - belt'), and with it the change of x' and x'':
+    d x += out[0] (d belt - d x' - out[2] d edge), d x' += out[1] (the same).
+    """
+    new = rates_at(w, mode, t, x, v)
+    approach = old[1] - belt_acceleration(w, t, 1e-6)
+    if approach == 0.0:
+        return
+    out[0], out[1] = (old[0] - new[0]) / approach, (old[1] - new[1]) / approach
+    out[2] = -1.0 if before == POSITIVE or (before != NEGATIVE and belt_speed(w, t) < v) else 1.0
+
+
+def follow_windows(
+    curve: int,
+    u: Array,
+    local: Array,
+    table: Integers,
+    epoch: Array,
+    earliest: Array,
+    time: Array,
+    knots: Array,
+    pieces: Array,
+    ramp: int,
+    extra: Extra,
+    points: Array,
+    kinds: Integers,
+    steps: Integers,
+    jumps: Array,
+    reached: Integers,
+    first_point: Integers,
+    first_step: Integers,
+) -> int:
+    """Follow all windows; return 0, -1 where the arrays are too small, or 1 + the window that cannot be followed.
+
+    ``u`` (runs, 13), ``local`` (cycles, 6), ``table`` (windows, 6) and the times are those of `ShootingWindows`;
+    ``first_point`` and ``first_step`` (windows + 1,) are filled with where each window's begin.
+    """
+    m, s = 0, 0
+    for row in range(table.shape[0]):
+        own, part = u[table[row, 5]], local[table[row, 0]]
+        first, n = table[row, 2], table[row, 3]
+        F = math.exp(own[LOG_F])
+        d = own[D] if ramp == 1 else 0.0
+        q = own[COMPLIANCE] * F / own[K]
+        c = Contact(curve, F, own[SHAPE], d, q, 1.0, 1.0, knots, pieces)
+        static = own[STATIC] if ramp == 1 and q == 0.0 else 1.0
+        c = Contact(curve, F, own[SHAPE], d, q, static, normal_curve(c, 0.0)[0], knots, pieces)
+        stick = table[row, 1] == 1
+        low, high = 0, 0
+        if extra.time.size > 0:
+            low, high = extra.first[row], extra.first[row + 1]
+        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, extra)
+        x, v = (part[X_STICK], part[V_STICK]) if stick else (part[X_SLIP], part[V_SLIP])
+        first_point[row], first_step[row] = m, s
+        m, s = follow_window(
+            w,
+            stick,
+            x,
+            v,
+            earliest[row],
+            table[row, 4] == 1,
+            math.exp(part[NEXT]),
+            time[first : first + n],
+            first,
+            row,
+            points,
+            kinds,
+            steps,
+            jumps,
+            reached,
+            m,
+            s,
+        )
+        if m < 0:
+            return -1
+        if s < 0:
+            return 1 + row
+    first_point[table.shape[0]], first_step[table.shape[0]] = m, s
+    return 0

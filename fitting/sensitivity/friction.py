@@ -1,0 +1,88 @@
+"""Kernels: friction per unit mass in each mode of the contact, for the curve of a law or for a spline.
+
+The relative speed e = v_belt - x' is positive where the belt is faster; friction then pushes the mass along +x:
+
+    slip   sign(e) level F n(s)             abs(e) = s + d + q n(s)
+    ramp   static level F n(0) e/edge       edge = d + q n(0)
+
+n is the curve over F = Fs/m (a spline is its own curve per unit mass, F = 1), d the ramp's half-width, and q =
+compliance F/K the speed that a compliant belt loses under the load F, which makes friction a function of the speed of
+the unloaded belt (`rig_sim.flow.modes`, droop).  Where a touch of the belt ends a step, n is continued to s < 0.
+"""
+
+from typing import NamedTuple
+
+from daq.compute.arrays import Array
+from rig_sim.flow.modes import NEGATIVE, RAMP
+from rig_sim.friction.curve import HYPERBOLIC, magnitude, slope
+
+SPLINE = HYPERBOLIC + 1  # code of a curve given by knots and pieces, beside those of `rig_sim.friction.curve`
+MOST_ITERATIONS = 30  # of Newton's method on a compliant belt; it needs 3 to 5
+
+
+class Contact(NamedTuple):
+    """Friction of one run: what `friction` reads.
+
+    ``curve`` is a code, F in m/s^2, ``shape`` in s/m, d and q in m/s; ``knots`` (n + 1,) and ``pieces`` (n, 4), powers
+    from 0 to 3 of the distance to the knot below, are the spline's; ``at_rest`` is n(0).
+    """
+
+    curve: int
+    F: float
+    shape: float
+    d: float
+    q: float
+    static: float
+    at_rest: float
+    knots: Array
+    pieces: Array
+
+
+def piece_of(knots: Array, s: float) -> int:
+    """Return the piece of the spline in which s lies; the first or the last beyond the ends."""
+    low, high = 0, knots.size - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if s < knots[middle]:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+def normal_curve(c: Contact, s: float) -> tuple[float, float]:
+    """Return n(s) and its slope (s/m); a spline goes on with a constant slope beyond its last knot."""
+    if c.curve == SPLINE:
+        i = piece_of(c.knots, s)
+        beyond = max(s - c.knots[c.knots.size - 1], 0.0)
+        z = s - beyond - c.knots[i]
+        rate = c.pieces[i, 1] + z * (2.0 * c.pieces[i, 2] + z * 3.0 * c.pieces[i, 3])
+        n = c.pieces[i, 0] + z * (c.pieces[i, 1] + z * (c.pieces[i, 2] + z * c.pieces[i, 3]))
+        return n + beyond * rate, rate
+    return magnitude(c.curve, s, 1.0, c.shape, c.shape), slope(c.curve, s, 1.0, c.shape, c.shape)
+
+
+def edge_speed(c: Contact) -> float:
+    """Return the relative speed (m/s) at which a ramp ends and slip begins; 0 for a jump on a stiff belt."""
+    return c.d + c.q * c.at_rest
+
+
+def friction(c: Contact, mode: int, e: float, level: float) -> tuple[float, float, float]:
+    """Return friction (m/s^2), its derivative by e (1/s), and the slip speed s (m/s; 0 on the ramp)."""
+    if mode == RAMP:
+        rise = c.static * level * c.F * c.at_rest / edge_speed(c)
+        return rise * e, rise, 0.0
+    sign = 1.0 if mode == NEGATIVE else -1.0
+    s = sign * e - c.d
+    n, rate = normal_curve(c, s)
+    if c.q > 0.0:
+        r = s
+        s -= c.q * n
+        for _ in range(MOST_ITERATIONS):
+            n, rate = normal_curve(c, s)
+            change = (s + c.q * n - r) / (1.0 + c.q * rate)
+            s -= change
+            if abs(change) <= 1e-15 * (abs(r) + c.q):
+                break
+        n, rate = normal_curve(c, s)
+    return sign * level * c.F * n, level * c.F * rate / (1.0 + c.q * rate), s

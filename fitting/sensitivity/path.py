@@ -1,0 +1,246 @@
+"""The path: what moves along the windows, at the stage points that tangents are integrated with."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers, Mask
+from daq.compute.compile import compiled
+from fitting.model.parameters import PER_RUN
+from fitting.model.shooting import ShootingWindows
+from fitting.sensitivity import flow
+from fitting.sensitivity.friction import SPLINE
+from fitting.sensitivity.spline import FrictionSpline
+from rig_sim.flow.modes import NEGATIVE, RAMP, STICK
+
+KERNELS = ("rig_sim.friction.curve", "fitting.sensitivity.friction", "fitting.sensitivity.flow")
+NO_KNOTS, NO_PIECES, NOTHING = np.zeros(2), np.zeros((1, 4)), np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """The friction that a path is followed with.
+
+    ``code`` is that of the law's curve (`rig_sim.friction.curve`), or of the spline where there is one; ``ramp`` says
+    whether slip begins beyond a ramp of half-width d.
+    """
+
+    code: int
+    ramp: bool
+    spline: FrictionSpline | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The motion along all windows; M stage points: each step's start, middle and end, shared by consecutive steps.
+
+    Attributes
+    ----------
+    windows : ShootingWindows
+    curve : Curve
+    u, local : (13 runs,), (cycles, 6) f8
+        The unknowns that it was followed with.
+    time, position, velocity : (M,) f8
+        s, m, m/s.
+    relative_speed, belt_speed : (M,) f8
+        m/s; v_belt - x', positive where the belt is faster, and the speed of the unloaded belt.
+    level : (M,) f8
+        The cycle's friction level over F, faded.
+    friction, friction_slope : (M,) f8
+        m/s^2 and 1/s: friction on the mass per unit mass, level included, positive along x, and its derivative by the
+        relative speed; in stick what holds the mass, and 0.
+    slip_speed : (M,) f8
+        m/s; the argument of the curve, >= 0; 0 on a ramp and in stick.
+    mode : (M,) i8
+        `rig_sim.flow.modes`, or CREEP (`fitting.sensitivity.flow`).
+    landed : (M,) bool
+        Whether the cycle's next level holds: after the landing of a slip window.
+    first_point, first_step : (windows + 1,) i8
+        Where each window's points and steps begin.
+    steps : (S, 3) i8
+        First of a step's three points, its window, the sample at its end or -1.
+    jumps : (S, 3) f8
+        What a change of mode at a step's end does to tangents (`flow.crossing`).
+    reached : (N,) i8
+        The point of each sample.
+    """
+
+    windows: ShootingWindows
+    curve: Curve
+    u: Array
+    local: Array
+    time: Array
+    position: Array
+    velocity: Array
+    relative_speed: Array
+    belt_speed: Array
+    level: Array
+    friction: Array
+    friction_slope: Array
+    slip_speed: Array
+    mode: Integers
+    landed: Mask
+    first_point: Integers
+    first_step: Integers
+    steps: Integers
+    jumps: Array
+    reached: Integers
+
+    @property
+    def model(self) -> Array:
+        """Position at every sample, m, shape (N,)."""
+        return np.asarray(self.position[self.reached])
+
+    @property
+    def residual(self) -> Array:
+        """Model minus measurement, m, shape (N,)."""
+        return self.model - self.windows.position
+
+    @cached_property
+    def window(self) -> Integers:
+        """Window of each point, shape (M,)."""
+        return np.repeat(np.arange(self.first_point.size - 1), np.diff(self.first_point))
+
+    @cached_property
+    def cycle(self) -> Integers:
+        """Cycle of each point, shape (M,)."""
+        return np.asarray(self.windows.table[self.window, 0])
+
+    @cached_property
+    def run(self) -> Integers:
+        """Run of each point, shape (M,)."""
+        return np.asarray(self.windows.table[self.window, 5])
+
+    @property
+    def stuck(self) -> Mask:
+        """Where the mass moves with the belt or creeps on it: no acceleration counts there, shape (M,)."""
+        return np.asarray((self.mode == STICK) | (self.mode == flow.CREEP))
+
+    @property
+    def side(self) -> Array:
+        """1.0 where friction pushes the mass forwards in slip, -1.0 where backwards, 0.0 in stick; shape (M,)."""
+        slips = self.slips
+        return np.where(slips, np.where(self.mode == NEGATIVE, 1.0, -1.0), 0.0)
+
+    @property
+    def slips(self) -> Mask:
+        """Where the mass slips beyond any ramp, shape (M,)."""
+        return np.asarray((self.mode > STICK) & (self.mode < RAMP))
+
+
+def follow(
+    windows: ShootingWindows,
+    curve: Curve,
+    u: Array,
+    local: Array,
+    *,
+    along: Path | None = None,
+    acceleration: Array | None = None,
+    belt_speed: Array | None = None,
+) -> Path | None:
+    """Follow all windows; None where the motion cannot be followed.
+
+    Parameters
+    ----------
+    windows : ShootingWindows
+    curve : Curve
+    u : (13 runs,) f8
+        `fitting.model.parameters.Global` of every run.  With a spline, LOG_F and SHAPE are not used: the spline's
+        coefficients are friction per unit mass.
+    local : (cycles, 6) f8
+        `fitting.model.parameters.PerCycle`.
+    along : Path, optional
+        An earlier path of the same windows, at whose points what follows is given.
+    acceleration, belt_speed : (M,) f8, optional
+        A force per unit mass, m/s^2, and a change of the belt's speed, m/s, besides; between points linear in time.
+    """
+    spline = curve.spline
+    own = np.array(u, float).reshape(-1, PER_RUN)
+    if spline is not None:
+        own[:, flow.LOG_F] = 0.0
+    extra = flow.Extra(np.zeros(1, np.int64), NOTHING, NOTHING, NOTHING)
+    if along is not None:
+        none = NOTHING
+        extra = flow.Extra(
+            along.first_point,
+            along.time,
+            none if acceleration is None else np.ascontiguousarray(acceleration),
+            none if belt_speed is None else np.ascontiguousarray(belt_speed),
+        )
+    N, rows = windows.time.size, windows.table.shape[0]
+    reached = np.zeros(N, np.int64)
+    first_point, first_step = np.zeros((2, rows + 1), np.int64)
+    kernel = compiled(flow.follow_windows, KERNELS, _nrt=False)
+    size = int(1.2 * N) + 20 * rows
+    while True:
+        points, kinds = np.empty((9, 2 * size)), np.empty((2, 2 * size), np.int64)
+        steps, jumps = np.empty((size, 3), np.int64), np.empty((size, 3))
+        status = kernel(
+            curve.code,
+            own,
+            np.ascontiguousarray(local),
+            windows.table,
+            windows.level_epoch,
+            windows.earliest_landing,
+            windows.time,
+            NO_KNOTS if spline is None else spline.knots,
+            NO_PIECES if spline is None else spline.pieces,
+            int(curve.ramp),
+            extra,
+            points,
+            kinds,
+            steps,
+            jumps,
+            reached,
+            first_point,
+            first_step,
+        )
+        if status > 0:
+            return None
+        if status == 0:
+            break
+        size *= 2
+    M, S = int(first_point[-1]), int(first_step[-1])
+    if not math.isfinite(float(points[flow.POSITION, :M].sum())):
+        return None
+    return Path(
+        windows,
+        curve,
+        own.ravel(),
+        np.array(local),
+        time=points[flow.TIME, :M],
+        position=points[flow.POSITION, :M],
+        velocity=points[flow.VELOCITY, :M],
+        relative_speed=points[flow.RELATIVE, :M],
+        belt_speed=points[flow.BELT, :M],
+        level=points[flow.LEVEL, :M],
+        friction=points[flow.FRICTION, :M],
+        friction_slope=points[flow.SLOPE, :M],
+        slip_speed=points[flow.SPEED, :M],
+        mode=kinds[0, :M],
+        landed=kinds[1, :M] == 1,
+        first_point=first_point,
+        first_step=first_step,
+        steps=steps[:S],
+        jumps=jumps[:S],
+        reached=reached,
+    )
+
+
+def law_curve(code: int, ramp: bool) -> Curve:
+    """Return the curve of one of the six laws."""
+    return Curve(code, ramp)
+
+
+def spline_curve(spline: FrictionSpline, ramp: bool) -> Curve:
+    """Return a spline as the curve, behind a ramp or not."""
+    return Curve(SPLINE, ramp, spline)
+
+
+def with_coefficients(curve: Curve, coefficients: Array) -> Curve:
+    """Return a spline curve with other coefficients, m/s^2."""
+    if curve.spline is None:
+        raise ValueError("this curve is a law's: it has no coefficients")
+    return replace(curve, spline=replace(curve.spline, coefficients=coefficients))

@@ -1,0 +1,158 @@
+"""Tangents: derivatives of the position along a path by anything that acts on the mass, the belt or the reading.
+
+A departure or a parameter p is a column: the acceleration a_p (m/s^2) and the change of the belt's speed b_p (m/s) that
+one unit of it makes at every point of a path.  With K = k/m, c/m and the slope of friction f' there,
+
+    dx'' = -K dx - (c + f') dx' + a_p + f' b_p        slip and ramp
+    dx'  = b_p                                        stick
+    (c + f') dx' = -K dx + a_p + f' b_p               creep on a steep ramp
+
+by the same Runge-Kutta steps as the path.  Where the mode changes, the change comes later or earlier by what the column
+does there, and dx' jumps (saltation).
+
+Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of Non-smooth Mechanical Systems (2004), 7.2.
+"""
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers
+from daq.compute.compile import compiled
+from fitting.model.parameters import PER_RUN, Global
+from fitting.sensitivity import flow
+from fitting.sensitivity.path import KERNELS, Path
+from rig_sim.flow.modes import STICK
+
+NO_COLUMNS = np.zeros((0, 0))
+
+
+def tangents(
+    path: Path,
+    acceleration: Array,
+    *,
+    belt_speed: Array | None = None,
+    edge: Array | None = None,
+    start: tuple[Array, Array] | None = None,
+    position: Array | None = None,
+) -> Array:
+    """Return the derivatives of the positions at all samples, shape (N, k).
+
+    Parameters
+    ----------
+    path : Path
+        M points, N samples.
+    acceleration : (M, k) f8
+        What one unit of each column adds to the acceleration at given position, velocity and belt speed, m/s^2.
+    belt_speed : (M, k) f8, optional
+        What it adds to the belt's speed, m/s.
+    edge : (windows, k) f8, optional
+        What it adds to the half-width of the ramp, m/s.
+    start : pair of (windows, k) f8, optional
+        What it adds to position (m) and velocity (m/s) at the start of each window; 0 without.
+    position : (N, k) f8, optional
+        What it adds to the reading itself, m.
+    """
+    k = acceleration.shape[1]
+    none = np.zeros((path.windows.table.shape[0], k))
+    x, v = start if start is not None else (none, none)
+    own = path.u.reshape(-1, PER_RUN)[path.windows.table[:, 5]]
+    out = np.empty((path.reached.size, k))
+    compiled(integrate, KERNELS, _nrt=False)(
+        path.first_step,
+        path.windows.table,
+        np.ascontiguousarray(own[:, [Global.K, Global.DAMPING]]),
+        path.steps,
+        path.jumps,
+        path.mode,
+        path.time,
+        path.friction_slope,
+        np.ascontiguousarray(acceleration),
+        NO_COLUMNS if belt_speed is None else np.ascontiguousarray(belt_speed),
+        none if edge is None else np.ascontiguousarray(edge),
+        np.ascontiguousarray(x),
+        np.ascontiguousarray(v),
+        out,
+        np.empty((10, k)),
+    )
+    return out if position is None else out + position
+
+
+def integrate(
+    first_step: Integers,
+    table: Integers,
+    own: Array,
+    steps: Integers,
+    jumps: Array,
+    mode: Integers,
+    time: Array,
+    slope: Array,
+    acceleration: Array,
+    belt: Array,
+    edge: Array,
+    start_x: Array,
+    start_v: Array,
+    out: Array,
+    room: Array,
+) -> None:
+    """Integrate all columns through all windows; fill ``out`` (N, k).  ``room`` (10, k) is scratch space.
+
+    ``own`` (windows, 2) are K (1/s^2) and c/m (1/s) of each window's run.
+    """
+    k = out.shape[1]
+    moves = belt.shape[0] > 0
+    x, v = room[0], room[1]
+    g0, gm, g1 = room[2], room[3], room[4]
+    for row in range(table.shape[0]):
+        K, c = own[row, 0], own[row, 1]
+        first = table[row, 2]
+        for j in range(k):
+            x[j], v[j] = start_x[row, j], start_v[row, j]
+            out[first, j] = x[j]
+        for s in range(first_step[row], first_step[row + 1]):
+            a = steps[s, 0]
+            h = time[a + 2] - time[a]
+            if mode[a] == STICK:
+                for j in range(k):
+                    if moves:
+                        x[j] += h / 6.0 * (belt[a, j] + 4.0 * belt[a + 1, j] + belt[a + 2, j])
+                        v[j] = belt[a + 2, j]
+                    else:
+                        v[j] = 0.0
+            else:
+                e0, em, e1 = c + slope[a], c + slope[a + 1], c + slope[a + 2]
+                for j in range(k):
+                    g0[j], gm[j], g1[j] = acceleration[a, j], acceleration[a + 1, j], acceleration[a + 2, j]
+                if moves:
+                    for j in range(k):
+                        g0[j] += slope[a] * belt[a, j]
+                        gm[j] += slope[a + 1] * belt[a + 1, j]
+                        g1[j] += slope[a + 2] * belt[a + 2, j]
+                if mode[a] == flow.CREEP:
+                    for j in range(k):
+                        k1 = (g0[j] - K * x[j]) / e0
+                        k2 = (gm[j] - K * (x[j] + 0.5 * h * k1)) / em
+                        k3 = (gm[j] - K * (x[j] + 0.5 * h * k2)) / em
+                        k4 = (g1[j] - K * (x[j] + h * k3)) / e1
+                        x[j] += h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+                        v[j] = (g1[j] - K * x[j]) / e1
+                else:
+                    half = 0.5 * h
+                    for j in range(k):
+                        a1 = g0[j] - K * x[j] - e0 * v[j]
+                        v2 = v[j] + half * a1
+                        a2 = gm[j] - K * (x[j] + half * v[j]) - em * v2
+                        v3 = v[j] + half * a2
+                        a3 = gm[j] - K * (x[j] + half * v2) - em * v3
+                        v4 = v[j] + h * a3
+                        a4 = g1[j] - K * (x[j] + h * v3) - e1 * v4
+                        x[j] += h / 6.0 * (v[j] + 2.0 * (v2 + v3) + v4)
+                        v[j] += h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+            if steps[s, 2] >= 0:
+                for j in range(k):
+                    out[steps[s, 2], j] = x[j]
+            if jumps[s, 0] != 0.0 or jumps[s, 1] != 0.0:
+                for j in range(k):
+                    late = -v[j] - jumps[s, 2] * edge[row, j]
+                    if moves:
+                        late += belt[a + 2, j]
+                    x[j] += jumps[s, 0] * late
+                    v[j] += jumps[s, 1] * late

@@ -1,0 +1,141 @@
+"""The stepped path and its tangents: the fit's own positions, finite differences, and a spline that is a law."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
+from fitting.model.shooting import ShootingWindows, evaluator
+from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
+from fitting.sensitivity.path import Curve, follow, spline_curve, with_coefficients
+from fitting.sensitivity.spline import FrictionSpline
+from fitting.sensitivity.tangents import tangents
+
+K, F, V = 35.184, 4.598, 0.22
+CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2
+SLIP = np.array([0.128, 0.1, 0.05, -0.4, 0.0, 0.0])
+STUCK = np.array([0.0, 0.0, 0.05, 0.0, -0.1, 0.215])
+
+
+def one_window(*, stick=0, overtakes=0, rate=1000.0, seconds=1.2):
+    time = 2.0 + np.arange(round(seconds * rate)) / rate
+    return ShootingWindows(
+        table=np.array([[0, stick, 0, time.size, overtakes, 0]], np.int64),
+        level_epoch=np.array([1.9]),
+        earliest_landing=np.array([2.2]),
+        time=time,
+        position=np.zeros(time.size),
+        source=np.zeros(time.size, np.int64),
+        rows=(slice(0, time.size),),
+    )
+
+
+def unknowns(**changes):
+    u = np.zeros(PER_RUN)
+    u[: Global.D] = K, np.log(F), V, 0.8
+    u[[Global.DAMPING, Global.STATIC]] = 0.03, 1.0
+    for name, value in changes.items():
+        u[Global[name.upper()]] = value
+    return u
+
+
+CASES = {
+    "constant": (CONSTANT, False, {}, {}),
+    "linear": (LINEAR, False, {"shape": 0.8}, {}),
+    "hyperbolic": (HYPERBOLIC, False, {"shape": 9.6}, {}),
+    "stick": (HYPERBOLIC, False, {"shape": 9.6}, {"stick": 1}),
+    "overtakes the belt": (LINEAR, False, {"shape": 0.4}, {"overtakes": 1}),
+    "ramp": (HYPERBOLIC, True, {"shape": 9.6, "d": 0.03}, {}),
+    "stick on a ramp": (HYPERBOLIC, True, {"shape": 9.6, "d": 0.03}, {"stick": 1}),
+    "overtakes on a ramp": (LINEAR, True, {"shape": 0.4, "d": 0.01}, {"overtakes": 1}),
+    "steep ramp": (HYPERBOLIC, True, {"shape": 9.6, "d": 1e-5}, {}),
+    "stick on a steep ramp": (HYPERBOLIC, True, {"shape": 9.6, "d": 1e-5}, {"stick": 1}),
+    "break-away of a ramp": (HYPERBOLIC, True, {"shape": 9.6, "d": 0.06, "static": 1.2, "datum": -0.05}, {}),
+    "compliant belt": (HYPERBOLIC, False, {"shape": 9.6, "compliance": 0.05}, {}),
+    "ramp on a compliant belt": (LINEAR, True, {"shape": 0.8, "d": 0.02, "compliance": 0.05}, {}),
+    "ripple": (HYPERBOLIC, False, {"shape": 9.6, "cosine": 3e-3, "sine": -2e-3, "omega": 14.0}, {}),
+    "stick on a ripple": (HYPERBOLIC, False, {"cosine": 3e-3, "sine": -2e-3, "omega": 14.0}, {"stick": 1}),
+    "camera": (HYPERBOLIC, False, {"shape": 9.6}, {"rate": 100.0}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_positions_and_tangents_are_those_of_the_exact_flow(case):
+    curve, ramp, changes, shape = CASES[case]
+    windows, u = one_window(**shape), unknowns(**changes)
+    local = (STUCK if shape.get("stick") else SLIP)[None].copy()
+    if case == "break-away of a ramp":
+        local[0, 1] = V - 0.05
+    active = [slot for slot in Global if slot not in (Global.FADE, Global.STATIC) and (slot < Global.COSINE or u[11])]
+    active += [Global.STATIC] if case == "break-away of a ramp" else []
+    active = [slot for slot in active if slot != Global.COMPLIANCE or u[Global.COMPLIANCE] > 0]
+    active = [slot for slot in active if slot != Global.D or ramp]
+    evaluate = evaluator(curve, ramp, windows, u, active, np.ones(PER_RUN), np.ones(PER_CYCLE))
+    exact, jacobian = evaluate(u[active], local, True)
+    path = follow(windows, Curve(curve, ramp), u, local)
+    assert path.model == pytest.approx(exact, abs=3e-8 if case == "camera" else 5e-9)
+    found = np.hstack([shared_tangents(path, active), local_tangents(path)])
+    # one-sided differences err by the curvature
+    error, size = np.abs(found - jacobian).max(axis=0), np.abs(jacobian).max(axis=0)
+    assert (error <= 2e-4 * np.maximum(size, 1e-3)).all(), dict(zip([*active, *PerCycle], error, strict=True))
+
+
+def spline_of(function, fastest=0.9, pieces=13):
+    knots = fastest * np.linspace(0, 1, pieces + 1) ** 1.6
+    first = FrictionSpline(knots, np.zeros(pieces + 3))
+    s = np.linspace(0, fastest, 400)
+    return FrictionSpline(knots, np.linalg.lstsq(first.basis(s), function(s), rcond=None)[0])
+
+
+@pytest.mark.parametrize("compliance", [0.0, 0.05])
+@pytest.mark.parametrize("ramp", [False, True])
+def test_a_spline_that_is_a_line_moves_as_the_linear_law(ramp, compliance):
+    u = unknowns(d=0.02, fade=0.01, compliance=compliance)
+    windows, local = one_window(), SLIP[None]
+    law = follow(windows, Curve(LINEAR, ramp), u, local)
+    spline = spline_of(lambda s: F * (1 - 0.8 * s))
+    assert follow(windows, spline_curve(spline, ramp), u, local).model == pytest.approx(law.model, abs=1e-9)
+
+
+@pytest.mark.parametrize("ramp", [False, True])
+def test_tangents_of_spline_coefficients_are_differences(ramp):
+    curve = spline_curve(spline_of(lambda s: F / (1 + 9.6 * s)), ramp)
+    u, windows, local = unknowns(d=0.02, fade=0.01, compliance=0.03), one_window(), SLIP[None]
+    found = spline_tangents(follow(windows, curve, u, local))
+    for j in range(found.shape[1]):
+        ends = []
+        for h in (1e-5, -1e-5):
+            moved = curve.spline.coefficients.copy()
+            moved[j] += h
+            ends.append(follow(windows, with_coefficients(curve, moved), u, local).model)
+        size = np.abs(found[:, j]).max()
+        assert size > 1e-7  # m per m/s^2
+        assert found[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-3 * size)
+
+
+def test_a_force_and_a_change_of_the_belt_besides_are_followed_and_have_their_tangents():
+    u, windows, local = unknowns(shape=9.6), one_window(), SLIP[None]
+    curve = Curve(HYPERBOLIC, False)
+    path = follow(windows, curve, u, local)
+    force, drift = np.cos(9 * path.time), 0.05 * (path.time - 2.0)
+
+    def rates(t, state):
+        s = V + 0.05 * (t - 2.0) - state[1]
+        friction = F * np.exp(0.05) / (1 + 9.6 * s)
+        return state[1], friction - K * state[0] - 0.03 * state[1] + 0.1 * np.cos(9 * t)
+
+    moved = follow(windows, curve, u, local, along=path, acceleration=0.1 * force, belt_speed=drift)
+    exact = solve_ivp(rates, (2.0, 2.3), SLIP[:2], t_eval=windows.time[:300], rtol=1e-11, atol=1e-13).y[0]
+    assert moved.model[:300] == pytest.approx(exact, abs=1e-7)
+    column = tangents(path, np.column_stack([force, 0 * force]), belt_speed=np.column_stack([0 * force, drift]))
+    for j, change in enumerate(({"acceleration": force}, {"belt_speed": drift})):
+        ends = [
+            follow(windows, curve, u, local, along=path, **{k: h * v for k, v in change.items()}).model
+            for h in (1e-5, -1e-5)
+        ]
+        assert column[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-6)
+
+
+def test_a_motion_without_a_number_is_no_path():
+    u = unknowns(shape=9.6)
+    assert follow(one_window(), Curve(HYPERBOLIC, False), u, np.array([[np.inf, 0.1, 0, 0, 0, 0]])) is None
