@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from velocity import CASES, Bench, chosen_windows, scenes
 
-from processing.defects import lost_counts, velocity_steps
+from processing.defects import position_steps, velocity_steps
 from processing.methods import registry
 from processing.record.setting import Setting
 from processing.segmentation import plateaus
@@ -119,7 +119,7 @@ def losses(seed: int) -> tuple[Row, Limits]:
         at = np.linspace(150, 59_400, 150).astype(int) + rng.integers(0, 300, 150)
         lost = sum(size * np.clip((np.arange(60_000) - k + 1) / width, 0, 1) for k in at)
         count = np.floor(bench.x / bench.pitch + lost).astype(np.int64)
-        seen = lost_counts.losses(bench.series(count=count))
+        seen = position_steps.position_steps(bench.series(count=count))
         found = [min(seen, key=lambda loss, k=k: abs(loss.first - k), default=None) for k in at]
         hit = np.array([own is not None and abs(own.first - k) <= 6 for own, k in zip(found, at, strict=True)])
         clear = np.array([np.abs(bench.landings - bench.time[k]).min() > 0.03 for k in at])
@@ -130,7 +130,7 @@ def losses(seed: int) -> tuple[Row, Limits]:
         limits[f"{name}: size right"] = (0.95, 1.0)
         row[f"{name}: false"], limits[f"{name}: false"] = float(len(seen) - hit.sum()), (0.0, 0.0)
     clean = [Bench(100 * seed + k, pitch, 30e-6) for k in range(5) for pitch in (7.67e-6, 50e-6)]
-    row["false in 10 clean minutes"] = float(sum(len(lost_counts.losses(own.series())) for own in clean))
+    row["false in 10 clean minutes"] = float(sum(len(position_steps.position_steps(own.series())) for own in clean))
     limits["false in 10 clean minutes"] = (0.0, 0.0)
     return row, limits
 

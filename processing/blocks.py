@@ -14,16 +14,16 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from processing import belt_motion
-from processing.defects import frames, lost_counts, velocity_steps
-from processing.defects.findings import drift_finding, sensor_findings
+from processing.defects import frames, position_steps, velocity_steps
+from processing.defects.findings import drift_finding, sensor_findings, step_findings
 from processing.defects.sensor_faults import without_faults
 from processing.kalman import white_jerk
 from processing.kalman.bridge import across_faults
 from processing.methods import registry
 from processing.record.faults import Fault
 from processing.record.finding import Finding
-from processing.record.lost_counts import LostCounts, counts_missing, restore_counts
 from processing.record.motion import Phase, VelocityStep
+from processing.record.position_steps import PositionStep, step_offsets, without_steps
 from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.segmentation import plateaus
@@ -46,13 +46,13 @@ class BlockSmoother:
     setting : Setting
         Window, order and stated belt speed, for all blocks alike.
     repair : {"off", "flag", "fix"}
-        What to do about lost counts.
+        What to do about steps of the position: lost counts, or a datum that moved.
     """
 
     def __init__(self, method: str, setting: Setting, repair: str) -> None:
         self.method, self.setting, self.repair = method, setting, repair
         self._phases: list[Phase] = []
-        self._losses: list[LostCounts] = []
+        self._losses: list[PositionStep] = []
         self._steps: list[VelocityStep] = []
         self._methods: dict[str, int] = {}
         self._windows: list[tuple[int, int]] = []
@@ -64,7 +64,7 @@ class BlockSmoother:
         self._samples = 0
         self._unit = ""
         self._means: list[tuple[float, float]] = []
-        self._behind = 0  # counts lost so far in this segment
+        self._offset = 0.0  # sum of the steps so far in this segment
 
     def smooth(self, recording: "Recording", data: Series, own: slice, low: int = 0) -> dict[str, Any]:
         """Smooth one block.
@@ -84,11 +84,11 @@ class BlockSmoother:
             time, position, velocity, acceleration, their errors, and the belt's velocity where it has an encoder.
         """
         sound = without_faults(data)
-        losses = lost_counts.losses(sound.bridged) if self.repair != "off" else ()
+        losses = position_steps.position_steps(sound.bridged) if self.repair != "off" else ()
         losses = tuple(loss for loss in losses if sound.kept[loss.first : loss.last + 1].all())
-        behind = counts_missing(recording.segment, losses)
-        data = restore_counts(sound.bridged, behind)
-        seen = restore_counts(sound.series, behind[sound.kept])
+        offset = step_offsets(recording.segment, losses)
+        data = without_steps(sound.bridged, offset)
+        seen = without_steps(sound.series, offset[sound.kept])
         self._noises.append(sound.noise)
         motion = registry.estimate(self.method, seen, self.setting)
         belt = belt_motion.smooth_belt(recording, sound.kept, seen, motion)
@@ -99,9 +99,9 @@ class BlockSmoother:
             phases = tuple(replace(own, first=int(number[own.first]), last=int(number[own.last])) for own in phases)
             motion = across_faults(data.time, sound.kept, motion, white_jerk.fit(seen).jerk)
         if self.repair == "fix":
-            shift = -data.pitch * self._lost_before(recording, own, losses)
+            shift = -self._offset_before(recording, own, losses)
         else:
-            shift = data.pitch * behind[own]
+            shift = offset[own]
         columns = {
             "time": data.time[own],
             "position": motion.position[own] + shift,
@@ -123,7 +123,7 @@ class BlockSmoother:
             self._step_sums += frames.step_sums(data, own, sound.noise)
         for loss in losses:
             if own.start <= loss.first < own.stop:
-                self._losses.append(LostCounts(loss.first + low, loss.last + low, loss.counts))
+                self._losses.append(replace(loss, first=loss.first + low, last=loss.last + low))
         for step in velocity_steps.velocity_steps(data):
             near = slice(max(step.sample - velocity_steps.AROUND, 0), step.sample + velocity_steps.AROUND)
             if own.start <= step.sample < own.stop and sound.kept[near].mean() > SOUND:
@@ -161,7 +161,11 @@ class BlockSmoother:
             "kicks": tuple(self._steps),
             "faults": faults,
             "dropped_frames": counted.lost,
-            "findings": (*sensor_findings(faults, counted, self._samples), *self._drift()),
+            "findings": (
+                *sensor_findings(faults, counted, self._samples),
+                *step_findings(self._losses, self._unit, repaired=self.repair == "fix"),
+                *self._drift(),
+            ),
             "noise": noise,
             "repaired": self.repair == "fix" and bool(self._losses),
         }
@@ -179,15 +183,15 @@ class BlockSmoother:
         changing = [noise for noise in self._noises if noise > 0]
         return float(np.median(changing)) if changing else 0.0
 
-    def _lost_before(self, recording: "Recording", own: slice, losses: tuple[LostCounts, ...]) -> Array:
-        """Return the counts lost in the segment before the first sample read, for every sample of the block."""
+    def _offset_before(self, recording: "Recording", own: slice, losses: tuple[PositionStep, ...]) -> Array:
+        """Return the steps in the segment before the first sample read, for every sample of the block."""
         segment = recording.segment[own]
-        earlier = sum(loss.counts for loss in losses if loss.first < own.start)
-        before = np.where(segment == segment[0], self._behind - earlier, 0.0)
+        earlier = sum(loss.size for loss in losses if loss.first < own.start)
+        before = np.where(segment == segment[0], self._offset - earlier, 0.0)
         if segment[-1] != segment[0]:
-            self._behind = 0
+            self._offset = 0.0
         inside = [loss for loss in losses if own.start <= loss.first < own.stop]
-        self._behind += sum(loss.counts for loss in inside if recording.segment[loss.first] == segment[-1])
+        self._offset += sum(loss.size for loss in inside if recording.segment[loss.first] == segment[-1])
         return np.asarray(before)
 
     def _join(self, phases: tuple[Phase, ...], data: Series, low: int, begin: int, end: int) -> None:

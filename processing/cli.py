@@ -39,7 +39,8 @@ def smooth(
     order: Annotated[int | None, Parameter(help="Degree of the polynomial; default chosen with the window.")] = None,
     times: Annotated[str, Parameter(help="recorded: the board's sample times; nominal: an even grid.")] = "recorded",
     repair_counts: Annotated[
-        str, Parameter(help="Lost counts: off (no search), flag (mark them) or fix (mark and correct them).")
+        str,
+        Parameter(help="Steps of the position (lost counts, a datum that moved): off (no search), flag or fix them."),
     ] = "flag",
     belt_speed: Annotated[str, Parameter(help="auto (from belt counts, else from plateaus), or m/s, signed.")] = "auto",
     json: Json = False,

@@ -8,7 +8,7 @@
                                   channel belt_velocity and its errors too
       phase_portrait  NXdata      velocity against position, and time: hard links, no copy
       phases          NXdata      one row a stick or slip: start, end, their errors, first, last, stick (1) or slip (0)
-      losses          NXdata      one row a place where counts went missing: first, last, counts (absent without any)
+      losses          NXdata      one row a step of the position: first, last, counts, size (absent without any)
       kicks           NXdata      one row a step of the velocity: sample, step (absent without any)
       faults          NXdata      one row a run of samples left out: first, last, frozen (1) or spike (0) (likewise)
       findings        NXcollection  one row a contradiction or fault: code, text, value, expected, sigmas (likewise)
@@ -32,9 +32,9 @@ from processing.record import series
 from processing.record.faults import Fault
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics, SmoothingSummary
-from processing.record.lost_counts import LostCounts
 from processing.record.motion import Phase, VelocityStep
 from processing.record.noise import position_noise
+from processing.record.position_steps import PositionStep, step_offsets
 from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematics, statistics
 
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
@@ -128,10 +128,11 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
                 "first": (np.array([loss.first for loss in motion.losses], np.uint32), ""),
                 "last": (np.array([loss.last for loss in motion.losses], np.uint32), ""),
                 "counts": (np.array([loss.counts for loss in motion.losses], np.int64), ""),
+                "size": (np.array([loss.size for loss in motion.losses]), unit),
             },
             axis="first",
             signal="counts",
-            title="lost counts",
+            title="steps of the position",
         )
     if motion.kicks:
         nexus.table(
@@ -165,7 +166,12 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
         for name in ("value", "expected", "sigmas"):
             nexus.field(made, name, np.array([getattr(finding, name) for finding in motion.findings]), "")
     kinematics = smooth["kinematics"]
-    _write_statistics(smooth, statistics(motion, kinematics["position"][()], kinematics["time"][()]), unit)
+    position, time = kinematics["position"][()], kinematics["time"][()]
+    if motion.losses and not motion.repaired:
+        raw = "raw/segment"
+        segment = smooth.parent[raw][()] if raw in smooth.parent else np.zeros(time.size, np.int64)
+        position -= step_offsets(segment, motion.losses)
+    _write_statistics(smooth, statistics(motion, position, time), unit)
 
 
 def _write_statistics(smooth: h5py.Group, counted: StickSlipStatistics, unit: str) -> None:
@@ -218,7 +224,7 @@ def load(path: Path) -> Kinematics | None:
             times=times,
             belt_speed=nexus.read_number(entry, f"{parameters}/belt_speed", path),
             phases=_phases(entry, path),
-            losses=_losses(entry, path),
+            losses=_losses(entry, recording, path),
             kicks=_kicks(entry, path),
             faults=_faults(entry, path),
             dropped_frames=_dropped_frames(entry, path),
@@ -311,11 +317,17 @@ def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:
     )
 
 
-def _losses(entry: h5py.Group, path: Path) -> tuple[LostCounts, ...]:
+def _losses(entry: h5py.Group, recording: Recording, path: Path) -> tuple[PositionStep, ...]:
     if "smooth/losses" not in entry:
         return ()
     columns = [nexus.read_array(entry, f"smooth/losses/{name}", np.int64, path) for name in ("first", "last", "counts")]
-    return tuple(LostCounts(*map(int, row)) for row in zip(*columns, strict=True))
+    if "size" in entry["smooth/losses"]:
+        size = nexus.read_array(entry, "smooth/losses/size", np.float64, path)
+    else:  # of a stage written before it was stored, all of whose steps are lost counts
+        metres = recording.rig.metres_per_count
+        size = columns[-1] * (1.0 if metres is None else abs(metres.value))
+    rows = zip(*(column.tolist() for column in (*columns, size)), strict=True)
+    return tuple(PositionStep(*row) for row in rows)
 
 
 def _kicks(entry: h5py.Group, path: Path) -> tuple[VelocityStep, ...]:

@@ -147,7 +147,7 @@ def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSl
     motion : SmoothingHeader
         Its sticks and slips.
     position, time : array of shape (n,)
-        Smoothed, m from the spring's rest, and s.
+        Smoothed and without steps, m from the spring's rest, and s.
     """
     sign = math.copysign(1.0, motion.belt_speed) if math.isfinite(motion.belt_speed) else 1.0
     phases = motion.phases
@@ -182,7 +182,7 @@ def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSl
 
 def from_kinematics(motion: Kinematics) -> StickSlipStatistics:
     """Return the statistics of a motion in memory."""
-    return statistics(motion, motion.position, motion.time)
+    return statistics(motion, motion.steady_position, motion.time)
 
 
 def pooled(records: Sequence[StickSlipStatistics]) -> StickSlipStatistics:

@@ -85,7 +85,7 @@ def fit_belt_line(kinematics: Kinematics) -> BeltLine | None:
     if not parts:
         return None
     index = np.concatenate(parts)
-    x, v = kinematics.position[index], velocity[index]
+    x, v = kinematics.steady_position[index], velocity[index]
     middle = float(x.mean())
     columns = np.c_[np.ones_like(x), x - middle]
     found, rest = least_squares(columns, v)

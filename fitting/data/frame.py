@@ -2,7 +2,8 @@
 
 A record of a backward belt is mirrored (x -> -x, v -> -v) on the way in; the physics is odd, so the same fit serves
 both and only the signs of datum and belt speed are turned back in the result.  Samples that the smoothing left out as
-faults of the sensor are not in it: what stands there is an estimate, and no data.
+faults of the sensor are not in it: what stands there is an estimate, and no data.  Steps of the position that the
+smoothing found (lost counts, a datum that moved) are taken out, whether or not the run's position was repaired.
 """
 
 import math
@@ -138,8 +139,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     if belt_speed == 0:
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
     resolution, step = _resolution(kinematics)
-    kept = ~kinematics.missing
-    position = kinematics.position[kept]
+    kept = _kept(kinematics)
+    position = kinematics.steady_position[kept]
     if np.ptp(position) < 20 * resolution:
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
@@ -160,7 +161,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         prior = replace(prior, sd=math.hypot(prior.sd, _length_error(recording.rig) * prior.value))
     return MeasuredMotion(
         time=kinematics.time[kept],
-        measured=sign * kinematics.measured[kept],
+        measured=sign * (kinematics.measured - (0.0 if kinematics.repaired else kinematics.offset))[kept],
         position=sign * position,
         velocity=sign * kinematics.velocity[kept],
         acceleration=sign * kinematics.acceleration[kept],
@@ -186,9 +187,17 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     )
 
 
+def _kept(kinematics: Kinematics) -> NDArray[np.bool_]:
+    """Return which samples are data: no faults of the sensor, nor those within a step of the position."""
+    kept = ~kinematics.missing
+    for step in kinematics.losses:
+        kept[step.first : step.last] = False
+    return kept
+
+
 def _broken(kinematics: Kinematics, usual: float) -> NDArray[np.bool_]:
     """Return which of the samples kept do not follow the one before, where samples are ``usual`` seconds apart."""
-    time, kept = kinematics.time, ~kinematics.missing
+    time, kept = kinematics.time, _kept(kinematics)
     new = (np.diff(time) > FASTER_GAP * usual) | (np.diff(kinematics.recording.segment.astype(np.int64)) != 0)
     piece = np.r_[0, np.cumsum(new)][kept]
     broken = np.ones(piece.size, np.bool_)
@@ -233,7 +242,7 @@ def _resolution(kinematics: Kinematics) -> tuple[float, float]:
 
 def speed_in_sticks(kinematics: Kinematics) -> float:
     """Return the usual speed of the sticks, m/s, signed; NaN where fewer than `FEWEST_STICKS` show one."""
-    time, x = kinematics.time, kinematics.position
+    time, x = kinematics.time, kinematics.steady_position
     speeds = [
         (x[stick.last] - x[stick.first]) / (time[stick.last] - time[stick.first])
         for stick in kinematics.sticks
@@ -261,7 +270,8 @@ def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, 
     if believed is not None and believed.value != 0:
         return believed.value
     # Constant friction ends in a sine that just reaches the belt's speed; the drag displaces its middle.
-    position, velocity = kinematics.position[~kinematics.missing], kinematics.velocity[~kinematics.missing]
+    kept = ~kinematics.missing
+    position, velocity = kinematics.steady_position[kept], kinematics.velocity[kept]
     middle = 0.5 * (position.max() + position.min())
     direction = 1.0 if middle >= position[0] else -1.0
     return direction * float(np.percentile(direction * velocity, 99.5))

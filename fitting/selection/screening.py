@@ -104,7 +104,7 @@ def is_stick_slip(record: Kinematics) -> bool:
     sticks = record.sticks
     if len(sticks) < FEW or record.plateau_fraction < LEAST_SHARE:
         return False
-    x, v = record.position, record.velocity
+    x, v = record.steady_position, record.velocity
     speed = np.array([np.median(v[stick.first : stick.last + 1]) for stick in sticks])
     if float(np.quantile(np.abs(speed / np.median(speed) - 1), 0.8)) > ONE_SPEED:
         return False

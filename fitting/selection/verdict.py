@@ -136,7 +136,7 @@ def warnings(
         reasons = ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
         warned.append(f"cycles left out: {reasons}")
     if kinematics.lost_counts:
-        warned.append(f"counts seem to be lost at {kinematics.lost_counts} sample(s): cycles with a step fit badly")
+        warned.append(f"counts seem to be lost at {kinematics.lost_counts} sample(s): the fit has them put back")
     stuck = [row.law for row in rows if row.fit.outcome not in ("converged", "step limit")]
     if stuck:
         warned.append(f"the fit of law {', '.join(map(str, stuck))} did not converge: its error is an upper bound")

@@ -1,4 +1,4 @@
-"""What is reported of the faults of a sensor: one sentence each, with its numbers."""
+"""What is reported of the faults of a sensor and of steps of the datum: one sentence each, with its numbers."""
 
 import math
 
@@ -8,6 +8,7 @@ from daq.compute.arrays import Array
 from processing.defects.frames import FrameCount
 from processing.record.faults import Fault
 from processing.record.finding import Finding
+from processing.record.position_steps import PositionStep
 
 
 def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int) -> list[Finding]:
@@ -40,6 +41,20 @@ def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int)
             Finding("faulty-sensor", f"{100 * share:.0f} % of the samples are faults: mend the sensor", share, MUCH)
         )
     return found
+
+
+def step_findings(steps: list[PositionStep], unit: str, *, repaired: bool) -> list[Finding]:
+    """Return the steps of the datum of a record without counts; those of a counted one are its lost counts."""
+    found = [step for step in steps if not step.counts]
+    if not found:
+        return []
+    largest = max(found, key=lambda step: abs(step.size)).size
+    text = (
+        f"the position steps by a constant {_count(len(found), 'time')} (largest {largest:.3g} {unit}), as when a "
+        f"camera is moved or a wheel slips: "
+        + ("taken out" if repaired else "marked; velocity and fit are without them")
+    )
+    return [Finding("position-steps", text, largest, 0.0)]
 
 
 def drift_finding(time: Array, position: Array, unit: str) -> Finding | None:

@@ -14,8 +14,8 @@ import numpy as np
 from daq.compute.arrays import Array, Mask
 from processing.record.faults import Fault
 from processing.record.finding import Finding
-from processing.record.lost_counts import LostCounts, counts_missing
 from processing.record.motion import Phase, VelocityStep, mask_of
+from processing.record.position_steps import PositionStep, step_offsets
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -39,8 +39,9 @@ class SmoothingHeader:
         NaN when the record shows no stick and none was stated.
     phases : tuple of Phase
         Sticks and slips in order of time; rest before the belt starts belongs to neither.
-    losses : tuple of LostCounts
-        Where ten or more counts went missing (`processing.defects.lost_counts`).
+    losses : tuple of PositionStep
+        Where the position steps: ten or more counts went missing, or the datum moved
+        (`processing.defects.position_steps`).
     kicks : tuple of VelocityStep
         Where the velocity stepped (`processing.defects.velocity_steps`); marked, and smoothed over.
     faults : tuple of Fault
@@ -49,7 +50,7 @@ class SmoothingHeader:
     dropped_frames : int
         Frames lost among even times (`processing.defects.frames`), as counted or estimated; the times are as recorded.
     repaired : bool
-        Whether lost counts were put back into the position.
+        Whether these steps were taken out of the position.
     noise : float
         Standard deviation of one position, m (or counts), from the record itself (`processing.record.noise`).
     findings : tuple of Finding
@@ -67,7 +68,7 @@ class SmoothingHeader:
     times: str
     belt_speed: float
     phases: tuple[Phase, ...]
-    losses: tuple[LostCounts, ...]
+    losses: tuple[PositionStep, ...]
     kicks: tuple[VelocityStep, ...] = ()
     faults: tuple[Fault, ...] = ()
     dropped_frames: int = 0
@@ -100,7 +101,7 @@ class SmoothingHeader:
     @property
     def lost_counts(self) -> int:
         """How many times counts went missing."""
-        return len(self.losses)
+        return sum(step.counts != 0 for step in self.losses)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -187,18 +188,26 @@ class Kinematics(SmoothingHeader):
         """Unit of the position: "m", or "count"."""
         return self.recording.unit
 
+    @cached_property
+    def offset(self) -> Array:
+        """By how much steps of the position put each recorded position off, m, (n,)."""
+        return step_offsets(self.recording.segment, self.losses)
+
+    @property
+    def steady_position(self) -> Array:
+        """Smoothed position without the steps, whether they were taken out of it or not, m, (n,)."""
+        return self.position if self.repaired else self.position - self.offset
+
     @property
     def measured(self) -> Array:
-        """The recorded positions, m, (n,); with the lost counts where they were put back.
+        """The recorded positions, m, (n,); without their steps where these were taken out.
 
         Where samples are `missing` it is the smoothed position.
         """
         recording = self.recording
         recorded = recording.position
         if self.repaired:
-            metres = recording.rig.metres_per_count
-            pitch = abs(metres.value) if metres is not None else 1.0
-            recorded = recorded - pitch * counts_missing(recording.segment, self.losses)
+            recorded = recorded - self.offset
         return np.where(self.missing, self.position, recorded) if self.faults else recorded
 
     @property

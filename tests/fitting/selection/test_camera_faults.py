@@ -17,6 +17,9 @@ def spoilt(kind, time, position):
         x[n // 3] = 50.0
     elif kind == "60 zeros":
         x[rng.choice(n, 60, replace=False)] = 0.0
+    elif kind == "moved twice":
+        x[n // 3 :] += 0.02
+        x[n // 2 :] -= 0.05
     elif kind == "frozen for 400 ms":
         x[n // 3 : n // 3 + 160] = x[n // 3]
     elif kind == "frozen for 400 ms four times":
@@ -58,6 +61,15 @@ def test_samples_left_out_by_the_smoothing_are_no_data_of_the_fit(faulty):
     assert {cycle.flag for cycle in run.cut.cycles} == {"", "gap"}
 
 
+def test_a_step_of_the_position_is_no_part_of_the_fit(faulty):
+    # The fit had a step within a window, and from there on another datum.
+    clean, moved = faulty("", 5), faulty("moved twice", 5)
+    motion, sound = (frame.from_kinematics(made, made.recording.rig, None) for made in (moved, clean))
+    assert len(moved.losses) == 2
+    assert np.abs(motion.measured - sound.measured).max() < 5 * sound.resolution
+    assert np.abs(motion.position - sound.position).max() < 5 * sound.resolution
+
+
 @pytest.mark.parametrize(("kind", "law"), [("lost", 5), ("lost", 4), ("doubled", 5)])
 def test_a_track_with_frames_lost_or_doubled_among_even_times_is_refused(faulty, kind, law):
     # A law was named with k/m off by 12 %: the times are wrong, and nothing said so.  In the short sticks of law 4
@@ -69,14 +81,15 @@ def test_a_track_with_frames_lost_or_doubled_among_even_times_is_refused(faulty,
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [3, 5])
 @pytest.mark.parametrize(
-    "kind", ["one sample 50 m out", "60 zeros", "frozen for 400 ms", "frozen for 400 ms four times"]
+    "kind", ["one sample 50 m out", "60 zeros", "frozen for 400 ms", "frozen for 400 ms four times", "moved twice"]
 )
 def test_a_fault_of_the_sensor_changes_neither_law_nor_parameters(faulty, kind, law):
     # A law was named with Fs off by 49 to 5485 %, without a word.
     clean, found = (rank(faulty(own, law), laws=(1, 3, 5)) for own in ("", kind))
     assert found.laws_in_set == clean.laws_in_set
     assert law in found.laws_in_set
-    assert [finding.code for finding in found.findings] == ["frozen" if "frozen" in kind else "spikes"]
+    code = "frozen" if "frozen" in kind else "position-steps" if "moved" in kind else "spikes"
+    assert [finding.code for finding in found.findings] == [code]
     for name in ("Fs/k" if law == 5 else "x0 + Fs/k", "k/m", "v_dr"):  # law 3 has no level apart from the datum
         own, other = found.row(law).parameters[name], clean.row(law).parameters[name]
         assert abs(own.value - other.value) < 3 * other.stderr

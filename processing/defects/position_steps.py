@@ -1,0 +1,200 @@
+"""Steps of the position: places where the reading moved and the mass did not, at once or over up to five samples.
+
+When the mass bounces or a coupling slips, a count falls behind and stays behind; a camera that is moved, or a wheel
+that slips, adds a constant to all positions from there on.  Where two parabolas, before and after a place, miss each
+other by enough, the record around it is tested (`processing.defects.change_point`): it holds a step where only a step
+of the position, over one to five samples, explains it, and no corner or step of the velocity does.
+
+The unit of the test is the count.  In a record without counts it is `PER_NOISE` standard deviations of a position:
+its independent errors then have the mean square that rounding to whole counts has.
+
+Steps are marked and counted.  Motion is made from the record without them (`processing.record.position_steps`), and its
+position has them again unless repair was asked for.  Not found: smaller steps, slower ones, and one across a gap.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from daq.compute.arrays import Array
+from processing.defects.change_point import ChangeModels, change_models, jump_weights
+from processing.polynomial.even_grid import even_grid
+from processing.record.noise import position_noise
+from processing.record.position_steps import PositionStep, step_offsets, step_profile
+from processing.record.series import Series
+
+BETTER = 2.0  # times smaller squares that a step over several samples must leave: corners look like one
+
+
+@dataclass(frozen=True)
+class StepLimits:
+    """Limits of the test, in counts or their equivalent.
+
+    ``least`` is the smallest step reported, ``suspect`` what the parabolas must miss each other by for a suspect,
+    ``clear`` a mean square that leaves nothing to explain, ``abrupt`` times smaller squares that a step from one sample
+    to the next must leave.
+    """
+
+    least: float
+    suspect: float
+    clear: float
+    abrupt: float
+
+
+# Chosen together on benchmarks/velocity_seeds.py, section losses (95 % of the losses of 10 counts found, none in ten
+# clean minutes); not swept one by one.  A size may come out 1.6 counts too small.
+COUNTED = StepLimits(10.0 - 1.6, 4.5, 1.3 / 12, BETTER)
+# Of steps of 10 standard deviations in camera tracks of 0.2 and 1 mm (laws 1 to 6) 125 of 134 are found, of those of 12
+# and more 409 of 409, of those of 8 four in ten; none in 78 clean tracks.  With ``abrupt`` 2 most of 10 are missed.
+NOISY = StepLimits(2.3, 1.6, 1.2 / 12, 1.6)
+PER_NOISE = math.sqrt(12)
+SPREAD = 5  # samples
+SIDE = 8  # samples of a parabola on either side
+AROUND = 20  # samples on either side that the models are fitted to
+SCATTER = 4.5  # times the median miss nearby
+CORNERS = np.arange(-12.0, 13.0, 2)  # samples from the suspect: where a corner or a velocity step is tried
+DEGREE = 4  # of the polynomial beside the models
+SLACK = 0.5  # of the sum of steps: by how much a record may be wider without them; without slips it is by all of it
+
+
+def position_steps(series: Series) -> tuple[PositionStep, ...]:
+    """Find where the position steps by ten counts or more, or by eight to ten standard deviations of a position.
+
+    Parameters
+    ----------
+    series : Series
+        The record.
+
+    Returns
+    -------
+    tuple of PositionStep
+        In order of time.  A step adds its size to all readings from ``last`` on.
+    """
+    counted = bool(series.pitch)
+    unit = series.pitch if counted else PER_NOISE * position_noise(series)
+    if not unit:
+        return ()
+    found: list[PositionStep] = []
+    for number, piece in enumerate(series.pieces):
+        if piece.stop - piece.start <= 2 * AROUND + SPREAD:
+            continue
+        if counted:
+            own = _in_piece(series.even_counts[number], COUNTED)
+        else:
+            own = _in_piece(even_grid(series.time[piece], series.position[piece]) / unit, NOISY)
+        for first, last, size in own:
+            counts = round(size) if counted else 0
+            found.append(PositionStep(piece.start + first, piece.start + last, counts, unit * (counts or size)))
+    return tuple(found) if counted or _is_datum(series, found) else ()
+
+
+def _is_datum(series: Series, steps: list[PositionStep]) -> bool:
+    """Return whether steps are of the datum: without them the record has hardly a wider range.
+
+    A slip that is over within a few samples looks like a step, but brings the mass back: without slips the record leads
+    away with the belt, by the sum of them.
+    """
+    left = series.position - step_offsets(np.zeros(series.time.size, np.int64), tuple(steps))
+    return float(np.ptp(left) - np.ptp(series.position)) <= SLACK * sum(abs(step.size) for step in steps)
+
+
+@lru_cache(maxsize=8)
+def _miss(width: int) -> Array:
+    return jump_weights(SIDE, width, 0)
+
+
+def _in_piece(count: Array, limits: StepLimits) -> list[tuple[int, int, float]]:
+    """Return first and last sample and the size of each step, in counts."""
+    suspects = []
+    for width in range(1, SPREAD + 1):
+        miss = np.abs(np.correlate(count, _miss(width), "valid"))
+        loud = np.flatnonzero(miss >= limits.suspect)
+        if loud.size:
+            usual = np.median(sliding_window_view(np.pad(miss, AROUND, mode="reflect"), 2 * AROUND + 1)[loud], axis=1)
+            suspects += (loud[miss[loud] >= SCATTER * usual] + SIDE).tolist()
+    found: list[tuple[int, int, float]] = []
+    first = 0
+    places = sorted(set(suspects))
+    for k, place in enumerate(places):
+        if k + 1 == len(places) or places[k + 1] - place > 3:
+            step = _tested(count, places[first], place, limits)
+            first = k + 1
+            if step is not None and not (found and step[0] <= found[-1][1]):
+                found.append(step)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class StepModels:
+    """What may have happened around a suspect, at ``times`` (n,) from the first sample.
+
+    ``corners`` (c, n) are corners and velocity steps, ``bent`` the models of one of them; ``stepped`` are steps that
+    begin at ``first`` and take ``width`` samples.
+    """
+
+    times: Array
+    corners: Array
+    bent: ChangeModels
+    stepped: ChangeModels
+    first: Array
+    width: Array
+
+
+@lru_cache(maxsize=64)
+def _models(low: int, high: int, samples: int) -> StepModels:
+    """Return the models of so many samples, the suspects low..high among them."""
+    times = (np.arange(samples) - 0.5 * (low + high)) / AROUND
+    kinks = np.maximum(times - (CORNERS / AROUND)[:, None], 0.0)
+    corners = np.concatenate((kinks, kinks**2))
+    starts = np.arange(max(low - SPREAD, 3), min(high + SPREAD, samples - 3 - SPREAD), dtype=float)
+    first, width = (own.ravel() for own in np.meshgrid(starts, np.arange(1.0, SPREAD + 1)))
+    stepped = change_models(_steps(samples, first, width)[:, None], times, DEGREE)
+    return StepModels(times, corners, change_models(corners[:, None], times, DEGREE), stepped, first, width)
+
+
+@lru_cache(maxsize=64)
+def _two_corners(low: int, high: int, samples: int) -> ChangeModels:
+    models = _models(low, high, samples)
+    return change_models(np.array(list(combinations(models.corners, 2))), models.times, DEGREE)
+
+
+def _tested(count: Array, low: int, high: int, limits: StepLimits) -> tuple[int, int, float] | None:
+    """Test the record around the samples low..high; None unless a step alone explains it."""
+    begin, end = max(low - AROUND, 0), min(high + AROUND + SPREAD, count.size)
+    place = low - begin, high - begin, end - begin
+    models, own = _models(*place), count[begin:end] - count[begin]
+    best_bent = float(models.bent.fit(own)[1].min())
+    if best_bent < limits.clear:
+        return None
+    first, width, stepped = models.first, models.width, models.stepped
+    sizes, squares = stepped.fit(own)
+    at = int(np.argmin(squares))
+    if width[at] > 1:  # it need not begin or end with a sample
+        finer = first[at] + np.arange(-1.0, 1.01, 0.25), width[at] + np.arange(-1.0, 1.51, 0.5)
+        first, width = (part.ravel() for part in np.meshgrid(*finer))
+        stepped = change_models(_steps(own.size, first, width)[:, None], models.times, DEGREE)
+        sizes, squares = stepped.fit(own)
+        at = int(np.argmin(squares))
+    better = limits.abrupt if width[at] <= 1 else BETTER
+    size, square = float(sizes[at, 0]), float(squares[at])
+    if square * better > best_bent:
+        # Perhaps a step beside a corner: both together, against any two corners.
+        step = np.broadcast_to(_steps(own.size, first[at : at + 1], width[at : at + 1]), models.corners.shape)
+        sizes, squares = change_models(np.stack((step, models.corners), axis=1), models.times, DEGREE).fit(own)
+        both = int(np.argmin(squares))
+        size, square = float(sizes[both, 0]), float(squares[both])
+        if square * better > min(best_bent, float(_two_corners(*place).fit(own)[1].min())):
+            return None
+    if abs(size) < limits.least:
+        return None
+    start = begin + first[at]
+    return math.ceil(start), max(math.ceil(start + width[at] - 1), math.ceil(start)), size
+
+
+def _steps(samples: int, first: Array, width: Array) -> Array:
+    """Return the steps of one count that begin at ``first`` and take ``width`` samples, (k,) each: (k, samples)."""
+    return step_profile(np.arange(samples) - first[:, None] + 1, width[:, None])

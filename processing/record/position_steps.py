@@ -1,0 +1,66 @@
+"""Steps of the position: a reading that fell behind and stays behind, and the record with such steps taken out."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.arrays import Array
+from processing.record.series import Series
+
+
+@dataclass(frozen=True)
+class PositionStep:
+    """From sample ``first`` to ``last`` the reading moved by ``size`` more than the mass did, and stays so.
+
+    Attributes
+    ----------
+    first, last : int
+        Samples.
+    counts : int
+        Counts that went missing, signed, towards +x; 0 in a record without counts.
+    size : float
+        The same in the unit of the position, m (or counts).
+    """
+
+    first: int
+    last: int
+    counts: int
+    size: float
+
+
+def step_offsets(segment: NDArray[np.integer], steps: tuple[PositionStep, ...]) -> Array:
+    """Return by how much each sample is off because of the steps before it.
+
+    Parameters
+    ----------
+    segment : array of int, shape (n,)
+        Segment number of each sample; a step lasts to the end of its segment.
+    steps : tuple of PositionStep
+        In order of time.
+
+    Returns
+    -------
+    array of shape (n,)
+        In the unit of the position, m (or counts).
+    """
+    offset = np.zeros(segment.size)
+    edges = np.append(np.flatnonzero(np.diff(segment.astype(np.int64)) != 0) + 1, segment.size)
+    for step in steps:
+        end = int(edges[np.searchsorted(edges, step.first, side="right")])
+        since = np.arange(end - step.first) + 1.0
+        offset[step.first : end] += step.size * step_profile(since, step.last - step.first + 1.0)
+    return offset
+
+
+def without_steps(series: Series, offset: Array) -> Series:
+    """Return the record without its steps; ``offset`` (n,) is the result of `step_offsets`."""
+    if not offset.any():
+        return series
+    return replace(series, position=series.position - offset, count=None)
+
+
+def step_profile(since: NDArray[np.floating], width: Array | float) -> Array:
+    """Return the share of a step that has happened ``since`` samples after the last one before it, 0 to 1: a cubic."""
+    s = np.clip(since / width, 0.0, 1.0)
+    return np.asarray(s * s * (3 - 2 * s))

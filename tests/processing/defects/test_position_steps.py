@@ -1,0 +1,57 @@
+"""Lost counts and steps of the datum are found, each once, and nothing else is taken for one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import processing
+from processing.defects import position_steps
+from processing.record import series
+
+
+@pytest.mark.parametrize("size", [10, -12, 40, -300])
+def test_a_loss_within_one_sample_is_marked_where_it_happened(motion, recorded, size):
+    run = recorded(motion(5, 20.0))
+    at = [700, 5000, 9001, 14321]
+    count = run.count.copy()
+    for k in at:
+        count[k:] += size
+    found = position_steps.position_steps(series.from_recording(replace(run, count=count)))
+    assert [loss.first for loss in found] == at
+    assert [loss.last for loss in found] == at
+    assert np.abs([loss.counts - size for loss in found]).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("jitter", "times"), [(0.0, "recorded"), (30e-6, "recorded"), (100e-6, "recorded"), (30e-6, "nominal")]
+)
+def test_no_false_alarm_in_a_clean_minute(motion, recorded, times, jitter):
+    assert position_steps.position_steps(series.from_recording(recorded(motion(5, 60.0, jitter)), times)) == ()
+
+
+@pytest.mark.parametrize(("noise", "law"), [(2e-4, 5), (1e-3, 3)])
+def test_a_datum_that_moves_in_a_camera_track_is_found_and_kept_out_of_the_velocity(motion, imported, noise, law):
+    # A camera that was moved went into the velocity and the fit without a word: steps were looked for in counts alone.
+    true = motion(law, 20.0)
+    rng = np.random.default_rng(law)
+    time, clean = true.time[::3], (true.x + rng.normal(0, noise, true.x.size))[::3]
+    at, sizes = [1000, 2500, 4100, 5003], np.array([12.0, -30.0, 100.0, -12.0]) * noise
+    moved = clean.copy()
+    for k, size in zip(at, sizes, strict=True):
+        moved[k:] += size
+    found, sound = processing.smooth(imported(time, moved)), processing.smooth(imported(time, clean))
+    assert sound.losses == ()
+    assert [step.first for step in found.losses] == at
+    assert [step.size for step in found.losses] == pytest.approx(sizes, abs=3 * noise)
+    assert [finding.code for finding in found.findings] == ["position-steps"]
+    assert np.abs(found.steady_position - sound.position).max() < 5 * noise
+    assert np.sqrt(np.mean((found.velocity - sound.velocity) ** 2)) < np.median(sound.velocity_errors)
+    assert np.abs(found.measured - moved).max() == 0
+    assert found.lost_counts == 0
+
+
+def test_slips_over_within_a_sample_are_no_steps_of_the_datum(imported):
+    time = np.arange(4000) / 200.0
+    saw = 0.1 * time % 0.08 + np.random.default_rng(1).normal(0, 1e-4, time.size)
+    assert position_steps.position_steps(series.from_recording(imported(time, saw))) == ()
