@@ -8,7 +8,8 @@
     └── DataError      4      the record itself: too few cycles, no stick-slip, lost counts
 
 Exit codes: 0 done (also after the first Ctrl-C), 1 a bug, 2 usage or bad input, 3 device, 4 data quality,
-5 the fit could not decide between laws (a result, not an error), 130 second Ctrl-C.
+5 the fit could not decide between laws, 6 stick-slip that none of the laws describes (both results, not errors),
+130 second Ctrl-C.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,6 +21,7 @@ EXIT_INPUT = 2
 EXIT_DEVICE = 3
 EXIT_DATA = 4
 EXIT_UNDECIDED = 5
+EXIT_NO_LAW = 6
 EXIT_INTERRUPTED = 130
 
 

@@ -16,7 +16,7 @@ from fitting.job import FitOptions, FitOutput, LoadedRun
 from fitting.report import page
 
 FAILURES = (errors.EXIT_DATA, errors.EXIT_INPUT, errors.EXIT_DEVICE, errors.EXIT_BUG)
-SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, *FAILURES)  # least first
+SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, errors.EXIT_NO_LAW, *FAILURES)  # least first
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class BatchRow:
         """The exit code that this run alone would end in."""
         if self.failure is not None:
             return self.failure.code
-        return errors.EXIT_DONE if len(self.document["set"]) == 1 else errors.EXIT_UNDECIDED
+        return job.exit_code(self.document)
 
     def as_json(self) -> dict[str, Any]:
         """Return the run's part of the document."""
@@ -101,7 +101,7 @@ def fit(
 
 
 def exit_code(rows: Sequence[BatchRow]) -> int:
-    """Return the worst failure's code, else 5 when a run is undecided, else 0."""
+    """Return the worst failure's code, else 6 when no law describes a run, 5 when a run is undecided, else 0."""
     return max((row.code for row in rows), key=SEVERITY.index, default=errors.EXIT_DONE)
 
 

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json
-from daq.errors import EXIT_DONE, EXIT_UNDECIDED, InputError
+from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -62,13 +62,14 @@ def fit(
     """Fit the friction laws to a run, rank them, and write a report beside it.
 
     Ends with exit code 0 when one law is left, 5 when the record cannot distinguish several (they are
-    named), and 4 when it holds too little or no belt stick-slip. Results are added to the run file; raw data stay as
+    named), 6 when it is stick-slip that none of the laws describes, and 4 when it holds too little or no belt
+    stick-slip. Results are added to the run file; raw data stay as
     they are.
 
     Several runs are fitted together, as one contact: the law's parameters, spring and damping are one for all, belt
     speed, rest position and wear are each run's own. Runs at other belt speeds distinguish laws that one run cannot.
     With --each every run is fitted by itself: a failed one stops no other, its error stands in its row; exit code 0
-    when all are decided, 5 when one is undecided, else that of the worst error.
+    when all are decided, 5 when one is undecided, 6 when no law describes one, else that of the worst error.
 
     Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g"
 
@@ -125,8 +126,7 @@ def fit(
         data["runs"] = [
             {"file": path, "report": page} | side for path, page, side in zip(files, places, data["runs"], strict=True)
         ]
-    code = EXIT_DONE if len(ranking.laws_in_set) == 1 else EXIT_UNDECIDED
-    return Answer(data, _text(ranking, counted.sentences("m"), places, alpha), code)
+    return Answer(data, _text(ranking, counted.sentences("m"), places, alpha), job.exit_code(data))
 
 
 def numbers(text: str, flag: str) -> list[int]:
@@ -164,11 +164,13 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
         table.add_row(str(row.file.absolute().relative_to(common)), members, verdict)
     decided = sum(row.code == EXIT_DONE for row in rows)
     failed_runs = sum(row.failure is not None for row in rows)
-    open_runs = len(rows) - decided - failed_runs
+    open_runs = sum(row.code == EXIT_UNDECIDED for row in rows)
+    lawless = sum(row.code == EXIT_NO_LAW for row in rows)
     lines: list[Any] = [table]
     for row in rows:
         lines += [f"warning: {row.file.name}: {warning}" for warning in row.document.get("warnings", ())]
-    lines.append(f"{len(rows)} runs: {decided} decided, {open_runs} undecided, {failed_runs} failed")
+    without = f"{lawless} that no law describes, " if lawless else ""
+    lines.append(f"{len(rows)} runs: {decided} decided, {open_runs} undecided, {without}{failed_runs} failed")
     return lines
 
 

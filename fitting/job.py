@@ -1,15 +1,16 @@
 """One job of `fit-friction`: runs are read, calibrated, smoothed, fitted as one contact, and reported."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.errors import DataError, InputError
+from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
 from daq.runfile import store as runfile
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
+from fitting.adequacy.result import ADEQUATE
 from fitting.report import page as report
 from fitting.report import stage as store
 from fitting.selection.ranking import ALL_LAWS, rank
@@ -70,6 +71,13 @@ class FitOutput:
         ):
             store.save(side, path)
             report.write(page, place)
+
+
+def exit_code(document: Mapping[str, Any]) -> int:
+    """Return the exit code of a fit by its document: one law, several, or none that describes the record."""
+    if document["adequacy"]["verdict"] != ADEQUATE:
+        return EXIT_NO_LAW
+    return EXIT_DONE if len(document["set"]) == 1 else EXIT_UNDECIDED
 
 
 def load_run(path: Path, options: FitOptions) -> LoadedRun:

@@ -6,17 +6,26 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Parameter:
-    """A value with its standard error and confidence interval, in the unit named."""
+    """A value with its standard error and confidence interval, in the unit named.
+
+    ``trusted`` is False where the law does not describe the record: what the law's interval leaves out is then larger
+    than what it contains, and error and interval are withheld from documents and tables.
+    """
 
     value: float
     stderr: float
     lo: float
     hi: float
     unit: str
+    trusted: bool = True
 
     def as_json(self) -> dict[str, Any]:
-        """Return the document's form."""
-        return vars(self)
+        """Return the document's form; null for what is withheld."""
+        error = {"stderr": self.stderr, "lo": self.lo, "hi": self.hi} if self.trusted else _WITHHELD
+        return {"value": self.value, **error, "unit": self.unit}
+
+
+_WITHHELD = dict.fromkeys(("stderr", "lo", "hi"))
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         version=VERSION,
         digest=recording.digest,
         verdict=ranking.verdict,
-        alone=len(ranking.laws_in_set) == 1,
+        alone=len(ranking.laws_in_set) == 1 and ranking.adequacy.adequate,
         rows=[_row(row, ranking) for row in ranking.rows],
         best=ranking.best,
         parameters=[(name, *format_interval(item)) for name, item in ranking.best.parameters.items()],
@@ -137,7 +137,12 @@ def _event(event: Any) -> tuple[str, str, str, str, str]:
 
 
 def format_interval(item: Parameter) -> tuple[str, str, str, str]:
-    """Return value, standard error and interval with as many digits as the error deserves, and the unit."""
+    """Return value, standard error and interval with as many digits as the error deserves, and the unit.
+
+    Of a law that does not describe the record error and interval are withheld, and the value has four digits.
+    """
+    if not item.trusted:
+        return f"{item.value:.4g}", "–", "withheld", _pretty(item.unit)
     digits = max(0, 1 - math.floor(math.log10(item.stderr))) if item.stderr > 0 else 6
     digits = min(digits, 12)
     value = f"{item.value:.{digits}f}"

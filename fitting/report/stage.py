@@ -3,11 +3,12 @@
 ::
 
     fit               NXprocess   @default=ranking; program, version, date, sequence_index
-      parameters      NXparameters  verdict, warnings, cpu_time
+      parameters      NXparameters  verdict, adequacy, warnings, cpu_time
       ranking         NXdata      one row a law: score, weight, in_set, rms, cycles, orbit_distance; law_name beside it
       cycles          NXdata      one row a break-away: t, static_level, kinetic_scale
     fit_law1 ...      NXprocess   @default=friction_curve
-      parameters      NXparameters  law_name, formula; value, value_errors and units of each parameter
+      parameters      NXparameters  law_name, formula; value, value_errors and units of each parameter; errors are
+                                    NaN where no law describes the record
       friction_curve  NXdata      friction against relative velocity
 """
 
@@ -43,6 +44,7 @@ def _write(entry: h5py.Group, ranking: Ranking) -> None:
     fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking")
     about = nexus.group(fit, "parameters", "NXparameters")
     nexus.field(about, "verdict", ranking.verdict)
+    nexus.field(about, "adequacy", ranking.adequacy.verdict)
     nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")
     if ranking.warnings:
         nexus.field(about, "warnings", list(ranking.warnings))
@@ -90,7 +92,7 @@ def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
     for name, item in row.parameters.items():
         key = name.replace("/", "_over_")
         nexus.field(parameters, key, np.float64(item.value), item.unit)
-        nexus.field(parameters, f"{key}_errors", np.float64(item.stderr), item.unit)
+        nexus.field(parameters, f"{key}_errors", np.float64(item.stderr if item.trusted else np.nan), item.unit)
     w = speeds(ranking.motion)
     nexus.table(
         group,

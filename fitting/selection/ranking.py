@@ -13,6 +13,7 @@ import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Rig
+from fitting.adequacy.assess import assess
 from fitting.data import cycles, frame, ripple
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import break_aways, derived, search
@@ -133,10 +134,16 @@ def rank(
         _refuse(screening.SINE_ALONE, records)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
-    tables = [_rows(fit, chosen, runs, alpha, sustained=sustained) for fit in ordered]
+    members = [fit for fit in ordered if fit.law in chosen.members]
+    assessed = assess(members, [run.motion for run in runs], len(laws))
+    adequate = assessed.together.adequate
+    tables = [_rows(fit, chosen, runs, alpha, sustained=sustained, trusted=adequate) for fit in ordered]
     rows = tuple(table[-1] for table in tables)
     measured = all(run.motion.belt_measured for run in runs)
-    words = verdict.verdict_sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
+    if adequate:
+        words = verdict.verdict_sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
+    else:
+        words = verdict.no_law_sentence(rows, assessed.together)
     sides = []
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
         own = tuple(table[number] for table in tables)
@@ -145,7 +152,9 @@ def rank(
         contradicted = find_contradictions(ordered[0], run.motion, own[0].parameters, made_with, number)
         findings = (*record.findings, *contradicted)
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, findings, sustained=sustained)
-        sides.append(Ranking(words, chosen.members, own, events, said, run.motion, run.cut, findings=findings))
+        adequacy = assessed.runs[number]
+        side = Ranking(words, chosen.members, own, events, said, run.motion, run.cut, adequacy, findings=findings)
+        sides.append(side)
     cpu_s = clock.process_time() - begun
     if len(sides) == 1:
         return replace(sides[0], cpu_s=cpu_s)
@@ -158,6 +167,7 @@ def rank(
         warnings=warnings,
         motion=runs[0].motion,
         cut=runs[0].cut,
+        adequacy=assessed.together,
         cpu_s=cpu_s,
         findings=tuple(finding for side in sides for finding in side.findings),
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
@@ -265,8 +275,13 @@ def _refuse(why: str, records: Sequence[Kinematics]) -> None:
         raise DataError(*screening.refusal(why, records))
 
 
-def _rows(fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool) -> list[LawResult]:
-    """Return a law's row for each run, and last the row for all of them together; one row for a single run."""
+def _rows(
+    fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool, trusted: bool
+) -> list[LawResult]:
+    """Return a law's row for each run, and last the row for all of them together; one row for a single run.
+
+    ``trusted`` is whether a law describes the runs: else no interval is given.
+    """
     parts = [fit.for_run(number) for number in range(len(runs))]
     parameters = [
         derived.derived_parameters(fit, run.motion, alpha, number, sustained=sustained)
@@ -288,7 +303,7 @@ def _rows(fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sust
             in_set=fit.law in chosen.members,
             rms_m=part.rms,
             cycles=len(part.rows),
-            parameters=own,
+            parameters={name: replace(item, trusted=trusted) for name, item in own.items()},
             cpu_s=fit.cpu_s,
             behind=chosen.behind[fit.law],
             orbit=orbit,

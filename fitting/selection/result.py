@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+from fitting.adequacy.result import Adequacy
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
@@ -68,9 +69,10 @@ class Ranking:
     Attributes
     ----------
     verdict : str
-        A sentence; the laws it names are `laws_in_set`.
+        A sentence; the laws it names are `laws_in_set`, unless it says that none describes the record.
     laws_in_set : tuple of int
-        Model confidence set: laws that the record cannot distinguish, best first.
+        Model confidence set: laws that the record cannot distinguish, best first.  It compares the laws with each
+        other; whether any of them describes the record is said by ``adequacy``.
     rows : tuple of LawResult
         Best first, those in the set before all others.
     events : tuple of BreakAway
@@ -80,6 +82,8 @@ class Ranking:
         Contradictions between calibration and record, and the faults that smoothing found.
     motion, cut
         What was fitted, in the fit's frame; the first run's where there are several.
+    adequacy : Adequacy
+        Of all runs together.
     cpu_s : float
     runs : tuple of Ranking
         Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
@@ -92,6 +96,7 @@ class Ranking:
     warnings: tuple[str, ...]
     motion: MeasuredMotion = field(repr=False)
     cut: CycleSegmentation = field(repr=False)
+    adequacy: Adequacy
     cpu_s: float = 0.0
     findings: tuple[Finding, ...] = ()
     runs: "tuple[Ranking, ...]" = ()
@@ -117,6 +122,7 @@ class Ranking:
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
             "findings": [vars(finding) for finding in self.findings],
+            "adequacy": self.adequacy.as_json(),
             "cpu_s": self.cpu_s,
         }
         if self.runs:
@@ -134,5 +140,6 @@ class Ranking:
             "rms_m": self.best.rms_m,
             "cycles": self.best.cycles,
             "parameters": {name: item.as_json() for name, item in self.best.parameters.items()},
+            "adequacy": self.adequacy.as_json(),
             "rms_by_law": {str(row.law): row.rms_m for row in self.rows},
         }

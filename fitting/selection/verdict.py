@@ -3,6 +3,8 @@
 import math
 from collections.abc import Sequence
 
+from fitting.adequacy.goodness import REJECTED
+from fitting.adequacy.result import Adequacy
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.model.parameters import Global
@@ -14,6 +16,8 @@ from rig_sim.friction.law import LAWS
 
 OTHER_SPEEDS = " or runs at other belt speeds"
 POOR_FIT = 0.003  # of the motion's range: five times what 12 % scatter, ripple and jitter leave over
+MOSTLY_REPEATED = 0.5  # share of the residuals' variance that repeats from cycle to cycle
+CLEARLY_ABOVE_NOISE = 1.1  # times the noise: a smaller excess is seen in what the residuals repeat, not in their size
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
     frozenset((3, 4)): f"a belt tachometer{OTHER_SPEEDS}",
@@ -80,6 +84,38 @@ def verdict_sentence(
     more = rival.fit.law_parameters > best.fit.law_parameters
     lag = "does not fit better despite its extra parameter" if more else "fits slightly worse"
     return f"{named}: {fit}; law {rival.law} {lag}"
+
+
+def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
+    """Return the verdict on a record that no law describes.
+
+    Parameters
+    ----------
+    rows : sequence of LawResult
+        Best first.
+    adequacy : Adequacy
+        Of the best law.
+    """
+    best = rows[0]
+    named = f"law {best.law} ({best.name})"
+    what = (
+        "none of the six laws describes this record"
+        if len(rows) == len(LAWS)
+        else (
+            "none of the laws fitted describes this record"
+            if len(rows) > 1
+            else f"{named} does not describe this record"
+        )
+    )
+    closest = f"{named}, the closest," if len(rows) > 1 else "it"
+    left = f"leaves residuals of {format_length(best.rms_m)} rms"
+    found = adequacy.goodness
+    if found is None:
+        return f"{what}: {closest} {left}"
+    same = ", and mostly the same in every cycle" if found.repeat > MOSTLY_REPEATED else ""
+    times = f", {found.misfit:.3g} times the noise" if found.misfit > CLEARLY_ABOVE_NOISE else ""
+    regular = " that are regular, not noise" if not times and not same else ""
+    return f"{what}: {closest} {left}{times}{same}{regular} (p {format_probability(found.p_value)})"
 
 
 def warnings(
@@ -153,6 +189,11 @@ def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tup
     common = [text for text in warned[0] if all(text in own for own in warned)]
     apart = ((name, text) for name, own in zip(names, warned, strict=True) for text in own if text not in common)
     return (*common, *(f"{name}: {text}" for name, text in apart))
+
+
+def format_probability(p: float) -> str:
+    """Return a probability as "= 0.3" or "< 1e-06": the tails of a null distribution are known roughly."""
+    return f"= {p:.2g}" if p >= REJECTED else f"< {REJECTED:g}"
 
 
 def format_length(metres: float) -> str:

@@ -92,13 +92,16 @@ def test_a_batch_is_a_table_on_the_screen(folder, capsys):
 
 @pytest.mark.parametrize(
     ("codes", "expected"),
-    [((0, 0), 0), ((0, 5), 5), ((0, 4), 4), ((4, 2), 2), ((2, 3), 3), ((3, 1), 1), ((0, 4, 5), 4)],
+    [((0, 0), 0), ((0, 5), 5), ((6, 0, 5), 6), ((6, 4), 4), ((4, 2), 2), ((2, 3), 3), ((3, 1), 1), ((0, 4, 5), 4)],
 )
 def test_the_exit_code_of_a_batch(codes, expected):
     rows = [
         BatchRow(
             Path("x"),
-            {"set": [5] if code == 0 else [5, 6]},
+            {
+                "set": [5, 6] if code == 5 else [5],
+                "adequacy": {"verdict": "none of the six" if code == 6 else "adequate"},
+            },
             Failure("", "", "", code) if code in (1, 2, 3, 4) else None,
         )
         for code in codes

@@ -1,0 +1,171 @@
+"""Goodness of fit in absolute terms: whether noise alone could have left the residuals of a law.
+
+Null distribution: the fitted motion is read again and again with the record's own noise (`fitting.adequacy.noise`), all
+unknowns are fitted again, linearly, and the statistics of the slips (`fitting.adequacy.statistics`) are taken of what
+is left.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  The draws are seeded:
+the same record gives the same number.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.adequacy.noise import PositionNoise, estimate_noise
+from fitting.adequacy.statistics import SlipBins, SlipStatistics
+from fitting.data.frame import MeasuredMotion
+from fitting.estimation.fit import Fit
+
+REPETITIONS = 60  # the spread of a statistic is then known to 9 %
+SEED = 13
+MOST_AT_ONCE = 2_000_000  # residuals held at a time: 16 MB an array
+FEWEST_SLIPS = 2
+# Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
+# moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
+REJECTED = 1e-6
+
+
+@dataclass(frozen=True)
+class GoodnessOfFit:
+    """How the residuals of a fit compare with noise.
+
+    Attributes
+    ----------
+    noise_m : float
+        Standard deviation of one position, from the record, m.
+    misfit : float
+        Rms of the residuals of the inlier cycles over ``noise_m``.
+    lag1, repeat : float
+        As in `fitting.adequacy.statistics.SlipStatistics`; 0 where no slip can be judged.
+    p_value : float
+        Probability of statistics at least as large by noise alone; 1 where no slip can be judged.
+    """
+
+    noise_m: float
+    misfit: float
+    lag1: float
+    repeat: float
+    p_value: float
+
+    @property
+    def adequate(self) -> bool:
+        """Whether noise may have made the residuals."""
+        return self.p_value >= REJECTED
+
+
+@dataclass(frozen=True, eq=False)
+class RunSlips:
+    """What is judged of one run: its noise, its slips, and their statistics of the record and of repetitions."""
+
+    noise: PositionNoise
+    noise_m: float
+    bins: SlipBins
+    seen: SlipStatistics
+    null: SlipStatistics
+
+
+def judge(
+    residual: Array, refit: Callable[[Array], Array], fit: Fit, motions: Sequence[MeasuredMotion]
+) -> tuple[RunSlips, ...]:
+    """Return the statistics of each run's slips beside those of their null distribution.
+
+    Parameters
+    ----------
+    residual : (N,) f8
+        What is judged, m: what a law leaves, or a curve in the windows of that law's fit.
+    refit : callable
+        Residuals (N, B) to what a linear fit of all unknowns leaves of them
+        (`fitting.estimation.linearised.LinearisedFit.refit`).
+    fit : Fit
+        Whose windows are used, of all runs together.
+    motions : sequence of MeasuredMotion
+        Of each run.
+    """
+    windows = fit.windows
+    owner = np.repeat(windows.table[:, 5], windows.table[:, 3])
+    position = windows.position + residual
+    velocity = np.empty_like(position)
+    noises = []
+    for run, motion in enumerate(motions):
+        own = owner == run
+        velocity[own] = motion.velocity[windows.source[own]]
+        noises.append(estimate_noise(fit, motion, run))
+    bins = [SlipBins.from_fit(fit, run) for run in range(len(motions))]
+    repeated: list[list[SlipStatistics]] = [[] for _ in motions]
+    rng = np.random.default_rng(SEED)
+    at_once = max(1, min(REPETITIONS, MOST_AT_ONCE // position.size))
+    for first in range(0, REPETITIONS, at_once):
+        drawn = np.empty((position.size, min(at_once, REPETITIONS - first)))
+        for j in range(drawn.shape[1]):
+            for run, noise in enumerate(noises):
+                own = owner == run
+                drawn[own, j] = noise.draw(position[own], velocity[own], rng)
+        left = refit(drawn)
+        for run, cut in enumerate(bins):
+            if cut.slips >= FEWEST_SLIPS:
+                repeated[run].append(cut.statistics(left))
+    found = []
+    for run, (noise, cut, draws) in enumerate(zip(noises, bins, repeated, strict=True)):
+        if draws:
+            parts = [np.concatenate([getattr(one, name) for one in draws]) for name in vars(draws[0])]
+            null, seen = SlipStatistics(*parts), cut.statistics(residual[:, None])
+        else:
+            null = seen = SlipStatistics(*np.zeros((4, 1)))
+        found.append(RunSlips(noise, noise.sd(velocity[owner == run]), cut, seen, null))
+    return tuple(found)
+
+
+def goodness_of_fit(
+    slips: Sequence[RunSlips], residual: Array, fit: Fit
+) -> tuple[GoodnessOfFit, tuple[GoodnessOfFit, ...]]:
+    """Return the goodness of fit of all runs together, and of each."""
+    each = []
+    run_of = fit.windows.run
+    for run, own in enumerate(slips):
+        rows = [residual[part] for k, part in enumerate(fit.rows) if run_of[k] == run and fit.inlier_cycles[k]]
+        square = float(np.mean(np.concatenate(rows) ** 2)) if rows else 0.0
+        each.append(
+            GoodnessOfFit(
+                noise_m=own.noise_m,
+                misfit=math.sqrt(square) / own.noise_m if own.noise_m > 0 else math.inf,
+                lag1=float(own.seen.lag1[0]),
+                repeat=float(own.seen.repeat[0]),
+                p_value=probability(own),
+            )
+        )
+    if len(each) == 1:
+        return each[0], tuple(each)
+    share = np.array([own.bins.slips for own in slips], float)
+    share /= max(share.sum(), 1.0)
+    together = GoodnessOfFit(
+        noise_m=math.sqrt(float(np.sum(share * [one.noise_m**2 for one in each]))),
+        misfit=math.sqrt(float(np.sum(share * [one.misfit**2 for one in each]))),
+        lag1=float(np.sum(share * [one.lag1 for one in each])),
+        repeat=float(np.sum(share * [one.repeat for one in each])),
+        p_value=min(1.0, len(each) * min(one.p_value for one in each)),
+    )
+    return together, tuple(each)
+
+
+def probability(slips: RunSlips) -> float:
+    """Return the probability of the statistics by noise alone, corrected for there being two of them."""
+    if slips.bins.slips < FEWEST_SLIPS:
+        return 1.0
+    least = -1 / max(slips.bins.slips - 1, 1)  # of `repeat`: its gamma distribution begins there
+    found = (
+        tail(float(slips.seen.repeat[0]) - least, slips.null.repeat - least),
+        tail(float(slips.seen.smooth[0]), slips.null.smooth),
+    )
+    return min(1.0, len(found) * min(found))
+
+
+def tail(value: float, null: Array) -> float:
+    """Return the probability of a value or a larger one under a gamma distribution with the moments of ``null``."""
+    from scipy.stats import gamma
+
+    mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
+    if not mean > 0 or not spread > 0:
+        return 1.0
+    return float(gamma.sf(value, (mean / spread) ** 2, scale=spread**2 / mean))

@@ -1,0 +1,118 @@
+"""Statistics of residuals that noise alone leaves small: what repeats from slip to slip, and what is smooth in a slip.
+
+Each slip, from its window's start to the landing, is cut into bins of its phase, and the residuals are averaged in
+them.  A law that is wrong leaves residuals that are smooth over a bin, and mostly the same in every slip.  A slip that
+a velocity step has spoilt must not count for more than the others.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers
+from fitting.estimation.fit import Fit
+
+BINS = 60  # of a slip: 8 to 20 samples each at 1 kHz
+
+
+@dataclass(frozen=True, eq=False)
+class SlipStatistics:
+    """Statistics of B sets of residuals of the same slips, each (B,).
+
+    Attributes
+    ----------
+    repeat : f8
+        Share of the binned residuals' variance that repeats from slip to slip, without bias: 0 for noise, 1 for
+        residuals that are the same in every slip.
+    smooth : f8
+        Variance of the binned residuals over that of independent residuals of the same rms; median over the slips.
+        1 for white noise, up to the number of samples in a bin.
+    rms : f8
+        m, all slips together.
+    lag1 : f8
+        Autocorrelation of neighbouring residuals.
+    """
+
+    repeat: Array
+    smooth: Array
+    rms: Array
+    lag1: Array
+
+
+@dataclass(frozen=True, eq=False)
+class SlipBins:
+    """Bins of the slips of a run: rows of residuals, and where each bin begins among them.
+
+    Attributes
+    ----------
+    rows : (n,) i8
+        The residuals in a bin, slip by slip.
+    starts : (occupied bins,) i8
+        First of ``rows`` in each bin that is not empty.
+    slip, phase : (occupied bins,) i8
+        Slip and bin of its phase.
+    count : (occupied bins,) f8
+        Residuals in it.
+    slips : int
+    """
+
+    rows: Integers
+    starts: Integers
+    slip: Integers
+    phase: Integers
+    count: Array
+    slips: int
+
+    @classmethod
+    def from_fit(cls, fit: Fit, run: int = 0) -> "SlipBins":
+        """Cut the slips of one run's inlier cycles."""
+        windows, rows, cell, slips = fit.windows, [], [], 0
+        for k, stick, first, count, _, own in windows.table:
+            if stick or own != run or not fit.inlier_cycles[k]:
+                continue
+            time = windows.time[first : first + count]
+            phase = (time - time[0]) / (fit.cycles[k].landing - time[0])
+            place = np.floor(BINS * phase).astype(np.int64)
+            before = place < BINS
+            rows.append(first + np.flatnonzero(before))
+            cell.append(slips * BINS + place[before])
+            slips += 1
+        if not slips:
+            empty = np.empty(0, np.int64)
+            return cls(empty, empty, empty, empty, np.empty(0), 0)
+        occupied, starts, count = np.unique(np.concatenate(cell), return_index=True, return_counts=True)
+        return cls(np.concatenate(rows), starts, occupied // BINS, occupied % BINS, count.astype(float), slips)
+
+    def sums(self, values: Array) -> Array:
+        """Return the sum of values (N, B) in each bin, shape (occupied bins, B)."""
+        return np.asarray(np.add.reduceat(values[self.rows], self.starts, axis=0))
+
+    def per_slip(self, binned: Array) -> Array:
+        """Return the sum of what stands in the bins (occupied bins, B) over each slip, shape (slips, B)."""
+        edges = np.searchsorted(self.slip, np.arange(self.slips))
+        return np.asarray(np.add.reduceat(binned, edges, axis=0))
+
+    def statistics(self, residuals: Array) -> SlipStatistics:
+        """Return the statistics of residuals (N, B), m, of which there are two slips or more."""
+        products = np.zeros_like(residuals)
+        products[1:] = residuals[1:] * residuals[:-1]
+        return self.combine(self.sums(residuals), self.sums(residuals**2), self.sums(products))
+
+    def combine(self, sums: Array, squares: Array, products: Array) -> SlipStatistics:
+        """Return the statistics from sums of residuals, of their squares and of neighbours' products in each bin."""
+        number = self.per_slip(self.count[:, None])
+        occupied = self.per_slip(np.ones((self.slip.size, 1)))
+        square = np.maximum(self.per_slip(squares) / number, 1e-300)
+        binned = self.per_slip(sums**2 / self.count[:, None]) / occupied
+        usual = np.median(square, axis=0)
+        weight = np.sqrt(np.minimum(usual / square, 1.0))  # a spoilt slip is scaled down to the usual one
+        mean = sums / self.count[:, None] * weight[self.slip]
+        own = np.sum(mean**2, axis=0)
+        together = np.zeros((BINS, sums.shape[1]))
+        np.add.at(together, self.phase, mean)
+        return SlipStatistics(
+            repeat=(np.sum(together**2, axis=0) - own) / np.maximum((self.slips - 1) * own, 1e-300),
+            smooth=np.median(binned / square, axis=0),
+            rms=np.sqrt(np.sum(squares, axis=0) / self.count.sum()),
+            lag1=np.sum(products, axis=0) / np.maximum(np.sum(squares, axis=0), 1e-300),
+        )

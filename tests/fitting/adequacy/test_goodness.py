@@ -1,0 +1,83 @@
+"""Goodness of fit: a true law passes, a contact that obeys none of the six does not, whatever the verdict between laws.
+
+The motion is made by the generator of the tests, or by one that shares nothing with this project (`foreign`).
+"""
+
+import json
+
+import numpy as np
+import pytest
+
+from daq.console import application
+from fitting import cli, job
+from fitting.adequacy.goodness import tail
+from fitting.adequacy.statistics import SlipBins
+from fitting.selection.ranking import rank
+from processing.smoothing import smooth
+
+
+def test_what_repeats_and_what_is_smooth_is_found_beside_noise():
+    rng = np.random.default_rng(2)
+    slips, samples = 20, 480
+    count = np.full(slips * 60, 8.0)
+    slip, phase = np.divmod(np.arange(slips * 60), 60)
+    rows = np.arange(slips * samples)
+    bins = SlipBins(rows, rows[::8], slip, phase, count, slips)
+    noise = rng.standard_normal((slips * samples, 2))
+    wave = np.sin(2 * np.pi * 3 * np.arange(samples) / samples)
+    noise[:, 1] += 0.7 * np.tile(wave, slips)
+    noise[:samples] *= 50.0  # a spoilt slip
+    found = bins.statistics(noise)
+    assert found.repeat == pytest.approx([0.0, 0.66], abs=0.03)
+    assert found.smooth == pytest.approx([1.0, 2.4], abs=0.2)
+    assert found.lag1[0] == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_probability_is_that_of_the_null_distribution():
+    rng = np.random.default_rng(3)
+    null = rng.gamma(30.0, 0.1, 4000)
+    assert tail(float(np.quantile(null, 0.99)), null) == pytest.approx(0.01, rel=0.2)
+    assert tail(1e3, null) < 1e-100
+
+
+@pytest.mark.parametrize("law", [3, 5])
+def test_a_true_law_is_adequate(ranked, law):
+    ranking = ranked(law=law)
+    found = ranking.adequacy
+    assert found.adequate
+    assert found.goodness.misfit == pytest.approx(1.0, abs=0.05)
+    assert found.goodness.repeat < 0.1
+    assert found.goodness.p_value > 1e-3
+    assert found.noise_m == pytest.approx(7.67e-6 / 12**0.5, rel=0.1)
+    assert all(item.trusted for item in ranking.best.parameters.values())
+
+
+def test_a_law_that_is_wrong_is_rejected_and_gives_no_interval(synthetic):
+    # "law 1 (constant friction), the only law fitted" was said of it, with narrow intervals.
+    ranking = rank(smooth(synthetic.recording(law=5)), laws=(1,))
+    document = ranking.as_json()
+    assert document["adequacy"]["verdict"] == "none of the laws fitted"
+    assert document["adequacy"]["p_value"] < 1e-6
+    assert ranking.verdict.startswith("law 1 (constant friction) does not describe this record")
+    for item in document["ranking"][0]["parameters"].values():
+        assert item["lo"] is item["hi"] is item["stderr"] is None
+        assert np.isfinite(item["value"])
+    assert job.exit_code(document) == 6
+
+
+def test_the_same_record_gives_the_same_probability(synthetic):
+    kinematics = smooth(synthetic.recording(law=5, duration=12.0))
+    first, second = (rank(kinematics, laws=(5,)).adequacy for _ in range(2))
+    assert first == second
+
+
+def test_velocity_steps_of_a_belt_s_joint_spoil_no_law(synthetic):
+    """Slips with a velocity step fit badly under the true law: the others decide."""
+    assert rank(smooth(synthetic.recording(law=5, kick=0.02, scatter=0.08)), laws=(5,)).adequacy.adequate
+
+
+def test_a_batch_ends_with_six_where_no_law_describes_a_run(synthetic, tmp_path, capsys):
+    runs = [synthetic.written(tmp_path / f"{law}.h5", synthetic.recording(law=law, duration=12.0)) for law in (5, 3)]
+    assert application.run(cli.app, ["--each", *map(str, runs), "--laws", "5", "--json"]) == 6
+    rows = json.loads(capsys.readouterr().out)["runs"]
+    assert [row["adequacy"]["verdict"] for row in rows] == ["adequate", "none of the laws fitted"]
