@@ -12,6 +12,7 @@ from fitting import cli
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
+pytestmark = pytest.mark.usefixtures("undrawn_reports")
 DATUM_SD = 5e-4  # m, of the simulated board
 TURNED = ("v_dr",)  # the spring rests where it rests, whichever way the belt runs
 

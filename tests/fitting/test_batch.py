@@ -21,6 +21,7 @@ from fitting import batch, cli, job
 from fitting.batch import BatchRow, Failure
 from processing.smoothing import smooth
 
+pytestmark = pytest.mark.usefixtures("undrawn_reports")
 needs_dask = pytest.mark.skipif(find_spec("distributed") is None, reason="dask.distributed is not installed")
 
 
@@ -218,6 +219,7 @@ def cluster():
         run.stdin.write("\n")
 
 
+@pytest.mark.slow
 @needs_dask
 def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
     files = [folder / "five.h5", folder / "none.h5", folder / "three.h5"]

@@ -15,6 +15,8 @@ from daq.runfile import store
 from daq.runfile.recording import Recording
 from fitting import cli
 
+pytestmark = pytest.mark.usefixtures("undrawn_reports")
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory, synthetic):

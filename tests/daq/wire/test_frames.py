@@ -30,18 +30,13 @@ def idents(draw):
 def blocks(draw, belt=False, edge=False):
     n = draw(st.sampled_from([1, 2, 3, 8, 8, 8, 255]))
 
-    def column(values):
-        return tuple(draw(st.lists(values, min_size=n, max_size=n)))
+    def column():  # from bytes: numbers one by one are drawn thirty times as slowly
+        return tuple(memoryview(draw(st.binary(min_size=2 * n, max_size=2 * n))).cast("H"))
 
-    return SampleBlock(
-        draw(u16),
-        draw(u32),
-        draw(u16),
-        *(column(u16) for _ in range(3)),
-        column(st.integers(0, 7)),
-        belt=column(u16) if belt else None,
-        edge=column(u16) if edge else None,
-    )
+    status = tuple(byte & 7 for byte in draw(st.binary(min_size=n, max_size=n)))
+    columns = (column(), column(), column(), status)
+    optional = {"belt": column() if belt else None, "edge": column() if edge else None}
+    return SampleBlock(draw(u16), draw(u32), draw(u16), *columns, **optional)
 
 
 truths = st.builds(TruthFrame, u16, st.lists(st.tuples(real, real, real, real), min_size=1, max_size=5).map(tuple))

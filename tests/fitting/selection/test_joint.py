@@ -15,6 +15,7 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
+pytestmark = pytest.mark.usefixtures("undrawn_reports")
 SPEEDS = (0.1, 0.2, 0.3)
 
 
