@@ -15,10 +15,10 @@ from daq.protocols.lines import Other, Row
 from daq.wire import frames
 from daq.wire.splitter import Splitter
 
-_TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
+TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
 _COUNTS = ("up", "down", "count", "ticks")
-_PATTERNS = {
-    **dict.fromkeys(_TIMES, r"(\d{1,12}+)(?:\.(\d{0,9}+))?+"),
+VALUES = {
+    **dict.fromkeys(TIMES, r"(\d{1,12}+)(?:\.(\d{0,9}+))?+"),
     **dict.fromkeys(("up", "down"), r"(\d{1,10}+)"),
     **dict.fromkeys(("count", "ticks"), r"([+-]?+\d{1,10}+)"),
     **dict.fromkeys(("a", "b"), "([01])"),
@@ -28,10 +28,10 @@ _PATTERNS = {
 }
 _SEPARATOR = r"(?:[,;]|[ \t]+[,;]?)[ \t]*"
 
-_TIME_OF_LABEL = {"t": None, "time": None, "micros": "us", "millis": "ms", **{name: name for name in _TIMES}}
+_TIME_OF_LABEL = {"t": None, "time": None, "micros": "us", "millis": "ms", **{name: name for name in TIMES}}
 _COUNT_LABELS = ("pos", "position", "count", "counts", "ticks", "encoder")
 _KINDS = {
-    **{name: name for name in _PATTERNS},
+    **{name: name for name in VALUES},
     **dict.fromkeys(_TIME_OF_LABEL, "time"),
     **dict.fromkeys(_COUNT_LABELS, "position"),
 }
@@ -54,6 +54,8 @@ class Columns:
         Columns in the order of the line; empty when none are declared.
     labels : tuple of str
         Labels of the columns in the line; empty when the line holds values only.
+    counters : tuple of two str
+        Columns of the counters: up (or the net count) and down; "" for none.
     counts : tuple of int
         Groups that hold the time's whole part and fraction, up (or the net count) and down.
     checks : tuple of int
@@ -71,16 +73,13 @@ class Columns:
     pattern: re.Pattern[bytes]
     names: tuple[str, ...]
     labels: tuple[str, ...]
+    counters: tuple[str, str]
     counts: tuple[int, ...]
     checks: tuple[int, ...]
     us_per_unit: int
     net: bool
     bits: int
     capabilities: frames.Capability
-
-    def read(self, line: bytes) -> Row | Other:
-        """Return the values in a line, whatever the labels in other lines."""
-        return LineParser(self).read(line)
 
     def row(self, found: re.Match[bytes]) -> Row | Other:
         """Return the values in a line that matches the pattern."""
@@ -124,30 +123,6 @@ class Columns:
         return _form(tuple(columns_of[label] for label in used), self.bits, used) if used else None
 
 
-class LineParser:
-    """Parse the lines of one stream; from two lines in a row with the same labels on, other labels are damage."""
-
-    def __init__(self, form: Columns) -> None:
-        self._declared = self._form = form
-        self._last: Columns | None = None
-
-    def read(self, line: bytes) -> Row | Other:
-        """Return the values in a line."""
-        found = self._form.pattern.fullmatch(line)
-        if found is not None:
-            return self._form.row(found)
-        if line.startswith(b"#") or not line.rstrip(b"\r"):
-            return Other.REMARK
-        form = self._declared.labelled(line) if self._form is self._declared else self._declared
-        found = form.pattern.fullmatch(line) if form is not None else None
-        if form is None or found is None:
-            return Other.DAMAGED
-        if form == self._last:
-            self._form = form
-        self._last = form
-        return form.row(found)
-
-
 def columns(declared: str | None) -> Columns:
     """Return how to read lines of the declared columns; None: labelled lines with a time and a net count.
 
@@ -162,7 +137,7 @@ def columns(declared: str | None) -> Columns:
     names, widths = [], set()
     for part in declared.split(","):
         name, _, width = part.strip().partition(":")
-        check_known(name, list(_PATTERNS), "column", where)
+        check_known(name, list(VALUES), "column", where)
         if name in names and name != "-":
             raise InputError(f"column {name!r} occurs twice", where, "call what you do not need '-'")
         if width and (width not in ("16", "32") or name not in _COUNTS):
@@ -170,7 +145,7 @@ def columns(declared: str | None) -> Columns:
         names.append(name)
         if name in _COUNTS:
             widths.add(int(width or 32))
-    times = [name for name in names if name in _TIMES]
+    times = [name for name in names if name in TIMES]
     if len(times) != 1:
         what = "which column is the time?" if times else "there is no time column, which is required"
         raise InputError(what, where, "declare one of t_us, t_ms, t_s; a sketch prints it by micros()")
@@ -191,15 +166,15 @@ def _form(names: tuple[str, ...], bits: int, labels: tuple[str, ...]) -> Columns
     for name in names:
         if name != "-":
             group[name] = group[""]
-            group[""] += 2 if name in _TIMES else 1
-    fields = [_PATTERNS[name] for name in names]
+            group[""] += 2 if name in TIMES else 1
+    fields = [VALUES[name] for name in names]
     separator, end = _SEPARATOR, ""
     if labels:
         other = rf"(?!(?i:{'|'.join(labels)}){_IS}){_NAME}{_IS}{_VALUE}"
         fields = [f"{label}{_IS}{field}" for label, field in zip(labels, fields, strict=True)]
         fields[0] = f"(?:{other}{_SEPARATOR})*+{fields[0]}"
         separator, end = f"{_SEPARATOR}(?:{other}{_SEPARATOR})*+", f"(?:{_SEPARATOR}{other})*+"
-    time = next(name for name in names if name in _TIMES)
+    time = next(name for name in names if name in TIMES)
     counts = [name for name in ("up", "down", "count", "ticks") if name in names]
     up, down = (*counts, "")[:2]
     checks = ("a", "b", "illegal", "xor")
@@ -208,9 +183,10 @@ def _form(names: tuple[str, ...], bits: int, labels: tuple[str, ...]) -> Columns
         pattern=re.compile(rf"[ \t]*{separator.join(fields)}{end}[ \t]*\r*()".encode()),
         names=names,
         labels=labels,
+        counters=(up, down),
         counts=(group[time], group[time] + 1, group[up], group[down]),
         checks=tuple(group.get(name, group[""]) for name in checks) if group.keys() & checks else (),
-        us_per_unit=_TIMES[time],
+        us_per_unit=TIMES[time],
         net=len(counts) == 1,
         bits=bits,
         capabilities=has(has.LEVELS * ("a" in names) | has.ILLEGAL * ("illegal" in names)),
@@ -235,7 +211,7 @@ def labelled_columns(line: bytes) -> str | None:
         return None
     names = [_TIME_OF_LABEL[single["time"][0]] or "t_us", *(["up", "down"] if both else ["count"])]
     for name in ("a", "b", "illegal", "xor"):
-        if name in single and re.fullmatch(_PATTERNS[name], single[name][1]):
+        if name in single and re.fullmatch(VALUES[name], single[name][1]):
             names.append(name)
     if ("a" in names) != ("b" in names):
         names = [name for name in names if name not in ("a", "b")]

@@ -17,8 +17,12 @@ how damage is detected.  Written from descriptions and other programs; not teste
 
 import re
 import time
+from binascii import unhexlify
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from daq.errors import DeviceError, InputError
 from daq.protocols import lines
@@ -44,6 +48,9 @@ _RECORD = re.compile(rb"[rwse][0-9A-Fa-f]{10}(?:[0-9A-Fa-f]{8})?")
 _ERROR = re.compile(rb"e[0-9A-Fa-f]{0,18}")
 _BANNER = re.compile(rb"QSB-[A-Z0-9]{1,8}$")
 _SPACE = b" \r\n"
+# Samples, each with few enough spaces to be shorter than the longest record.
+_SAMPLES = re.compile(rb"(?:[ \r\n]{0,8}+s {0,8}+[0-9A-Fa-f]{2} {0,8}+[0-9A-Fa-f]{8} {0,8}+[0-9A-Fa-f]{8} {0,8}+!)++")
+_FIELDS = np.dtype([("register", "u1"), ("count", ">u4"), ("ticks", ">u4")])
 
 
 def check(request: RecordRequest) -> None:
@@ -73,21 +80,34 @@ def ident(decoder: str | None, interval: int = 1) -> frames.Ident:
     )
 
 
-def _parse(line: bytes) -> Row | Other:
-    """Return the values in a record; spaces in it are ignored."""
-    record = line.translate(None, _SPACE)
-    if _SAMPLE.fullmatch(record):
-        return int(record[11:], 16), int(record[3:11], 16)
-    if _BANNER.fullmatch(record):
-        return Other.START
-    if _RECORD.fullmatch(record) or _ERROR.fullmatch(record):
-        return Other.REMARK
-    return Other.DAMAGED | Other.START if _BANNER.search(record) else Other.DAMAGED
+class RecordParser:
+    """Parse records; see `daq.protocols.lines.Parser`."""
+
+    alike = _SAMPLES
+
+    def read(self, line: bytes) -> Row | Other:
+        """Return the values in a record; spaces in it are ignored."""
+        record = line.translate(None, _SPACE)
+        if _SAMPLE.fullmatch(record):
+            return int(record[11:], 16), int(record[3:11], 16)
+        if _BANNER.fullmatch(record):
+            return Other.START
+        if _RECORD.fullmatch(record) or _ERROR.fullmatch(record):
+            return Other.REMARK
+        return Other.DAMAGED | Other.START if _BANNER.search(record) else Other.DAMAGED
+
+    def read_alike(self, lines: bytes) -> NDArray[np.int64]:
+        """Return the values in n records of samples, (n, 2)."""
+        sent = np.frombuffer(unhexlify(lines.translate(None, _SPACE + b"s!")), _FIELDS)
+        return np.column_stack((sent["ticks"], sent["count"])).astype(np.int64)
+
+    def missed(self) -> None:
+        """Do nothing: all samples of a QSB are alike."""
 
 
 def reader() -> LineReader:
     """Return a reader of records."""
-    return LineReader(b"!", LONGEST_RECORD, _parse, trusts_first=True)
+    return LineReader(b"!", LONGEST_RECORD, RecordParser(), trusts_first=True)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":

@@ -34,7 +34,8 @@ from typing import TYPE_CHECKING, Any
 from daq.errors import DeviceError, InputError, check_known
 from daq.protocols import lines
 from daq.protocols import session as sessions
-from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, LineParser, columns, lacking
+from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, columns, lacking
+from daq.protocols.line_parser import LineParser
 from daq.protocols.lines import LineReader, LineTally
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session
@@ -76,7 +77,7 @@ def ident(form: Columns, decoder: str | None) -> frames.Ident:
 
 def reader(form: Columns) -> LineReader:
     """Return a reader of lines.  The first line is not used: digits missing at its beginning could not be detected."""
-    return LineReader(b"\n", LONGEST_LINE, LineParser(form).read, trusts_first=False)
+    return LineReader(b"\n", LONGEST_LINE, LineParser(form), trusts_first=False)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
@@ -133,11 +134,11 @@ class Text(Session):
                     self.request = replace(self.request, columns=vote.columns)
                     self._form = columns(vote.columns)
                     listener, data, times, bad = reader(self._form), kept, [], 0
-            rows, others = listener.feed(data)
-            if rows and not times:
+            batch = listener.feed(data)
+            if len(batch.rows) and not times:
                 began = time.monotonic()
-            times += [row[0] for row in rows]
-            bad += len(others)
+            times += batch.rows[:, 0].tolist()
+            bad += len(batch.others)
             steps = [later - earlier & 0xFFFFFFFF for earlier, later in pairwise(times)]
             advance = sum(sorted(steps)[: len(steps) * 9 // 10])  # whatever single lines say
             if len(times) > FEWEST_LINES and advance >= LISTEN_S * 1e9 / TICK_NS:

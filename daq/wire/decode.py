@@ -1,17 +1,21 @@
 """The reads of one connection, decoded into arrays of samples: what stands behind every run file.
 
-`daq.wire.frames.FrameReader` splits and checks the frames; the payloads of sample frames of one length are then read as
-one array.  Where the reads ended makes no difference but for the stamps.
+Lines of one length are checked and read as one array; `daq.wire.frames.FrameReader` does the same line by line, which
+the tests hold this against.  Where the reads ended makes no difference but for the stamps.
 """
 
+from array import array
+from binascii import crc_hqx
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from cobs import cobs
 from numpy.typing import NDArray
 
 from daq.wire import frames as wire
+from daq.wire.splitter import Splitter
 
 
 def _nothing() -> NDArray[np.int64]:
@@ -86,6 +90,8 @@ class Stream:
 
 # SAMPLES frames by bytes of payload and declared samples: their lines (k,) and payloads (k, size).
 Groups = dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.uint8]]]
+FEWEST_TOGETHER = 64  # payloads of one length whose CRC is computed together: of fewer, one by one takes less CPU
+_CRC_OF_BYTE = np.array([crc_hqx(bytes((byte,)), 0) for byte in range(256)], dtype=np.uint16)
 _HEAD = np.dtype([("kind", "u1"), ("version", "u1"), ("n", "u1"), ("seq", "<u2"), ("time", "<u4"), ("illegal", "<u2")])
 
 
@@ -97,22 +103,22 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     reads : iterable of (int, bytes)
         Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
     """
-    reader = wire.FrameReader()
-    payloads: list[bytes | None] = []  # of every line; a line is known by its place here
-    length: list[int] = []
-    stamp_ns: list[int] = []
+    splitter = Splitter(wire.DELIMITER, wire.LONGEST_LINE)
+    bodies: list[bytes] = []  # payload and CRC of every line; a line is known by its place here
+    length = array("q")
+    ends: list[tuple[int, int]] = []  # of each read: its stamp, and how many lines it ended
     parts: list[tuple[int, int, int]] = []
     for stamp, data in reads:
-        lines, found = reader.lines(data)
-        payloads += found
-        length += map(len, lines)
-        stamp_ns += [stamp] * len(lines)
-        if reader.pending_bytes:
-            parts.append((stamp, len(payloads), reader.pending_bytes))
+        lines = list(filter(None, splitter.feed(data)))
+        bodies += _unstuffed(lines)
+        length.extend(map(len, lines))
+        ends.append((stamp, len(lines)))
+        if splitter.pending_bytes:
+            parts.append((stamp, len(bodies), splitter.pending_bytes))
 
-    size = np.array([0 if payload is None else len(payload) for payload in payloads], dtype=np.int64)
-    samples, rest = _groups(payloads, size)
-    others = [(line, frame) for line in rest if (frame := wire.decode_payload(payloads[line] or b"", False, False))]
+    sent_bytes = np.array(length)
+    size, samples, rest = _groups(bodies, sent_bytes)
+    others = [(line, frame) for line in rest if (frame := wire.decode_payload(bodies[line][:-2], False, False))]
     ident = _governing(others, samples)
     row = _row(ident)
     ours = {key: group for key, group in samples.items() if _fits(*key, row)}
@@ -133,7 +139,7 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     known[frame_line] = True
     known[[line for line, _ in others]] = True
     unknown = size[~known & (size > 0)]
-    damaged = np.flatnonzero(size == 0)
+    damaged = np.flatnonzero(size[1:] == 0) + 1  # the first line's beginning may be missing
 
     truths = [(line, frame) for line, frame in others if isinstance(frame, wire.TruthFrame)]
     truth_n = [len(frame.rows) for _, frame in truths]
@@ -147,7 +153,7 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
         seq=heads["seq"].astype(np.int64),
         ticks=heads["time"].astype(np.int64),
         illegal=heads["illegal"].astype(np.int64),
-        stamp_ns=np.array(stamp_ns, dtype=np.int64)[frame_line],
+        stamp_ns=np.repeat(*np.array(ends, dtype=np.int64).reshape(-1, 2).T)[frame_line],
         **columns,
         ident=ident,
         idents=before[np.array([line for line, frame in others if isinstance(frame, wire.Ident)], dtype=np.int64)],
@@ -156,30 +162,67 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
         truth_seq=np.array(truth_seq, dtype=np.int64),
         truth_frame=np.repeat(before[np.array([line for line, _ in truths], dtype=np.int64)], truth_n),
         truth=np.array([row for _, frame in truths for row in frame.rows], dtype=np.float64).reshape(-1, 4),
-        crc_frame=before[damaged[damaged > 0]],  # the first line's beginning may be missing
-        crc_errors=reader.crc_errors,
+        crc_frame=before[damaged],
+        crc_errors=len(damaged),
         unknown=len(unknown),
-        discarded_bytes=reader.discarded_bytes + int(unknown.sum()),
-        length=np.array(length, dtype=np.int64)[frame_line] + 1,
+        discarded_bytes=splitter.dropped_bytes + int(sent_bytes[size == 0].sum() + unknown.sum()),
+        length=sent_bytes[frame_line] + 1,
         part_stamp_ns=part_ns[inside],
         part_frame=before[part_line[inside]],
         part_bytes=part_bytes[inside],
     )
 
 
-def _groups(payloads: list[bytes | None], size: NDArray[np.int64]) -> tuple[Groups, list[int]]:
-    """Return the lines of SAMPLES frames and their payloads, by bytes and declared samples; and the other lines."""
+def _unstuffed(lines: list[bytes]) -> list[bytes]:
+    """Return each line without COBS, nothing where it does not hold."""
+    try:
+        return list(map(cobs.decode, lines))
+    except cobs.DecodeError:  # one line at least is damaged
+        return list(map(wire.unstuff, lines))
+
+
+def _groups(bodies: list[bytes], sent_bytes: NDArray[np.int64]) -> tuple[NDArray[np.int64], Groups, list[int]]:
+    """Check every line's length and CRC.
+
+    Parameters
+    ----------
+    bodies : list of bytes
+        Lines without COBS.
+    sent_bytes : (lines,) int64
+        Lengths of the lines as sent.
+
+    Returns
+    -------
+    array of shape (lines,), Groups, list of int
+        Bytes of each payload, 0 for a damaged line; lines of SAMPLES frames and their payloads; the other lines.
+    """
+    length = np.fromiter(map(len, bodies), np.int64, len(bodies))
+    length[sent_bytes > wire.LONGEST_LINE] = 0
+    size = np.zeros(len(bodies), dtype=np.int64)
     samples: Groups = {}
     others: list[int] = []
-    for each in np.unique(size[size > 0]).tolist():
-        lines = np.flatnonzero(size == each)
-        rows = np.frombuffer(b"".join([payloads[line] or b"" for line in lines.tolist()]), np.uint8).reshape(-1, each)
-        sample = np.all(rows[:, :2] == (wire.SAMPLES, wire.VERSION), axis=1) & (each >= wire.SAMPLES_HEADER)
-        others += lines[~sample].tolist()
-        for n in np.unique(rows[sample, 2]).tolist() if sample.any() else ():
-            chosen = sample & (rows[:, 2] == n)
-            samples[each, n] = lines[chosen], rows[chosen]
-    return samples, sorted(others)
+    for each in np.unique(length[length >= wire.SHORTEST_BODY]).tolist():
+        lines = np.flatnonzero(length == each)
+        rows = np.frombuffer(b"".join([bodies[line] for line in lines.tolist()]), np.uint8).reshape(-1, each)
+        good = _crc(rows[:, :-2]) == rows[:, -2] | rows[:, -1].astype(np.uint16) << 8
+        size[lines[good]] = each - 2
+        sample = good & (rows[:, 0] == wire.SAMPLES) & (rows[:, 1] == wire.VERSION)
+        sample &= each - 2 >= wire.SAMPLES_HEADER
+        others += lines[good & ~sample].tolist()
+        for n in np.unique(rows[sample, 2]).tolist():
+            chosen = np.flatnonzero(sample & (rows[:, 2] == n))
+            samples[each - 2, n] = lines[chosen], rows[chosen, :-2]
+    return size, samples, sorted(others)
+
+
+def _crc(payloads: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Return the CRC of payloads of one length, (n, bytes), as `binascii.crc_hqx` computes it: (n,)."""
+    if len(payloads) < FEWEST_TOGETHER:
+        return np.array([crc_hqx(payload, wire.CRC_SEED) for payload in map(bytes, payloads)], dtype=np.uint16)
+    crc = np.full(len(payloads), wire.CRC_SEED, dtype=np.uint16)
+    for column in payloads.T:
+        crc = crc << 8 ^ _CRC_OF_BYTE[crc >> 8 ^ column]
+    return crc
 
 
 def _row(ident: wire.Ident | None) -> np.dtype[np.void]:

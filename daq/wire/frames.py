@@ -25,6 +25,7 @@ VERSION = 1
 DELIMITER = b"\x00"
 CRC_SEED = 0xFFFF
 LONGEST_LINE = 16_384  # bytes between two delimiters; a longer run cannot be a frame
+SHORTEST_BODY = 4  # bytes: kind, version, CRC
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")  # index = code on the wire
 
 IDENT, SAMPLES, CONFIG, TRUTH, NOTICE = b"ISCTX"  # the kinds, as byte values
@@ -158,16 +159,22 @@ def enframe(payload: bytes) -> bytes:
     return line + DELIMITER
 
 
-def deframe(line: bytes) -> bytes | None:
-    """Return the payload of the bytes between two delimiters, or None when COBS or the CRC does not hold."""
+def unstuff(line: bytes) -> bytes:
+    """Return payload and CRC of the bytes between two delimiters, unchecked; nothing where COBS does not hold."""
     if len(line) > LONGEST_LINE:
-        return None
+        return b""
     try:
         body: bytes = cobs.decode(line)
     except cobs.DecodeError:
-        return None
+        return b""
+    return body
+
+
+def deframe(line: bytes) -> bytes | None:
+    """Return the payload of the bytes between two delimiters, or None when COBS or the CRC does not hold."""
+    body = unstuff(line)
     payload = body[:-2]
-    if len(body) < 4 or crc_hqx(payload, CRC_SEED) != body[-2] | body[-1] << 8:
+    if len(body) < SHORTEST_BODY or crc_hqx(payload, CRC_SEED) != body[-2] | body[-1] << 8:
         return None
     return payload
 
@@ -333,11 +340,6 @@ class FrameReader:
         """Bytes of damaged and unknown frames, delimiters not included (of an unknown frame: its payload)."""
         return self._discarded_bytes + self._splitter.dropped_bytes
 
-    @property
-    def pending_bytes(self) -> int:
-        """Bytes of the line that has begun and not ended."""
-        return self._splitter.pending_bytes
-
     def feed(self, data: bytes) -> list[Frame]:
         """Take bytes as they came and return the frames they complete, in order."""
         frames: list[Frame] = []
@@ -355,13 +357,6 @@ class FrameReader:
 
     def payloads(self, data: bytes) -> list[bytes]:
         """Take bytes as they came and return the payloads they complete whose CRC holds, in order."""
-        return [payload for payload in self.lines(data)[1] if payload is not None]
-
-    def lines(self, data: bytes) -> tuple[list[bytes], list[bytes | None]]:
-        """Take bytes as they came; return the lines they complete, and of each its payload, None where it is damaged.
-
-        Empty lines are left out.
-        """
         lines = [line for line in self._splitter.feed(data) if line]
         payloads = [deframe(line) for line in lines]
         if None in payloads:
@@ -369,4 +364,4 @@ class FrameReader:
             self.crc_errors += len(damaged) - (self._first and payloads[0] is None)
             self._discarded_bytes += sum(damaged)
         self._first = self._first and not lines
-        return lines, payloads
+        return [payload for payload in payloads if payload is not None]

@@ -32,17 +32,29 @@ class Splitter:
         """Bytes of the line that has begun and not ended."""
         return len(self._tail)
 
-    def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes as they came and return the lines they complete, in order, empty ones too."""
-        *lines, self._tail = (self._tail + data).split(self._delimiter)
-        if self._dropping and lines:
-            self.dropped_bytes += len(lines.pop(0))
+    def whole(self, data: bytes) -> bytes:
+        """Take bytes as they came and return the lines they complete, in order, each with its delimiter.
+
+        A line that is too long has one, too, where it is cut.
+        """
+        joined = self._tail + data
+        end = joined.rfind(self._delimiter) + 1
+        block, self._tail = joined[:end], joined[end:]
+        if self._dropping and block:
+            rest, _, block = block.partition(self._delimiter)
+            self.dropped_bytes += len(rest)
             self._dropping = False
         if self._dropping:
             self.dropped_bytes += len(self._tail)
             self._tail = b""
         elif len(self._tail) > self._longest:
-            lines.append(self._tail)
+            block += self._tail + self._delimiter
             self._tail = b""
             self._dropping = True
+        return block
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Take bytes as they came and return the lines they complete, in order, empty ones too."""
+        lines = self.whole(data).split(self._delimiter)
+        lines.pop()
         return lines

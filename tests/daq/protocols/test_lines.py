@@ -1,17 +1,17 @@
 """Records of a QSB and text lines: read as declared, damage seen as far as it can be, refusals with their cure."""
 
-import random
 import time
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import protocols
 from daq.errors import DeviceError, InputError
 from daq.protocols import neighbours, qsb, text
 from daq.protocols import session as session_module
+from daq.protocols.line_parser import LineParser
 from daq.protocols.lines import Other
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan
@@ -100,33 +100,12 @@ def test_garbage_never_raises_and_costs_at_most_one_line_more(name, garbage):
     assert {ticks_of(k) for k in good} <= found
 
 
-def corrupted(line, lines, seed):
-    """Return lines of which every tenth or so is damaged by a burst, a flip, a lost or an inserted byte."""
-    draw = random.Random(seed)
-    parts, touched = [], set()
-    for k in range(lines):
-        piece = bytearray(line(k))
-        if draw.random() < 0.1 and k > 3:
-            touched.add(k)
-            at = draw.randrange(len(piece))
-            kind = draw.randrange(4)
-            if kind == 0:
-                piece[at] ^= 1 << draw.randrange(8)
-            elif kind == 1:
-                del piece[at]
-            elif kind == 2:
-                piece.insert(at, draw.randrange(256))
-            else:
-                piece[at : at + 8] = draw.randbytes(len(piece[at : at + 8]))
-        parts.append(bytes(piece))
-    return b"".join(parts), touched
-
-
-def test_a_million_corrupted_bytes_are_survived(form):
+def test_a_million_corrupted_bytes_are_survived(form, damaged):
     """What passes unseen: without a checksum a flipped digit of little weight; with xor, 1 of 256 at most."""
     name, line, decode, period_s = form
     lines = 1_150_000 // len(line(50_000))
-    data, touched = corrupted(line, lines, 7)
+    sent, touched = damaged(list(map(line, range(lines))), 7)
+    data = b"".join(sent)
     assert len(data) > 1_000_000
     stream = decode(data)
     assert stream.crc_errors > 0.5 * len(touched)
@@ -216,7 +195,7 @@ def test_columns_that_cannot_be_read_are_refused(declared, said):
     ],
 )
 def test_a_line_is_read_as_its_columns_say(declared, line, row):
-    assert text.columns(declared).read(line) == row
+    assert LineParser(text.columns(declared)).read(line) == row
 
 
 # All of these lines used to be refused.
@@ -248,13 +227,13 @@ def test_a_line_is_read_as_its_columns_say(declared, line, row):
     ],
 )
 def test_a_labelled_line_is_read_by_its_labels(declared, line, row):
-    assert text.columns(declared).read(line) == row
+    assert LineParser(text.columns(declared)).read(line) == row
 
 
 @pytest.mark.parametrize("shape", ["t=%d,pos=%d\n", "time: %d, count: %d, temp: 21.5\n"])
-def test_damaged_labelled_lines_are_found(shape):
-    data, touched = corrupted(lambda k: (shape % (2000 * k + 7, motion(k))).encode(), 8000, 5)
-    stream = text.decode([(0, data)], {"columns": None, "rate_hz": 500.0})
+def test_damaged_labelled_lines_are_found(shape, damaged):
+    lines, touched = damaged([(shape % (2000 * k + 7, motion(k))).encode() for k in range(8000)], 5)
+    stream = text.decode([(0, b"".join(lines))], {"columns": None, "rate_hz": 500.0})
     k = (stream.ticks - 7) / 2000
     right = (k == np.round(k)) & (counts(stream) == motion(np.round(k)))
     assert np.count_nonzero(~right) <= 0.016 * len(touched)  # what passes of plain lines, by this damage
@@ -393,6 +372,62 @@ SHAPES = {
 }
 
 
+class OneByOne:
+    """Hides from a reader that lines may be read together."""
+
+    alike = None
+
+    def __init__(self, parser):
+        self.read, self.missed = parser.read, parser.missed
+
+
+ALIKE = SHAPES | {
+    "t_us,count:16": lambda k: b"us: %d, count: %d, temp: %d.5 v2=7\n" % (2000 * k, motion(k) % 2**15, k % 9 - 4),
+    "t_us,-,up,down": lambda k: b"%d;%s;%d;%d\r\n" % (k, b"-77.4" if k // 40 % 2 else b"x3=ab", 3 * k, k),
+    "ms,-,count": lambda k: b"%*d %d.%0*d %d\n" % (6, k, -k % 3, 1 + k // 50 % 8, k % 7, -k),  # no sign but in count
+}
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32), st.sampled_from([0.0, 0.003, 0.03, 0.3]), st.lists(st.integers(1, 3000), min_size=1))
+@pytest.mark.parametrize("declared", [*ALIKE, "qsb", "qsb, spaces"])
+def test_lines_read_together_are_read_as_one_by_one(damaged, declared, seed, share, cuts):
+    if declared.startswith("qsb"):
+        line = qsb_line if declared == "qsb" else lambda k: b"s 0E %08x %08X !\r\n" % (k, 2**32 - 1 - k)
+        fast, slow = qsb.reader(), qsb.reader()
+    else:
+        line, (fast, slow) = ALIKE[declared], (text.reader(text.columns(declared)) for _ in range(2))
+    slow._parser = OneByOne(slow._parser)
+    lines, _ = damaged([line(k) for k in range(seed % 7, 400)], seed, share)
+    data = b"7" * (seed % 300) + b"".join(lines)
+    whole = slow.feed(data)
+    rows, numbers, others, lines, at = [], [], [], 0, 0
+    while at < len(data):
+        for size in cuts:
+            batch = fast.feed(data[at : at + size])
+            others += [(len(rows) + behind, other) for behind, other in batch.others]
+            numbers += (lines + batch.line).tolist()
+            rows += batch.rows.tolist()
+            lines += batch.lines
+            at += size
+    assert (rows, others) == (whole.rows.tolist(), whole.others)
+    assert (numbers, lines) == (whole.line.tolist(), whole.lines)
+    assert fast.discarded_bytes == slow.discarded_bytes
+
+
+@pytest.mark.parametrize("declared", [*ALIKE, None, "qsb"])
+def test_sound_lines_are_read_together(declared, monkeypatch):
+    """Each line used to be matched and converted by itself: 3 us a sample."""
+    line = qsb_line if declared == "qsb" else ALIKE[declared or "t_us,count:16"]
+    reader = qsb.reader() if declared == "qsb" else text.reader(text.columns(declared))
+    taken = []
+    read = type(reader._parser).read
+    monkeypatch.setattr(type(reader._parser), "read", lambda self, line: taken.append(line) or read(self, line))
+    batch = reader.feed(b"".join(map(line, range(0, 39))))
+    assert len(batch.rows) >= 38
+    assert len(taken) <= (40 if declared in ("t_us,count,xor", "ms,-,count") else 3)
+
+
 @pytest.mark.parametrize("declared", SHAPES)
 def test_lines_of_every_shape_are_read(declared):
     sent = np.arange(400)
@@ -407,9 +442,10 @@ def test_lines_of_every_shape_are_read(declared):
 
 
 @pytest.mark.parametrize("size", [1, 7, 40, 512, 5000])
-def test_a_tally_of_lines_reaches_the_same_however_they_were_cut(form, size):
+def test_a_tally_of_lines_reaches_the_same_however_they_were_cut(form, size, damaged):
     name, line, _, _ = form
-    data, _ = corrupted(line, 3000, 3)
+    lines, _ = damaged(list(map(line, range(3000))), 3)
+    data = b"".join(lines)
     header = FORMS[name][1]
     session = protocols.load(header["protocol"]).session(None, "", RecordRequest(columns=header.get("columns")))
     if name != "qsb":

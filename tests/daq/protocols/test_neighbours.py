@@ -1,7 +1,5 @@
 """Lines without a checksum: sound ones are kept whatever their times, damaged ones are found by their neighbours."""
 
-import random
-
 import numpy as np
 import pytest
 
@@ -89,30 +87,8 @@ def test_no_sound_count_is_lost_for_its_time(name, motion, count_is_late):
         assert moved.max() < 4
 
 
-def damaged(lines, seed):
-    """Return lines of which every tenth is damaged by a flip, a lost or an inserted byte, or a burst; and which are."""
-    draw = random.Random(seed)
-    changed = set()
-    for k in range(4, len(lines)):
-        if draw.random() < 0.1:
-            piece = bytearray(lines[k])
-            at = draw.randrange(len(piece))
-            kind = draw.randrange(4)
-            if kind == 0:
-                piece[at] ^= 1 << draw.randrange(8)
-            elif kind == 1:
-                del piece[at]
-            elif kind == 2:
-                piece.insert(at, draw.randrange(256))
-            else:
-                piece[at : at + 8] = draw.randbytes(len(piece[at : at + 8]))
-            lines[k] = bytes(piece)
-            changed.add(k)
-    return lines, changed
-
-
 @pytest.mark.parametrize("name", ["5000 us, 5 % late by 4", "interrupt, 3 % late", "millis at 5 ms, 10 % late by 1"])
-def test_damaged_lines_are_still_found_among_late_ones(name):
+def test_damaged_lines_are_still_found_among_late_ones(name, damaged):
     passed = total = 0
     for motion in MOTIONS:
         lines, shown, count = printed(name, motion, 8, 8000, count_is_late=True)
