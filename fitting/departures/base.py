@@ -1,0 +1,154 @@
+"""What departures are tested on: a fit, of a law or of the free curve, made linear about its solution."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers
+from fitting.data.frame import MeasuredMotion
+from fitting.departures.departure import Forcing
+from fitting.departures.trajectory import Trajectory
+from fitting.estimation.linearised import LinearisedFit
+from fitting.model.shooting import ShootingWindows
+from fitting.sensitivity.path import Path, follow
+from fitting.sensitivity.tangents import tangents
+
+BLOCK_HZ = 125.0  # of a scan; at half as many the shortest wavelengths blur, twice as many take twice the time
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """A fit, its path, and what departures read of it.
+
+    Attributes
+    ----------
+    linear : LinearisedFit
+    path : Path
+    trajectory : Trajectory
+    """
+
+    linear: LinearisedFit
+    path: Path
+    trajectory: Trajectory
+
+    @classmethod
+    def of(
+        cls, linear: LinearisedFit, path: Path, records: Sequence[MeasuredMotion], revolution: float | None = None
+    ) -> "Base":
+        """Read a path; ``revolution`` is the travel per revolution of the encoder, m, where the calibration has it."""
+        return cls(linear, path, Trajectory.from_path(path, records, linear.residual, revolution))
+
+    def thinned(self) -> "Base":
+        """Return the same on blocks of samples, `BLOCK_HZ` a second, for scans.
+
+        A block has the mean residual and the mean derivatives of its samples, and the path is that at its middle.
+
+        Raises
+        ------
+        RuntimeError
+            When the path cannot be followed again.
+        """
+        whole = self.path.windows
+        stride = max(1, round(self.trajectory.rate / BLOCK_HZ))
+        if stride == 1:
+            return self
+        blocks = Blocks.of(whole, stride)
+        windows = replace(
+            whole,
+            table=blocks.table,
+            time=whole.time[blocks.middle],
+            position=whole.position[blocks.middle],
+            source=whole.source[blocks.middle],
+            rows=blocks.rows,
+        )
+        path = follow(windows, self.path.curve, self.path.u, self.path.local)
+        if path is None:
+            raise RuntimeError("a path that was followed before cannot be followed with longer steps")
+        linear = replace(
+            self.linear,
+            shared=blocks.mean(self.linear.shared),
+            local=blocks.mean(self.linear.local),
+            residual=blocks.mean(self.linear.residual),
+            rows=blocks.rows,
+            weights=self.linear.weights * stride,
+        )
+        return Base.of(linear, path, self.trajectory.records, self.trajectory.revolution)
+
+    def respond(self, forcings: Sequence[Forcing]) -> Array:
+        """Return how the positions answer to forcings, one after another, shape (N, columns of all)."""
+        widths = [next(part.shape[1] for part in forcing if part is not None) for forcing in forcings]
+        stage, sample = self.path.time.size, self.trajectory.samples.size
+        whole = (
+            _side_by_side([forcing.acceleration for forcing in forcings], widths, stage),
+            _side_by_side([forcing.reading for forcing in forcings], widths, sample),
+            _side_by_side([forcing.belt_speed for forcing in forcings], widths, stage),
+        )
+        acceleration, reading, belt_speed = whole
+        if acceleration is None and belt_speed is None and reading is not None:
+            return reading
+        if acceleration is None:
+            acceleration = np.zeros((stage, sum(widths)))
+        return tangents(self.path, acceleration, belt_speed=belt_speed, position=reading)
+
+
+def _side_by_side(parts: Sequence[Array | None], widths: Sequence[int], rows: int) -> Array | None:
+    """Return the parts as columns of one array, zero where there is none; None where there is none at all."""
+    if all(part is None for part in parts):
+        return None
+    whole = np.zeros((rows, sum(widths)))
+    first = 0
+    for part, width in zip(parts, widths, strict=True):
+        if part is not None:
+            whole[:, first : first + width] = part
+        first += width
+    return whole
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Blocks of samples of each window; its first sample comes before them, because a path begins there.
+
+    Attributes
+    ----------
+    table : (windows, 6) i8
+        As in `ShootingWindows`, in blocks.
+    middle : (n,) i8
+        Middle sample of each block.
+    first : (n,) i8
+        Its first sample; -1 for the first sample of a window, which counts nothing.
+    rows : tuple of slice
+        The blocks of each cycle.
+    size : int
+        Samples in a block.
+    """
+
+    table: Integers
+    middle: Integers
+    first: Integers
+    rows: tuple[slice, ...]
+    size: int
+
+    @classmethod
+    def of(cls, windows: ShootingWindows, size: int) -> "Blocks":
+        """Divide every window into blocks of ``size``, 2 or more; what is left at its end belongs to none."""
+        table, middle, first, total = windows.table.copy(), [], [], 0
+        ends = np.zeros(len(windows.rows), np.int64)
+        for row, (cycle, _, begin, count, _, _) in enumerate(windows.table):
+            own = begin + size * np.arange(count // size)
+            middle.append(np.r_[begin, own + size // 2])
+            first.append(np.r_[-1, own])
+            table[row, 2:4] = total, middle[-1].size
+            total += middle[-1].size
+            ends[cycle] = total
+        starts = np.r_[0, ends[:-1]]
+        rows = tuple(slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True))
+        return cls(table, np.concatenate(middle), np.concatenate(first), rows, size)
+
+    def mean(self, values: Array) -> Array:
+        """Return the mean of ``values`` (N, ...) over each block, 0 for one that counts nothing; shape (n, ...)."""
+        out = np.zeros((self.first.size, *values.shape[1:]))
+        real = self.first >= 0
+        for offset in range(self.size):
+            out[real] += values[self.first[real] + offset]
+        return np.ascontiguousarray(out / self.size)

@@ -1,0 +1,87 @@
+"""What a departure is: from a fitted motion to what it would change, to first order in its parameters."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.departures.trajectory import Trajectory
+
+
+class Forcing(NamedTuple):
+    """What one departure adds where its parameters are 1; k columns, one a parameter, None for nothing.
+
+    Attributes
+    ----------
+    acceleration : (M, k) f8, optional
+        Force on the mass per unit mass at the stage points of the trajectory, m/s^2 per unit of the parameter.
+    belt_speed : (M, k) f8, optional
+        Change of the belt's speed there, m/s per unit of the parameter.
+    reading : (N, k) f8, optional
+        Change of the position that is read at the samples, m per unit of the parameter.
+    """
+
+    acceleration: Array | None = None
+    belt_speed: Array | None = None
+    reading: Array | None = None
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One assumption and how it may break.
+
+    Attributes
+    ----------
+    name : str
+    text : str
+        What it says of the rig, to stand in a sentence after the best law's name.
+    parameter, unit : str
+        Symbol and unit of its size: of the coefficient where there is one column, of the amplitude where there are two,
+        a sine and a cosine.
+    columns : int
+        1 or 2.
+    forcing : callable
+        ``forcing(trajectory, scale)``; ``scale`` is NaN for a departure that has none.
+    scale, scale_unit : str
+        What else it depends on, such as a frequency: scanned.
+    scales : callable, optional
+        ``scales(trajectory)``: the values to scan, rising, at most half a resolution apart.
+    with_mass : (str, str), optional
+        Symbol and unit of the size times the mass, where the mass is known.
+    """
+
+    name: str
+    text: str
+    parameter: str
+    unit: str
+    forcing: Callable[[Trajectory, float], Forcing]
+    columns: int = 1
+    scale: str = ""
+    scale_unit: str = ""
+    scales: Callable[[Trajectory], Array] | None = None
+    with_mass: tuple[str, str] | None = None
+
+
+def harmonic(phase: Array, factor: Array | float = 1.0) -> Array:
+    """Return sine and cosine of ``phase`` (n,) as columns (n, 2), times ``factor``."""
+    return np.asarray(np.c_[factor * np.sin(phase), factor * np.cos(phase)])
+
+
+def spaced(smallest: float, largest: float, length: float) -> Array:
+    """Return wavelengths (or periods) from large to small, a quarter of the resolution of ``length`` apart.
+
+    Two harmonics can be distinguished when they differ by one turn over the length: half as many values would lose up
+    to a fifth of a gain between two of them, twice as many cost twice the time.
+    """
+    if not 0 < smallest < largest or length <= 0:
+        return np.empty(0)
+    turns = np.arange(1 / largest, 1 / smallest, 0.25 / length)
+    return np.asarray(1 / turns[turns > 0])
+
+
+def speed_of_wave(length: float) -> float:
+    """Return 2 pi over a wavelength or a period."""
+    return 2 * math.pi / length

@@ -1,0 +1,1 @@
+"""The departures, one file each; `fitting.departures.table` lists them."""

@@ -1,0 +1,39 @@
+"""An eccentric encoder wheel: the reading errs by e sin(2 pi x/L + phase), once per revolution L of travel.
+
+e in m.  The revolution is the record's own calibration (counts per revolution times metres per count) where it has one;
+else it is scanned.  Source: encoder makers' notes on eccentricity error; the first harmonic of the angle.
+"""
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.departures.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.departures.trajectory import Trajectory
+
+SMALLEST = 0.04  # of the travel: a smaller wheel would turn 25 times in a slip
+
+
+def forcing(trajectory: Trajectory, revolution: float) -> Forcing:
+    """Return sine and cosine of the wheel's angle at each sample."""
+    angle = speed_of_wave(revolution) * trajectory.position[trajectory.samples]
+    return Forcing(reading=harmonic(angle))
+
+
+def revolutions(trajectory: Trajectory) -> Array:
+    """Return the length of one revolution, m: the calibrated one, or those up to the travel."""
+    if trajectory.revolution is not None:
+        return np.array([trajectory.revolution])
+    return spaced(SMALLEST * trajectory.travel, trajectory.travel, trajectory.travel)
+
+
+DEPARTURE = Departure(
+    name="eccentricity",
+    text="an eccentric encoder wheel",
+    parameter="e",
+    unit="m",
+    columns=2,
+    scale="revolution",
+    scale_unit="m",
+    scales=revolutions,
+    forcing=forcing,
+)

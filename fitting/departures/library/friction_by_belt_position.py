@@ -1,0 +1,37 @@
+"""Friction that depends on the place on the belt: F (1 + a sin(2 pi (b - x)/L + phase)), b the belt's own way.
+
+a is relative, L the length of the belt, scanned: from a fraction of a slip to the way of the belt in the whole record.
+What changes from one slip to the next only is a scatter of the friction level; what changes within a slip is seen here.
+"""
+
+from daq.compute.arrays import Array
+from fitting.departures.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.departures.trajectory import Trajectory
+
+SHORTEST = 0.7  # of the way between mass and belt in a cycle: a shorter belt turns more than once in a cycle
+LONGEST = 0.7  # of the way in the whole record: a place that does not come back is wear
+
+
+def forcing(trajectory: Trajectory, length: float) -> Forcing:
+    """Return the friction times sine and cosine of the place on the belt."""
+    phase = speed_of_wave(length) * (trajectory.belt_position - trajectory.position)
+    return Forcing(acceleration=harmonic(phase, trajectory.friction))
+
+
+def lengths(trajectory: Trajectory) -> Array:
+    """Return lengths of belts, m."""
+    way = trajectory.belt_way
+    return spaced(SHORTEST * way / trajectory.cycles, LONGEST * way, way)
+
+
+DEPARTURE = Departure(
+    name="friction-by-belt-position",
+    text="friction that changes along the belt",
+    parameter="a",
+    unit="",
+    columns=2,
+    scale="belt length",
+    scale_unit="m",
+    scales=lengths,
+    forcing=forcing,
+)

@@ -1,0 +1,35 @@
+"""Friction that depends on where the mass is: F (1 + a sin(2 pi x/L + phase)), x over ground.
+
+a is relative.  The wavelength L is scanned up to the travel: longer ones look like another spring.  Source: worn
+tracks, as in E. Rabinowicz, Friction and Wear of Materials, 1995, ch. 4.
+"""
+
+from daq.compute.arrays import Array
+from fitting.departures.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.departures.trajectory import Trajectory
+
+SMALLEST = 0.08  # of the travel: what repeats more often in a slip averages out
+
+
+def forcing(trajectory: Trajectory, wavelength: float) -> Forcing:
+    """Return the friction times sine and cosine of the place."""
+    phase = speed_of_wave(wavelength) * trajectory.position
+    return Forcing(acceleration=harmonic(phase, trajectory.friction))
+
+
+def wavelengths(trajectory: Trajectory) -> Array:
+    """Return wavelengths up to the travel, m."""
+    return spaced(SMALLEST * trajectory.travel, trajectory.travel, trajectory.travel)
+
+
+DEPARTURE = Departure(
+    name="friction-by-mass-position",
+    text="friction that changes along the travel of the mass",
+    parameter="a",
+    unit="",
+    columns=2,
+    scale="wavelength",
+    scale_unit="m",
+    scales=wavelengths,
+    forcing=forcing,
+)

@@ -1,0 +1,81 @@
+"""A second mass on the first, on a spring of its own: m2 (x + z)'' = -k2 z - c2 z', with z its way on the first mass.
+
+m2/m is given; the angular frequency sqrt(k2/m2) is scanned.  The oscillator is driven by the record's own acceleration
+and rings from one cycle into the next, so it is followed through the whole record, not window by window.  Its damping
+is taken as 1 % of the critical one; the two columns, stretch and velocity of its spring, take up what another damping
+shifts in phase.  Source: J. P. Den Hartog, Mechanical Vibrations, 1956, ch. 3 (vibration absorber).
+"""
+
+import cmath
+import math
+from functools import cache
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.data.frame import MeasuredMotion
+from fitting.departures.departure import Departure, Forcing
+from fitting.departures.trajectory import Trajectory
+
+DAMPING = 0.01  # of the critical one
+SLOWEST, FASTEST = 1.5, 15.0  # times the main spring's frequency: slower is a second spring, faster moves with the mass
+STEP = 0.012  # of the frequency: about half the width of the resonance
+DRIVE_S = 4e-3  # s: for so long the acceleration is held; at the fastest mode a tenth of its period
+
+
+def forcing(trajectory: Trajectory, omega: float) -> Forcing:
+    """Return what a mass of 1 (times the first) pulls with, in phase and a quarter turn later, m/s^2."""
+    out = np.empty((trajectory.time.size, 2))
+    for own, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
+        time, drive = held_acceleration(record)
+        pull = _pull(drive, time[1] - time[0], omega)
+        place = (trajectory.time[own] - time[0]) / (time[1] - time[0])
+        before = np.minimum(place.astype(np.int64), time.size - 2)
+        share = (place - before)[:, np.newaxis]
+        out[own] = (1 - share) * pull[before] + share * pull[before + 1]
+    return Forcing(acceleration=out)
+
+
+def frequencies(trajectory: Trajectory) -> Array:
+    """Return angular frequencies that the samples can show, rad/s."""
+    interval = max(float(np.median(np.diff(record.time))) for record in trajectory.records)
+    main = math.sqrt(trajectory.K)
+    fastest = min(FASTEST * main, 0.5 * math.pi / interval)
+    return np.asarray(np.exp(np.arange(math.log(SLOWEST * main), math.log(fastest), STEP)))
+
+
+@cache
+def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
+    """Return times and mean accelerations, m/s^2, of steps of about `DRIVE_S`; shapes (n,)."""
+    interval = float(np.median(np.diff(record.time)))
+    held = max(1, int(DRIVE_S / interval))
+    count = int((record.time[-1] - record.time[0]) / (held * interval))
+    fine = record.time[0] + interval * np.arange(count * held)
+    mean = np.interp(fine, record.time, record.acceleration).reshape(count, held).mean(axis=1)
+    return record.time[0] + held * interval * np.arange(count), mean
+
+
+def _pull(acceleration: Array, step: float, omega: float) -> Array:
+    """Return stretch times omega^2 and velocity times omega (n, 2) of an oscillator on a moving base, m/s^2.
+
+    ``acceleration`` (n,) of the base holds for ``step`` s each.  In the complex plane the oscillator is one pole.
+    """
+    from scipy.signal import lfilter
+
+    rate = omega * complex(-DAMPING, math.sqrt(1 - DAMPING**2))
+    turn = cmath.exp(rate * step)
+    state = lfilter([0.0, (turn - 1) / rate], [1.0, -turn], -acceleration)
+    return np.asarray(omega * np.c_[state.imag, state.real])
+
+
+DEPARTURE = Departure(
+    name="second-mode",
+    text="a second mass on a spring of its own",
+    parameter="m2/m",
+    unit="",
+    columns=2,
+    scale="angular frequency",
+    scale_unit="rad/s",
+    scales=frequencies,
+    forcing=forcing,
+)

@@ -1,0 +1,77 @@
+"""A departure that was found in a record."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from daq.runfile.rig import Measured
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What else a departure depends on, as scanned: a frequency, a wavelength."""
+
+    name: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class FoundDeparture:
+    """One departure with its size.
+
+    Attributes
+    ----------
+    name : str
+    sigmas : float
+        Standard deviations of a normal variable that is as unlikely, the number of departures and scales that were
+        tried taken into account.
+    parameter : str
+        Symbol of its size; "" for one without a parameter.
+    value, stderr : float
+        NaN without a parameter.
+    unit : str
+    text : str
+        What it says of the rig.
+    scale : Scale or None
+    gain : float
+        By how much the cost falls with it.
+    explained : float
+        Share of the misfit beyond the noise that it explains, in one linear step.
+    refitted : bool
+        Whether value and stderr come from a fit with it; else from one linear step.
+    """
+
+    name: str
+    sigmas: float
+    parameter: str
+    value: float
+    stderr: float
+    unit: str
+    text: str
+    scale: Scale | None = None
+    gain: float = 0.0
+    explained: float = 0.0
+    refitted: bool = False
+
+    @property
+    def size(self) -> Measured:
+        """Value and standard error."""
+        return Measured(self.value, self.stderr)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document's form; a number that does not exist is None."""
+        known = bool(self.parameter)
+        row: dict[str, Any] = {
+            "name": self.name,
+            "sigmas": self.sigmas,
+            "parameter": self.parameter or None,
+            "value": self.value if known else None,
+            "stderr": self.stderr if known else None,
+            "unit": self.unit,
+            "text": self.text,
+            "explained": self.explained,
+            "refitted": self.refitted,
+        }
+        if self.scale is not None:
+            row["scale"] = vars(self.scale)
+        return row

@@ -1,0 +1,110 @@
+"""Score tests: how much of what a fit leaves over one more parameter would explain, and how sure that is.
+
+The columns of a departure are projected off everything that the fit adjusts (`fitting.estimation.linearised`), so one
+linear step gives its parameters.  Their error comes from leaving out one cycle after another: what the fit leaves over
+is correlated within a cycle, and its cycles are independent.
+
+Source: D. R. Cox, D. V. Hinkley, Theoretical Statistics, 1974, 9.3 (score tests); B. Efron, C. Stein, Ann. Statist. 9
+(1981) 586 (the jackknife).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.estimation.linearised import LinearisedFit, Scores
+
+# Of a column's curvature: where no more is left of it after the projection, the fit already adjusts it.  Derivatives
+# err by 3e-6 of their size, so 1e-11 is rounding.  Quadratic drag, the least distinguishable beside a damping and a
+# law's shape, keeps 2e-7; at 1e-6 it was never found.
+LEAST_KEPT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """One linear step of a departure's parameters.
+
+    Attributes
+    ----------
+    coefficients : (k,) f8
+    covariance : (k, k) f8
+        The jackknife's over the cycles, and at least that of the noise.
+    gain : float
+        By how much the cost falls.
+    log_p : float
+        Log of the probability of as large a step by chance, from the jackknife alone.
+    kept : float
+        Share of the columns' curvature that the fit does not already adjust, the least of the columns.
+    """
+
+    coefficients: Array
+    covariance: Array
+    gain: float
+    log_p: float
+    kept: float
+
+
+def score(base: LinearisedFit, columns: Array, widths: Sequence[int]) -> list[Score | None]:
+    """Test departures one by one.
+
+    Parameters
+    ----------
+    base : LinearisedFit
+    columns : (N, d) f8
+        Derivatives of the positions with respect to the parameters of the departures, one after another.
+    widths : sequence of int
+        How many parameters each departure has, 1 or 2.
+
+    Returns
+    -------
+    list of Score or None
+        None where the fit already adjusts the parameters, or where fewer than four cycles are left to judge by.
+    """
+    found = base.scores(columns)
+    ends = np.cumsum(widths)
+    return [_score(found, slice(end - width, end)) for end, width in zip(ends, widths, strict=True)]
+
+
+def _score(found: Scores, own: slice) -> Score | None:
+    from scipy.stats import f as fisher
+
+    information, total = found.information[:, own, own], found.score[:, own]
+    k, n = total.shape[1], int(np.sum(np.any(total != 0, axis=1)))
+    whole, gradient = found.total_information[own, own], found.total[own]
+    kept = float(np.min(np.diag(whole) / np.maximum(found.raw[own], 1e-300)))
+    if not kept > LEAST_KEPT or n < k + 3:
+        return None
+    coefficients = -_solve(whole, gradient)
+    steps = np.array([-_solve(whole - a, gradient - b) for a, b in zip(information, total, strict=True)])
+    beside = steps - steps.mean(axis=0)
+    jackknife = (n - 1) / n * np.einsum("ck,cl->kl", beside, beside)
+    statistic = float(np.sum(coefficients * _solve(jackknife, coefficients)))
+    # Hotelling's T^2 of the n cycles
+    log_p = float(fisher.logsf(statistic * (n - k) / (k * (n - 1)), k, n - k))
+    floor = np.sqrt(np.maximum(np.diag(np.linalg.inv(whole)) / np.maximum(np.diag(jackknife), 1e-300), 1.0))
+    return Score(
+        coefficients=coefficients,
+        covariance=jackknife * floor[:, np.newaxis] * floor,
+        gain=-0.5 * float(np.sum(gradient * coefficients)),
+        log_p=log_p,
+        kept=kept,
+    )
+
+
+def sigmas(log_p: float, trials: float = 1.0) -> float:
+    """Return the standard deviations of a normal variable whose two-sided tail is exp(log_p), after so many trials."""
+    from scipy.stats import norm
+
+    log_tail = min(log_p + math.log(max(trials, 1.0)), 0.0) - math.log(2)
+    if log_tail > -700:
+        return max(float(norm.isf(math.exp(log_tail))), 0.0)
+    return math.sqrt(-2 * log_tail - math.log(-2 * log_tail * 2 * math.pi))
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Solve for one or two unknowns, in units of the diagonal."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(scale * np.linalg.solve(matrix * scale[:, np.newaxis] * scale, scale * right))

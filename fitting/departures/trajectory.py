@@ -1,0 +1,117 @@
+"""The fitted motion as departures read it: at the stage points of every window, in the fit's frame."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers, Mask
+from fitting.data.frame import MeasuredMotion
+from fitting.data.ripple import Ripple
+from fitting.model import parameters
+from fitting.model.parameters import PER_RUN
+from fitting.sensitivity.path import Path
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A fitted motion; M stage points, N samples.
+
+    Attributes
+    ----------
+    time, position, velocity : (M,) f8
+        s, m, m/s.
+    belt_speed, belt_position : (M,) f8
+        Of the belt as fitted, m/s and m; the position's origin is arbitrary.
+    friction : (M,) f8
+        Force of the belt on the mass per unit mass, positive where it pulls towards +x, m/s^2.
+    stretch : (M,) f8
+        Of the spring, m.
+    elapsed : (M,) f8
+        Since the middle of the run, s.
+    window, run : (M,) i8
+    sticks : (windows,) bool
+        Whether a window is one of stick.
+    samples : (N,) i8
+        Stage point of each sample.
+    residual : (N,) f8
+        Model minus measurement, m.
+    K : float
+        k/m, 1/s^2.
+    cycles : int
+    records : tuple of MeasuredMotion
+        Of each run.
+    revolution : float or None
+        Travel per revolution of the encoder, m, where the calibration has it.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    belt_speed: Array
+    belt_position: Array
+    friction: Array
+    stretch: Array
+    elapsed: Array
+    window: Integers
+    sticks: Mask
+    run: Integers
+    samples: Integers
+    residual: Array
+    K: float
+    cycles: int
+    records: tuple[MeasuredMotion, ...]
+    revolution: float | None = None
+
+    @classmethod
+    def from_path(
+        cls, path: Path, records: Sequence[MeasuredMotion], residual: Array, revolution: float | None = None
+    ) -> "Trajectory":
+        """Read a path along the windows of ``records``, with ``residual`` (N,) at its samples."""
+        runs = [parameters.values(own) for own in path.u.reshape(-1, PER_RUN)]
+        belt, middle = np.empty(path.time.size), np.empty(path.time.size)
+        for number, (p, record) in enumerate(zip(runs, records, strict=True)):
+            own = path.run == number
+            time = path.time[own]
+            belt[own] = p.v_dr * time + Ripple(p.cosine, p.sine, p.omega).belt_motion(time)[0]
+            middle[own] = 0.5 * (record.time[0] + record.time[-1])
+        return cls(
+            time=path.time,
+            position=path.position,
+            velocity=path.velocity,
+            belt_speed=path.belt_speed,
+            belt_position=belt,
+            friction=path.friction,
+            stretch=path.position - np.array([p.datum for p in runs])[path.run],
+            elapsed=path.time - middle,
+            window=path.window,
+            sticks=path.windows.table[:, 1] == 1,
+            run=path.run,
+            samples=path.reached,
+            residual=residual,
+            K=runs[0].K,
+            cycles=len(path.windows.rows),
+            records=tuple(records),
+            revolution=revolution,
+        )
+
+    @property
+    def travel(self) -> float:
+        """Largest travel of the runs, m."""
+        return max(record.travel for record in self.records)
+
+    @property
+    def rate(self) -> float:
+        """Samples per second of the fastest run."""
+        return max(record.time.size / record.span for record in self.records)
+
+    @cached_property
+    def rows_of_runs(self) -> tuple[Mask, ...]:
+        """Which stage points are of each run."""
+        return tuple(self.run == number for number in range(len(self.records)))
+
+    @property
+    def belt_way(self) -> float:
+        """Way of the belt in the longest run, m."""
+        return max(float(np.ptp(self.belt_position[own])) for own in self.rows_of_runs)

@@ -1,0 +1,51 @@
+"""One law fitted to contacts that depart from it, made once."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from daq.imports import track
+from daq.imports.options import ImportOptions
+from fitting.data import cycles, frame, ripple
+from fitting.departures.base import Base
+from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.trajectory import coarse_fit, final_fit, refine
+from fitting.model.problem import EstimationProblem, Run
+from fitting.sensitivity.path import follow, law_curve
+from processing.smoothing import smooth
+
+
+@pytest.fixture(scope="session")
+def fitted(contacts, tmp_path_factory):
+    """Give a function that fits one law to a contact, as read by an encoder: ``fitted(law=5, k3=16.8)``."""
+    folder = tmp_path_factory.mktemp("contacts")
+
+    @cache
+    def of(law=5, duration=20.0, count=7.67e-6, **changes):
+        time, position = contacts.recorded(contacts.Contact(duration=duration, **changes), count=count)
+        path = folder / "contact.csv"
+        np.savetxt(path, np.c_[time, position], fmt="%.6f,%.7f", header="t,x", comments="")
+        kinematics = smooth(track.read(path, ImportOptions()).run)
+        motion = frame.from_kinematics(kinematics, kinematics.recording.rig, None)
+        cut = cycles.segment_cycles(motion)
+        found = ripple.find_ripple(motion, cut)
+        if found is not None:
+            cut = cycles.segment_cycles(found.removed(motion))
+        first = coarse_fit(EstimationProblem.build(law, [Run(motion, cut, found)]))
+        return final_fit(refine(first) or first)
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def base_of(fitted):
+    """Give a function that makes the fit of a contact linear, for tests of departures."""
+
+    @cache
+    def of(**changes):
+        fit = fitted(**changes)
+        path = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
+        return Base.of(LinearisedFit.at(fit), path, fit.problem.motions)
+
+    return of

@@ -1,0 +1,92 @@
+"""Score tests: the departure that was put in comes first, with its size; none where a law is right.
+
+The contacts are made by a generator that shares nothing with rig_sim (tests/fitting/contacts.py).
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from fitting.departures.scan import best_scale, gains
+from fitting.departures.scores import score, sigmas
+from fitting.departures.strongest import score_departures, strongest
+from fitting.departures.table import departures
+
+K = 10.5552
+OMEGA = 5 * math.sqrt(35.184)
+CASES = {  # name: what is put in, the size that must come back, and how near one linear step comes to it
+    "spring-nonlinear": ({"k3": 0.05 * K / 0.177**2}, 0.05 * K / 0.177**2 / 0.3, 0.05),
+    "guide-friction": ({"guide": 0.05}, 0.05 / 0.3, 0.15),
+    "eccentricity": ({"eccentricity": (5e-4, 0.12566)}, 5e-4, 0.05),
+    "belt-drift": ({"belt_drift": 0.02}, 0.001, 0.05),
+    "stiffness-drift": ({"stiffness_drift": -0.02}, -0.001, 0.05),
+    "belt-ripple": ({"ripple": ((0.015, 0.7), (0.01, 2.9))}, 0.0022, 0.05),
+    "second-mode": ({"second_mass": (0.006, 0.006 * OMEGA**2, 0.006 * 0.02 * OMEGA)}, 0.02, 0.15),
+    "friction-by-belt-position": ({"by_belt_position": (0.05, 1.6)}, 0.05, 0.1),
+    "friction-by-mass-position": ({"by_mass_position": (0.05, 0.1)}, 0.05, 0.1),
+}
+
+
+def found_in(base, **noise):
+    return score_departures(base.linear, base.path, base.trajectory.records, **noise)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_the_departure_that_was_put_in_comes_first_with_its_size(base_of, name):
+    changes, size, near = CASES[name]
+    found = found_in(base_of(scatter=0.03, **changes))
+    assert found[0].name == name
+    assert found[0].value == pytest.approx(size, rel=near)
+    assert found[0].sigmas > 4
+
+
+def test_a_hard_spring_is_found_and_not_friction_by_position(base_of):
+    """What used to happen: law 5 alone, k/m wrong by sixty standard errors, and not a word."""
+    base = base_of(scatter=0.03, k3=0.05 * K / 0.177**2)
+    found = found_in(base, noise=7.67e-6 / math.sqrt(12))
+    assert found[0].name == "spring-nonlinear"
+    assert found[0].value == pytest.approx(56.15, rel=0.05)
+    assert found[0].explained > 0.8
+    assert found[0].unit == "m^-2 s^-2"
+
+
+def test_a_contact_of_the_fitted_law_shows_no_departure(base_of):
+    assert found_in(base_of(scatter=0.03)) == ()
+
+
+def test_a_known_revolution_is_not_scanned(base_of):
+    base = base_of(scatter=0.03)
+    eccentricity = next(departure for departure in departures() if departure.name == "eccentricity")
+    from dataclasses import replace
+
+    known = replace(base, trajectory=replace(base.trajectory, revolution=0.12566))
+    assert best_scale(known, eccentricity) == (0.12566, 1)
+    assert best_scale(base, eccentricity)[1] > 20
+
+
+def test_blocks_of_samples_give_the_gains_of_all_samples(base_of):
+    base = base_of(scatter=0.03, k3=0.05 * K / 0.177**2)
+    departure = next(departure for departure in departures() if departure.name == "friction-by-mass-position")
+    scales = np.array([0.1, 0.15, 0.2])
+    np.testing.assert_allclose(gains(base.thinned(), departure, scales), gains(base, departure, scales), rtol=0.1)
+
+
+def test_a_column_that_the_fit_already_adjusts_is_not_tested(base_of):
+    base = base_of(scatter=0.03)
+    assert score(base.linear, base.linear.shared[:, :1] * 3.0, [1]) == [None]
+
+
+def test_more_trials_take_standard_deviations_away():
+    assert sigmas(math.log(2 * 2.866515719235352e-07)) == pytest.approx(5.0)  # two tails of a normal variable
+    assert sigmas(-20.0, 100) < sigmas(-20.0)
+    assert sigmas(-2000.0) == pytest.approx(63.1, abs=0.2)  # beyond what a tail can be written as a number
+    assert sigmas(-1.0, 1e6) == 0.0
+
+
+def test_of_equal_explanations_the_one_with_fewest_parameters_comes_first(base_of):
+    found = strongest(base_of(scatter=0.03, k3=0.05 * K / 0.177**2))
+    equal = [tested for tested in found if tested.score.gain > 0.96 * max(one.score.gain for one in found)]
+    assert len(equal) > 1
+    assert found[0].parameters == 1
