@@ -129,6 +129,7 @@ def rank(
             sources[0],
             "add --laws 1,2",
         )
+    screening.refuse_missing_frames(fits, records)
     _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
     if not sustained and not any(run.cut.starts_at_rest for run in runs):
         _refuse(screening.SINE_ALONE, records)

@@ -19,6 +19,7 @@ from fitting.data.frame import REST_FRACTION, MeasuredMotion
 from fitting.estimation import trajectory
 from fitting.estimation.fit import Fit
 from fitting.model.problem import EstimationProblem, Run
+from fitting.selection import lost_frames
 from fitting.selection.evidence import constant_friction_limit
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
@@ -86,13 +87,25 @@ def refuse_wrong_times(record: Kinematics) -> None:
     """
     for finding in record.findings:
         if finding.code in WRONG_TIMES:
-            raise DataError(
-                f"about {100 * finding.value:.2g} % of the frames are {WRONG_TIMES[finding.code]} although the times "
-                "are even: the times are wrong, and every parameter with them",
-                str(record.recording.source),
-                "import the track with the camera's own time stamps ('daq import --time NAME'), or record again and "
-                "keep them",
-            )
+            raise _wrong_times(f"{100 * finding.value:.2g}", WRONG_TIMES[finding.code], record)
+
+
+def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
+    """Raise DataError for a record whose residuals by the best law show frames lost or doubled among even times."""
+    best = min(fits, key=lambda fit: fit.geometric_mean_rms, default=None)
+    for run, record in enumerate(records):
+        share = None if best is None else lost_frames.missing_share(best, record, run)
+        if share is not None:
+            raise _wrong_times(f"{100 * share.value:.2g} +- {100 * share.sd:.1g}", "lost or doubled", record)
+
+
+def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
+    return DataError(
+        f"about {percent} % of the frames are {kind} although the times are even: the times are wrong, and every "
+        "parameter with them",
+        str(record.recording.source),
+        "import the track with the camera's own time stamps ('daq import --time NAME'), or record again and keep them",
+    )
 
 
 def is_stick_slip(record: Kinematics) -> bool:

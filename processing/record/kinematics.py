@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.compute.arrays import Array, Mask
+from processing.polynomial.even_grid import is_even
 from processing.record.faults import Fault
 from processing.record.finding import Finding
 from processing.record.motion import Phase, VelocityStep, mask_of
@@ -177,6 +178,11 @@ class Kinematics(SmoothingHeader):
     def samples(self) -> int:
         """How many samples there are."""
         return int(self.time.size)
+
+    @property
+    def even_times(self) -> bool:
+        """Whether the times lie on an even grid: they then do not show where a frame is missing."""
+        return is_even(self.time)
 
     @property
     def span(self) -> float:
