@@ -12,6 +12,7 @@ import numpy as np
 from daq.compute.arrays import Mask
 from processing.kalman import white_jerk
 from processing.methods import registry
+from processing.record.estimates import RecordEstimates
 from processing.record.motion import BeltMotion, Motion
 from processing.record.series import Series
 from processing.record.setting import Setting
@@ -26,7 +27,9 @@ def has_belt_encoder(recording: "Recording") -> bool:
     return recording.belt_count is not None and rig.belt_metres_per_count is not None and recording.unit == "m"
 
 
-def smooth_belt(recording: "Recording", kept: Mask, series: Series, motion: Motion) -> BeltMotion | None:
+def smooth_belt(
+    recording: "Recording", kept: Mask, series: Series, motion: Motion, estimates: RecordEstimates
+) -> BeltMotion | None:
     """Return the belt of a recording; None without a channel or a common unit.
 
     Savitzky-Golay and differences take the belt as they took the mass; for the others it is
@@ -43,6 +46,8 @@ def smooth_belt(recording: "Recording", kept: Mask, series: Series, motion: Moti
         Its positions, made ready.
     motion : Motion
         What a method made of the positions.
+    estimates : RecordEstimates
+        Those that the method used; the belt's become a part of them.
     """
     pitch = recording.rig.belt_metres_per_count
     if not has_belt_encoder(recording) or recording.belt_count is None or pitch is None:
@@ -53,14 +58,17 @@ def smooth_belt(recording: "Recording", kept: Mask, series: Series, motion: Moti
         series, position=series.position - travel, origin=0.0, pitch=float(np.hypot(series.pitch, pitch.value))
     )
     if motion.method == "fd":
-        belt, relative = (registry.estimate("fd", other, Setting()) for other in (own, seen))
+        belt, relative = (
+            registry.estimate("fd", other, Setting(), estimates.part(name))
+            for name, other in (("belt", own), ("relative", seen))
+        )
         return BeltMotion(belt.velocity, belt.velocity_errors, seen, relative)
     setting = Setting(motion.window, motion.order if motion.method == "sg" else 4)
-    relative = registry.estimate("sg", seen, setting)
+    relative = registry.estimate("sg", seen, setting, estimates.part("relative"))
     if motion.method == "sg":
-        belt = registry.estimate("sg", own, setting)
+        belt = registry.estimate("sg", own, setting, estimates.part("belt"))
     else:
-        noise = white_jerk.fit(series)
+        noise = estimates.once("jerk", lambda: white_jerk.fit(series))
         finer = (own.pitch / series.pitch) ** 2 if series.pitch else 1.0
         belt = white_jerk.smooth(own, white_jerk.Noise(noise.jerk, noise.reading * finer))
     return BeltMotion(belt.velocity, belt.velocity_errors, seen, relative)

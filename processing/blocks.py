@@ -1,13 +1,15 @@
 """One block of a record smoothed, and what is found in the blocks joined over the record.
 
-A record in memory is one block.  A longer one is smoothed block by block, each as a record of its own together with
-some samples on either side, of which only the block itself is kept: the smoothers estimate noise levels and find sticks
-in every block anew.  Lost counts, phases that cross a boundary, and the belt speed are carried from block to block.
-That takes a few numbers for each stick and slip; otherwise memory does not grow with the record.
+A record in memory is one block.  A longer one is smoothed block by block, each with some samples on either side, of
+which only the block itself is kept.  Noise levels, thresholds and speeds are estimated once, from stretches that
+represent the record (`BlockSmoother.learn`), so that sticks and slips do not depend on where blocks begin.  Lost counts
+and phases that cross a boundary are carried from block to block.  That takes a few numbers for each stick and slip;
+otherwise memory does not grow with the record.
 """
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,16 +18,18 @@ from daq.compute.arrays import Array
 from processing import belt_motion
 from processing.defects import frames, position_steps, velocity_steps
 from processing.defects.findings import drift_finding, sensor_findings, step_findings
-from processing.defects.sensor_faults import without_faults
+from processing.defects.sensor_faults import SoundRecord, without_faults
 from processing.kalman import white_jerk
 from processing.kalman.bridge import across_faults
 from processing.methods import registry
+from processing.record.estimates import RecordEstimates
 from processing.record.faults import Fault
 from processing.record.finding import Finding
-from processing.record.motion import Phase, VelocityStep
+from processing.record.motion import BeltMotion, Motion, Phase, PhaseSegmentation, VelocityStep
 from processing.record.position_steps import PositionStep, step_offsets, without_steps
 from processing.record.series import Series
 from processing.record.setting import Setting
+from processing.record.stretches import moving_samples
 from processing.segmentation import plateaus
 
 if TYPE_CHECKING:
@@ -51,6 +55,9 @@ class BlockSmoother:
 
     def __init__(self, method: str, setting: Setting, repair: str) -> None:
         self.method, self.setting, self.repair = method, setting, repair
+        self._estimates = RecordEstimates()
+        self._moving: tuple[int, int] | None = None
+        self._interval = 0.0
         self._phases: list[Phase] = []
         self._losses: list[PositionStep] = []
         self._steps: list[VelocityStep] = []
@@ -65,6 +72,30 @@ class BlockSmoother:
         self._unit = ""
         self._means: list[tuple[float, float]] = []
         self._offset = 0.0  # sum of the steps so far in this segment
+
+    def learn(
+        self, stretches: "tuple[Recording, Series]", positions: Callable[[slice], Array], n: int, travel: float
+    ) -> int:
+        """Estimate what all blocks share; return the window of the smoother in samples.
+
+        Parameters
+        ----------
+        stretches : (Recording, Series)
+            Those that represent the record (`learning_stretches`), as one.
+        positions : callable
+            Returns the positions of a slice of samples, m.
+        n, travel : int, float
+            Samples of the record, and how far it travels, m.
+        """
+        made = self._find(*stretches)
+        self._estimates.close()
+        self._interval = made.data.interval
+        first, last = moving_samples(positions, n, plateaus.slack_at_rest(made.data.pitch, travel, made.sound.noise))
+        least = plateaus.LEAST_STICK / self._interval
+        if first <= last:
+            first, last = first if first > least else 0, last if n - 1 - last > least else n - 1
+        self._moving = first, last
+        return made.motion.window
 
     def smooth(self, recording: "Recording", data: Series, own: slice, low: int = 0) -> dict[str, Any]:
         """Smooth one block.
@@ -83,21 +114,21 @@ class BlockSmoother:
         dict of arrays of shape (k,)
             time, position, velocity, acceleration, their errors, and the belt's velocity where it has an encoder.
         """
-        sound = without_faults(data)
-        losses = position_steps.position_steps(sound.bridged) if self.repair != "off" else ()
-        losses = tuple(loss for loss in losses if sound.kept[loss.first : loss.last + 1].all())
-        offset = step_offsets(recording.segment, losses)
-        data = without_steps(sound.bridged, offset)
-        seen = without_steps(sound.series, offset[sound.kept])
-        self._noises.append(sound.noise)
-        motion = registry.estimate(self.method, seen, self.setting)
-        belt = belt_motion.smooth_belt(recording, sound.kept, seen, motion)
-        found = plateaus.segment(seen, motion, recording.rig.belt_speed, self.setting.belt_speed, belt)
+        if self._moving is not None:
+            first, last = (own - low for own in self._moving)
+            begin = -math.inf if first <= 0 else float(data.time[first]) if first < data.time.size else math.inf
+            end = math.inf if last >= data.time.size - 1 else float(data.time[last]) if last >= 0 else -math.inf
+            data = replace(data, interval=self._interval, moving=(begin, end))
+        made = self._find(recording, data)
+        sound, losses, offset, belt = made.sound, made.losses, made.offset, made.belt
+        data, seen, motion, found = made.data, made.seen, made.motion, made.found
         phases = found.phases
+        self._noises.append(sound.noise)
         if sound.faults:
             number = np.flatnonzero(sound.kept)
             phases = tuple(replace(own, first=int(number[own.first]), last=int(number[own.last])) for own in phases)
-            motion = across_faults(data.time, sound.kept, motion, white_jerk.fit(seen).jerk)
+            jerk = self._estimates.once("jerk", lambda: white_jerk.fit(seen)).jerk
+            motion = across_faults(data.time, sound.kept, motion, jerk)
         if self.repair == "fix":
             shift = -self._offset_before(recording, own, losses)
         else:
@@ -139,6 +170,21 @@ class BlockSmoother:
         self._belt_speeds.append(found.belt_speed)
         self._plateau_speeds.append(found.plateau_speed)
         return columns
+
+    def _find(self, recording: "Recording", data: Series) -> "BlockResult":
+        """Find faults, losses, motion and phases of a block with its neighbouring samples."""
+        estimates = self._estimates
+        sound = without_faults(data, estimates.part("faults"))
+        losses = position_steps.position_steps(sound.bridged, estimates.part("steps")) if self.repair != "off" else ()
+        losses = tuple(loss for loss in losses if sound.kept[loss.first : loss.last + 1].all())
+        offset = step_offsets(recording.segment, losses)
+        data = without_steps(sound.bridged, offset)
+        seen = without_steps(sound.series, offset[sound.kept])
+        motion = registry.estimate(self.method, seen, self.setting, estimates)
+        belt = belt_motion.smooth_belt(recording, sound.kept, seen, motion, estimates)
+        stated = self.setting.belt_speed
+        found = plateaus.segment(seen, motion, recording.rig.belt_speed, stated, belt, estimates.part("phases"))
+        return BlockResult(data, sound, losses, offset, seen, motion, belt, found)
 
     @property
     def sticks(self) -> list[Phase]:
@@ -215,6 +261,30 @@ class BlockSmoother:
                 self._phases[-1] = replace(own, start=before.start, first=before.first, start_sd=before.start_sd)
             else:
                 self._phases.append(own)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockResult:
+    """What is found in the m samples of a block and of its neighbourhood.
+
+    Attributes
+    ----------
+    data, seen : Series
+        Without steps of the position: all m samples, with lines across faults, and those that are positions.
+    sound, losses, offset : SoundRecord, tuple of PositionStep, array of shape (m,)
+        Faults, steps, and the sum of the steps before each sample, m.
+    motion, belt, found : Motion, BeltMotion or None, PhaseSegmentation
+        Of the samples ``seen``.
+    """
+
+    data: Series
+    sound: SoundRecord
+    losses: tuple[PositionStep, ...]
+    offset: Array
+    seen: Series
+    motion: Motion
+    belt: BeltMotion | None
+    found: PhaseSegmentation
 
 
 def _median(speeds: list[float]) -> float:

@@ -17,12 +17,12 @@ from daq.errors import InputError, nearest
 from daq.runfile import store
 from processing import belt_motion, stage
 from processing.blocks import BlockSmoother
-from processing.defects.sensor_faults import without_faults
-from processing.methods import registry, window_choice
+from processing.methods import registry
 from processing.record import import_grid, series
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.series import Series
 from processing.record.setting import Setting, parse_belt_speed, parse_window
+from processing.record.stretches import LEARNED, learning_stretches
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -32,7 +32,6 @@ REPAIRS = ("off", "flag", "fix")
 BLOCK = 2**16  # samples kept at a time: memory grows with it (200 to 250 MB), and with less the margins cost more CPU
 MARGIN = 2**12  # samples smoothed too on either side of a block; a stick cut shorter than this is found as in the whole
 LARGE = 2**19  # samples: the command smooths longer records block by block; one as long takes about 300 MB
-SPREAD, SPREAD_SIZE = 8, 2**14  # stretches, and samples of each, from which the window of a long record is chosen
 
 
 def smooth(
@@ -88,6 +87,10 @@ def smooth(
     data = series.from_recording(recording, times)
     blocks = BlockSmoother(method, _setting(window, order, belt_speed, data), repair_counts)
     n = data.time.size
+    if n > LEARNED:
+        stretches, travel = learning_stretches(recording.position.__getitem__, n)
+        joined = _joined([_part(recording, data, own) for own in stretches])
+        blocks.learn(joined, recording.position.__getitem__, n, travel)
     columns = blocks.smooth(recording, data, slice(0, n))
     return Kinematics(
         recording=recording,
@@ -110,7 +113,7 @@ def smooth_file(
 ) -> SmoothingSummary:
     """Smooth a run block by block and write the stage into its file.
 
-    Savitzky-Golay takes one window throughout, chosen from stretches spread over the record.
+    The phases are those that `smooth` finds, whatever the size of the blocks.
 
     Parameters
     ----------
@@ -128,44 +131,43 @@ def smooth_file(
     """
     begun = clock.process_time()
     _check(method, repair_counts)
-    n = store.samples(path)
-    if window == "auto" and order is None and method != "sg":
-        setting = Setting(None, None, parse_belt_speed(belt_speed))
-    else:
-        some = _spread(path, n, times)
-        setting = _setting(window, order, belt_speed, some)
-        if registry.resolve(method, setting) == "sg" and setting.window is None:
-            chosen = window_choice.choose(without_faults(some).series, setting.order)
-            setting = replace(setting, window=chosen.window, order=chosen.order)
-    reader = _Reader(path, n, times, max(MARGIN, 2 * (setting.window or 0)))
-    blocks = BlockSmoother(method, setting, repair_counts)
-    first = store.load(path, slice(0, 1))
-    belt = belt_motion.has_belt_encoder(first)
+    with store.reading(path) as run:
+        n = run.samples
+        stretches, travel = learning_stretches(run.positions, n)
+        joined = _joined([_read(run, own, times) for own in stretches])
+        recording = joined[0]
+        belt = belt_motion.has_belt_encoder(recording)
+        blocks = BlockSmoother(method, _setting(window, order, belt_speed, joined[1]), repair_counts)
+        widest = blocks.learn(joined, run.positions, n, travel)
+        del joined
+    margin = min(max(MARGIN, 2 * widest), BLOCK)
     made: list[SmoothingSummary] = []
 
     def write(entry: h5py.Group) -> None:
         smoothed = stage.begin(entry)
-        table = stage.empty(smoothed, n, first.unit, belt=belt)
+        table = stage.empty(smoothed, n, recording.unit, belt=belt)
         ends = []
-        for begin in range(0, n, BLOCK):
-            end = min(begin + BLOCK, n)
-            recording, data, low = reader.read(begin, end)
-            columns = blocks.smooth(recording, data, slice(begin - low, end - low), low)
-            stage.fill(table, begin, columns)
-            ends += [float(columns["time"][0]), float(columns["time"][-1])]
-            progress(end)
+        with store.reading(path) as run:
+            reader = _Reader(path, run, times, margin)
+            for begin in range(0, n, BLOCK):
+                end = min(begin + BLOCK, n)
+                part, data, low = reader.read(begin, end)
+                columns = blocks.smooth(part, data, slice(begin - low, end - low), low)
+                stage.fill(table, begin, columns)
+                ends += [float(columns["time"][0]), float(columns["time"][-1])]
+                progress(end)
         summary = SmoothingSummary(
             **blocks.header(),
             times=times,
             samples=n,
             span=ends[-1] - ends[0],
-            unit=first.unit,
+            unit=recording.unit,
             plateau_fraction=sum(stick.last - stick.first + 1 for stick in blocks.sticks) / n,
             belt_counted=belt,
             cpu_s=clock.process_time() - begun,
         )
         made.append(summary)
-        stage.finish(smoothed, summary, first.digest)
+        stage.finish(smoothed, summary, recording.digest)
 
     store.extend(path, "smooth", write, default="smooth")
     return made[0]
@@ -181,39 +183,66 @@ def _setting(window: int | str, order: int | None, belt_speed: float | str, data
     return replace(parse_window(window, order, data), belt_speed=parse_belt_speed(belt_speed))
 
 
-def _spread(path: Path, n: int, times: str) -> Series:
-    """Return stretches spread over the record, as one series of as many pieces."""
-    size = min(SPREAD_SIZE, n)
-    starts = np.unique(np.linspace(0, n - size, SPREAD).astype(int)).tolist()
-    parts = [series.from_recording(store.load(path, slice(at, at + size)), times) for at in starts]
+def _read(run: store.RunReader, own: slice, times: str) -> "tuple[Recording, Series]":
+    recording = run.load(own)
+    return recording, series.from_recording(recording, times)
+
+
+def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording, Series]":
+    """Return some samples of a recording in memory."""
+    count = recording.belt_count
+    time, segment = data.time[own], recording.segment[own]
+    found = series.pieces(time, segment, data.interval)
+    position = data.position[own] - data.position[own.start]
+    part = replace(recording, segment=segment, belt_count=None if count is None else count[own])
+    return part, replace(data, time=time, position=position, pieces=found, count=None)
+
+
+def _joined(parts: "list[tuple[Recording, Series]]") -> "tuple[Recording, Series]":
+    """Return stretches one after the other, ten sample intervals apart, as one record of as many pieces."""
+    if len(parts) == 1:
+        return parts[0]
+    first, data = parts[0]
     pieces, at, end = [], 0, 0.0
-    time, position = [], []
-    for part in parts:
+    time, position, segment, belt = [], [], [], []
+    for k, (recording, part) in enumerate(parts):
         pieces += [slice(own.start + at, own.stop + at) for own in part.pieces]
         time.append(part.time - part.time[0] + end)
-        position.append(part.position)
+        position.append(part.position - part.position[0])
+        segment.append(np.full(part.time.size, k, np.uint16))
+        if recording.belt_count is not None:
+            belt.append(recording.belt_count - recording.belt_count[0])
         at += part.time.size
         end = float(time[-1][-1]) + 10 * part.interval
-    return replace(
-        parts[0], time=np.concatenate(time), position=np.concatenate(position), pieces=tuple(pieces), count=None
+    whole = replace(
+        first,
+        time=np.concatenate(time),
+        position=np.concatenate(position),
+        segment=np.concatenate(segment),
+        belt_count=np.concatenate(belt) if belt else None,
+    )
+    interval = float(np.median([part.interval for _, part in parts]))
+    return whole, replace(
+        data, time=whole.time, position=whole.position, interval=interval, pieces=tuple(pieces), count=None
     )
 
 
 class _Reader:
     """Reads blocks of a run with ``margin`` samples on either side, on one time axis throughout."""
 
-    def __init__(self, path: Path, n: int, times: str, margin: int) -> None:
-        self._path, self._n, self._times, self._margin = path, n, times, margin
+    def __init__(self, path: Path, run: store.RunReader, times: str, margin: int) -> None:
+        self._run, self._times, self._margin = run, times, margin
         self._anchors: dict[int, tuple[float, int]] = {}
         self._grid = None
-        if times == "nominal" and store.load(path, slice(0, 1)).raw is None:
+        n = run.samples
+        if times == "nominal" and run.load(slice(0, 1)).raw is None:
             # An import has no sample numbers: its even grid follows from the whole record.
             self._grid = import_grid.learn(path, n, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
 
     def read(self, begin: int, end: int) -> "tuple[Recording, Series, int]":
         """Return samples begin..end-1 with their neighbours, and the number of the first of these."""
-        low, high = max(begin - self._margin, 0), min(end + self._margin, self._n)
-        recording = store.load(self._path, slice(low, high))
+        low, high = max(begin - self._margin, 0), min(end + self._margin, self._run.samples)
+        recording = self._run.load(slice(low, high))
         grid = None if self._grid is None else self._grid.times(low, recording.time)
         return recording, series.from_recording(recording, self._times, self._anchor(recording), grid), low
 

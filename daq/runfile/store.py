@@ -31,9 +31,8 @@ STAGES = ("data", "smooth", "fit")
 
 def samples(path: str | os.PathLike[str]) -> int:
     """Return how many samples a run holds; InputError as for `load`."""
-    where = Path(path)
-    with opened(where) as file, _damage(where):
-        return int(nexus.read_dataset(nexus.read_group(file, "entry", where), f"{schema.ENCODER_LOG}/time", where).size)
+    with reading(path) as run:
+        return run.samples
 
 
 def load(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> Recording:
@@ -52,20 +51,43 @@ def load(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> Recording:
         When the file is missing, cut short, not HDF5, not a run file, of another schema, or holds something else
         where a run has its samples.
     """
+    with reading(path) as run:
+        return run.load(own)
+
+
+@contextmanager
+def reading(path: str | os.PathLike[str]) -> "Iterator[RunReader]":
+    """Open a run for reading parts of it one after the other; InputError as for `load`."""
     where = Path(path)
     with opened(where) as file, _damage(where):
-        entry = nexus.read_group(file, "entry", where)
-        found = schema.read(entry, (row for row in schema.FIELDS if not row.of.startswith("truth.")), where, own)
-        default = nexus.text(entry.attrs.get("default", "data"))
-    _check_motion(found["time"], found["position"], where)
-    raw = _part(found, "raw")
-    return Recording(
-        **{key: value for key, value in found.items() if "." not in key},
-        rig=Rig(**_part(found, "rig")),
-        raw=Raw(**raw) if raw else None,
-        source=where,
-        default=default,
-    )
+        yield RunReader(nexus.read_group(file, "entry", where), where)
+
+
+class RunReader:
+    """A run file that stays open."""
+
+    def __init__(self, entry: h5py.Group, where: Path) -> None:
+        self._entry, self._where = entry, where
+        self.samples = int(nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", where).size)
+
+    def load(self, own: slice = nexus.EVERY) -> Recording:
+        """Return the run, or some of its samples (`load`)."""
+        rows = (row for row in schema.FIELDS if not row.of.startswith("truth."))
+        found = schema.read(self._entry, rows, self._where, own)
+        _check_motion(found["time"], found["position"], self._where)
+        raw = _part(found, "raw")
+        return Recording(
+            **{key: value for key, value in found.items() if "." not in key},
+            rig=Rig(**_part(found, "rig")),
+            raw=Raw(**raw) if raw else None,
+            source=self._where,
+            default=nexus.text(self._entry.attrs.get("default", "data")),
+        )
+
+    def positions(self, own: slice) -> Array:
+        """Return the positions of some samples, m or counts."""
+        column = nexus.read_array(self._entry, f"{schema.ENCODER_LOG}/value", np.float64, self._where, own)
+        return np.asarray(column)
 
 
 def truth(path: str | os.PathLike[str]) -> Truth | None:

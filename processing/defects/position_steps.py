@@ -23,6 +23,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from daq.compute.arrays import Array
 from processing.defects.change_point import ChangeModels, change_models, jump_weights
 from processing.polynomial.even_grid import even_grid
+from processing.record.estimates import RecordEstimates
 from processing.record.noise import position_noise
 from processing.record.position_steps import PositionStep, step_offsets, step_profile
 from processing.record.series import Series
@@ -61,13 +62,15 @@ DEGREE = 4  # of the polynomial beside the models
 SLACK = 0.5  # of the sum of steps: by how much a record may be wider without them; without slips it is by all of it
 
 
-def position_steps(series: Series) -> tuple[PositionStep, ...]:
+def position_steps(series: Series, estimates: RecordEstimates | None = None) -> tuple[PositionStep, ...]:
     """Find where the position steps by ten counts or more, or by eight to ten standard deviations of a position.
 
     Parameters
     ----------
     series : Series
         The record.
+    estimates : RecordEstimates, optional
+        Of the record that this is a block of.
 
     Returns
     -------
@@ -75,7 +78,8 @@ def position_steps(series: Series) -> tuple[PositionStep, ...]:
         In order of time.  A step adds its size to all readings from ``last`` on.
     """
     counted = bool(series.pitch)
-    unit = series.pitch if counted else PER_NOISE * position_noise(series)
+    estimates = estimates or RecordEstimates()
+    unit = estimates.once("unit", lambda: series.pitch if counted else PER_NOISE * position_noise(series))
     if not unit:
         return ()
     found: list[PositionStep] = []
@@ -89,7 +93,9 @@ def position_steps(series: Series) -> tuple[PositionStep, ...]:
         for first, last, size in own:
             counts = round(size) if counted else 0
             found.append(PositionStep(piece.start + first, piece.start + last, counts, unit * (counts or size)))
-    return tuple(found) if counted or _is_datum(series, found) else ()
+    if counted or not found:
+        return tuple(found)
+    return tuple(found) if estimates.once("datum", lambda: _is_datum(series, found)) else ()
 
 
 def _is_datum(series: Series, steps: list[PositionStep]) -> bool:

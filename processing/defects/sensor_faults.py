@@ -9,6 +9,7 @@ Found are single spikes beyond six standard deviations of a position (and two an
 bursts of noise, and a sensor that holds its value while nothing moves or until the mass has come back.
 """
 
+import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -17,6 +18,7 @@ import numpy as np
 from daq.compute.arrays import Array, Integers, Mask, runs
 from daq.compute.compile import compiled
 from processing.defects import fault_kernel
+from processing.record.estimates import RecordEstimates
 from processing.record.faults import Fault
 from processing.record.motion import mask_of
 from processing.record.noise import position_noise, smallest_step
@@ -60,21 +62,30 @@ class SoundRecord:
     noise: float
 
 
-def without_faults(series: Series) -> SoundRecord:
+def without_faults(series: Series, estimates: RecordEstimates | None = None) -> SoundRecord:
     """Return the record without its faults."""
-    noise = position_noise(series)
-    step = series.pitch or smallest_step(series.position)
-    faults = _faults(series, noise, step)
-    if not faults:
-        return SoundRecord((), np.ones(series.time.size, bool), series, series, noise)
-    left = _only(series, ~mask_of(faults, series.time.size))
-    for _ in range(3):  # frequent spikes add to the noise
-        before, noise = noise, position_noise(left)
-        if noise > LESS * before:
-            break
-        faults = _faults(series, noise, step)
-        left = _only(series, ~mask_of(faults, series.time.size))
+    estimates = estimates or RecordEstimates()
+    step = estimates.once("step", lambda: series.pitch or smallest_step(series.position))
+    if estimates.known("noise"):
+        limit, noise = estimates.once("limit", lambda: math.nan), estimates.once("noise", lambda: math.nan)
+        faults = _faults(series, limit, step)
+        left = _only(series, ~mask_of(faults, series.time.size)) if faults else series
+    else:
+        limit = noise = position_noise(series)
+        faults = _faults(series, limit, step)
+        left = _only(series, ~mask_of(faults, series.time.size)) if faults else series
+        for _ in range(3 if faults else 0):  # frequent spikes add to the noise
+            before, noise = noise, position_noise(left)
+            if noise > LESS * before:
+                break
+            limit = noise
+            faults = _faults(series, limit, step)
+            left = _only(series, ~mask_of(faults, series.time.size))
+        estimates.once("limit", lambda: limit)
+        estimates.once("noise", lambda: noise)
     kept = ~mask_of(faults, series.time.size)
+    if not faults:
+        return SoundRecord((), kept, series, series, noise)
     own = np.flatnonzero(kept)
     bridged = np.interp(series.time, series.time[own], series.position[own])
     return SoundRecord(tuple(faults), kept, left, replace(series, position=bridged, count=None), noise)

@@ -6,6 +6,7 @@ a piece repeats the one before it.  One count over one interval is already pitch
 
 import numpy as np
 
+from processing.record.estimates import RecordEstimates
 from processing.record.motion import Motion
 from processing.record.noise import position_noise
 from processing.record.series import Series
@@ -14,7 +15,7 @@ from processing.record.setting import Setting, refuse_window
 WINDOW = 2  # samples
 
 
-def estimate(series: Series, setting: Setting) -> Motion:
+def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Motion:
     """Differentiate by differences of neighbouring samples.
 
     Parameters
@@ -23,6 +24,8 @@ def estimate(series: Series, setting: Setting) -> Motion:
         The record.
     setting : Setting
         Must be empty: two points and a straight line are the method.
+    estimates : RecordEstimates
+        Of the record that this is a block of, or empty.
 
     Returns
     -------
@@ -40,7 +43,7 @@ def estimate(series: Series, setting: Setting) -> Motion:
     n = series.time.size
     velocity, acceleration = np.zeros(n), np.zeros(n)
     velocity_errors, acceleration_errors = np.full(n, np.inf), np.full(n, np.inf)
-    sigma = position_noise(series)
+    sigma = estimates.once("floor", lambda: position_noise(series))
     for piece in series.pieces:
         t, x = series.time[piece], series.position[piece]
         if t.size < 2:

@@ -1,6 +1,7 @@
 """The methods that make velocity from position, behind one signature; a method's module is imported when it is used.
 
-A method is a module with ``estimate(series, setting) -> Motion``.  To admit a new one, add its line to `METHODS`.
+A method is a module with ``estimate(series, setting, estimates) -> Motion``.  To admit a new one, add its line to
+`METHODS`.
 Every method is held to one contract (tests/processing/methods/test_methods.py): shapes kept, zero gives zero, a
 straight line comes back exactly, nothing crosses a gap, errors are positive, and bad samples were refused before it
 by index.
@@ -10,6 +11,7 @@ from importlib import import_module
 from typing import Protocol, cast
 
 from daq.errors import InputError, nearest
+from processing.record.estimates import RecordEstimates
 from processing.record.motion import Motion
 from processing.record.series import Series
 from processing.record.setting import Setting
@@ -26,7 +28,7 @@ METHODS = {
 class Method(Protocol):
     """The one signature."""
 
-    def estimate(self, series: Series, setting: Setting) -> Motion:
+    def estimate(self, series: Series, setting: Setting, estimates: RecordEstimates) -> Motion:
         """Rebuild the motion of ``series``; InputError for a setting that the method cannot carry out."""
 
 
@@ -41,8 +43,11 @@ def resolve(name: str, setting: Setting) -> str:
     return "sg" if name == "auto" and (setting.window is not None or setting.order is not None) else name
 
 
-def estimate(name: str, series: Series, setting: Setting) -> Motion:
-    """Run the method ``name`` on the record; the result's ``method`` is the one that was chosen by "auto"."""
+def estimate(name: str, series: Series, setting: Setting, estimates: RecordEstimates | None = None) -> Motion:
+    """Run the method ``name`` on the record; the result's ``method`` is the one that was chosen by "auto".
+
+    ``estimates`` are those of the record that ``series`` is a block of; by default it is one of its own.
+    """
     check(name)
     module = cast(Method, import_module(METHODS[resolve(name, setting)]))
-    return module.estimate(series, setting)
+    return module.estimate(series, setting, estimates or RecordEstimates())

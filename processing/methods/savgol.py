@@ -4,13 +4,14 @@ import numpy as np
 
 from processing.methods import window_choice
 from processing.polynomial import savgol
+from processing.record.estimates import RecordEstimates
 from processing.record.motion import Motion
 from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import DEFAULT_ORDER, Setting, check_window
 
 
-def estimate(series: Series, setting: Setting) -> Motion:
+def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Motion:
     """Fit local polynomials.
 
     Parameters
@@ -19,6 +20,8 @@ def estimate(series: Series, setting: Setting) -> Motion:
         The record.
     setting : Setting
         Window and order; what is None is chosen from the record (`processing.methods.window_choice.choose`).
+    estimates : RecordEstimates
+        Of the record that this is a block of, or empty.
 
     Returns
     -------
@@ -30,7 +33,7 @@ def estimate(series: Series, setting: Setting) -> Motion:
         For an even window, or one that does not exceed the order.
     """
     if setting.window is None:
-        chosen = window_choice.choose(series, setting.order)
+        chosen = estimates.once("window", lambda: window_choice.choose(series, setting.order))
         length, order = chosen.window, chosen.order
     else:
         length, order = setting.window, DEFAULT_ORDER if setting.order is None else setting.order
@@ -42,7 +45,9 @@ def estimate(series: Series, setting: Setting) -> Motion:
         values[:, piece], norms[:, piece] = savgol.fit(*own, length, order, counted)
         probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.half(length, order), order, counted)
     errors = np.empty_like(values)
-    floor = series.pitch / np.sqrt(12) if length > order + 3 else position_noise(series)
+    floor = (
+        series.pitch / np.sqrt(12) if length > order + 3 else estimates.once("floor", lambda: position_noise(series))
+    )
     for piece in series.pieces:
         errors[:, piece] = savgol.standard_errors(
             series.position[piece],

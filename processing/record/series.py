@@ -53,6 +53,8 @@ class Series:
         The file, for messages.
     count : array of int64 or None
         The position in counts, seen from the first; None for a record without, or one that was mended.
+    moving : (float, float) or None
+        When the first motion of the record begins and the last one ends, s, where that is known from all of it.
     """
 
     time: Array
@@ -63,6 +65,7 @@ class Series:
     pieces: tuple[slice, ...]
     source: str = ""
     count: Integers | None = None
+    moving: tuple[float, float] | None = None
 
     @cached_property
     def even_counts(self) -> tuple[Array, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from daq.compute.arrays import Array, Integers, Mask
 from processing.kalman import jerk_kernel, white_jerk
 from processing.kalman.snap_kernel import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
+from processing.record.estimates import RecordEstimates
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch, merged, null_model, reestimate_noise
 from processing.segmentation.switching_estimate import refine_switching_times
@@ -31,6 +32,7 @@ def accept_sticks(
     levels: NoiseLevels,
     noise: white_jerk.Noise,
     first: SwitchingTimes,
+    estimates: RecordEstimates,
 ) -> tuple[SwitchingTimes, NoiseLevels] | list[Span]:
     """Return switching times and noise levels of the sticks accepted, each on an even belt or on an uneven one.
 
@@ -42,6 +44,8 @@ def accept_sticks(
         Of the null model of white jerk.
     first : SwitchingTimes
         Where the estimation began: that of uneven sticks starts there again.
+    estimates : RecordEstimates
+        Of the record: in a block of it each stick is accepted or rejected by itself, as one of the record.
 
     Returns
     -------
@@ -51,25 +55,26 @@ def accept_sticks(
     """
     sticks = sticks_of(times)
     if not sticks:
-        return []
+        return (times, _final_levels(levels, estimates)) if estimates.closed else []
     bare = without(times, np.ones(times.at.size, bool))
-    snap = null_model(levels)
-    for _ in range(3):
-        snap = reestimate_noise(series, workspace, times, snap, 1, null_model=True)
+    snap = estimates.once(
+        "null model",
+        lambda: reestimate_noise(series, workspace, times, null_model(levels), 3, null_model=True),
+    )
     spans = spans_of(series, times, sticks)
     plain = _jerk_gains(series, noise, workspace, spans)
     smooth = _gains(series, bare, snap, workspace, spans)
     even = _gains(series, times, levels, workspace, spans)
-    needed = BIC_FACTOR * math.log(series.time.size)
+    needed = estimates.once("needed", lambda: BIC_FACTOR * math.log(series.time.size))
     corners = np.array([len(stick) for stick in sticks])
     ridden = np.zeros(len(sticks), bool)
     other_way = np.maximum(plain, smooth)
     gained = (even - other_way)[:-1]
-    if (gained < needed * corners).any():
+    if estimates.once("rounded", lambda: bool((gained < needed * corners).any())):
         even = _better_rounded(series, times, levels, workspace, spans, even)
         gained = (even - other_way)[:-1]
     uneven = levels.reading_variance[STICK] > 1.3 * levels.reading_variance[SLIP]
-    if uneven or (gained < needed * corners).any():
+    if estimates.once("uneven", lambda: bool(uneven or (gained < needed * corners).any())):
         kinds = np.where(first.kind == LAND, MEET, first.kind).astype(np.uint8)
         firsts = tuple(RIDE if label == STICK else label for label in first.first)
         other = replace(first, kind=kinds, first=firsts)
@@ -77,36 +82,75 @@ def accept_sticks(
             mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
         )
         for width in (1.0, 0.25):
-            riding = reestimate_noise(series, workspace, other, riding, 2)
+            riding = _reestimated(series, workspace, other, riding, estimates, f"riding, {width}")
             other = refine_switching_times(series, workspace, other, riding, width)
-        riding = reestimate_noise(series, workspace, other, riding, 2)
+        riding = _reestimated(series, workspace, other, riding, estimates, "riding")
         rides = _gains(series, other, riding, workspace, spans)
         ridden = (rides > even + needed)[:-1]
         gained = np.maximum(gained, (rides - other_way)[:-1])
-        if ridden.any():
-            levels = riding if ridden.all() else merged(levels, riding)
-            taken = np.array([k for stick, ride in zip(sticks, ridden, strict=True) if ride for k in stick])
-            at, sd = times.at.copy(), times.sd.copy()
-            at[taken], sd[taken] = other.at[taken], other.sd[taken]
-            if (np.diff(at) > 0).all():
-                times = replace(times, at=at, sd=sd)
+        levels = estimates.once("ridden", lambda: _with_riding(levels, riding, ridden))
+        times = _with_times_of(times, other, [stick for stick, ride in zip(sticks, ridden, strict=True) if ride])
     odd = odd_spans(series, times, sticks, gained < 0)
     dropped = gained < needed * corners
-    if dropped.mean() < 1 / 3:  # where most sticks are beyond doubt, the others need only help
+    # Where most sticks are beyond doubt, the others need only help.
+    if estimates.once("beyond doubt", lambda: bool(dropped.mean() < 1 / 3)):
         dropped = gained < 0
-    if dropped.mean() > 1 / 2:
+    if dropped.mean() > 1 / 2 and not estimates.closed:
         return []
-    if dropped.any() or ridden.any():
-        times, levels = _rebuilt(series, workspace, times, levels, sticks, dropped, ridden)
+    changed = bool(dropped.any() or ridden.any())
+    before = times
+    if changed or estimates.known("rebuilt 0"):
+        times, levels = _rebuilt(series, workspace, times, levels, sticks, dropped, ridden, estimates)
+    if changed:
         even = _gains(series, times, levels, workspace, spans)
         even = _better_rounded(series, times, levels, workspace, spans, even)
+    if estimates.closed:
+        hopeless = dropped & (even[:-1] < other_way[:-1] - needed)
+        return odd_spans(series, before, sticks, hopeless, few=1.0) if hopeless.any() else (times, levels)
     # What the sticks that are left gain must not be lost where the others were dropped.
     return (times, levels) if even[-1] - max(plain[-1], smooth[-1]) > needed * times.at.size else odd
 
 
-def odd_spans(series: Series, times: SwitchingTimes, sticks: list[list[int]], odd: Mask) -> list[Span]:
+def _with_times_of(times: SwitchingTimes, other: SwitchingTimes, sticks: list[list[int]]) -> SwitchingTimes:
+    """Return the times with those of ``other`` for some sticks, where they stay in order."""
+    at, sd = times.at.copy(), times.sd.copy()
+    for stick in sticks:
+        near = slice(max(stick[0] - 1, 0), stick[-1] + 2)
+        trial = at[near].copy()
+        trial[np.array(stick) - near.start] = other.at[stick]
+        if (np.diff(trial) > 0).all():
+            at[near], sd[stick] = trial, other.sd[stick]
+    return replace(times, at=at, sd=sd)
+
+
+def _final_levels(levels: NoiseLevels, estimates: RecordEstimates) -> NoiseLevels:
+    """Return the levels of a record whose gate has been through, for a block of it that has no corner."""
+    ridden = estimates.once("ridden", lambda: levels)
+    return estimates.once("rebuilt 1", lambda: ridden)
+
+
+def _with_riding(levels: NoiseLevels, riding: NoiseLevels, ridden: Mask) -> NoiseLevels:
+    if not ridden.any():
+        return levels
+    return riding if ridden.all() else merged(levels, riding)
+
+
+def _reestimated(
+    series: Series,
+    workspace: Workspace,
+    times: SwitchingTimes,
+    levels: NoiseLevels,
+    estimates: RecordEstimates,
+    name: str,
+) -> NoiseLevels:
+    return estimates.once(name, lambda: reestimate_noise(series, workspace, times, levels, 2))
+
+
+def odd_spans(
+    series: Series, times: SwitchingTimes, sticks: list[list[int]], odd: Mask, few: float = FEW
+) -> list[Span]:
     """Return where the sticks that are ``odd`` lie, if few are: from middle to middle of the sticks beside them."""
-    if not odd.any() or odd.mean() >= FEW:
+    if not odd.any() or odd.mean() >= few:
         return []
     middle = np.array([0.5 * (times.at[stick[0]] + times.at[stick[-1]]) for stick in sticks])
     ends = np.concatenate(([series.time[0] - 1.0], middle[~odd], [series.time[-1] + 1.0]))
@@ -167,6 +211,7 @@ def _rebuilt(
     sticks: list[list[int]],
     dropped: Mask,
     ridden: Mask,
+    estimates: RecordEstimates,
 ) -> tuple[SwitchingTimes, NoiseLevels]:
     """Return the times after the gate's verdict, its corners placed and its levels learned again."""
     kind = times.kind.copy()
@@ -183,7 +228,9 @@ def _rebuilt(
             kind[stick[0]] = MEET
     kept = ~gone
     times = replace(times, at=times.at[kept], sd=times.sd[kept], kind=kind[kept], first=tuple(first))
-    for _ in range(2):
-        levels = reestimate_noise(series, workspace, times, levels, 2)
+    if estimates.closed and not estimates.known("rebuilt 0"):
+        return times, levels
+    for k in range(2):
+        levels = _reestimated(series, workspace, times, levels, estimates, f"rebuilt {k}")
         times = refine_switching_times(series, workspace, times, levels, 0.25)
     return times, levels

@@ -12,6 +12,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from processing.kalman.snap_kernel import LAND, OVERTAKE, SLIP, STICK, NoiseLevels
+from processing.record.estimates import RecordEstimates
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch
 from processing.segmentation.switching_estimate import refine_switching_times
@@ -23,27 +24,35 @@ AROUND = 1 / 4  # of a slip: what is looked at on either side
 GAIN = 30.0  # log likelihood: three times the penalty of one more corner, for the place is picked among others
 
 
-def with_overtaking(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> SwitchingTimes:
+def with_overtaking(
+    series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, estimates: RecordEstimates
+) -> SwitchingTimes:
     """Return the switching times with an overtaking corner before each landing that needs one."""
     reading = levels.reading_variance.copy()
     reading[STICK] = reading[SLIP]
     levels = levels._replace(reading_variance=reading)
     at, kind, sd = list(times.at), list(times.kind), list(times.sd)
-    added = 0
-    for stretch in stretches(series, times):
-        for k in _odd_landings(series, workspace, times, levels, stretch):
+    added: list[int] = []
+    every = stretches(series, times)
+    misfit = [_misfits_of_landings(series, workspace, times, levels, stretch) for stretch in every]
+    usual = estimates.once("usual misfit", lambda: _usual(misfit))
+    for stretch, own in zip(every, misfit, strict=True):
+        for k in (k for k, size in own.items() if size > ODD * usual):
             better = _time_ahead(series, workspace, times, levels, stretch, k)
             if better > 0:
-                place = k + added
+                place = k + len(added)
                 at.insert(place, at[place])
                 at[place + 1] += better
                 kind.insert(place, np.uint8(OVERTAKE))
                 sd.insert(place, sd[place])
-                added += 1
+                added.append(place)
     if not added:
         return times
     times = replace(times, at=np.array(at), kind=np.array(kind, np.uint8), sd=np.array(sd))
-    return refine_switching_times(series, workspace, times, levels, 1.0)
+    better_times = refine_switching_times(series, workspace, times, levels, 1.0)
+    near = np.unique(np.clip(np.array(added)[:, None] + np.arange(-1, 3), 0, times.at.size - 1))
+    times.at[near], times.sd[near] = better_times.at[near], better_times.sd[near]
+    return times
 
 
 def misfits(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> Array:
@@ -58,24 +67,28 @@ def misfits(series: Series, workspace: Workspace, times: SwitchingTimes, levels:
     return np.asarray(sizes / max(float(np.median(sizes)), 1.0)) if sizes.size else sizes
 
 
-def _odd_landings(
+def _misfits_of_landings(
     series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, stretch: FilterStretch
-) -> list[int]:
-    """Return the corners of a stretch that are landings whose stick fits far worse at its beginning than usual."""
+) -> dict[int, float]:
+    """Return the mean square innovation at the beginning of each stick of a stretch, by the corner it begins with."""
     landings = [k for k in range(stretch.corners.start, stretch.corners.stop) if times.kind[k] == LAND]
     if not landings:
-        return []
+        return {}
     squares = _squares(series, workspace, times, levels, stretch)
     own = series.time[stretch.own]
-    sizes = []
+    sizes = {}
     for k in landings:
         end = times.at[k] + AROUND * times.unit
         if k + 1 < stretch.corners.stop:
             end = min(end, float(times.at[k + 1]))
         i, j = np.searchsorted(own, (times.at[k], end))
-        sizes.append(float(squares[i:j].mean()) if j - i >= 8 else 0.0)
-    usual = max(float(np.median(sizes)), 1.0)
-    return [k for k, size in zip(landings, sizes, strict=True) if size > ODD * usual]
+        sizes[k] = float(squares[i:j].mean()) if j - i >= 8 else 0.0
+    return sizes
+
+
+def _usual(misfit: list[dict[int, float]]) -> float:
+    sizes = [size for own in misfit for size in own.values()]
+    return max(float(np.median(sizes)), 1.0) if sizes else 1.0
 
 
 def _squares(

@@ -12,6 +12,7 @@ import numpy as np
 
 from daq.compute.arrays import Array, Mask, runs
 from daq.runfile.rig import Measured
+from processing.record.estimates import RecordEstimates
 from processing.record.motion import Corner, Motion, Phase, PhaseSegmentation
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED, reported_speed, speed_before_creep
@@ -23,18 +24,18 @@ Stick = tuple[float, float, float, float]  # start, end, and their standard devi
 def segment_at_corners(
     series: Series,
     motion: Motion,
-    corners: tuple[Corner, ...],
     moving: Mask,
     stated: float | None,
     measured: Measured | None,
+    estimates: RecordEstimates,
 ) -> PhaseSegmentation:
-    """Lay out the phases between corners that a method has fitted, with the uncertainties of their times."""
+    """Lay out the phases between the corners that a method has fitted, with the uncertainties of their times."""
     moving = moving.copy()
     sticks: list[Stick] = []
     time = series.time
     for piece in series.pieces:
         begin, end = float(time[piece.start]), float(time[piece.stop - 1])
-        inside = [corner for corner in corners if begin <= corner.time <= end]
+        inside = [corner for corner in motion.corners if begin <= corner.time <= end]
         if inside and inside[0].what == "start":
             moving[piece.start : np.searchsorted(time, inside[0].time)] = False
         if inside and inside[-1].what == "stop":
@@ -51,13 +52,17 @@ def segment_at_corners(
             sticks.append((landed.time, end, landed.sd, math.inf))
     bounds = [(np.searchsorted(time, stick[0]), np.searchsorted(time, stick[1], side="right")) for stick in sticks]
     velocity = [motion.velocity[first:end] for first, end in bounds]
-    held = np.concatenate(velocity) if velocity else np.empty(0)
-    level = math.nan
-    if held.size:
-        level = float(held[np.abs(held - np.median(held)) <= SAME_SPEED * abs(np.median(held))].mean())
-        level = speed_before_creep(velocity, motion.window, level)
+    level = estimates.once("level", lambda: _speed_of_sticks(velocity, motion.window))
     phases = phases_from_sticks(series, moving, sticks)
     return PhaseSegmentation(reported_speed(stated, measured, level, bool(sticks)), phases, level)
+
+
+def _speed_of_sticks(velocity: list[Array], window: int) -> float:
+    held = np.concatenate(velocity) if velocity else np.empty(0)
+    if not held.size:
+        return math.nan
+    level = float(held[np.abs(held - np.median(held)) <= SAME_SPEED * abs(np.median(held))].mean())
+    return speed_before_creep(velocity, window, level)
 
 
 def corners_of_plateau(

@@ -24,6 +24,7 @@ import numpy as np
 from daq.compute.arrays import Array, Mask
 from daq.runfile.rig import Measured
 from processing.kalman import white_jerk
+from processing.record.estimates import RecordEstimates
 from processing.record.motion import BeltMotion, Motion, PhaseSegmentation
 from processing.record.noise import position_noise
 from processing.record.series import Series
@@ -57,6 +58,7 @@ def segment(
     measured: Measured | None = None,
     stated: float | None = None,
     belt: BeltMotion | None = None,
+    estimates: RecordEstimates | None = None,
 ) -> PhaseSegmentation:
     """Find sticks, slips and belt speed.
 
@@ -70,15 +72,18 @@ def segment(
         Belt speed that a person stated, m/s, signed: sticks are looked for at that speed alone.
     belt : BeltMotion, optional
         The belt's own motion, where it has an encoder; ``stated`` takes precedence over it.
+    estimates : RecordEstimates, optional
+        Of the record that this is a block of: its thresholds and speeds.
     """
+    estimates = estimates or RecordEstimates()
     if stated is not None:
         belt = None
     moving = in_motion(series)
-    if motion.corners:
-        cut = segment_at_corners(series, motion, motion.corners, moving, stated, measured)
+    if motion.corners or (estimates.closed and motion.method == "segment"):
+        cut = segment_at_corners(series, motion, moving, stated, measured, estimates)
         return cut if belt is None else replace(cut, belt_speed=belt.speed(moving))
     source = (series, motion) if belt is None else (belt.series, belt.motion)
-    seen, tolerance = _smooth_until_resolved(*source, moving)
+    seen, tolerance = _search_motion(*source, moving, estimates)
     rides = seen if belt is None else motion
     size = _centred(seen, series.pieces)
     flat = (size <= tolerance) & moving
@@ -88,7 +93,7 @@ def segment(
     plateaus = [
         run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, rides)
     ]
-    common = common_speed(rides, plateaus)
+    common = estimates.once("common speed", lambda: common_speed(rides, plateaus))
     level = stated if stated is not None else common
     sticks: list[Stick] = []
     for run in plateaus:
@@ -101,7 +106,7 @@ def segment(
     phases = phases_from_sticks(series, moving, sticks)
     if stated is None and belt is None:
         held = [rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
-        level = speed_before_creep(held, motion.window, level)
+        level = estimates.once("level", lambda: speed_before_creep(held, motion.window, common))
     speed = reported_speed(stated, measured, level, bool(sticks)) if belt is None else belt.speed(moving)
     return PhaseSegmentation(speed, phases, common)
 
@@ -112,8 +117,11 @@ def in_motion(series: Series) -> Mask:
     Rest lasts until the position has left its first value by more than two and a half counts (without counts: by a
     thousandth of the record's travel, or five standard deviations of a position where that is more).
     """
+    if series.moving is not None:
+        begin, end = series.moving
+        return np.asarray((series.time >= begin) & (series.time <= end))
     x = series.position
-    slack = 2.5 * series.pitch if series.pitch else max(1e-3 * float(np.ptp(x)), 5 * position_noise(series))
+    slack = slack_at_rest(series.pitch, float(np.ptp(x)), 0.0 if series.pitch else position_noise(series))
     away = np.flatnonzero(np.abs(x - x[0]) > slack)
     back = np.flatnonzero(np.abs(x - x[-1]) > slack)
     mask = np.zeros(x.size, bool)
@@ -124,6 +132,11 @@ def in_motion(series: Series) -> Mask:
         if (x.size - 1 - back[-1]) * series.interval < LEAST_STICK:
             mask[back[-1] :] = True
     return mask
+
+
+def slack_at_rest(pitch: float, travel: float, noise: float) -> float:
+    """Return what positions at rest may differ by, m, from the pitch, the record's travel and its noise, all in m."""
+    return 2.5 * pitch if pitch else max(1e-3 * travel, 5 * noise)
 
 
 def _peak(motion: Motion, moving: Mask) -> float:
@@ -147,11 +160,24 @@ def _noise(motion: Motion, moving: Mask) -> float:
     return share * float(np.median(some))
 
 
-def _smooth_until_resolved(series: Series, motion: Motion, moving: Mask) -> tuple[Motion, float]:
-    """Return a motion whose acceleration is clear enough of noise to show a plateau, and what counts as none, m/s^2.
+def _search_motion(series: Series, motion: Motion, moving: Mask, estimates: RecordEstimates) -> tuple[Motion, float]:
+    """Return what `_smooth_until_resolved` does, with the noise levels and the tolerance of the record."""
+    if estimates.known("search"):
+        noise, tolerance = estimates.once("search", lambda: (None, math.nan))
+        return (motion if noise is None else white_jerk.smooth(series, noise)), tolerance
+    seen, noise, tolerance = _smooth_until_resolved(series, motion, moving)
+    estimates.once("search", lambda: (noise, tolerance))
+    return seen, tolerance
 
-    What is best for the velocity can be too rough for that, and differences never show one: then the record is
-    smoothed again, for the search alone, by `processing.kalman.white_jerk` with ever less jerk.
+
+def _smooth_until_resolved(
+    series: Series, motion: Motion, moving: Mask
+) -> tuple[Motion, white_jerk.Noise | None, float]:
+    """Return a motion whose acceleration is clear enough of noise to show a plateau, and the tolerance of the search.
+
+    Between them are the noise levels that made it, None if it is ``motion``; the tolerance is what counts as no
+    acceleration, m/s^2.  What is best for the velocity can be too rough for that, and differences never show one: then
+    the record is smoothed again, for the search alone, by `processing.kalman.white_jerk` with ever less jerk.
     """
     seen = motion
     longest = max(own.stop - own.start for own in series.pieces) // 8
@@ -169,7 +195,7 @@ def _smooth_until_resolved(series: Series, motion: Motion, moving: Mask) -> tupl
                 noise = white_jerk.Noise(noise.jerk / 2, noise.reading)
         seen = white_jerk.smooth(series, noise)
     rounding = ROUNDING * float(np.abs(seen.velocity).max()) / series.interval
-    return seen, max(FLAT * peak, 5 * scatter, rounding)
+    return seen, noise, max(FLAT * peak, 5 * scatter, rounding)
 
 
 def _centred(motion: Motion, pieces: tuple[slice, ...]) -> Array:

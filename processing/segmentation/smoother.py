@@ -17,6 +17,7 @@ break-away level differs from sliding friction).  A stick on an uneven belt is s
 Not modelled: corners within a slip other than kicks, and counts that hardly change.
 """
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
@@ -31,12 +32,14 @@ from processing.kalman.snap_kernel import (
     LEAVE,
     MEET,
     OVERTAKE,
+    RIDE,
     SLIP,
     START,
     STICK,
     STOP,
     NoiseLevels,
 )
+from processing.record.estimates import RecordEstimates
 from processing.record.motion import Corner, Motion
 from processing.record.series import Series
 from processing.record.setting import Setting
@@ -55,32 +58,58 @@ LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit`
 
 
 def segmented(
-    series: Series, noise: white_jerk.Noise, pilot: Motion, setting: Setting, *, gated: bool
+    series: Series, noise: white_jerk.Noise, pilot: Motion, setting: Setting, estimates: RecordEstimates, *, gated: bool
 ) -> Motion | None:
-    """Return the motion by segments, or None when there is no stick (or none that model selection accepts)."""
-    found = plateaus.segment(series, pilot, None, setting.belt_speed)
-    first = initial_switching_times(series, found)
-    if not first.at.size:
+    """Return the motion by segments, or None when there is no stick (or none that model selection accepts).
+
+    In a block of a record whose estimates are closed it is None only where the whole record has none.
+    """
+    while estimates.closed and estimates.has_part("rest"):
+        estimates = estimates.part("rest")
+    if estimates.closed and not estimates.known("accepted"):
         return None
+    found = plateaus.segment(series, pilot, None, setting.belt_speed, estimates=estimates.part("plateaus"))
+    first = initial_switching_times(series, found)
+    if not first.at.size and not estimates.closed:
+        return None
+    first = replace(first, unit=estimates.once("unit", lambda: first.unit))
     workspace = Workspace()
-    levels = first_levels(series, noise, pilot, first.unit)
+    levels = estimates.once("first levels", lambda: first_levels(series, noise, pilot, first.unit))
     times = refine_switching_times(series, workspace, first, levels, 1.0)
-    times = with_overtaking(series, workspace, times, levels)
+    times = with_overtaking(series, workspace, times, levels, estimates)
     early = times, levels
-    if times.at.size > first.at.size:
-        first = times
-    levels = reestimate_noise(series, workspace, times, levels, 1)
-    levels = reestimate_noise(series, workspace, times, with_mean_snap(series, times, levels), 1)
+    first = _with_overtakes_of(first, times)
+    levels = estimates.once("levels", lambda: _estimated(series, workspace, *early))
     times = refine_switching_times(series, workspace, times, levels, 0.25)
     if gated:
-        kept = model_selection.accept_sticks(series, workspace, times, levels, noise, first)
+        kept = model_selection.accept_sticks(series, workspace, times, levels, noise, first, estimates.part("gate"))
         if isinstance(kept, list):
             # One stick may fit so badly that it raises the noise of all: then none of the others is accepted either.
             bad = misfits(series, workspace, *early) > BAD
             odd = kept or model_selection.odd_spans(series, early[0], sticks_of(early[0]), bad)
-            return _around(series, noise, pilot, setting, times, odd) if odd else None
+            return _around(series, noise, pilot, setting, estimates, times, odd) if odd else None
         times, levels = kept
-    return _averaged(series, workspace, times, levels, pilot.window)
+    estimates.once("accepted", lambda: True)
+    return _averaged(series, workspace, times, levels, pilot.window, estimates)
+
+
+def _with_overtakes_of(first: SwitchingTimes, times: SwitchingTimes) -> SwitchingTimes:
+    """Return the times before the first refinement, with the overtaking landings that were found after it."""
+    over = np.flatnonzero(times.kind == OVERTAKE)
+    if not over.size:
+        return first
+    at, sd = (
+        np.insert(first.at, over - np.arange(over.size), 0.0),
+        np.insert(first.sd, over - np.arange(over.size), 0.0),
+    )
+    both = np.concatenate((over, over + 1))
+    at[both], sd[both] = times.at[both], times.sd[both]
+    return replace(times, at=at, sd=sd)
+
+
+def _estimated(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> NoiseLevels:
+    levels = reestimate_noise(series, workspace, times, levels, 1)
+    return reestimate_noise(series, workspace, times, with_mean_snap(series, times, levels), 1)
 
 
 def _around(
@@ -88,6 +117,7 @@ def _around(
     noise: white_jerk.Noise,
     pilot: Motion,
     setting: Setting,
+    estimates: RecordEstimates,
     times: SwitchingTimes,
     odd: list[tuple[float, float]],
 ) -> Motion | None:
@@ -109,17 +139,25 @@ def _around(
     )
     names = [f"{name}{end}" for name in ("position", "velocity", "acceleration") for end in ("", "_errors")]
     first = replace(pilot, **{name: getattr(pilot, name)[kept] for name in names})
-    found = segmented(rest, noise, first, setting, gated=True)
+    others = estimates if estimates.closed else estimates.part("rest")
+    found = segmented(rest, noise, first, setting, others, gated=True) if rest.time.size else None
     if found is None:
         return None
     whole = {name: getattr(pilot, name).copy() for name in names}
     for name in names:
         whole[name][kept] = getattr(found, name)
-    inside = [corner for corner in _corners(times) if any(low < corner.time < high for low, high in odd)]
+    inside = [corner for corner in _corners(series, times) if any(low < corner.time < high for low, high in odd)]
     return replace(found, **whole, corners=tuple(sorted((*found.corners, *inside), key=lambda corner: corner.time)))
 
 
-def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, window: int) -> Motion:
+def _averaged(
+    series: Series,
+    workspace: Workspace,
+    times: SwitchingTimes,
+    levels: NoiseLevels,
+    window: int,
+    estimates: RecordEstimates,
+) -> Motion:
     """Smooth, averaging over the uncertainty of the switching times: each a standard deviation early, and late.
 
     The smoother's variance has a share of the readings and one of the process noise.  A slip is smooth but for its
@@ -128,7 +166,7 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, level
     1 - (2 d + 1)/8 in the d-th derivative.
     """
     early, stick = _run(series, workspace, times, -1.0, levels)
-    _straighten(series, stick, times, levels, early)
+    _straighten(series, stick, times, levels, early, estimates)
     late, stick_late = _run(series, workspace, times, 1.0, levels)
     line = stick & stick_late
     for derivative in range(3):  # one at a time, so that what is computed on the way stays in the processor's cache
@@ -139,13 +177,18 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, level
         value += half
         np.copyto(variance, share * (variance + late[3 + derivative]) / 2 + half**2, where=~line)
         np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
-    corners = tuple(_corners(times))
+    corners = tuple(_corners(series, times))
     return Motion.from_rows(series, early[:3], early[3:], window=window, order=ORDER, method="segment", corners=corners)
 
 
-def _corners(times: SwitchingTimes) -> list[Corner]:
+def _corners(series: Series, times: SwitchingTimes) -> list[Corner]:
+    """Return the corners; a piece that is one stick throughout has landed where it begins."""
     rows = zip(times.at.tolist(), times.sd.tolist(), times.kind.tolist(), strict=True)
-    return [Corner(at, sd, WHAT[kind]) for at, sd, kind in rows]
+    found = [Corner(at, sd, WHAT[kind]) for at, sd, kind in rows]
+    for stretch in stretches(series, times):
+        if stretch.first in (STICK, RIDE) and stretch.corners.start == stretch.corners.stop:
+            found.append(Corner(float(series.time[stretch.own.start]), math.inf, "land"))
+    return sorted(found, key=lambda corner: corner.time)
 
 
 def _run(
@@ -172,16 +215,28 @@ def _run(
     return motion, stick
 
 
-def _straighten(series: Series, stick: Mask, times: SwitchingTimes, levels: NoiseLevels, motion: Array) -> None:
+def _straighten(
+    series: Series, stick: Mask, times: SwitchingTimes, levels: NoiseLevels, motion: Array, estimates: RecordEstimates
+) -> None:
     """Replace what lies in sticks by straight lines; their errors are scaled to what neighbouring lines differ by."""
     window = max(int(LINE * times.unit / series.interval), 16)
     variance = float(levels.reading_variance[STICK])
     run = compiled(line_fit.fit_lines, KERNELS)
+    every = []
     for piece in series.pieces:
         sticks = [(piece.start + i, piece.start + j) for i, j in runs(stick[piece]) if j - i >= 8]
         ratios = [run(series.time, series.position, i, j, window, variance, motion) for i, j in sticks]
         differing = [ratio for ratio in ratios if ratio]
-        # A prior of four sticks on an even belt: few windows do not scale the errors by chance.
-        factor = (sum(differing) + 4.0) / (len(differing) + 4.0)
+        every += differing
+        factor = estimates.once("line factor", lambda: math.nan) if estimates.closed else _line_factor(differing)
         for i, j in sticks:
             motion[3:, i:j] *= factor
+    estimates.once("line factor", lambda: _line_factor(every))
+
+
+def _line_factor(differing: list[float]) -> float:
+    """Return what the errors of lines are scaled by, from the ratios of `line_fit.fit_lines`.
+
+    A prior of four sticks on an even belt: few windows do not scale the errors by chance.
+    """
+    return (sum(differing) + 4.0) / (len(differing) + 4.0)
