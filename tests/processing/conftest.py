@@ -31,6 +31,14 @@ class Motion:
     sticks: tuple[tuple[float, float], ...]
 
 
+@dataclass(frozen=True, eq=False)
+class PulledRecord:
+    """A force record, and its slips as (start, end), s."""
+
+    recording: Recording
+    slips: tuple[tuple[float, float], ...]
+
+
 def curve(law: int, s: float) -> float:
     """Friction over mass, as a share of Fs/m, at slip speed s >= 0."""
     if law in (1, 2):
@@ -144,6 +152,31 @@ def run_data(true: Motion, with_truth: bool = False) -> Recording:
     return replace(run, truth=truth)
 
 
+def pulled(duration: float, speed: float = 0.0258, seed: int = 1, rate: float = 2000.0) -> PulledRecord:
+    """Return the force of a slider that is pulled slowly: creep before break-away, slips of 25 ms, spikes.
+
+    Sizes are those of the published records of paper on paper: force over weight, sticks of 0.7 to 2 s, 18 spikes a
+    second, noise of one printed step.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(duration * rate)) / rate
+    v, slips = np.full(time.size, speed), []
+    at = rng.uniform(0.3, 1.0)
+    while at < duration:
+        fall, slip = rng.uniform(0.02, 0.06), rng.uniform(0.02, 0.03)
+        creep = (time > at - 0.4) & (time <= at)
+        v[creep] *= 1 - 0.5 * ((time[creep] - at + 0.4) / 0.4) ** 2
+        own = (time > at) & (time <= at + slip)
+        v[own] = speed - (fall / slip + speed) * (1 - np.cos(2 * np.pi * (time[own] - at) / slip))
+        slips.append((at, at + slip))
+        at += slip + rng.uniform(0.7, 2.0) * 0.0258 / speed
+    x = np.cumsum(v) / rate + 7e-4 * rng.standard_normal(time.size)
+    spikes = rng.random(time.size) < 18 / rate
+    x[spikes] += rng.choice([-1.0, 1.0], spikes.sum()) * rng.uniform(5e-3, 3e-2, spikes.sum())
+    record = _recording("pulled.h5", time, np.round(x / 6e-4) * 6e-4, rate, Rig())
+    return PulledRecord(record, tuple(own for own in slips if own[1] < duration))
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _compiled(smoothing_kernels: None) -> None:
     """Nothing here speaks of compiling on stderr."""
@@ -162,6 +195,11 @@ def _recorded() -> Callable[..., Recording]:
 @pytest.fixture(name="imported")
 def _imported() -> Callable[..., Recording]:
     return imported
+
+
+@pytest.fixture(name="pulled")
+def _pulled() -> Callable[..., PulledRecord]:
+    return pulled
 
 
 @pytest.fixture(name="run_data")

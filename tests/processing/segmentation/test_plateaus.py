@@ -196,4 +196,4 @@ def test_half_sample_mode_finds_the_heap_and_not_the_mean():
 def test_a_first_sample_far_from_the_others_leaves_a_record_without_motion():
     # White noise that began with an outlier ended in an IndexError: nothing was as far from the last sample.
     x = np.r_[1.0, np.full(50, 0.4), 0.6]
-    assert not plateaus.in_motion(SimpleNamespace(position=x, pitch=0.2, interval=1e-3)).any()
+    assert not plateaus.in_motion(SimpleNamespace(position=x, pitch=0.2, interval=1e-3, moving=None)).any()
