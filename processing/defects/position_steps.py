@@ -80,7 +80,7 @@ def position_steps(series: Series, estimates: RecordEstimates | None = None) -> 
     counted = bool(series.pitch)
     estimates = estimates or RecordEstimates()
     unit = estimates.once("unit", lambda: series.pitch if counted else PER_NOISE * position_noise(series))
-    if not unit:
+    if not unit or (estimates.known("datum") and not estimates.once("datum", lambda: True)):
         return ()
     found: list[PositionStep] = []
     for number, piece in enumerate(series.pieces):
