@@ -54,6 +54,23 @@ class ChangeModels:
         squares = (y @ y - np.einsum("mi,mi->m", solved, product)) / y.size
         return solved, np.maximum(squares, ROUNDED)
 
+    def fit_beside(self, column: Array, count: Array) -> tuple[Array, Array]:
+        """Fit each model of one column together with another ``column``, (n,), to n counts.
+
+        Returns its coefficients, (m,), and the mean squares left, (m,), as `fit`.
+        """
+        both = np.stack((column, count)) - (np.stack((column, count)) @ self.smooth) @ self.smooth.T
+        other, y = both
+        columns = self.columns[:, 0]
+        own = np.einsum("mn,mn->m", columns, columns) * (1 + RIDGE)
+        beside, square = columns @ other, float(other @ other) * (1 + RIDGE)
+        shared = own * square - beside**2
+        product, wanted = columns @ y, float(other @ y)
+        size = (own * wanted - beside * product) / shared
+        corner = (square * product - beside * wanted) / shared
+        squares = (y @ y - size * wanted - corner * product) / y.size
+        return size, np.maximum(squares, ROUNDED)
+
 
 def change_models(columns: Array, times: Array, degree: int) -> ChangeModels:
     """Return the models with columns (m, k, n) beside polynomials of ``degree`` in ``times``, (n,)."""

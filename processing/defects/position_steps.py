@@ -21,7 +21,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from daq.compute.arrays import Array
-from processing.defects.change_point import ChangeModels, change_models, jump_weights
+from processing.defects.change_point import ROUNDED, ChangeModels, change_models, jump_weights
 from processing.polynomial.even_grid import even_grid
 from processing.record.estimates import RecordEstimates
 from processing.record.noise import position_noise
@@ -174,7 +174,7 @@ def _tested(count: Array, low: int, high: int, limits: StepLimits) -> tuple[int,
     place = low - begin, high - begin, end - begin
     models, own = _models(*place), count[begin:end] - count[begin]
     best_bent = float(models.bent.fit(own)[1].min())
-    if best_bent < limits.clear:
+    if best_bent < max(limits.clear, min(limits.abrupt, BETTER) * ROUNDED):  # no model leaves less than `ROUNDED`
         return None
     first, width, stepped = models.first, models.width, models.stepped
     sizes, squares = stepped.fit(own)
@@ -189,11 +189,13 @@ def _tested(count: Array, low: int, high: int, limits: StepLimits) -> tuple[int,
     size, square = float(sizes[at, 0]), float(squares[at])
     if square * better > best_bent:
         # Perhaps a step beside a corner: both together, against any two corners.
-        step = np.broadcast_to(_steps(own.size, first[at : at + 1], width[at : at + 1]), models.corners.shape)
-        sizes, squares = change_models(np.stack((step, models.corners), axis=1), models.times, DEGREE).fit(own)
+        bent = min(best_bent, float(_two_corners(*place).fit(own)[1].min()))
+        if ROUNDED * better > bent:
+            return None
+        sizes, squares = models.bent.fit_beside(_steps(own.size, first[at : at + 1], width[at : at + 1])[0], own)
         both = int(np.argmin(squares))
-        size, square = float(sizes[both, 0]), float(squares[both])
-        if square * better > min(best_bent, float(_two_corners(*place).fit(own)[1].min())):
+        size, square = float(sizes[both]), float(squares[both])
+        if square * better > bent:
             return None
     if abs(size) < limits.least:
         return None
