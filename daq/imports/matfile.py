@@ -5,6 +5,7 @@ length that most vectors share is the table's.  Not read: files saved with -v7.3
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,10 +44,10 @@ def read(path: Path) -> Table:
         matrix = value.reshape(-1, 1) if 1 in value.shape else value
         for k, own in enumerate(matrix.T, start=1):
             label = name if matrix.shape[1] == 1 else f"{name}_{k}"
-            columns[label] = [repr(number) for number in own.astype(np.float64).tolist()]
+            columns[label] = list(map(repr, own.astype(np.float64).tolist()))
     if not columns:
         raise InputError("holds no vector of real numbers", where, "give a file with times and positions in it")
     length = Counter(map(len, columns.values())).most_common(1)[0][0]
     names = tuple(name for name, cells in columns.items() if len(cells) == length)
-    rows = [list(row) for row in zip(*(columns[name] for name in names), strict=True)]
+    rows: list[Sequence[str]] = list(zip(*(columns[name] for name in names), strict=True))
     return Table(path, names, rows, list(range(1, length + 1)), len(names), "\t", ".")

@@ -7,7 +7,7 @@ from there on every line must be, or is left out on request and counted.
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "
 COMMENTS = ("#", "%", "//")
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
 ColumnReader = tuple[int, Callable[[str], float | None], str]
+TOGETHER = 4096  # rows whose cells are converted together; half and double change the CPU time by less than 5 %
 LISTED = 5  # lines named in a message about many
 
 
@@ -41,7 +42,7 @@ class Table:
         The file.
     names : tuple of str
         The header; empty without one.
-    rows : list of list of str
+    rows : list of sequence of str
         The cells of each line of data.
     lines : list of int
         Line number of each row in the file, from 1.
@@ -55,7 +56,7 @@ class Table:
 
     path: Path
     names: tuple[str, ...]
-    rows: list[list[str]]
+    rows: list[Sequence[str]]
     lines: list[int]
     width: int
     delimiter: str
@@ -100,32 +101,53 @@ class Table:
         InputError
             For a line of another length or a cell that cannot be read, naming line and column, and how many there are.
         """
-        values: list[list[float]] = []
+        values: list[Array] = []
         kept: list[int] = []
         bad: list[Skipped] = []
         first: int | None = None
-        for index, (line, row) in enumerate(zip(self.lines, self.rows, strict=True)):
-            found: list[float] = []
-            for column, reader, kind in readers if len(row) == self.width else ():
-                value = reader(row[column])
-                if value is None:
-                    cell = row[column].strip()
-                    what = f"holds {_short(cell)}, not {kind}" if cell else "is empty"
-                    bad.append(Skipped(line, f"{self.label(column)} {what}"))
-                    first = column if len(bad) == 1 else first
-                    break
-                found.append(value)
-            else:
-                if len(row) == self.width:
-                    values.append(found)
-                    kept.append(index)
+        for begin in range(0, len(self.rows), TOGETHER):
+            rows = self.rows[begin : begin + TOGETHER]
+            plain = self._plain(rows, readers)
+            if plain is not None:
+                values.append(plain)
+                kept += range(begin, begin + len(rows))
+                continue
+            found: list[list[float]] = []
+            for index, row in enumerate(rows, start=begin):
+                cells: list[float] = []
+                for column, reader, kind in readers if len(row) == self.width else ():
+                    value = reader(row[column])
+                    if value is None:
+                        cell = row[column].strip()
+                        what = f"holds {_short(cell)}, not {kind}" if cell else "is empty"
+                        bad.append(Skipped(self.lines[index], f"{self.label(column)} {what}"))
+                        first = column if len(bad) == 1 else first
+                        break
+                    cells.append(value)
                 else:
-                    bad.append(Skipped(line, f"has {len(row)} columns where the others have {self.width}"))
+                    if len(row) == self.width:
+                        found.append(cells)
+                        kept.append(index)
+                    else:
+                        what = f"has {len(row)} columns where the others have {self.width}"
+                        bad.append(Skipped(self.lines[index], what))
+            values.append(np.array(found, np.float64).reshape(-1, len(readers)).T)
         if bad and not skip:
             raise InputError(_bad_lines(bad), self.place(bad[0].line, first), _advice(self, bad, kept))
-        rows, lines = [self.rows[index] for index in kept], [self.lines[index] for index in kept]
-        good = Table(self.path, self.names, rows, lines, self.width, self.delimiter, self.decimal, self.header_line)
-        return np.array(values, np.float64).reshape(len(kept), len(readers)).T, good, tuple(bad)
+        good = self
+        if bad:
+            good = replace(self, rows=[self.rows[index] for index in kept], lines=[self.lines[index] for index in kept])
+        return np.concatenate([np.empty((len(readers), 0)), *values], axis=1), good, tuple(bad)
+
+    def _plain(self, rows: list[Sequence[str]], readers: Sequence[ColumnReader]) -> Array | None:
+        """Return the columns of some rows as numbers, (columns, rows); None unless each cell is a plain number."""
+        if {*map(len, rows)} != {self.width} or any(reader != self.number for _, reader, _ in readers):
+            return None
+        found = [layout.plain_numbers([row[column] for row in rows], self.decimal) for column, _, _ in readers]
+        if any(numbers is None for numbers in found):
+            return None
+        values = np.array(found, np.float64)
+        return values if np.isfinite(values).all() else None
 
 
 def listed(bad: Sequence[Skipped]) -> str:
@@ -167,8 +189,13 @@ def read(path: Path, preamble: int = 0) -> Table:
     lines, named = _lines(path, preamble)
     texts = [text for _, text in lines]
     delimiter, decimal = layout.find_format(texts, named)
-    rows = [layout.split(text, delimiter) for text in texts]
-    data = [row for row in rows if any(layout.number(cell, decimal) is not None for cell in row)]
+    rows: list[Sequence[str]] = [layout.split(text, delimiter) for text in texts]
+    data = []
+    for begin in range(0, len(rows), TOGETHER):
+        some = rows[begin : begin + TOGETHER]
+        if layout.plain_numbers([row[0] if row else "" for row in some], decimal) is None:
+            some = [row for row in some if any(layout.number(cell, decimal) is not None for cell in row)]
+        data += some
     if data and all(len(row) > 1 and not row[-1].strip() for row in data):
         # Every line closes with a delimiter.
         rows = [row[:-1] if len(row) > 1 and not row[-1].strip() else row for row in rows]
