@@ -16,7 +16,7 @@ from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.linear import first_extreme
 from rig_sim.integrate.phases import increments, is_series, phase_exit
-from rig_sim.integrate.taylor import first_root, value
+from rig_sim.integrate.polynomial import first_root, value
 
 STEPS_ALLOWED_HERE = 20_000  # of the integrator, in a whole search: some thousand turns without an event
 PHASES_PER_TURN = 200
@@ -118,9 +118,10 @@ def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Bu
         work[buffer.U + buffer.ORDER] = 0.0
         found = []
         for series, target in ((buffer.W, level), (buffer.U, 0.0)):
-            before, behind = work[series] - target, value(work, series, tau / scale) - target
+            before, behind = work[series] - target, value(work, series, buffer.ORDER, tau / scale) - target
             if before * behind < 0.0:
-                found.append(scale * first_root(work, series, target, -1 if before > 0.0 else 1, tau / scale))
+                side = -1 if before > 0.0 else 1
+                found.append(scale * first_root(work, series, buffer.ORDER, target, side, tau / scale))
         return found
     C, _ = linear_terms(fr, mode)
     zeta = 0.5 * C / fr.m

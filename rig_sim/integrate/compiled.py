@@ -17,6 +17,7 @@ KERNEL_MODULES = (
     "rig_sim.integrate.buffer",
     "rig_sim.flow.contact_state",
     "rig_sim.integrate.linear",
+    "rig_sim.integrate.polynomial",
     "rig_sim.integrate.taylor",
     "rig_sim.integrate.driven",
     "rig_sim.integrate.phases",

@@ -1,4 +1,4 @@
-"""Taylor series of order 28 for hyperbolic slip and for driven slip, with events found on the polynomial for certain.
+"""Taylor series of order 28 for hyperbolic slip and for driven slip.
 
 With the slip speed beyond the contact s and q = 1 + gamma s, the hyperbola A/q = A + D obeys D q = A (1 - q), which
 gives its coefficients one after another.  Time is scaled by the phase's fastest local rate, so that no coefficient
@@ -7,11 +7,7 @@ overflows whatever gamma is; the step is where the last terms fall below roundin
 Where the belt droops, s is not linear in w: q - lag D/A_ is (A_ the level as an acceleration, lag = droop gamma), which
 takes the term D_n of q_n to the left: D_n (1 - lag/q0^2) = -(sum + bend w_n level).
 
-An event is the first root of w - level on the step.  Leading zero coefficients (a phase begins on its edge, often with
-w' = 0) are divided out, so that the start is never found again.  Most steps stray too little from their first term to
-reach the level.  Otherwise the step is searched with a bound on the second derivative: a piece is passed only when the
-bound excludes a root, and a root is polished only on a piece where the bound proves w monotone; pieces are halved until
-one of the two holds.
+An event is the first root of w - level on the step (`rig_sim.integrate.polynomial`).
 """
 
 import math
@@ -20,7 +16,8 @@ from rig_sim.flow.frame import Frame, curve_deficit, drive, kept_inside, linear_
 from rig_sim.flow.modes import NEGATIVE, RAMP
 from rig_sim.friction.curve import HYPERBOLIC
 from rig_sim.integrate.buffer import ORDER, TIME_SCALE, Buffer, D, P, Q, U, W
-from rig_sim.integrate.newton import EPS, newton_step
+from rig_sim.integrate.newton import EPS
+from rig_sim.integrate.polynomial import first_root
 
 INVERSE = (0.0, *(1.0 / j for j in range(1, ORDER + 1)))
 SETTLED = 64.0 * EPS  # speed and force, relative, at which a stable fixed point counts as reached
@@ -28,8 +25,6 @@ ROUNDING_SIZE = -53.0  # log2 of half an ulp
 LOG_2 = math.log(2.0)
 LARGEST_STEP_SIZE = 2.0  # log2 of the longest step in scaled time: beyond, terms far above their sum cancel
 NO_SIZE = -1e6  # stands for log2 of 0
-SHORTEST_PIECE = 1e-9  # of a step: over it a parabola stays within rounding
-PIECES = 300  # three times what halving down to the shortest piece on both sides of a tangency takes
 
 
 def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> float:
@@ -195,14 +190,6 @@ def reach(work: Buffer, c0: float, c1: float) -> float:
     return math.exp(LOG_2 * shortest)
 
 
-def value(c: Buffer, at: int, xi: float) -> float:
-    """Return the polynomial whose coefficients begin at ``c[at]`` at scaled time ``xi``."""
-    total = c[at + ORDER]
-    for j in range(at + ORDER - 1, at - 1, -1):
-        total = total * xi + c[j]
-    return float(total)
-
-
 def changes(work: Buffer, xi: float) -> tuple[float, float]:
     """Return by how much (p, w) have changed at scaled time ``xi``: two chains that do not wait for each other."""
     w = work[W + ORDER]
@@ -211,109 +198,6 @@ def changes(work: Buffer, xi: float) -> tuple[float, float]:
         w = w * xi + work[W + j]
         p = p * xi + work[P + j]
     return p * xi, w * xi
-
-
-def deflated(c: Buffer, at: int, zeros: int, level: float, xi: float) -> tuple[float, float]:
-    """Return value and slope of (polynomial - level) / xi^zeros, whose ``zeros`` lowest coefficients vanish."""
-    total = c[at + ORDER]
-    slope = 0.0
-    for j in range(at + ORDER - 1, at + zeros - 1, -1):
-        slope = slope * xi + total
-        total = total * xi + c[j]
-    if zeros == 0:
-        total -= level
-    return total, slope
-
-
-def spread(c: Buffer, at: int, zeros: int, xi: float) -> float:
-    """Return a bound on how far `deflated` strays from its first term over [0, xi]."""
-    total = abs(c[at + ORDER])
-    for j in range(at + ORDER - 1, at + zeros, -1):
-        total = total * xi + abs(c[j])
-    return float(total * xi)
-
-
-def survey(c: Buffer, at: int, zeros: int, level: float, xi: float) -> tuple[float, float, float]:
-    """Return what `deflated` does, and a bound on the second derivative over [0, xi]."""
-    total = c[at + ORDER]
-    slope = 0.0
-    n = ORDER - zeros
-    bound = n * (n - 1.0) * abs(total)
-    for j in range(ORDER - 1, zeros + 1, -1):
-        n = j - zeros
-        slope = slope * xi + total
-        total = total * xi + c[at + j]
-        bound = bound * xi + n * (n - 1.0) * abs(c[at + j])
-    for j in range(at + zeros + 1, at + zeros - 1, -1):
-        slope = slope * xi + total
-        total = total * xi + c[j]
-    if zeros == 0:
-        total -= level
-    return total, slope, bound
-
-
-def first_root(c: Buffer, at: int, level: float, side: int, xi_end: float) -> float:
-    """Return the first xi in [0, xi_end] where the polynomial leaves through ``level``, or -1.
-
-    ``side`` +1: the inside is below the level, -1: above it.  A start outside, or on the level moving out, gives 0.
-    """
-    zeros = 0
-    lead = side * (level - c[at])
-    if lead < 0.0:
-        return 0.0
-    if lead == 0.0:
-        zeros = 1
-        while zeros < 4 and c[at + zeros] == 0.0:
-            zeros += 1
-        lead = -side * c[at + zeros]
-        if lead < 0.0:
-            return 0.0
-        if lead == 0.0:
-            return -1.0
-    if lead > spread(c, at, zeros, xi_end):
-        return -1.0
-    rounding = EPS * (lead if zeros > 0 else max(abs(level), abs(c[at])))
-    total, slope, bound = survey(c, at, zeros, level, xi_end)
-    start = 0.0
-    end = xi_end
-    margin = lead
-    for _i in range(PIECES):
-        h = end - start
-        rest = -side * total
-        fall = -side * slope
-        # below rounding of the polynomial its sign at the piece's end is all there is to know
-        monotone = abs(fall) > bound * h or h <= SHORTEST_PIECE * xi_end or bound * h * h <= rounding
-        if rest <= 0.0 and monotone:
-            return polish(c, at, zeros, level, side, start, end)
-        if rest > 0.0 and (monotone or min(rest, margin) > 0.125 * bound * h * h):
-            if end >= xi_end:
-                return -1.0
-            start = end
-            end = min(end + 2.0 * h, xi_end)
-            margin = rest
-        else:
-            end = start + 0.5 * h
-        total, slope = deflated(c, at, zeros, level, end)
-    # only a polynomial that hugs its level for the whole step comes here: its end decides
-    total, slope = deflated(c, at, zeros, level, xi_end)
-    return polish(c, at, zeros, level, side, start, xi_end) if side * total >= 0.0 else -1.0
-
-
-def polish(c: Buffer, at: int, zeros: int, level: float, side: int, inside: float, outside: float) -> float:
-    """Return the root between ``inside`` and ``outside``: Newton kept in its bracket."""
-    xi = 0.5 * (inside + outside)
-    for _i in range(100):
-        total, slope = deflated(c, at, zeros, level, xi)
-        if total == 0.0:
-            return xi
-        if side * total > 0.0:
-            outside = xi
-        else:
-            inside = xi
-        xi, settled = newton_step(xi, total, slope, inside, outside)
-        if settled:
-            return xi
-    return xi
 
 
 def series_exit(
@@ -330,12 +214,12 @@ def series_exit(
     side = 0
     end = xi_end
     if not math.isinf(hi):
-        xi = first_root(work, W, hi, 1, end)
+        xi = first_root(work, W, ORDER, hi, 1, end)
         if xi >= 0.0:
             side = 1
             end = xi
     if not math.isinf(lo):
-        xi = first_root(work, W, lo, -1, end)
+        xi = first_root(work, W, ORDER, lo, -1, end)
         if xi >= 0.0:
             side = -1
             end = xi

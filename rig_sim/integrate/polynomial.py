@@ -1,0 +1,126 @@
+"""The first root of a polynomial on [0, xi_end], found for certain: events of a motion known by its Taylor series.
+
+Leading zero coefficients (a phase begins on its edge, often with a derivative of 0) are divided out, so that the start
+is never found again.  Most steps stray too little from their first term to reach the level.  Otherwise the step is
+searched with a bound on the second derivative: a piece is passed only when the bound excludes a root, and a root is
+polished only on a piece where the bound proves the polynomial monotone; pieces are halved until one of the two holds.
+"""
+
+from rig_sim.integrate.buffer import Buffer
+from rig_sim.integrate.newton import EPS, newton_step
+
+SHORTEST_PIECE = 1e-9  # of a step: over it a parabola stays within rounding
+PIECES = 300  # three times what halving down to the shortest piece on both sides of a tangency takes
+
+
+def value(c: Buffer, at: int, degree: int, xi: float) -> float:
+    """Return the polynomial of this degree, whose coefficients begin at ``c[at]``, at ``xi``."""
+    total = c[at + degree]
+    for j in range(at + degree - 1, at - 1, -1):
+        total = total * xi + c[j]
+    return float(total)
+
+
+def deflated(c: Buffer, at: int, degree: int, zeros: int, level: float, xi: float) -> tuple[float, float]:
+    """Return value and slope of (polynomial - level) / xi^zeros, whose ``zeros`` lowest coefficients vanish."""
+    total = c[at + degree]
+    slope = 0.0
+    for j in range(at + degree - 1, at + zeros - 1, -1):
+        slope = slope * xi + total
+        total = total * xi + c[j]
+    if zeros == 0:
+        total -= level
+    return total, slope
+
+
+def spread(c: Buffer, at: int, degree: int, zeros: int, xi: float) -> float:
+    """Return a bound on how far `deflated` strays from its first term over [0, xi]."""
+    total = abs(c[at + degree])
+    for j in range(at + degree - 1, at + zeros, -1):
+        total = total * xi + abs(c[j])
+    return float(total * xi)
+
+
+def survey(c: Buffer, at: int, degree: int, zeros: int, level: float, xi: float) -> tuple[float, float, float]:
+    """Return what `deflated` does, and a bound on the second derivative over [0, xi]."""
+    total = c[at + degree]
+    slope = 0.0
+    n = degree - zeros
+    bound = n * (n - 1.0) * abs(total)
+    for j in range(degree - 1, zeros + 1, -1):
+        n = j - zeros
+        slope = slope * xi + total
+        total = total * xi + c[at + j]
+        bound = bound * xi + n * (n - 1.0) * abs(c[at + j])
+    for j in range(at + zeros + 1, at + zeros - 1, -1):
+        slope = slope * xi + total
+        total = total * xi + c[j]
+    if zeros == 0:
+        total -= level
+    return total, slope, bound
+
+
+def first_root(c: Buffer, at: int, degree: int, level: float, side: int, xi_end: float) -> float:
+    """Return the first xi in [0, xi_end] where the polynomial leaves through ``level``, or -1.
+
+    ``side`` +1: the inside is below the level, -1: above it.  A start outside, or on the level moving out, gives 0.
+    """
+    zeros = 0
+    lead = side * (level - c[at])
+    if lead < 0.0:
+        return 0.0
+    if lead == 0.0:
+        zeros = 1
+        while zeros < 4 and c[at + zeros] == 0.0:
+            zeros += 1
+        lead = -side * c[at + zeros]
+        if lead < 0.0:
+            return 0.0
+        if lead == 0.0:
+            return -1.0
+    if lead > spread(c, at, degree, zeros, xi_end):
+        return -1.0
+    rounding = EPS * (lead if zeros > 0 else max(abs(level), abs(c[at])))
+    total, slope, bound = survey(c, at, degree, zeros, level, xi_end)
+    start = 0.0
+    end = xi_end
+    margin = lead
+    for _i in range(PIECES):
+        h = end - start
+        rest = -side * total
+        fall = -side * slope
+        # below rounding of the polynomial its sign at the piece's end is all there is to know
+        monotone = abs(fall) > bound * h or h <= SHORTEST_PIECE * xi_end or bound * h * h <= rounding
+        if rest <= 0.0 and monotone:
+            return polish(c, at, degree, zeros, level, side, start, end)
+        if rest > 0.0 and (monotone or min(rest, margin) > 0.125 * bound * h * h):
+            if end >= xi_end:
+                return -1.0
+            start = end
+            end = min(end + 2.0 * h, xi_end)
+            margin = rest
+        else:
+            end = start + 0.5 * h
+        total, slope = deflated(c, at, degree, zeros, level, end)
+    # only a polynomial that hugs its level for the whole step comes here: its end decides
+    total, slope = deflated(c, at, degree, zeros, level, xi_end)
+    return polish(c, at, degree, zeros, level, side, start, xi_end) if side * total >= 0.0 else -1.0
+
+
+def polish(
+    c: Buffer, at: int, degree: int, zeros: int, level: float, side: int, inside: float, outside: float
+) -> float:
+    """Return the root between ``inside`` and ``outside``: Newton kept in its bracket."""
+    xi = 0.5 * (inside + outside)
+    for _i in range(100):
+        total, slope = deflated(c, at, degree, zeros, level, xi)
+        if total == 0.0:
+            return xi
+        if side * total > 0.0:
+            outside = xi
+        else:
+            inside = xi
+        xi, settled = newton_step(xi, total, slope, inside, outside)
+        if settled:
+            return xi
+    return xi
