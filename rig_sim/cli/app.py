@@ -8,6 +8,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
+from rig_sim.cli import maps
 
 if TYPE_CHECKING:
     from rig_sim.scenes.scene import Scene
@@ -66,8 +67,10 @@ def fixed_point(scene: str, /, *, set_: SetChanges = None, json: Json = False) -
         A built-in name (see rig-sim scenes) or a TOML file.
     """
     from rig_sim.dynamics.fixed_point import fixed_point as find
+    from rig_sim.dynamics.fixed_point import two_mass_fixed_point
 
-    data = asdict(find(_scene(scene, set_).flow()))
+    found = _scene(scene, set_)
+    data = asdict(find(found.flow()) if found.coupling is None else two_mass_fixed_point(found.two_mass_flow()))
     return Answer(data, _lines(data))
 
 
@@ -163,6 +166,8 @@ def events(
 ) -> Answer:
     """List the events: transitions between N (slip slower than the belt), P (slip faster) and S (stick or ramp).
 
+    Of two masses, the contact of both: SS>SN is the second mass's break-away.
+
     A motion that repeats bit for bit is integrated once. A list holds at most 10^6 events (outcome 'event limit'); use
     --since to list a later part.
 
@@ -173,9 +178,12 @@ def events(
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
+    played = _scene(scene, set_)
+    if played.coupling is not None:
+        return _two_mass_events(played, until, since, max_steps)
     from rig_sim.motion.play import events as play
 
-    found = play(_scene(scene, set_), until, since=since, max_steps=max_steps)
+    found = play(played, until, since=since, max_steps=max_steps)
     rows = [{"t": event.t, "x": event.x, "kind": event.kind} for event in found.events]
     lines = [f"{'t':>22} {'x':>24}  kind"]
     lines += [f"{event.t:22.15g} {event.x:24.16g}  {event.kind}" for event in found.events]
@@ -260,6 +268,21 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
     return Answer(
         data, [table, what, f"compiling or loading compiled code: {found.compile_s:.1f} s of CPU, not counted"]
     )
+
+
+app.command(maps.map_, name="map")
+
+
+def _two_mass_events(scene: "Scene", until: float, since: float, max_steps: int) -> Answer:
+    from rig_sim.motion.two_masses import two_mass_events
+
+    found = two_mass_events(scene, until, since=since, max_steps=max_steps)
+    rows = [asdict(event) for event in found.events]
+    lines = [f"{'t':>22} {'x1':>24} {'x2':>24}  kind"]
+    lines += [f"{event.t:22.15g} {event.x1:24.16g} {event.x2:24.16g}  {event.kind}" for event in found.events]
+    lines.append(f"{len(rows)} events, {found.steps} steps, outcome: {_outcome(found.outcome, found.advice)}")
+    data = {"events": rows, "outcome": found.outcome, "advice": found.advice, "steps": found.steps}
+    return Answer(data, "\n".join(lines))
 
 
 def _scene(name: str, changes: list[str] | None) -> "Scene":

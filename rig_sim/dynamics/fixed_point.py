@@ -15,6 +15,7 @@ from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import frame, friction_slope, mirrored
+from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,17 @@ class FixedPoint:
     stable: bool | None = None
 
 
+@dataclass(frozen=True)
+class TwoMassFixedPoint:
+    """As `FixedPoint`, of two masses: both positions (m), all four eigenvalues (1/s)."""
+
+    outcome: str
+    advice: str = ""
+    x: tuple[float, float] | None = None
+    eigenvalues: tuple[complex, ...] = ()
+    stable: bool | None = None
+
+
 def fixed_point(flow: Flow) -> FixedPoint:
     """Return the fixed point of a flow: one mass, no drive.
 
@@ -61,6 +73,32 @@ def fixed_point(flow: Flow) -> FixedPoint:
     F, slope = friction_at_rest(flow)
     roots = quadratic_roots(flow.m, flow.c - slope, flow.k)
     return FixedPoint("fixed point", "", flow.x0 + F / flow.k, roots, flow.c > slope)
+
+
+def two_mass_fixed_point(flow: TwoMassFlow) -> TwoMassFixedPoint:
+    """Return the fixed point of two masses, where both stand while the belt slides below them.
+
+    Raises
+    ------
+    ValueError
+        For masses that are not physical, or not modelled: see `rig_sim.flow.two_mass.validate_two_masses`.
+    """
+    import numpy as np
+
+    validate_two_masses(flow)
+    mass, a, b = flow.mass, flow.a, flow.b
+    alone = fixed_point(mass)
+    if alone.outcome != "fixed point":
+        return TwoMassFixedPoint(alone.outcome, alone.advice)
+    F, slope = friction_at_rest(mass)
+    y1, y2 = (F / mass.k * top / (1.0 + 2.0 * a) for top in (1.0 + a + a * b, b + a + a * b))
+    stiffness = mass.k / mass.m * np.array([[1.0 + a, -a], [-a, 1.0 + a]])
+    damping = np.diag([mass.c - slope, mass.c - b * slope]) / mass.m
+    matrix = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]])
+    roots = sorted((complex(root) for root in np.linalg.eigvals(matrix)), key=lambda root: (root.real, root.imag))
+    return TwoMassFixedPoint(
+        "fixed point", "", (mass.x0 + y1, mass.x0 + y2), tuple(roots), max(root.real for root in roots) < 0.0
+    )
 
 
 def friction_at_rest(flow: Flow) -> tuple[float, float]:

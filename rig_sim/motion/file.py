@@ -1,5 +1,7 @@
 """Exact motion in a file: t, x, v and the friction force F on an even grid of times, as HDF5 (NeXus) or CSV.
 
+Of two masses the columns are t, x1, v1, F1, x2, v2, F2.
+
 The motion stands in /entry/motion (NXdata, the default plot); the scene as JSON, the method with its setting and the
 outcome in /entry/simulation.  A CSV file holds the columns alone.
 Units are written as SI; those of a dimensionless scene are its own.  This is no run of a board: it holds no counts.
@@ -10,6 +12,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +20,11 @@ from numpy.typing import NDArray
 from daq.errors import InputError
 from daq.output import atomic, disk
 from daq.version import VERSION
+from rig_sim.flow.modes import Outcome
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.motion.play import DEFAULT_MAX_STEPS, SamplePhase, ScenePlayer
+from rig_sim.motion.two_masses import COLUMNS as TWO_MASS_COLUMNS
+from rig_sim.motion.two_masses import TwoMassPlayer
 from rig_sim.scenes.scene import Scene
 
 SAMPLES_AT_ONCE = 65_536
@@ -88,7 +94,7 @@ def write(
     if until * rate > MOST_SAMPLES:
         what = f"{until * rate:.3g} samples, more than the {MOST_SAMPLES} a file may hold"
         raise InputError(what, "--rate", "lower --rate or --until")
-    player = ScenePlayer(scene, max_steps=max_steps, phases=phases)
+    player = _player(scene, phases, max_steps)
     samples = math.floor(until * rate * (1 + 1e-15)) + 1
     with atomic.replacing(path, force) as temporary:
         if path.suffix == ".csv":
@@ -98,29 +104,52 @@ def write(
     return WrittenMotion(written, player.outcome.name, player.outcome.advice, player.steps)
 
 
-def _stretches(player: ScenePlayer, samples: int, rate: float) -> Iterator[tuple[NDArray[np.float64], ...]]:
-    """Yield columns t, x, v, F until all samples are there or the motion ends early."""
+class _Player(Protocol):
+    """What plays a scene into columns: one mass or two."""
+
+    scene: Scene
+    outcome: Outcome
+
+    @property
+    def steps(self) -> int: ...
+
+    def columns(self, instants: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]: ...
+
+
+def _player(scene: Scene, phases: SamplePhase, max_steps: int) -> _Player:
+    if scene.coupling is None:
+        return ScenePlayer(scene, max_steps=max_steps, phases=phases)
+    if phases is not sample_phase:
+        raise InputError("plays one mass alone", "--method", "two masses have the method exact")
+    return TwoMassPlayer(scene, max_steps=max_steps)
+
+
+def _columns(scene: Scene) -> dict[str, tuple[str, str]]:
+    return _COLUMNS if scene.coupling is None else TWO_MASS_COLUMNS
+
+
+def _stretches(player: _Player, samples: int, rate: float) -> Iterator[tuple[NDArray[np.float64], ...]]:
+    """Yield the columns until all samples are there or the motion ends early."""
     for first in range(0, samples, SAMPLES_AT_ONCE):
         wanted = np.arange(first, min(first + SAMPLES_AT_ONCE, samples)) / rate
-        path = player.follow(wanted, forces=True)
-        at = path.samples
-        yield path.nodes.t[at], path.nodes.x[at], path.nodes.v[at], path.F
-        if len(at) < len(wanted):
+        columns = player.columns(wanted)
+        yield columns
+        if len(columns[0]) < len(wanted):
             return
 
 
-def _write_csv(player: ScenePlayer, target: Path, samples: int, rate: float) -> int:
+def _write_csv(player: _Player, target: Path, samples: int, rate: float) -> int:
     rows = 0
     with target.open("w", encoding="ascii") as file:
-        file.write(",".join(_COLUMNS) + "\n")
+        file.write(",".join(_columns(player.scene)) + "\n")
         for columns in _stretches(player, samples, rate):
             lists = [column.tolist() for column in columns]
-            file.writelines(f"{t!r},{x!r},{v!r},{F!r}\n" for t, x, v, F in zip(*lists, strict=True))
+            file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*lists, strict=True))
             rows += len(lists[0])
     return rows
 
 
-def _write_h5(player: ScenePlayer, target: Path, samples: int, rate: float, method: str) -> int:
+def _write_h5(player: _Player, target: Path, samples: int, rate: float, method: str) -> int:
     from daq.runfile import nexus
 
     with disk.hdf5(target, "w") as file:
@@ -131,17 +160,18 @@ def _write_h5(player: ScenePlayer, target: Path, samples: int, rate: float, meth
         simulation = nexus.group(entry, "simulation", "NXcollection")
         nexus.field(simulation, "scene", json.dumps(player.scene.model_dump(exclude_none=True)))
         nexus.field(simulation, "method", method)
-        group = nexus.group(entry, "motion", "NXdata", signal="x", axes="t", t_indices=0)
-        group.attrs["auxiliary_signals"] = ["v", "F"]
+        _, signal, *others = columns = _columns(player.scene)
+        group = nexus.group(entry, "motion", "NXdata", signal=signal, axes="t", t_indices=0)
+        group.attrs["auxiliary_signals"] = others
         fields = [
             nexus.column(group, name, samples, "f8", units, growing=True, long_name=text)
-            for name, (text, units) in _COLUMNS.items()
+            for name, (text, units) in columns.items()
         ]
         rows = 0
-        for columns in _stretches(player, samples, rate):
-            for field, column in zip(fields, columns, strict=True):
+        for stretch in _stretches(player, samples, rate):
+            for field, column in zip(fields, stretch, strict=True):
                 field.resize(rows + len(column), axis=0)
                 field[rows:] = column
-            rows += len(columns[0])
+            rows += len(stretch[0])
         nexus.field(simulation, "outcome", player.outcome.name)
     return rows

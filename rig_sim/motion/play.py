@@ -180,6 +180,12 @@ class ScenePlayer:
         flows = tuple((int(before[corner - 1]) + corner - 1 if corner else 0, flow) for corner, flow in self._flows)
         return Trajectory(nodes, at + np.searchsorted(before, at, side="right"), friction, flows)
 
+    def columns(self, instants: "NDArray[np.float64]") -> "tuple[NDArray[np.float64], ...]":
+        """Play through increasing times (s) and return t, x, v, F there, each (n,): fewer where the motion ends."""
+        path = self.follow(instants, forces=True)
+        at = path.samples
+        return path.nodes.t[at], path.nodes.x[at], path.nodes.v[at], path.F
+
     def _play(
         self,
         times: Sequence[float],

@@ -10,6 +10,10 @@ belt      speed, start = 0, length, ripple,    at rest before ``start``, then at
 friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
           static = 1
 start     x = 0, v = 0                          the mass at t = 0
+          x1 = 0, v1 = 0, x2 = 0, v2 = 0,       two masses at t = 0; or both sticking with x2 - x1 = d, at the end of
+          d, attractor                          that stick; or there on attractor 1, 2 ... (1 has the largest basin)
+coupling  a, b                                  makes it two masses: coupling spring over k, second friction level over
+                                                the first
 damper    c
 drive     u0, omega                             the force u0 cos(omega t)
 shaker    a, phi                                a force on the mass: ``a`` times its velocity, ahead of it by ``phi``
@@ -40,12 +44,14 @@ from pydantic import Field, ValidationError
 
 from daq.errors import InputError, nearest
 from rig_sim.flow.flow import LARGEST, SMALLEST, Flow, steepest_fall, validate
+from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.friction.law import LAWS
 from rig_sim.scenes import sections
 from rig_sim.scenes.sections import Section
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
-TERMS = ("mass", "spring", "belt", "friction", "start", "damper", "drive", "shaker")
+TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper", "drive", "shaker")
+TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # what two masses may have
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "output")
 OLD_NAMES = {"tell": "output"}  # of sections, still accepted
 SECTIONS = TERMS + EFFECTS
@@ -63,6 +69,7 @@ class Scene(Section):
     belt: sections.Belt | None = None
     friction: sections.Friction | None = None
     start: sections.Start = sections.Start()
+    coupling: sections.Coupling | None = None
     damper: sections.Damper | None = None
     drive: sections.Drive | None = None
     shaker: sections.Shaker | None = None
@@ -92,7 +99,32 @@ class Scene(Section):
             False before ``belt.start``: the belt is there, at rest.
         factor : float
             Wear times scatter: multiplies the whole friction curve, the ramp's width unchanged.
+
+        Raises
+        ------
+        InputError
+            The scene has two masses.
         """
+        if self.coupling:
+            do = "drop the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
+            raise InputError("has two masses, and this is for one", f"scene {self.name}", do)
+        return self._flow_of_one(belt_running=belt_running, factor=factor)
+
+    def two_mass_flow(self) -> TwoMassFlow:
+        """Return the equations of motion of two masses.
+
+        Raises
+        ------
+        InputError
+            The scene has one mass.
+        """
+        if self.coupling is None:
+            do = "set coupling.a and coupling.b, or take the scene two-mass"
+            raise InputError("has one mass, and this is for two", f"scene {self.name}", do)
+        return TwoMassFlow(self._flow_of_one(), float(self.coupling.a), float(self.coupling.b))
+
+    def _flow_of_one(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
+        """Return the flow of one mass, alone."""
         law = LAWS[self.friction.law if self.friction else 1]
         values = self.friction.parameters() if self.friction else {}
         flow = Flow(
@@ -296,6 +328,7 @@ def _check_magnitudes(found: Scene, where: str) -> None:
 
 def _check_together(found: Scene, where: str) -> None:
     """Refuse what only two sections together make impossible."""
+    _check_masses(found, where)
     friction = found.friction
     if friction is None:
         for effect in ("wear", "scatter"):
@@ -334,6 +367,32 @@ def _check_together(found: Scene, where: str) -> None:
         raise InputError("belt.channel without an encoder", where, "add an encoder section or drop belt.channel")
     if not math.isfinite(found.spring.k / found.mass.m):
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")
+
+
+def _check_masses(found: Scene, where: str) -> None:
+    """Refuse a start that belongs to another number of masses, and what two masses do not have."""
+    given = sorted(found.start.model_fields_set)
+    if found.coupling is None:
+        if other := [key for key in given if key not in ("x", "v")]:
+            do = "give start.x and start.v, or add coupling.a and coupling.b"
+            raise InputError(f"start.{other[0]} without coupling", where, do)
+        return
+    for section in found.terms():
+        if section not in TWO_MASS_TERMS:
+            raise InputError(f"{section} beside coupling: not modelled for two masses", where, f"drop {section}")
+    for key in ("start", "length", "ripple", "ripple_hz", "channel"):
+        if found.belt is not None and getattr(found.belt, key):
+            raise InputError(f"belt.{key} beside coupling: not modelled for two masses", where, f"drop belt.{key}")
+    if found.friction is not None and LAWS[found.friction.law].contact != "jump":
+        what = f"friction.law is {found.friction.law}, a ramp, which is not modelled for two masses"
+        raise InputError(what, where, "take law 1, 3 or 5")
+    ways = [("x", "v"), ("x1", "v1", "x2", "v2"), ("d",), ("attractor",)]
+    used = [way for way in ways if any(key in given for key in way)]
+    if ways[0] in used:
+        raise InputError("start.x or start.v beside coupling", where, "give start.x1, v1, x2, v2, or start.d")
+    if len(used) > 1:
+        what = f"start has {used[0][0]} and {used[1][0]}"
+        raise InputError(what, where, "keep one of: x1, v1, x2, v2; d; attractor")
 
 
 def _check_droop(found: Scene, fraction: float, where: str) -> None:

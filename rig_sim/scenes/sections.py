@@ -101,10 +101,38 @@ class Friction(Section):
 
 
 class Start(Section):
-    """Position (m) and velocity (m/s) of the mass at t = 0."""
+    """Position (m) and velocity (m/s) of the mass at t = 0; those of two masses, or how they begin.
+
+    Attributes
+    ----------
+    x, v : float
+        Of one mass.
+    x1, v1, x2, v2 : float, optional
+        Of two masses; 0 where not given.
+    d : float, optional
+        Two masses: both stick with x2 - x1 = d (m), and at t = 0 the first of them begins to slip.
+    attractor : int, optional
+        Two masses: as ``d``, on this attractor.  1 has the largest basin.
+    """
 
     x: float = 0.0
     v: float = 0.0
+    x1: float | None = None
+    v1: float | None = None
+    x2: float | None = None
+    v2: float | None = None
+    d: float | None = None
+    attractor: Annotated[int, Field(ge=1)] | None = None
+
+
+class Coupling(Section):
+    """A second mass on the belt: ``a``, stiffness of the spring between them over k; ``b``, ratio of friction levels.
+
+    The second mass has the mass, spring and damper of the first, and b times its friction.
+    """
+
+    a: NotNegative
+    b: NotNegative
 
 
 class Damper(Section):

@@ -70,7 +70,7 @@ def test_cycle_has_the_promised_keys(capsys: pytest.CaptureFixture[str]) -> None
 
 def test_scenes_lists_name_title_and_terms(capsys: pytest.CaptureFixture[str]) -> None:
     rows = answer(capsys, "scenes")
-    assert [row["name"] for row in rows] == ["base", "damped", "forced", "rig"]
+    assert [row["name"] for row in rows] == ["base", "damped", "forced", "rig", "two-mass"]
     assert rows[0]["terms"] == ["mass", "spring", "belt", "friction", "start"]
     assert all(row["title"] for row in rows)
     assert application.run(app, ["scenes"]) == 0

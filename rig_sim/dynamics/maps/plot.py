@@ -1,0 +1,60 @@
+"""Pictures of maps and attractors; matplotlib is imported here and nowhere else in `rig_sim.dynamics`."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from daq.errors import InputError
+from daq.output import atomic
+from rig_sim.dynamics.maps.interval_map import IntervalMap
+from rig_sim.dynamics.maps.periodic_points import periodic_points
+
+FORMATS = (".png", ".svg", ".pdf")
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
+PLACES = 4000  # drawn of a map
+
+
+def map_figure(f: IntervalMap, times: int = 1) -> Figure:
+    """Return a figure of the ``times``-th iterate of a map, with the points where it meets the diagonal."""
+    figure = Figure(figsize=(6.4, 6.2), layout="constrained")
+    axes = figure.add_subplot()
+    x = np.linspace(f.lo, f.hi, PLACES)
+    y = f(x, times)
+    jumps = np.abs(np.diff(y)) > 0.05 * (f.hi - f.lo)
+    axes.plot([f.lo, f.hi], [f.lo, f.hi], color="0.6", lw=0.8)
+    axes.plot(np.insert(x, np.flatnonzero(jumps) + 1, np.nan), np.insert(y, np.flatnonzero(jumps) + 1, np.nan), lw=1.2)
+    for period in range(1, times + 1):
+        if times % period:
+            continue
+        for orbit in periodic_points(f, period):
+            kind = "stable" if orbit.stable else "unstable"
+            face = "black" if orbit.stable else "white"
+            label = f"{kind}, period {period}"
+            axes.plot(orbit.points, orbit.points, "o", ms=6, mfc=face, mec="black", label=label)
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    if handles:
+        axes.legend(handles.values(), handles.keys(), loc="best")
+    name = "f" if times == 1 else f"f^{times}"
+    axes.set(
+        xlabel="d = x2 - x1 in global stick (unit of the scene)",
+        ylabel=f"{name}(d)",
+        title=f"Map {name} from stick to stick",
+    )
+    axes.set_aspect("equal")
+    return figure
+
+
+def save(figure: Figure, path: Path, *, force: bool = False) -> None:
+    """Write a figure; it appears whole or not at all.
+
+    Raises
+    ------
+    InputError
+        Another ending than `FORMATS`, or a file that exists.
+    """
+    if path.suffix not in FORMATS:
+        raise InputError(f"ending {path.suffix!r}", str(path), f"name the file {', '.join(FORMATS)}")
+    atomic.refuse_existing(path, force)
+    with atomic.replacing(path, force) as temporary:
+        figure.savefig(temporary, format=path.suffix[1:], dpi=150)

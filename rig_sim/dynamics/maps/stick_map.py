@@ -1,0 +1,197 @@
+"""The map of two coupled masses from one global stick to the next: d = x2 - x1 -> f(d).
+
+While both masses stick, d is all that decides what follows.  An event runs from there, one mass breaking away or both,
+to the next global stick; its word lists which mass broke away, in order: '2', '21', '212'.  Every event ends within
+`STEPS_OF_EVENT` integrator steps or in a named outcome.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from rig_sim.flow.frame import Frame, frame
+from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STICK, Outcome
+from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
+from rig_sim.integrate.buffer import ORDER, Buffer
+from rig_sim.integrate.two_mass import MODE1, MODE2, STEPS, STEPS_ALLOWED, TIME, Y1, Y2, new_pair, pair_event, place
+
+# Steps of one event, some 1 us each.  The thesis's events take 20 to 60, and the square root of a times as many where
+# the coupling is strong; a motion that has not stuck after as many as these counts as one that does not.
+STEPS_OF_EVENT = 20_000
+INTERPRETED_STEPS = 200  # of an event, about 0.3 s; a longer one starts again in compiled code
+WORD = 64  # letters of a word that are kept
+NO_STICK = 30
+ENDS = {
+    **OUTCOMES,
+    NO_STICK: Outcome(
+        "no global stick",
+        f"the masses did not both stick within {STEPS_OF_EVENT} steps: list the events instead, or slow the belt",
+    ),
+}
+# Degree and tolerance of the series: rounding; errors of the map below 1e-9; below 1e-5 (measured by
+# benchmarks/dynamics.py)
+EXACT, FINE, COARSE = (ORDER, 2.0**-53), (14, 1e-9), (8, 1e-5)
+
+
+def next_stick(
+    fr: Frame, a: float, b: float, y1: float, y2: float, degree: int, tolerance: float, work: Buffer, word: Buffer
+) -> tuple[int, float, float, int]:
+    """Follow an event from the end of a global stick at (y1, y2), m, in the frame.
+
+    Returns
+    -------
+    (outcome, d, duration, letters)
+        0 or a key of `ENDS`; the next d (m) and the time to the next global stick (s); how many letters ``word`` holds
+        (1 and 2).
+    """
+    place(fr, a, b, y1, 0.0, y2, 0.0, 0.0, work)
+    work[STEPS] = 0.0
+    letters = 0
+    while True:
+        stuck1, stuck2 = work[MODE1] == STICK, work[MODE2] == STICK
+        if stuck1 and stuck2 and letters > 0:
+            return 0, work[Y2] - work[Y1], work[TIME], letters
+        event, outcome = pair_event(fr, a, b, math.inf, degree, tolerance, work)
+        if outcome != 0 or event == 0:
+            return (NO_STICK if work[STEPS] >= work[STEPS_ALLOWED] else outcome), math.nan, math.nan, letters
+        broke1 = stuck1 and work[MODE1] != STICK
+        if broke1 or (stuck2 and work[MODE2] != STICK):
+            if letters < len(word):
+                word[letters] = 1.0 if broke1 else 2.0
+            letters += 1
+
+
+def events_from(
+    fr: Frame,
+    a: float,
+    b: float,
+    starts: Buffer,
+    times: int,
+    degree: int,
+    tolerance: float,
+    work: Buffer,
+    word: Buffer,
+    results: Buffer,
+    durations: Buffer,
+    outcomes: Buffer,
+) -> int:
+    """Apply the map ``times`` times to each of the starts (d in the frame); return how many letters ``word`` holds."""
+    letters = 0
+    for i in range(len(starts)):
+        d = starts[i]
+        duration = 0.0
+        outcome = 0
+        for _j in range(times):
+            if math.isnan(d):
+                outcome = NOT_FINITE
+                break
+            first = (fr.B - fr.c * fr.v) / fr.k + a * d
+            second = (b * fr.B - fr.c * fr.v) / fr.k - (1.0 + a) * d
+            y1 = min(first, second)
+            outcome, d, duration, letters = next_stick(fr, a, b, y1, y1 + d, degree, tolerance, work, word)
+            if outcome != 0:
+                break
+        results[i] = d
+        durations[i] = duration
+        outcomes[i] = float(outcome)
+    return letters
+
+
+@dataclass(frozen=True)
+class StickEvent:
+    """An event of two masses, from a global stick to the next.
+
+    Attributes
+    ----------
+    d : float
+        x2 - x1 in the global stick that follows, m; NaN without one.
+    word : str
+        Which mass broke away, in order.
+    duration : float
+        From the first break-away to the next global stick, s.
+    outcome, advice : str
+        'completed', or how the event ended instead, and what to do.
+    """
+
+    d: float
+    word: str
+    duration: float
+    outcome: str
+    advice: str
+
+
+class StickMap:
+    """The map d -> f(d) of two masses, on the interval of every d that a global stick can have.
+
+    Parameters
+    ----------
+    flow : TwoMassFlow
+        The masses.
+    precision : tuple of int and float
+        Degree and tolerance of the series: `EXACT`, `FINE` or `COARSE`.
+
+    Attributes
+    ----------
+    lo, hi : float
+        Ends of the interval, m.
+
+    Raises
+    ------
+    ValueError
+        The masses are not physical or not modelled; the belt is at rest.
+    """
+
+    def __init__(self, flow: TwoMassFlow, precision: tuple[int, float] = EXACT) -> None:
+        validate_two_masses(flow)
+        if flow.mass.v_belt == 0.0:
+            raise ValueError("the belt is at rest: no stick ends; need a belt speed")
+        self.flow = flow
+        self.hi = largest_stretch(flow)
+        self.lo = -self.hi
+        self._frame = frame(flow.mass)
+        self._precision = precision
+
+    def __call__(self, x: Array, times: int = 1) -> Array:
+        """Return f(x), or the ``times``-th iterate, shape (n,): NaN where x is outside or no global stick follows.
+
+        Uses compiled code.
+        """
+        results: Array = self._follow(np.asarray(x, dtype=np.float64), times, compiled=True)[0]
+        return results
+
+    def event(self, d: float) -> StickEvent:
+        """Return the event that follows the global stick with stretch ``d`` (m); a long one uses compiled code."""
+        if not abs(d) <= self.hi:
+            advice = f"both masses can stick with abs(d) up to {self.hi:.6g}"
+            return StickEvent(math.nan, "", math.nan, "outside", advice)
+        results, durations, outcomes, word = self._follow(np.array([d]), 1, compiled=False)
+        if outcomes[0] == NO_STICK:
+            results, durations, outcomes, word = self._follow(np.array([d]), 1, compiled=True)
+        outcome = ENDS[int(outcomes[0])]
+        return StickEvent(float(results[0]), word, float(durations[0]), outcome.name, outcome.advice)
+
+    def _follow(self, starts: Array, times: int, *, compiled: bool) -> tuple[Array, Array, Array, str]:
+        """Return f, durations, outcomes and the last word."""
+        fr, (degree, tolerance) = self._frame, self._precision
+        work = new_pair(STEPS_OF_EVENT if compiled else INTERPRETED_STEPS, compiled=compiled)
+        starts = np.where(np.abs(starts) <= self.hi, fr.mirror * starts, np.nan)
+        word = np.zeros(WORD)
+        results, durations, outcomes = np.zeros((3, len(starts)))
+        kernel = compiled_events() if compiled else events_from
+        letters = kernel(
+            fr, self.flow.a, self.flow.b, starts, times, degree, tolerance, work, word, results, durations, outcomes
+        )
+        shown = "".join(str(int(letter)) for letter in word[: min(letters, WORD)]) + "..." * (letters > WORD)
+        return fr.mirror * results, durations, outcomes, shown
+
+
+@cache
+def compiled_events() -> Callable[..., int]:
+    """Return `events_from` as machine code."""
+    from rig_sim.integrate.compiled import compiled
+
+    return compiled(events_from, "rig_sim.integrate.two_mass", __name__)

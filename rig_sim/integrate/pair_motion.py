@@ -1,0 +1,140 @@
+"""The motion of two masses listed: their events, the motion at given times, or where the first mass turns forwards."""
+
+from collections.abc import Iterator
+from typing import Any
+
+from daq.compute.arrays import Array
+from rig_sim.flow.frame import Frame, frame
+from rig_sim.flow.modes import COMPLETED, LIST_FULL, OUTCOMES, STEP_LIMIT
+from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses
+from rig_sim.integrate.buffer import ORDER, Buffer
+from rig_sim.integrate.two_mass import (
+    CROSSING,
+    MODE1,
+    MODE2,
+    SECTION,
+    STEPS,
+    STEPS_ALLOWED,
+    TIME,
+    W1,
+    W2,
+    Y1,
+    Y2,
+    new_pair,
+    pair_event,
+    place,
+)
+
+EVENTS, SAMPLES, CROSSINGS = 0, 1, 2  # what is listed
+WIDTH = 9  # of a row: t, y1, w1, mode 1, y2, w2, mode 2, and both modes before
+ROWS = 2048  # of one call of the kernel
+INTERPRETED_STEPS = 1_000  # about 1 s of CPU time; a motion that needs more continues in compiled code
+ROUNDING = 2.0**-53  # tolerance of the series
+
+
+def list_motion(
+    fr: Frame, a: float, b: float, times: Buffer, n: int, wanted: int, capacity: int, rows: Buffer, work: Buffer
+) -> tuple[int, int, int]:
+    """Go on through n times (s), or until ``rows`` is full; return (outcome, rows stored, times served)."""
+    count = 0
+    served = 0
+    while served < n:
+        if count == capacity:
+            return LIST_FULL, count, served
+        before1, before2 = work[MODE1], work[MODE2]
+        event, outcome = pair_event(fr, a, b, times[served], ORDER, ROUNDING, work)
+        if outcome != 0:
+            return outcome, count, served
+        if event == 0:
+            served += 1
+        if (
+            (wanted == SAMPLES and event == 0)
+            or (wanted == EVENTS and event != 0)
+            or (wanted == CROSSINGS and event == CROSSING)
+        ):
+            at = WIDTH * count
+            rows[at], rows[at + 1], rows[at + 2], rows[at + 3] = work[TIME], work[Y1], work[W1], work[MODE1]
+            rows[at + 4], rows[at + 5], rows[at + 6] = work[Y2], work[W2], work[MODE2]
+            rows[at + 7], rows[at + 8] = before1, before2
+            count += 1
+    return 0, count, served
+
+
+class PairMotion:
+    """Two masses in motion.
+
+    Parameters
+    ----------
+    flow : TwoMassFlow
+        What moves.
+    state : tuple of float
+        x1, v1, x2, v2 at t = 0 (m, m/s).
+    max_steps : int
+        Integrator steps after which the motion ends with the outcome 'step limit'.
+    compiled : bool
+        Use numba from the start, not only after `INTERPRETED_STEPS`.
+
+    Attributes
+    ----------
+    outcome : Outcome
+        'completed' while the motion continues; else why it ended, and what to do.
+    frame : Frame
+        In which the rows are: y = mirror (x - x0), w = mirror (x' - v_belt).
+
+    Raises
+    ------
+    ValueError
+        Masses that are not physical, or not modelled: `rig_sim.flow.two_mass.validate_two_masses`.
+    """
+
+    def __init__(
+        self, flow: TwoMassFlow, state: tuple[float, float, float, float], max_steps: int, *, compiled: bool = False
+    ) -> None:
+        validate_two_masses(flow)
+        self.flow = flow
+        self.outcome = OUTCOMES[COMPLETED]
+        self.frame = fr = frame(flow.mass)
+        self._max_steps = max_steps
+        self._compiled = compiled
+        self._work = new_pair(max_steps if compiled else min(max_steps, INTERPRETED_STEPS), compiled=compiled)
+        x1, v1, x2, v2 = state
+        y1, y2 = fr.mirror * (x1 - fr.x0), fr.mirror * (x2 - fr.x0)
+        w1, w2 = fr.mirror * (v1 - flow.mass.v_belt), fr.mirror * (v2 - flow.mass.v_belt)
+        place(fr, flow.a, flow.b, y1, w1, y2, w2, 0.0, self._work)
+
+    @property
+    def steps(self) -> int:
+        """Integrator steps taken so far."""
+        return int(self._work[STEPS])
+
+    def rows(self, times: "list[float] | Array", wanted: int) -> Iterator[list[float]]:
+        """Yield a row for each event, time or crossing up to the last of ``times`` (s, increasing), or to the end."""
+        self._work[SECTION] = 1.0 if wanted == CROSSINGS else 0.0
+        served = 0
+        outcome = LIST_FULL
+        while outcome == LIST_FULL:
+            outcome, listed, done = self._call(times[served:], wanted)
+            served += done
+            yield from listed
+        self.outcome = OUTCOMES[outcome]
+
+    def _call(self, times: "list[float] | Array", wanted: int) -> tuple[int, list[list[float]], int]:
+        """Call the kernel once, interpreted or compiled."""
+        kernel: Any = list_motion
+        rows: Any = [0.0] * (WIDTH * ROWS)
+        if self._compiled or self.steps >= INTERPRETED_STEPS:
+            import numpy as np
+
+            from rig_sim.integrate.compiled import compiled
+
+            kernel = compiled(list_motion, "rig_sim.integrate.two_mass", __name__)
+            times, rows = np.asarray(times, dtype=np.float64), np.zeros(WIDTH * ROWS)
+            if not self._compiled:
+                self._compiled, self._work = True, np.array(self._work)
+                self._work[STEPS_ALLOWED] = float(self._max_steps)
+        outcome, count, served = kernel(
+            self.frame, self.flow.a, self.flow.b, times, len(times), wanted, ROWS, rows, self._work
+        )
+        if outcome == STEP_LIMIT and self.steps < self._max_steps:
+            outcome = LIST_FULL  # of the interpreted steps: the compiled kernel goes on
+        return outcome, [list(rows[at : at + WIDTH]) for at in range(0, WIDTH * count, WIDTH)], served
