@@ -109,7 +109,7 @@ def test_a_file_is_a_scene(tmp_path: Path) -> None:
         ("slip_loss.rate=1", ["slip_loss.counts is missing"]),
         ("gaps={rate=1, duration=1}", ["gaps without an encoder"]),
         ("gaps={rate=0, duration=1}", ["gaps.rate", "0"]),
-        ("coupling.a=1", ["unknown section 'coupling'"]),
+        ("cupling.a=1", ["unknown section 'cupling'"]),
         ("belt.ripple=1", ["belt.ripple_hz is missing"]),
         ("belt={speed=0.5, ripple=0.1, ripple_hz=0}", ["belt.ripple_hz", "0"]),
         ("belt.riple=1", ["belt.riple", "did you mean 'ripple'"]),
