@@ -138,7 +138,7 @@ def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], t
         (["cycle", "base", "--set", "friction.Gama=1"], "scene base"),
         (["cycle", "base", "--set", "friction"], "--set"),
         (["cycle"], "command line"),
-        (["map", "base"], "command line"),
+        (["maps", "base"], "command line"),
         # Each of these used to be accepted and to give nonsense, or to run for ever.
         (
             ["run", "base", "--until", "9", "--rate", "1", "-o", "a.csv", "--method", "rk4-henon", "--step", "9"],
