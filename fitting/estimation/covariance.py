@@ -2,7 +2,9 @@
 
 Residuals of a slightly wrong model are correlated within a cycle and independent between cycles, so the spread of the
 gradients of the cycles shows how far the estimate would move with other cycles.  With few cycles the sandwich can come
-out too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.
+out too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.  There a cycle informs by no
+more than its own residuals allow: the drag of a start-up alone shows the belt's speed under constant friction, so that
+no other cycle says how far a belt that ripples moves it.
 """
 
 import math
@@ -10,11 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, autocorrelation_time
 from daq.runfile.rig import Measured
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import SchurComplement, eigen
 
+# Times the variance that the fit assumes of a cycle's residuals: what they may have, since a correlation time from one
+# window is uncertain.  With 4 the error of the belt's speed from a drag on a rippling belt would be too small by 2.
+ALLOWED = 2.0
 ROUNDING = 1e-14  # of a curvature: as little left of it after elimination is rounding; sums of 1e4 terms err by less
 
 
@@ -36,11 +41,23 @@ def covariance(fit: Fit, precision: Array) -> Array:
     own = own * scale
     meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(precision * scale**2)
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
-    least, found = np.diag(bread), np.diag(sandwich)
+    own_scale, limited = scaled_inverse(H - _unfounded(fit, reduced), np.diag(blocks.H))
+    least, found = np.diag(limited) * (own_scale / scale) ** 2, np.diag(sandwich)
     floor = np.sqrt(np.maximum(least / np.maximum(found, 1e-20 * least), 1.0))
     spread = sandwich * floor[:, None] * floor
     np.fill_diagonal(spread, np.maximum(np.diag(spread), least))
     return np.asarray(spread * scale[:, None] * scale)
+
+
+def _unfounded(fit: Fit, reduced: SchurComplement) -> Array:
+    """Return the part of the reduced curvatures (p, p) by which cycles inform beyond what their residuals allow."""
+    assumed = fit.sigma[fit.windows.run] ** 2 / fit.state.weights
+    own = np.full(assumed.size, 1e-300)
+    for cycle, _, first, size, *_ in fit.windows.table:  # a drag is a window of the first cycle
+        part = fit.residual[first : first + size]
+        own[cycle] = max(own[cycle], float(np.mean(part**2)) * autocorrelation_time([part]))
+    share = 1 - np.minimum(ALLOWED * assumed / own, 1.0)
+    return np.asarray(np.einsum("c,cpr->pr", share, reduced.by_cycle(fit.solution.blocks.cycle_curvature)))
 
 
 def without_prior(fit: Fit, index: int) -> Measured:

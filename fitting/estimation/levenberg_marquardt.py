@@ -92,6 +92,7 @@ class NormalEquations:
     Hl: Array
     cross: Array
     cycle_g: Array  # (c, p): each cycle's share of g, without the priors of u
+    cycle_curvature: Array  # (c, p, p): each cycle's share of H, likewise
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +148,7 @@ def normal_equations(
     Hl = square[:, p:, p:] + problem.local_precision[:, :, None] * np.eye(q)
     g = gradient[:, :p].sum(axis=0) + problem.precision * (u - problem.prior)
     gl = gradient[:, p:] + problem.local_precision * (local - problem.local_prior)
-    return NormalEquations(g, H, gl, Hl, np.ascontiguousarray(square[:, :p, p:]), gradient[:, :p])
+    return NormalEquations(g, H, gl, Hl, np.ascontiguousarray(square[:, :p, p:]), gradient[:, :p], square[:, :p, :p])
 
 
 class SchurComplement:
@@ -177,6 +178,10 @@ class SchurComplement:
         self.H = blocks.H + least * np.diag(np.diag(blocks.H))
         _kernel(elimination.invert)(Hl, self._inverse)
         _kernel(elimination.eliminate)(self._cross, self._inverse, self.H, self._spread)
+
+    def by_cycle(self, cycle_curvature: Array) -> Array:
+        """Return what each cycle informs of the shared unknowns, (c, p, p), with its own unknowns also fitted."""
+        return np.asarray(cycle_curvature - np.einsum("cpq,cqr->cpr", self._cross, self._spread))
 
     def local_step(self, gl: Array) -> Array:
         """Return inv(Hl) gl, shape (cycles, q)."""

@@ -24,8 +24,15 @@ def fit_with(slopes, guess):
         Hl=np.ones((cycles, 1, 1)),
         cross=np.zeros((cycles, p, 1)),
         cycle_g=slopes * misfit[:, None],
+        cycle_curvature=slopes[:, :, None] * slopes[:, None, :],
     )
-    return SimpleNamespace(solution=SimpleNamespace(blocks=blocks))
+    return SimpleNamespace(
+        solution=SimpleNamespace(blocks=blocks),
+        residual=misfit,
+        sigma=np.ones(1),
+        state=SimpleNamespace(weights=np.ones(cycles)),
+        windows=SimpleNamespace(run=np.zeros(cycles, int), table=np.array([(k, 0, k, 1, 0, 0) for k in range(cycles)])),
+    )
 
 
 def test_an_unknown_that_nothing_shows_is_boundless_and_leaves_the_others_alone():
@@ -44,6 +51,17 @@ def test_a_direction_that_only_a_guess_holds_has_the_guess_s_variance():
     assert found[1, 1] == pytest.approx(100.0, rel=1e-3)
     assert found[0, 0] == pytest.approx(100.0, rel=1e-3)
     assert found[0, 0] + found[1, 1] + 2 * found[0, 1] < 1e-3
+
+
+def test_what_one_cycle_alone_shows_is_as_uncertain_as_that_cycle_s_residuals():
+    # The belt's speed from a drag on a rippling belt was wrong by up to 18 of its standard errors (constant friction).
+    slopes = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 10.0]])
+    sound, rippled = fit_with(slopes, np.zeros(2)), fit_with(slopes, np.zeros(2))
+    rippled.residual = np.append(rippled.residual[:3], np.full(4, 5.0))  # correlated, and five times what was assumed
+    rippled.windows.table[3, 3] = 4
+    before, after = covariance(sound, np.zeros(2)), covariance(rippled, np.zeros(2))
+    assert after[0, 0] == pytest.approx(before[0, 0])
+    assert after[1, 1] > 25 * before[1, 1]
 
 
 @pytest.mark.parametrize(("known", "unit"), [("mass", "k"), ("stiffness", "m")])
