@@ -159,7 +159,7 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
     common = Path(os.path.commonpath([row.file.absolute().parent for row in rows]))
     for row in rows:
         failed = row.failure
-        members = "-" if failed else ", ".join(map(str, row.document["set"]))
+        members = "-" if failed else ", ".join(map(str, row.document["set"])) or "none"
         verdict = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"]
         table.add_row(str(row.file.absolute().relative_to(common)), members, verdict)
     decided = sum(row.code == EXIT_DONE for row in rows)
@@ -175,11 +175,12 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
 
 
 def _text(ranking: "Ranking", statistics: list[str], places: list[Path], alpha: float) -> list[Any]:
-    lines: list[Any] = [_laws(ranking), _parameters(ranking, alpha)]
+    lines: list[Any] = [_laws(ranking), _parameters(ranking, alpha)] if ranking.rows else []
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += statistics
     reports = ", ".join(map(str, places))
-    lines.append(f"{ranking.best.cycles} cycles, {ranking.cpu_s:.1f} s of CPU time; report: {reports}")
+    cycles = f"{ranking.best.cycles} cycles, " if ranking.rows else ""
+    lines.append(f"{cycles}{ranking.cpu_s:.1f} s of CPU time; report: {reports}")
     lines.append(f"verdict: {ranking.verdict}")
     return lines
 

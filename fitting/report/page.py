@@ -92,8 +92,10 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         verdict=ranking.verdict,
         alone=len(ranking.laws_in_set) == 1 and ranking.adequacy.adequate,
         rows=[_row(row, ranking) for row in ranking.rows],
-        best=ranking.best,
-        parameters=[(name, *format_interval(item)) for name, item in ranking.best.parameters.items()],
+        best=ranking.best if ranking.rows else None,
+        parameters=[
+            (name, *format_interval(item)) for row in ranking.rows[:1] for name, item in row.parameters.items()
+        ],
         confidence=f"{100 * (1 - alpha):g} %",
         events=[_event(event) for event in ranking.events],
         warnings=ranking.warnings,

@@ -61,10 +61,14 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
 
 def portrait(ranking: Ranking) -> Figure:
     """Draw velocity against position: the whole record, and the best law's motion in every window."""
-    motion, best = ranking.motion, ranking.best
+    motion = ranking.motion
     figure, axes = _figure(5.4, 4.4)
     x, v = motion.sign * motion.position, motion.sign * motion.velocity
     axes.plot(100 * x, 100 * v, color=MEASURED, lw=1.6, alpha=0.55, label="measured", rasterized=True)
+    axes.set(xlabel="position (cm)", ylabel="velocity (cm/s)")
+    if not ranking.rows:
+        return figure
+    best = ranking.best
     fit = best.fit
     model = fit.windows.position + fit.residual
     for number, (_, _, first, count, *_) in enumerate(fit.windows.table):
@@ -76,7 +80,6 @@ def portrait(ranking: Ranking) -> Figure:
         orbit = 100 * motion.sign * np.stack([model[part], speed])
         axes.plot(*orbit, color=COLOURS[best.law], lw=0.7, label=label, rasterized=True)
     axes.axhline(100 * best.parameters["v_dr"].value, color=INK, lw=0.7, ls=(0, (4, 3)), label="belt speed")
-    axes.set(xlabel="position (cm)", ylabel="velocity (cm/s)")
     axes.legend(loc="best")
     return figure
 
@@ -199,9 +202,13 @@ PICTURES = (portrait, friction, residuals, evidence, levels, cost)
 
 
 def draw(ranking: Ranking, counted: StickSlipStatistics) -> dict[str, str]:
-    """Return every picture of the report as an ``<svg>`` element, by name; `break_aways` where there are statistics."""
+    """Return every picture of the report as an ``<svg>`` element, by name.
+
+    `break_aways` where there are statistics; of a record that no law comes near the portrait alone besides.
+    """
     with mpl.rc_context(fname=str(STYLE)):
-        drawn = {picture.__name__: svg(picture(ranking)) for picture in PICTURES}
+        shown = PICTURES if ranking.rows else (portrait,)
+        drawn = {picture.__name__: svg(picture(ranking)) for picture in shown}
         if counted.rows("m"):
             drawn["break_aways"] = svg(break_aways(counted, "m"))
     return drawn

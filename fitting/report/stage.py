@@ -41,13 +41,15 @@ def save(ranking: Ranking, path: Path) -> None:
 
 
 def _write(entry: h5py.Group, ranking: Ranking) -> None:
-    fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking")
+    fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking" if ranking.rows else "parameters")
     about = nexus.group(fit, "parameters", "NXparameters")
     nexus.field(about, "verdict", ranking.verdict)
     nexus.field(about, "adequacy", ranking.adequacy.verdict)
     nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")
     if ranking.warnings:
         nexus.field(about, "warnings", list(ranking.warnings))
+    if not ranking.rows:
+        return
     rows = sorted(ranking.rows, key=lambda row: row.law)
     table = nexus.table(
         fit,

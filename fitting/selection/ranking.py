@@ -7,13 +7,13 @@ import math
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Rig
 from fitting.adequacy.assess import assess
+from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.data import cycles, frame, ripple
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import break_aways, derived, search
@@ -28,6 +28,16 @@ from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 ALL_LAWS = (1, 2, 3, 4, 5, 6)
+
+
+class NoLawError(Exception):
+    """The record is stick-slip, but no law comes near it: caught by `rank`, which returns it as a result."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
 LEAST_ALPHA = 1e-9  # surer is no interval
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
 
@@ -81,7 +91,7 @@ def rank(
         a record in counts, a belt speed of zero, belt
         counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
-        When a record shows no belt stick-slip, when there are fewer than four complete cycles, when some of the
+        When a record shows no stick-slip, when there are fewer than four complete cycles, when some of the
         runs stick and others do not, or when frames were lost or doubled among even times.
 
     Notes
@@ -114,25 +124,10 @@ def rank(
     for record, known in zip(records, rigs, strict=True):
         motion = frame.from_kinematics(record, record.recording.rig if known is None else known, belt_speed)
         runs.append(_run(motion, frozenset(excluded)))
-    sources = [str(record.recording.source) for record in records]
-    sustained = _check(runs, records)
-    seen = sustained  # as the record itself shows, before any law is fitted
-    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
-    fits = search.fit_laws(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
-    if not sustained and evidence.rules_out_constant_friction(fits, runs):
-        sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
-        fits = search.fit_laws(laws, runs, jobs, progress, scheduler)
-    fits = [fit for fit in fits if fit.law in laws]
-    if not sustained and not fits:
-        raise DataError(
-            "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
-            sources[0],
-            "add --laws 1,2",
-        )
-    screening.refuse_missing_frames(fits, records)
-    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
-    if not sustained and not any(run.cut.starts_at_rest for run in runs):
-        _refuse(screening.SINE_ALONE, records)
+    try:
+        fits, sustained = _fit(laws, runs, records, jobs, progress, scheduler)
+    except NoLawError as refused:
+        return _without_law(refused.reason, laws, runs, records, begun)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
     members = [fit for fit in ordered if fit.law in chosen.members]
@@ -159,7 +154,8 @@ def rank(
     cpu_s = clock.process_time() - begun
     if len(sides) == 1:
         return replace(sides[0], cpu_s=cpu_s)
-    warnings = verdict.merge_warnings([side.warnings for side in sides], [Path(source).name for source in sources])
+    names = [record.recording.source.name for record in records]
+    warnings = verdict.merge_warnings([side.warnings for side in sides], names)
     return Ranking(
         verdict=words,
         laws_in_set=chosen.members,
@@ -173,6 +169,56 @@ def rank(
         findings=tuple(finding for side in sides for finding in side.findings),
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
     )
+
+
+def _fit(
+    laws: Sequence[int],
+    runs: Sequence[Run],
+    records: Sequence[Kinematics],
+    jobs: int,
+    progress: Callable[[float], None] | None,
+    scheduler: str | None,
+) -> tuple[list[Fit], bool]:
+    """Fit the laws to what may be described by them; also return whether the mass sticks in the long run."""
+    sustained = _check(runs, records)
+    seen = sustained  # as the record itself shows, before any law is fitted
+    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
+    fits = search.fit_laws(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
+    if not sustained and evidence.rules_out_constant_friction(fits, runs):
+        sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
+        fits = search.fit_laws(laws, runs, jobs, progress, scheduler)
+    fits = [fit for fit in fits if fit.law in laws]
+    if not sustained and not fits:
+        raise DataError(
+            "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
+            str(records[0].recording.source),
+            "add --laws 1,2",
+        )
+    screening.refuse_missing_frames(fits, records)
+    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
+    if not sustained and not any(run.cut.starts_at_rest for run in runs):
+        _refuse(screening.SINE_ALONE, records)
+    return fits, sustained
+
+
+def _without_law(
+    reason: str, laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematics], begun: float
+) -> Ranking:
+    """Return the verdict on stick-slip that no law comes near: no rows, and what is known without any law."""
+    words = verdict.refused_sentence(reason, laws)
+    outcome = NONE_OF_SIX if len(laws) == len(LAWS) else NONE_FITTED
+    sides = []
+    for run, record in zip(runs, records, strict=True):
+        adequacy = Adequacy(outcome, run.motion.resolution)
+        warned = tuple(finding.text for finding in record.findings)
+        cpu_s = clock.process_time() - begun
+        sides.append(Ranking(words, (), (), (), warned, run.motion, run.cut, adequacy, cpu_s, findings=record.findings))
+    if len(sides) == 1:
+        return sides[0]
+    names = [record.recording.source.name for record in records]
+    warnings = verdict.merge_warnings([side.warnings for side in sides], names)
+    findings = tuple(finding for side in sides for finding in side.findings)
+    return replace(sides[0], warnings=warnings, findings=findings, runs=tuple(sides))
 
 
 def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], ModelSet]:
@@ -271,9 +317,12 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
 
 
 def _refuse(why: str, records: Sequence[Kinematics]) -> None:
-    """Raise DataError where ``why`` says why the laws cannot be ranked."""
-    if why:
-        raise DataError(*screening.refusal(why, records))
+    """Raise where ``why`` says why the laws cannot be ranked: `NoLawError` for stick-slip, else DataError."""
+    if not why:
+        return
+    if why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records):
+        raise NoLawError(why)
+    raise DataError(*screening.refusal(why, records))
 
 
 def _rows(

@@ -74,7 +74,7 @@ class Ranking:
         Model confidence set: laws that the record cannot distinguish, best first.  It compares the laws with each
         other; whether any of them describes the record is said by ``adequacy``.
     rows : tuple of LawResult
-        Best first, those in the set before all others.
+        Best first, those in the set before all others; none where the record is stick-slip that no law comes near.
     events : tuple of BreakAway
     warnings : tuple of str
         The texts of the findings among them.
@@ -103,7 +103,7 @@ class Ranking:
 
     @property
     def best(self) -> LawResult:
-        """The first row."""
+        """The first row; there is none where no law came near the record."""
         return self.rows[0]
 
     def row(self, law: int) -> LawResult:
@@ -136,6 +136,8 @@ class Ranking:
 
     def as_run(self) -> dict[str, Any]:
         """Return the best law's view of one run among several."""
+        if not self.rows:
+            return {"adequacy": self.adequacy.as_json()}
         return {
             "rms_m": self.best.rms_m,
             "cycles": self.best.cycles,

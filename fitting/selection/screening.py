@@ -71,9 +71,6 @@ def refusal(why: str, records: Sequence[Kinematics]) -> tuple[str, str, str]:
     if why == SINE_ALONE:
         do = "record again from before the belt starts: the first drag distinguishes law 1 from law 2"
         return f"no belt stick-slip in this record: {why}", where, do
-    if all(is_stick_slip(record) for record in records):
-        do = "'process smooth' describes its sticks and slips; see with 'process inspect' what else acts on the mass"
-        return f"stick-slip, but none of the six laws: {why}", where, do
     if records[0].sticks and why == NONE_NEAR:
         why = f"{why}, and it sticks for {100 * records[0].plateau_fraction:.2g} % of the time"
     return f"no belt stick-slip in this record: {why}", where, AGAIN

@@ -118,6 +118,12 @@ def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
     return f"{what}: {closest} {left}{times}{same}{regular} (p {format_probability(found.p_value)})"
 
 
+def refused_sentence(reason: str, laws: Sequence[int]) -> str:
+    """Return the verdict on stick-slip that was refused before, or after, its laws were fitted."""
+    which = "none of the six laws" if len(laws) == len(LAWS) else "none of the laws fitted"
+    return f"stick-slip, but {which}: {reason}"
+
+
 def warnings(
     rows: Sequence[LawResult],
     members: Sequence[int],

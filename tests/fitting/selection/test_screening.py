@@ -163,17 +163,24 @@ def test_a_law_that_fits_badly_is_said_to_do_so(synthetic):
     assert any("no law fits well" in warning for warning in ranking.warnings)
 
 
-def test_paper_on_paper_is_stick_slip_that_no_law_describes(published):
-    # "no belt stick-slip in this record" was said of 93 and of 227 sticks.
-    with pytest.raises(DataError, match="stick-slip, but none of the six laws: ") as refused:
-        rank(smooth(published("k168Nm_v1100")))
-    assert refused.value.exit_code == 4
+def test_paper_on_paper_is_stick_slip_that_no_law_describes(published, tmp_path, capsys):
+    # "no belt stick-slip in this record" was said of 93 and of 227 sticks, and later an error with exit code 4.
+    run = tmp_path / "run.h5"
+    store.write(run, published("k168Nm_v1100"))
+    assert application.run(cli.app, [str(run), "--json"]) == 6
+    document = json.loads(capsys.readouterr().out)
+    assert document["verdict"].startswith("stick-slip, but none of the six laws: ")
+    assert document["adequacy"]["verdict"] == "none of the six"
+    assert document["set"] == document["ranking"] == []
+    assert document["statistics"]["slips"] > 60
+    assert "Phase portrait" in (tmp_path / "run.report.html").read_text()
 
 
 @pytest.mark.slow
 def test_break_aways_that_wander_are_stick_slip_too(published):
-    with pytest.raises(DataError, match="stick-slip, but none of the six laws: "):
-        rank(smooth(published("k168Nm_v42")))
+    ranking = rank(smooth(published("k168Nm_v42")), laws=(3, 5))
+    assert ranking.verdict.startswith("stick-slip, but none of the laws fitted: ")
+    assert ranking.adequacy.verdict == "none of the laws fitted"
 
 
 def test_a_record_that_hardly_sticks_is_said_to(published):
