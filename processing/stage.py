@@ -18,8 +18,11 @@
                                   of break_aways, as break_away_mean (absent with fewer than three slips)
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -40,6 +43,51 @@ from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematic
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 EVENTS = {"stick_s": "stick_time", "slip_s": "slip_time", "drop_m": "drop", "break_away_m": "break_away"}
 COUNTS = ("sticks", "slips", "spikes", "frozen")
+ADDED = ("start_errors", "end_errors", "size")  # columns that the first stages did not have
+Column = tuple[Callable[[Any], float], type, str]  # of a row its value, the type and the units, {unit} for a length's
+TABLES: dict[str, tuple[str, str, str, dict[str, Column]]] = {  # title, axis, signal, columns
+    "phases": (
+        "sticks and slips",
+        "start",
+        "stick",
+        {
+            "start": (attrgetter("start"), np.float64, "s"),
+            "end": (attrgetter("end"), np.float64, "s"),
+            "start_errors": (attrgetter("start_sd"), np.float32, "s"),
+            "end_errors": (attrgetter("end_sd"), np.float32, "s"),
+            "first": (attrgetter("first"), np.uint32, ""),
+            "last": (attrgetter("last"), np.uint32, ""),
+            "stick": (lambda phase: phase.kind == "stick", np.uint8, ""),
+        },
+    ),
+    "losses": (
+        "steps of the position",
+        "first",
+        "counts",
+        {
+            "first": (attrgetter("first"), np.uint32, ""),
+            "last": (attrgetter("last"), np.uint32, ""),
+            "counts": (attrgetter("counts"), np.int64, ""),
+            "size": (attrgetter("size"), np.float64, "{unit}"),
+        },
+    ),
+    "kicks": (
+        "steps of the velocity",
+        "sample",
+        "step",
+        {"sample": (attrgetter("sample"), np.uint32, ""), "step": (attrgetter("step"), np.float64, "{unit}/s")},
+    ),
+    "faults": (
+        "samples left out",
+        "first",
+        "last",
+        {
+            "first": (attrgetter("first"), np.uint32, ""),
+            "last": (attrgetter("last"), np.uint32, ""),
+            "frozen": (lambda fault: fault.kind == "frozen", np.uint8, ""),
+        },
+    ),
+}
 
 
 def save(kinematics: Kinematics, path: Path) -> None:
@@ -103,62 +151,14 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
     # The time too: it is the dimension scale of the other two, which xarray looks for in the group itself.
     for name in ("time", "position", "velocity"):
         nexus.link(portrait, name, smooth["kinematics"][name])
-    if motion.phases:
-        nexus.table(
-            smooth,
-            "phases",
-            {
-                "start": (np.array([phase.start for phase in motion.phases]), "s"),
-                "end": (np.array([phase.end for phase in motion.phases]), "s"),
-                "start_errors": (np.array([phase.start_sd for phase in motion.phases], np.float32), "s"),
-                "end_errors": (np.array([phase.end_sd for phase in motion.phases], np.float32), "s"),
-                "first": (np.array([phase.first for phase in motion.phases], np.uint32), ""),
-                "last": (np.array([phase.last for phase in motion.phases], np.uint32), ""),
-                "stick": (np.array([phase.kind == "stick" for phase in motion.phases], np.uint8), ""),
-            },
-            axis="start",
-            signal="stick",
-            title="sticks and slips",
-        )
-    if motion.losses:
-        nexus.table(
-            smooth,
-            "losses",
-            {
-                "first": (np.array([loss.first for loss in motion.losses], np.uint32), ""),
-                "last": (np.array([loss.last for loss in motion.losses], np.uint32), ""),
-                "counts": (np.array([loss.counts for loss in motion.losses], np.int64), ""),
-                "size": (np.array([loss.size for loss in motion.losses]), unit),
-            },
-            axis="first",
-            signal="counts",
-            title="steps of the position",
-        )
-    if motion.kicks:
-        nexus.table(
-            smooth,
-            "kicks",
-            {
-                "sample": (np.array([kick.sample for kick in motion.kicks], np.uint32), ""),
-                "step": (np.array([kick.step for kick in motion.kicks]), f"{unit}/s"),
-            },
-            axis="sample",
-            signal="step",
-            title="steps of the velocity",
-        )
-    if motion.faults:
-        nexus.table(
-            smooth,
-            "faults",
-            {
-                "first": (np.array([fault.first for fault in motion.faults], np.uint32), ""),
-                "last": (np.array([fault.last for fault in motion.faults], np.uint32), ""),
-                "frozen": (np.array([fault.kind == "frozen" for fault in motion.faults], np.uint8), ""),
-            },
-            axis="first",
-            signal="last",
-            title="samples left out",
-        )
+    for name, (title, axis, signal, columns) in TABLES.items():
+        rows = getattr(motion, name)
+        if rows:
+            made: dict[str, tuple[Any, str]] = {
+                column: (np.array([value(row) for row in rows], dtype), units.format(unit=unit))
+                for column, (value, dtype, units) in columns.items()
+            }
+            nexus.table(smooth, name, made, axis=axis, signal=signal, title=title)
     if motion.findings:
         made = nexus.group(smooth, "findings", "NXcollection")
         for name in ("code", "text"):
@@ -223,10 +223,16 @@ def load(path: Path) -> Kinematics | None:
             order=int(nexus.read_number(entry, f"{parameters}/order", path)),
             times=times,
             belt_speed=nexus.read_number(entry, f"{parameters}/belt_speed", path),
-            phases=_phases(entry, path),
+            phases=tuple(
+                Phase("stick" if stuck else "slip", start, end, first, last, start_sd, end_sd)
+                for start, end, start_sd, end_sd, first, last, stuck in _stored(entry, "phases", path)
+            ),
             losses=_losses(entry, recording, path),
-            kicks=_kicks(entry, path),
-            faults=_faults(entry, path),
+            kicks=tuple(VelocityStep(*row) for row in _stored(entry, "kicks", path)),
+            faults=tuple(
+                Fault(first, last, "frozen" if frozen else "spike")
+                for first, last, frozen in _stored(entry, "faults", path)
+            ),
             dropped_frames=_dropped_frames(entry, path),
             noise=_noise(entry, recording, times, path),
             findings=_findings(entry, path),
@@ -265,12 +271,19 @@ def _noise(entry: h5py.Group, recording: Recording, times: str, path: Path) -> f
     return position_noise(series.from_recording(recording, times))
 
 
-def _faults(entry: h5py.Group, path: Path) -> tuple[Fault, ...]:
-    if "smooth/faults" not in entry:
-        return ()
-    columns = [nexus.read_array(entry, f"smooth/faults/{name}", np.int64, path) for name in ("first", "last", "frozen")]
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    return tuple(Fault(first, last, "frozen" if frozen else "spike") for first, last, frozen in rows)
+def _stored(entry: h5py.Group, name: str, path: Path) -> Iterator[tuple[Any, ...]]:
+    """Yield the rows of a table of `TABLES`; NaN for the columns `ADDED` in a stage written without them."""
+    if f"smooth/{name}" not in entry:
+        return
+    columns: list[list[float]] = []
+    for column, (_, dtype, _) in TABLES[name][3].items():
+        place = f"smooth/{name}/{column}"
+        if column in ADDED and place not in entry:
+            columns.append([math.nan] * len(columns[0]))
+        else:
+            read_as = np.int64 if np.issubdtype(dtype, np.integer) else np.float64
+            columns.append(nexus.read_array(entry, place, read_as, path).tolist())
+    yield from zip(*columns, strict=True)
 
 
 def _dropped_frames(entry: h5py.Group, path: Path) -> int:
@@ -298,41 +311,11 @@ def _slip_events(entry: h5py.Group, path: Path) -> tuple[SlipEvent, ...]:
     return tuple(SlipEvent(*row) for row in zip(*(column.tolist() for column in columns), strict=True))
 
 
-def _phases(entry: h5py.Group, path: Path) -> tuple[Phase, ...]:
-    if "smooth/phases" not in entry:
-        return ()
-    start, end = (nexus.read_array(entry, f"smooth/phases/{name}", np.float64, path) for name in ("start", "end"))
-    first, last, stick = (
-        nexus.read_array(entry, f"smooth/phases/{name}", np.int64, path) for name in ("first", "last", "stick")
-    )
-    start_sd, end_sd = (
-        nexus.read_array(entry, f"smooth/phases/{name}_errors", np.float64, path)
-        if f"smooth/phases/{name}_errors" in entry
-        else np.full(start.size, np.nan)  # written before the corners' errors were
-        for name in ("start", "end")
-    )
-    return tuple(
-        Phase("stick" if stuck else "slip", float(t0), float(t1), int(i), int(j), float(sd0), float(sd1))
-        for t0, t1, i, j, stuck, sd0, sd1 in zip(start, end, first, last, stick, start_sd, end_sd, strict=True)
-    )
-
-
 def _losses(entry: h5py.Group, recording: Recording, path: Path) -> tuple[PositionStep, ...]:
-    if "smooth/losses" not in entry:
-        return ()
-    columns = [nexus.read_array(entry, f"smooth/losses/{name}", np.int64, path) for name in ("first", "last", "counts")]
-    if "size" in entry["smooth/losses"]:
-        size = nexus.read_array(entry, "smooth/losses/size", np.float64, path)
-    else:  # of a stage written before it was stored, all of whose steps are lost counts
-        metres = recording.rig.metres_per_count
-        size = columns[-1] * (1.0 if metres is None else abs(metres.value))
-    rows = zip(*(column.tolist() for column in (*columns, size)), strict=True)
-    return tuple(PositionStep(*row) for row in rows)
-
-
-def _kicks(entry: h5py.Group, path: Path) -> tuple[VelocityStep, ...]:
-    if "smooth/kicks" not in entry:
-        return ()
-    sample = nexus.read_array(entry, "smooth/kicks/sample", np.int64, path)
-    step = nexus.read_array(entry, "smooth/kicks/step", np.float64, path)
-    return tuple(VelocityStep(int(at), float(size)) for at, size in zip(sample, step, strict=True))
+    metres = recording.rig.metres_per_count
+    pitch = 1.0 if metres is None else abs(metres.value)
+    # Without a size: of a stage written before it was stored, all of whose steps are lost counts.
+    return tuple(
+        PositionStep(first, last, counts, counts * pitch if math.isnan(size) else size)
+        for first, last, counts, size in _stored(entry, "losses", path)
+    )

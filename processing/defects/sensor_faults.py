@@ -10,8 +10,10 @@ bursts of noise, and a sensor that holds its value while nothing moves or until 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -167,23 +169,24 @@ def _beyond(x: Array) -> Array:
 
 def _outlying(padded: Array, limit: float) -> tuple[Integers, Array]:
     run = compiled(fault_kernel.find_outliers, KERNELS)
-    room = 256
-    while True:
-        found, size = np.empty(room, np.int64), np.empty(room)
-        count = run(padded, limit, NORMAL / OUT_OF_LINE, found, size)
-        if count <= room:
-            return found[:count], size[:count]
-        room = count
+    found, size = _all_found(lambda *out: run(padded, limit, NORMAL / OUT_OF_LINE, *out), ((), np.int64), ((), float))
+    return found, size
 
 
 def _held(x: Array, jump: float) -> list[list[int]]:
     run = compiled(fault_kernel.find_held, KERNELS)
+    (found,) = _all_found(lambda out: run(x, DROPPED, jump, out), ((2,), np.int64))
+    return found.tolist()  # type: ignore[no-any-return]
+
+
+def _all_found(run: Callable[..., int], *rows: tuple[tuple[int, ...], type]) -> list[Any]:
+    """Return what ``run`` writes into arrays of rows of these shapes and types; it returns how many rows there are."""
     room = 256
     while True:
-        found = np.empty((room, 2), np.int64)
-        count = run(x, DROPPED, jump, found)
+        arrays: list[Any] = [np.empty((room, *shape), dtype) for shape, dtype in rows]
+        count = run(*arrays)
         if count <= room:
-            return found[:count].tolist()  # type: ignore[no-any-return]
+            return [array[:count] for array in arrays]
         room = count
 
 
