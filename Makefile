@@ -12,7 +12,33 @@ demo: $(VENV)/.installed
 	$(BIN)/daq demo
 
 test: $(VENV)/.installed-test
-	@$(MAKE) --no-print-directory -j2 static kernels
+	@$(MAKE) --no-print-directory -j2 static kernels  # mypy takes one core, the compiler the other
+	$(PYTEST) -m "not slow"
+
+static: $(VENV)/.installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-cache
+	$(BIN)/mypy
+
+kernels: $(VENV)/.installed-test
+	$(BIN)/python tests/compile_kernels.py
+
+test-slow: the long ones; test-kernels: the fit under every BLAS
+# kernel that this processor runs; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
+PYTHON ?= python3
+VENV ?= .venv
+BIN = $(VENV)/bin
+PYTEST = $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+BLAS_KERNELS = Haswell Sandybridge Prescott $(shell grep -qsw avx512f /proc/cpuinfo && echo SkylakeX)
+
+.PHONY: demo test static kernels test-slow test-kernels bench docs clean
+
+demo: $(VENV)/.installed
+	$(BIN)/daq demo
+
+test: $(VENV)/.installed-test
+	@$(MAKE) --no-print-directory -j2 static kernels  # mypy takes one core, the compiler the other
 	$(PYTEST) -m "not slow"
 
 static: $(VENV)/.installed-test

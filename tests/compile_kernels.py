@@ -1,0 +1,19 @@
+"""Compile the kernels that most tests call and keep them (`make kernels`); two test processes would each compile them.
+
+Smoothing and the fit of six laws, the listing of events, and the ring-down.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+import daq
+import fitting
+import processing
+from daq.calibration import ring_down
+from rig_sim.flow.flow import Flow
+from rig_sim.integrate.events import list_events
+
+fitting.rank(processing.smooth(daq.load(Path(__file__).parents[1] / "data_samples" / "law5.h5")))
+list_events(Flow(), 0.0, 0.0, 1e-9, compiled=True)
+ring_down.motion(np.linspace(0.0, 1.0, 3), 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
