@@ -54,6 +54,8 @@ class LeastSquaresProblem:
         Prior means of u and 1/sd^2; 0 where nothing is known.
     local_prior, local_precision : (cycles, q) f8
         The same for the cycles' own unknowns.
+    local_upper : (cycles, q) f8
+        Upper bounds of the cycles' own unknowns, to which a longer step is cut.
     """
 
     evaluate: Evaluate
@@ -65,6 +67,7 @@ class LeastSquaresProblem:
     precision: Array
     local_prior: Array
     local_precision: Array
+    local_upper: Array | float = math.inf
 
     @cached_property
     def starts(self) -> NDArray[np.int64]:
@@ -197,7 +200,13 @@ class SchurComplement:
 
 
 def minimise(
-    problem: LeastSquaresProblem, u: Array, local: Array, *, max_steps: int = 40, tolerance: float = 1e-5
+    problem: LeastSquaresProblem,
+    u: Array,
+    local: Array,
+    *,
+    max_steps: int = 40,
+    tolerance: float = 1e-5,
+    damping: float = FIRST_DAMPING,
 ) -> Solution | None:
     """Minimise from (u, local); None when not even the start can be followed.
 
@@ -210,6 +219,8 @@ def minimise(
         Derivatives to take at most.
     tolerance : float
         Stop when a step lowers the cost by less than this fraction (twice in a row), or by less than this at all.
+    damping : float
+        Of the first step, times the curvatures: less where the start is known to be near.
     """
     u = np.clip(u, problem.lower, problem.upper)
     first = problem.evaluate(u, local, True)
@@ -217,7 +228,7 @@ def minimise(
         return None
     residual, jacobian = first
     value = cost(problem, u, local, residual)
-    damping, cycle_damping = FIRST_DAMPING, np.ones(local.shape[0])
+    cycle_damping = np.ones(local.shape[0])
     calm, outcome, steps = 0, "step limit", 1
     blocks = normal_equations(problem, u, local, residual, jacobian)
     while steps < max_steps:
@@ -226,6 +237,7 @@ def minimise(
             step = _accelerated_step(problem, u, local, blocks, damping * cycle_damping, residual, jacobian)
             if isinstance(step, Step):
                 trial, local_trial = np.clip(u + step.u, problem.lower, problem.upper), local + step.local
+                local_trial = np.minimum(local_trial, problem.local_upper)
                 found = problem.evaluate(trial, local_trial, False)
                 trial_value = math.inf if found is None else cost(problem, trial, local_trial, found[0])
                 if trial_value < value:
@@ -308,7 +320,8 @@ def _accelerated_step(
     p = u.size
     damped = SchurComplement(blocks, damping)
     step = _step(problem, u, damped, blocks.g, blocks.gl)
-    near = problem.evaluate(u + PROBE_STEP * step.u, local + PROBE_STEP * step.local, False)
+    beside = np.minimum(local + PROBE_STEP * step.local, problem.local_upper)
+    near = problem.evaluate(u + PROBE_STEP * step.u, beside, False)
     if near is None:
         return np.zeros(damping.size)
     both = np.hstack([np.tile(step.u, (damping.size, 1)), step.local])

@@ -83,7 +83,7 @@ def coarse_fit(
         flow cannot be followed from any of them: the law then has no place in the ranking.
     """
     begun = clock.process_time()
-    windows = _windows(problem, thinned=True)
+    windows = fitted_windows(problem, thinned=True)
     begin = [_starting_state(problem, windows)]
     if near is not None:
         second = replace(begin[0], u=_start_from(problem, near), local=near.local)
@@ -170,7 +170,7 @@ def final_fit(fit: Fit) -> Fit:
     last = _minimise(problem, fit.windows, first, *FADE_PASS)
     if last is not None:
         last = _release_static(problem, fit.windows, last)
-    windows = _windows(problem, thinned=False)
+    windows = fitted_windows(problem, thinned=False)
     if last is not None and windows.time.size > fit.windows.time.size:
         noise = _reestimate_noise(last, fit.windows, problem.motions, first=False)
         last = _minimise(problem, windows, noise, *FINE_PASS)
@@ -181,7 +181,7 @@ def final_fit(fit: Fit) -> Fit:
     return _fit(problem, windows, last, fit.cpu_s + clock.process_time() - begun)
 
 
-def _windows(problem: EstimationProblem, *, thinned: bool) -> ShootingWindows:
+def fitted_windows(problem: EstimationProblem, *, thinned: bool) -> ShootingWindows:
     """Return the windows of all runs, of every sample or thinned to `COARSE_HZ`."""
     parts = []
     for run in problem.runs:

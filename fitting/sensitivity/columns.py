@@ -68,13 +68,14 @@ def spline_tangents(path: Path) -> Array:
     if spline is None:
         raise ValueError("this path follows a law's curve: there are no coefficients")
     slips = path.slips
-    forces = np.zeros((path.time.size, spline.coefficients.size))
-    forces[slips] = (path.level * path.side * _yielding(path))[slips, None] * spline.basis(path.slip_speed[slips])
+    forces = spline.basis(path.slip_speed, path.level * path.side * _yielding(path))
     d, q, at_rest = _contact(path)
-    ramp = ~slips & ~(path.mode == STICK)
-    forces[ramp, 0] = (path.friction / at_rest * d / np.maximum(d + q * at_rest, 1e-300))[ramp]
+    if path.curve.ramp or np.any(q):
+        ramp = ~slips & ~(path.mode == STICK)
+        width = np.maximum(d + q * at_rest, 1e-300)
+        forces[ramp, 0] = (path.friction / at_rest * (d / width))[ramp]
     edge = np.zeros((path.windows.table.shape[0], spline.coefficients.size))
-    edge[:, 0] = q[path.first_point[:-1]]
+    edge[:, 0] = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]]
     return tangents(path, forces, edge=edge)
 
 
@@ -83,8 +84,7 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
 
     Those that move the belt do it through its speed alone (`belt_columns`): 0 here.
     """
-    own = path.u.reshape(-1, PER_RUN)[path.run]
-    K, F = own[:, Global.K], np.exp(own[:, Global.LOG_F])
+    K, F, compliance = path.unknown(Global.K), np.exp(path.unknown(Global.LOG_F)), path.unknown(Global.COMPLIANCE)
     d, q, at_rest = _contact(path)
     slips, friction, slope = path.slips, path.friction, path.friction_slope
     ramp = ~slips & ~(path.mode == STICK)
@@ -93,21 +93,25 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
     # by the ramp's half-width d and by q, the speed lost under the load F, at a given relative speed
     by_d = np.where(slips, -path.side * slope, np.where(ramp, -friction / width, 0.0))
     by_q = np.where(slips, by_d * n, by_d * at_rest)
-    by_q_of = {
-        Global.K: -own[:, Global.COMPLIANCE] * F / K**2,
-        Global.LOG_F: q,
-        Global.COMPLIANCE: F / K,
-    }
+    by_q_of = (
+        {}
+        if not np.any(compliance) and Global.COMPLIANCE not in slots
+        else {
+            Global.K: -compliance * F / K**2,
+            Global.LOG_F: q,
+            Global.COMPLIANCE: F / K,
+        }
+    )
     forces = np.zeros((path.time.size, len(slots)))
     edge = np.zeros((path.windows.table.shape[0], len(slots)))
     first = path.first_point[:-1]
     for j, slot in enumerate(slots):
         if slot == Global.K:
-            forces[:, j] = own[:, Global.DATUM] - path.position
+            forces[:, j] = path.unknown(Global.DATUM) - path.position
         elif slot == Global.LOG_F:
             forces[:, j] = np.where(slips | ramp, friction, 0.0)
         elif slot == Global.SHAPE and path.curve.spline is None:
-            shape = own[:, Global.SHAPE]
+            shape = path.unknown(Global.SHAPE)
             rate = shape_slope(path.curve.code, path.slip_speed, path.level * F, shape)  # type: ignore[arg-type]
             forces[:, j] = np.where(slips, path.side * rate * _yielding(path), 0.0)
         elif slot == Global.D:
@@ -118,41 +122,44 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
             forces[:, j] = -path.velocity
         elif slot == Global.FADE:
             epoch = path.windows.level_epoch[path.window]
-            fall = (path.time - epoch) / (1 - own[:, Global.FADE] * (path.time - epoch))
+            fall = (path.time - epoch) / (1 - path.unknown(Global.FADE) * (path.time - epoch))
             forces[:, j] = np.where(slips | ramp, -fall * friction, 0.0)
         elif slot == Global.STATIC:
-            forces[:, j] = np.where(ramp & (q == 0.0), friction / own[:, Global.STATIC], 0.0)
+            forces[:, j] = np.where(ramp & (q == 0.0), friction / path.unknown(Global.STATIC), 0.0)
         if slot in by_q_of:
             forces[:, j] += by_q * by_q_of[Global(slot)]
-            edge[:, j] += (at_rest * by_q_of[Global(slot)])[first]
+            edge[:, j] += np.broadcast_to(at_rest * by_q_of[Global(slot)], path.time.shape)[first]
     return forces, edge
 
 
 def belt_columns(path: Path, slots: Sequence[int]) -> Array:
     """Return what a unit of each slot adds to the belt's speed, m/s, shape (M, slots)."""
-    own = path.u.reshape(-1, PER_RUN)[path.run]
-    turn = own[:, Global.OMEGA] * path.time
-    of = {
-        Global.V_DR: np.ones(turn.size),
-        Global.COSINE: np.cos(turn),
-        Global.SINE: np.sin(turn),
-        Global.OMEGA: path.time * (own[:, Global.SINE] * np.cos(turn) - own[:, Global.COSINE] * np.sin(turn)),
-    }
-    return np.asarray(np.column_stack([of[Global(slot)] for slot in slots]))
+    found = np.ones((path.time.size, len(slots)))
+    if any(slot != Global.V_DR for slot in slots):
+        turn = path.unknown(Global.OMEGA) * path.time
+        cosine, sine = np.cos(turn), np.sin(turn)
+        rate = path.time * (path.unknown(Global.SINE) * cosine - path.unknown(Global.COSINE) * sine)
+        of = {Global.V_DR: np.ones(turn.size), Global.COSINE: cosine, Global.SINE: sine, Global.OMEGA: rate}
+        for j, slot in enumerate(slots):
+            found[:, j] = of[Global(slot)]
+    return found
 
 
-def _contact(path: Path) -> tuple[Array, Array, Array]:
-    """Return d (m/s), q (m/s) and n(0) at every point; each (M,)."""
-    own = path.u.reshape(-1, PER_RUN)[path.run]
+def _contact(path: Path) -> tuple[Array | float, Array | float, float]:
+    """Return d (m/s), q (m/s) and n(0), each (M,) or one number."""
     spline = path.curve.spline
-    d = own[:, Global.D] if path.curve.ramp else np.zeros(path.time.size)
-    q = own[:, Global.COMPLIANCE] * np.exp(own[:, Global.LOG_F]) / own[:, Global.K]
-    return d, q, np.full(d.size, 1.0 if spline is None else float(spline.coefficients[0]))
+    d = path.unknown(Global.D) if path.curve.ramp else 0.0
+    return d, _loss(path), 1.0 if spline is None else float(spline.coefficients[0])
 
 
-def _yielding(path: Path) -> Array:
+def _loss(path: Path) -> Array | float:
+    """Return q, the speed that a compliant belt loses under the load F, m/s."""
+    return path.unknown(Global.COMPLIANCE) * np.exp(path.unknown(Global.LOG_F)) / path.unknown(Global.K)
+
+
+def _yielding(path: Path) -> Array | float:
     """Return 1/(1 + q n'), by which a compliant belt lowers the effect of a change of the curve; 1 on a stiff one."""
-    own = path.u.reshape(-1, PER_RUN)[path.run]
-    F = np.exp(own[:, Global.LOG_F])
-    q = own[:, Global.COMPLIANCE] * F / own[:, Global.K]
-    return np.asarray(1 - q * path.friction_slope / (path.level * F))
+    q = _loss(path)
+    if not np.any(q):
+        return 1.0
+    return np.asarray(1 - q * path.friction_slope / (path.level * np.exp(path.unknown(Global.LOG_F))))

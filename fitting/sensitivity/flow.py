@@ -232,6 +232,21 @@ def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Arra
     points[FRICTION, i], points[SLOPE, i], points[SPEED, i] = force, slope, s
 
 
+def store_middle(w: Window, mode: int, t: float, h: float, points: Array, i: int) -> None:
+    """Store the point in the middle of the step from point i to i + 2, by Hermite's cubic between them."""
+    x0, x1 = points[POSITION, i], points[POSITION, i + 2]
+    v0, v1 = points[VELOCITY, i], points[VELOCITY, i + 2]
+    middle = t + 0.5 * h
+    x = 0.5 * (x0 + x1) + 0.125 * h * (v0 - v1)
+    if mode == STICK or mode == CREEP:
+        v = bound_velocity(w, mode, middle, x)
+    else:
+        a0 = free_force(w, t, x0) - w.u[DAMPING] * v0 + points[FRICTION, i]
+        a1 = free_force(w, t + h, x1) - w.u[DAMPING] * v1 + points[FRICTION, i + 2]
+        v = 0.5 * (v0 + v1) + 0.125 * h * (a0 - a1)
+    store_point(w, mode, middle, x, v, points, i + 1)
+
+
 def follow_window(
     w: Window,
     stick: bool,
@@ -240,6 +255,7 @@ def follow_window(
     earliest: float,
     overtakes: bool,
     next_level: float,
+    longest: float,
     times: Array,
     first_sample: int,
     row: int,
@@ -283,7 +299,7 @@ def follow_window(
                 if times.size == 1:
                     return m + 1, s
         gap = times[i] - t
-        h = gap / max(1.0, math.ceil(gap * fastest_rate(w, mode, t, v) / LONGEST_STEP))
+        h = gap / max(1.0, math.ceil(gap * fastest_rate(w, mode, t, v) / longest))
         x1, v1 = advance(w, mode, t, x, v, h)
         if not math.isfinite(x1 + v1):
             return 0, -1
@@ -291,11 +307,11 @@ def follow_window(
         if ends:
             h = time_of_edge(w, mode, t, x, v, h)
             x1, v1 = advance(w, mode, t, x, v, h)
-        xm, vm = advance(w, mode, t, x, v, 0.5 * h)
         done = not ends and h >= gap
-        store_point(w, mode, t + 0.5 * h, xm, vm, points, m + 1)
+        begun = t
         t = times[i] if done else t + h
         store_point(w, mode, t, x1, v1, points, m + 2)
+        store_middle(w, mode, begun, t - begun, points, m)
         for j in range(m + 1, m + 3):
             kinds[0, j], kinds[1, j] = mode, int(landed)
         steps[s, FIRST_POINT], steps[s, WINDOW], steps[s, SAMPLE] = m, row, -1
@@ -372,6 +388,7 @@ def follow_windows(
     pieces: Array,
     ramp: int,
     extra: Extra,
+    longest: float,
     points: Array,
     kinds: Integers,
     steps: Integers,
@@ -382,8 +399,9 @@ def follow_windows(
 ) -> int:
     """Follow all windows; return 0, -1 where the arrays are too small, or 1 + the window that cannot be followed.
 
-    ``u`` (runs, 13), ``local`` (cycles, 6), ``table`` (windows, 6) and the times are those of `ShootingWindows`;
-    ``first_point`` and ``first_step`` (windows + 1,) are filled with where each window's begin.
+    ``longest`` is the longest step times the fastest rate.  ``u`` (runs, 13), ``local`` (cycles, 6), ``table``
+    (windows, 6) and the times are those of `ShootingWindows`; ``first_point`` and ``first_step`` (windows + 1,) are
+    filled with where each window's begin.
     """
     m, s = 0, 0
     for row in range(table.shape[0]):
@@ -410,6 +428,7 @@ def follow_windows(
             earliest[row],
             table[row, 4] == 1,
             math.exp(part[NEXT]),
+            longest,
             time[first : first + n],
             first,
             row,

@@ -88,6 +88,11 @@ class Path:
     jumps: Array
     reached: Integers
 
+    def unknown(self, slot: int) -> Array | float:
+        """Return a shared unknown at every point, (M,); one number where there is one run."""
+        own = self.u.reshape(-1, PER_RUN)[:, slot]
+        return float(own[0]) if own.size == 1 else np.asarray(own[self.run])
+
     @property
     def model(self) -> Array:
         """Position at every sample, m, shape (N,)."""
@@ -118,13 +123,13 @@ class Path:
         """Where the mass moves with the belt or creeps on it: no acceleration counts there, shape (M,)."""
         return np.asarray((self.mode == STICK) | (self.mode == flow.CREEP))
 
-    @property
+    @cached_property
     def side(self) -> Array:
         """1.0 where friction pushes the mass forwards in slip, -1.0 where backwards, 0.0 in stick; shape (M,)."""
         slips = self.slips
         return np.where(slips, np.where(self.mode == NEGATIVE, 1.0, -1.0), 0.0)
 
-    @property
+    @cached_property
     def slips(self) -> Mask:
         """Where the mass slips beyond any ramp, shape (M,)."""
         return np.asarray((self.mode > STICK) & (self.mode < RAMP))
@@ -139,6 +144,7 @@ def follow(
     along: Path | None = None,
     acceleration: Array | None = None,
     belt_speed: Array | None = None,
+    longest_step: float = flow.LONGEST_STEP,
 ) -> Path | None:
     """Follow all windows; None where the motion cannot be followed.
 
@@ -155,6 +161,8 @@ def follow(
         An earlier path of the same windows, at whose points what follows is given.
     acceleration, belt_speed : (M,) f8, optional
         A force per unit mass, m/s^2, and a change of the belt's speed, m/s, besides; between points linear in time.
+    longest_step : float
+        Times the fastest rate of the motion; a search may take longer ones (`flow.LONGEST_STEP`).
     """
     spline = curve.spline
     own = np.array(u, float).reshape(-1, PER_RUN)
@@ -189,6 +197,7 @@ def follow(
             NO_PIECES if spline is None else spline.pieces,
             int(curve.ramp),
             extra,
+            longest_step,
             points,
             kinds,
             steps,
@@ -243,4 +252,4 @@ def with_coefficients(curve: Curve, coefficients: Array) -> Curve:
     """Return a spline curve with other coefficients, m/s^2."""
     if curve.spline is None:
         raise ValueError("this curve is a law's: it has no coefficients")
-    return replace(curve, spline=replace(curve.spline, coefficients=coefficients))
+    return replace(curve, spline=curve.spline.with_coefficients(coefficients))

@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.compile import compiled
+from fitting.sensitivity.friction import piece_of
 
 DEGREE = 3
 
@@ -20,53 +22,63 @@ class FrictionSpline:
         Slip speeds from 0, m/s, increasing.
     coefficients : (n + 3,) f8
         Friction per unit mass, m/s^2; the first is that at s = 0, the last that at the last knot.
+    basis_pieces : (n + 3, n, 4) f8
+        Each basis function's polynomials: powers from 0 of the distance to the knot below.
     """
 
     knots: Array
     coefficients: Array
+    basis_pieces: Array
 
-    @property
-    def clamped(self) -> Array:
-        """The knots with the first and the last repeated, as scipy wants them."""
-        return np.concatenate(([self.knots[0]] * DEGREE, self.knots, [self.knots[-1]] * DEGREE))
-
-    @cached_property
-    def basis_pieces(self) -> Array:
-        """Each basis function's polynomials, shape (n + 3, n, 4): powers from 0 of the distance to the knot below."""
+    @classmethod
+    def over(cls, knots: Array, coefficients: Array | None = None) -> "FrictionSpline":
+        """Return a spline over knots (n + 1,), its coefficients (n + 3,) 0 unless given."""
         from scipy.interpolate import PPoly
 
-        count, n = self.knots.size + DEGREE - 1, self.knots.size - 1
-        found = np.zeros((count, n, DEGREE + 1))
+        clamped = np.concatenate(([knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE))
+        count, n = knots.size + DEGREE - 1, knots.size - 1
+        pieces = np.zeros((count, n, DEGREE + 1))
         for j in range(count):
             unit = np.zeros(count)
             unit[j] = 1.0
-            pieces = PPoly.from_spline((self.clamped, unit, DEGREE))
-            found[j] = pieces.c[::-1, DEGREE : DEGREE + n].T
-        return found
+            pieces[j] = PPoly.from_spline((clamped, unit, DEGREE)).c[::-1, DEGREE : DEGREE + n].T
+        return cls(knots, np.zeros(count) if coefficients is None else coefficients, pieces)
+
+    def with_coefficients(self, coefficients: Array) -> "FrictionSpline":
+        """Return the spline with the same knots and other coefficients (n + 3,), m/s^2."""
+        return FrictionSpline(self.knots, coefficients, self.basis_pieces)
 
     @cached_property
     def pieces(self) -> Array:
         """The spline's polynomials, shape (n, 4), as in `basis_pieces`."""
         return np.ascontiguousarray(np.einsum("j,jik->ik", self.coefficients, self.basis_pieces))
 
-    def basis(self, s: Array) -> Array:
-        """Return the basis functions at slip speeds s (k,), shape (k, n + 3), continued as the kernels continue them.
+    def basis(self, s: Array, factor: Array | float = 1.0) -> Array:
+        """Return the basis functions at slip speeds s (k,) times ``factor`` (k,), shape (k, n + 3).
 
-        Beyond the last knot the slope is constant; below 0 the first polynomial goes on.
+        They are continued as the kernels continue them: with a constant slope beyond the last knot; below 0 the first
+        polynomial goes on.
         """
-        inside = np.minimum(s, self.knots[-1])
-        i = np.clip(np.searchsorted(self.knots, inside, side="right") - 1, 0, self.knots.size - 2)
-        z = inside - self.knots[i]
-        c = self.basis_pieces
-        # only four functions are not 0 on a piece: those numbered from it
-        four = i[:, None] + np.arange(DEGREE + 1)
-        own = c[four, i[:, None]]
-        values = own[..., 0] + z[:, None] * (own[..., 1] + z[:, None] * (own[..., 2] + z[:, None] * own[..., 3]))
-        rates = own[..., 1] + z[:, None] * (2 * own[..., 2] + 3 * z[:, None] * own[..., 3])
-        found = np.zeros((s.size, c.shape[0]))
-        np.put_along_axis(found, four, values + (s - inside)[:, None] * rates, axis=1)
+        found = np.zeros((s.size, self.basis_pieces.shape[0]))
+        fill = compiled(fill_basis, ("fitting.sensitivity.friction", __name__), _nrt=False)
+        fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), np.broadcast_to(factor, s.shape).copy(), found)
         return found
 
     def __call__(self, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s."""
-        return np.asarray(self.basis(np.asarray(s, float)) @ self.coefficients)
+        return np.asarray(np.einsum("kj,j->k", self.basis(np.asarray(s, float)), self.coefficients))
+
+
+def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, out: Array) -> None:
+    """Add ``factor`` (k,) times the basis functions at s (k,) to ``out`` (k, n + 3); a kernel."""
+    last = knots[knots.size - 1]
+    for row in range(s.size):
+        if factor[row] == 0.0:
+            continue
+        i = piece_of(knots, s[row])
+        beyond = max(s[row] - last, 0.0)
+        z = s[row] - beyond - knots[i]
+        for j in range(i, i + DEGREE + 1):  # the others are 0 on this piece
+            c = pieces[j, i]
+            rate = c[1] + z * (2.0 * c[2] + z * 3.0 * c[3])
+            out[row, j] += factor[row] * (c[0] + z * (c[1] + z * (c[2] + z * c[3])) + beyond * rate)

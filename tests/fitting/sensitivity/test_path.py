@@ -82,9 +82,9 @@ def test_positions_and_tangents_are_those_of_the_exact_flow(case):
 
 def spline_of(function, fastest=0.9, pieces=13):
     knots = fastest * np.linspace(0, 1, pieces + 1) ** 1.6
-    first = FrictionSpline(knots, np.zeros(pieces + 3))
+    first = FrictionSpline.over(knots)
     s = np.linspace(0, fastest, 400)
-    return FrictionSpline(knots, np.linalg.lstsq(first.basis(s), function(s), rcond=None)[0])
+    return first.with_coefficients(np.linalg.lstsq(first.basis(s), function(s), rcond=None)[0])
 
 
 @pytest.mark.parametrize("compliance", [0.0, 0.05])

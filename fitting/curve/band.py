@@ -1,0 +1,75 @@
+"""The covariance of the measured curve and its simultaneous band.
+
+A band that holds the whole curve is wider than the interval of one point: its factor is the quantile of the largest
+deviation over all speeds, in standard deviations, found from normal draws.  As for the laws' parameters, both the
+noise alone and the scatter of the cycles' gradients (sandwich) give a covariance, and the larger deviation counts at
+each speed: with few cycles the sandwich comes out too small, with residuals that are not white the other.
+"""
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.curve.spline_fit import SplineFit
+from fitting.estimation.levenberg_marquardt import eigen
+from fitting.estimation.linearised import LinearisedFit
+from fitting.model.parameters import Global
+
+SPEEDS = 200
+SEEN_FROM, SEEN_TO = 0.03, 0.985  # of the fastest slip: below, few samples; beyond, few cycles
+DRAWS = 400  # the quantile of 95 % is then known to 2 %
+SEED = 20_240  # the draws are the same for every record
+
+
+def covariances(linear: LinearisedFit) -> tuple[Array, Array]:
+    """Return the covariance (p, p) of the shared unknowns by the noise, and by the scatter between cycles."""
+    noise = linear.covariance
+    own = linear.gradients()
+    cycles = own.shape[0]
+    meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + linear.prior_precision
+    return noise, np.einsum("ik,kl,lj->ij", noise, meat, noise, optimize=False)
+
+
+def seen_speeds(fit: SplineFit) -> Array:
+    """Return the slip speeds beyond the ramp (k,), m/s, for which the band is stated."""
+    fastest = fit.spline.knots[-1]
+    return np.linspace(SEEN_FROM * fastest, SEEN_TO * fastest, SPEEDS)
+
+
+def curve_columns(fit: SplineFit, s: Array) -> Array:
+    """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns, the ramp's half-width too."""
+    found = np.zeros((s.size, fit.solution.u.size))
+    first = len(fit.places)
+    found[:, first:] = np.einsum("ki,ij->kj", fit.spline.basis(s), fit.basis.matrix)
+    if Global.D in fit.places and fit.path.curve.ramp:
+        h = 1e-4 * fit.spline.knots[-1]
+        found[:, fit.places.index(Global.D)] = -(fit.spline(s + h) - fit.spline(s - h)) / (2 * h)
+    return found
+
+
+def half_widths(columns: Array, both: tuple[Array, Array], confidence: float, widening: float) -> Array:
+    """Return half the width of the band (k,), m/s^2.
+
+    Parameters
+    ----------
+    columns : (k, p) f8
+        Derivatives of the curve at each speed by the unknowns.
+    both : pair of (p, p) f8
+        Covariances.
+    confidence : float
+        That the whole curve is inside.
+    widening : float
+        Factor for few cycles.
+    """
+    rng = np.random.default_rng(SEED)
+    deviation, quantile = np.zeros(columns.shape[0]), 0.0
+    for covariance in both:
+        scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        size, axes = eigen(covariance / scale[:, None] / scale)
+        root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
+        along = np.einsum("kp,pq->kq", columns, root)
+        own = np.sqrt(np.sum(along**2, axis=1))
+        draws = rng.standard_normal((size.size, DRAWS))
+        most = np.max(np.abs(np.einsum("kq,qn->kn", along, draws)) / np.maximum(own, 1e-300)[:, None], axis=0)
+        quantile = max(quantile, float(np.quantile(most, confidence)))
+        deviation = np.maximum(deviation, own)
+    return np.asarray(widening * quantile * deviation)

@@ -1,0 +1,123 @@
+"""`measure_curve`: friction against relative speed, without a law, from the fits of the laws to a record."""
+
+import time as clock
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
+from fitting.curve.forms import fit_forms
+from fitting.curve.result import BandExit, FormFit, MeasuredCurve
+from fitting.curve.spline_fit import REACHED, SplineFit, fit_spline
+from fitting.estimation.fit import Fit
+from fitting.estimation.result import Parameter
+from fitting.model.parameters import Global
+from rig_sim.friction.contact import force
+from rig_sim.friction.law import LAWS
+
+NEWTON = {"m s^-2": "N", "s^-1": "N s/m", "m^-1": "N s^2/m^2", "s m^-2": "N s^3/m^3"}  # units per unit mass, with it
+
+
+def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> MeasuredCurve | None:
+    """Measure the friction curve of a record, or of several runs of one contact together.
+
+    Parameters
+    ----------
+    fits : sequence of Fit
+        The laws fitted to the record, best first: their windows, calibrations and starting values are used.
+    noise : (runs,) f8
+        Standard deviation of one position of each run, m.
+    alpha : float
+        1 - confidence of the band and the intervals.
+
+    Returns
+    -------
+    MeasuredCurve or None
+        None where the motion cannot be followed with any curve.
+
+    Notes
+    -----
+    The contact is a jump or a ramp.  That of the best law is tried; where this is a ramp law that misses the noise, the
+    jump first, because a wrong curve with a ramp can come nearer than with a jump.  The contact whose curve reaches the
+    noise is used, else the nearer one.
+
+    Without a datum the curve is determined but for a constant: the band contains what is not known of it.
+
+    Not modelled: friction that depends on anything but relative speed and its level in each cycle.
+    """
+    begun = clock.process_time()
+    best: SplineFit | None = None
+    for fit in _contacts(fits, noise):
+        found = fit_spline(fit, noise)
+        if found is not None and (best is None or found.chi < best.chi):
+            best = found
+        if best is not None and best.chi < REACHED:
+            break
+    return None if best is None else _measured(best, alpha, begun)
+
+
+def _contacts(fits: Sequence[Fit], noise: Array) -> list[Fit]:
+    """Return the fits whose contacts are to be tried, in this order."""
+    best = fits[0]
+    if not LAWS[best.law].ramp or best.geometric_mean_rms < REACHED * float(np.max(noise)):
+        return [best]
+    jumps = [fit for fit in fits if not LAWS[fit.law].ramp]
+    return [*jumps[:1], best]
+
+
+def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
+    from scipy.stats import norm, t
+
+    linear = fit.linearised()
+    both = covariances(linear)
+    speeds = seen_speeds(fit)
+    cycles = len(fit.task.rows)
+    quantile = float(t.ppf(1 - alpha / 2, max(cycles - 1, 1)))
+    half = half_widths(curve_columns(fit, speeds), both, 1 - alpha, quantile / float(norm.ppf(1 - alpha / 2)))
+    friction = fit.spline(speeds)
+    ramp = float(fit.u[Global.D]) if fit.path.curve.ramp else 0.0
+    K, error = float(fit.u[Global.K]), float(np.sqrt(max(covariance[0, 0] for covariance in both)))
+    return MeasuredCurve(
+        speed=speeds + ramp,
+        friction=friction,
+        lo=friction - half,
+        hi=friction + half,
+        k_over_m=Parameter(K, error, K - quantile * error, K + quantile * error, "s^-2"),
+        chi=fit.chi,
+        ramp=ramp,
+        forms=fit_forms(fit, linear, speeds),
+        spline_fit=fit,
+        linear=linear,
+        confidence=1 - alpha,
+        cpu_s=clock.process_time() - begun,
+    )
+
+
+def band_exit(curve: MeasuredCurve, fit: Fit) -> BandExit:
+    """Return where a law's fitted curve leaves the measured band the furthest."""
+    p = fit.values
+    friction = np.asarray(  # of a mass slower than the belt: along x
+        force(LAWS[fit.law], -curve.speed, Fs=p.F, G_slip=p.shape * p.F, gamma=p.shape, d=p.d, static=p.static)
+    )
+    away = np.abs(friction - curve.friction) / (0.5 * (curve.hi - curve.lo))
+    place = int(np.argmax(away))
+    return BandExit(float(away[place]), float(curve.speed[place]))
+
+
+def in_newtons(curve: MeasuredCurve, mass: float) -> MeasuredCurve:
+    """Return the curve as a force (N) on a mass (kg), its forms too; k/m stays."""
+    forms = tuple(_form_in_newtons(form, mass) for form in curve.forms)
+    friction, lo, hi = mass * curve.friction, mass * curve.lo, mass * curve.hi
+    return replace(curve, friction=friction, lo=lo, hi=hi, forms=forms)
+
+
+def _form_in_newtons(form: FormFit, mass: float) -> FormFit:
+    parameters = {
+        name: Parameter(mass * p.value, mass * p.stderr, mass * p.lo, mass * p.hi, NEWTON[p.unit])
+        if p.unit in NEWTON
+        else p
+        for name, p in form.parameters.items()
+    }
+    return replace(form, parameters=parameters, values=mass * form.values)

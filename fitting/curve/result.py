@@ -1,0 +1,88 @@
+"""What a measurement of the friction curve gives: values, no computation."""
+
+from dataclasses import dataclass
+
+from daq.compute.arrays import Array
+from fitting.curve.spline_fit import SplineFit
+from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.result import Parameter
+
+
+@dataclass(frozen=True, eq=False)
+class FormFit:
+    """A published form fitted to the measured curve.
+
+    Attributes
+    ----------
+    name, formula, source : str
+    parameters : dict of str to Parameter
+        With intervals of the curve's confidence; per unit mass.
+    misfit : float
+        Chi square: distance from the measured curve in the metric of the record, all else fitted again.
+    chi : float
+        Square root of ``misfit`` over its degrees of freedom.
+    bic : float
+        ``misfit`` with what the parameters cost; the first form of a table has the lowest.
+    inside_band : bool
+        Whether the misfit is within what noise makes in 95 % of records.
+    values : (k,) f8
+        The form at the curve's speeds, m/s^2.
+    """
+
+    name: str
+    formula: str
+    source: str
+    parameters: dict[str, Parameter]
+    misfit: float
+    chi: float
+    bic: float
+    inside_band: bool
+    values: Array
+
+
+@dataclass(frozen=True)
+class BandExit:
+    """Where a law leaves the band the furthest: in half-widths of the band (below 1 it stays inside), and the speed."""
+
+    half_widths: float
+    speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCurve:
+    """Friction per unit mass against relative speed, measured without a law, with a simultaneous band.
+
+    Attributes
+    ----------
+    speed : (k,) f8
+        Relative speed, m/s, where the record shows the curve: from a few percent of the largest slip speed on.
+    friction, lo, hi : (k,) f8
+        m/s^2; mean level of the record, and the band that holds the whole curve at the stated confidence.
+    k_over_m : Parameter
+        1/s^2.
+    chi : float
+        Weighted rms residual over the noise: well above 1, friction is no function of relative speed on a constant
+        spring.
+    ramp : float
+        Half-width of the ramp that slip begins beyond, m/s; 0 for a jump.
+    forms : tuple of FormFit
+        Best first.
+    spline_fit : SplineFit
+    linear : LinearisedFit
+        About the solution; the coordinates of the curve's coefficients are the last unknowns.
+    confidence : float
+    cpu_s : float
+    """
+
+    speed: Array
+    friction: Array
+    lo: Array
+    hi: Array
+    k_over_m: Parameter
+    chi: float
+    ramp: float
+    forms: tuple[FormFit, ...]
+    spline_fit: SplineFit
+    linear: LinearisedFit
+    confidence: float
+    cpu_s: float

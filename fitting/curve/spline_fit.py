@@ -1,0 +1,353 @@
+"""A spline as the friction curve, fitted to the measured positions of every window as the laws are.
+
+Unknown are the law's shared parameters but its own level and shape, the coordinates of the curve's coefficients, and
+each cycle's own six.  Positions come from `fitting.sensitivity`, with their exact derivatives.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.curve.coordinates import CurveCoordinates
+from fitting.curve.weak_form import LOWEST_LEVEL, weak_form
+from fitting.estimation import levenberg_marquardt, trajectory
+from fitting.estimation.covariance import scaled_inverse
+from fitting.estimation.fit import Fit
+from fitting.estimation.levenberg_marquardt import LeastSquaresProblem, Solution
+from fitting.estimation.linearised import LinearisedFit
+from fitting.model import parameters
+from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
+from fitting.model.shooting import ShootingWindows
+from fitting.sensitivity import flow
+from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
+from fitting.sensitivity.path import Curve, Path, follow, spline_curve, with_coefficients
+from fitting.sensitivity.spline import FrictionSpline
+from rig_sim.friction.curve import magnitude
+from rig_sim.friction.law import LAWS
+
+PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where friction falls; 22 pieces widen the band
+FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies
+LOW_SPEED = 0.06  # of the last knot: the weak form sees little below, and one start goes on straight from there
+STEEPEST_START = 0.3  # of the friction there, from one coefficient to the next
+START_SPEED_SD = 0.03  # of the belt's speed: how well smoothing knows the velocity where a slip window starts
+BESIDE_BELT = 0.9995  # of the belt's speed: a start that the law put beyond it begins at the smoothed motion again
+REACHED = 1.03  # times the noise: no other start can be much better
+# From one start on the thinned record: times the noise, most steps, the gain at which it stops, and the first damping.
+SEARCH = ((30.0, 6, 1e-2, 1e-4), (4.0, 6, 1e-2, 1e-6), (1.0, 10, 1e-3, 1e-6))
+# The valley of the low-speed coefficients is flat: with a first damping of 1e-4 the last steps number nine, not four.
+WEIGHTED: dict[str, Any] = {"max_steps": 6, "tolerance": 1e-4, "damping": 1e-8}  # the same with the cycles' weights
+FINAL: dict[str, Any] = {"max_steps": 10, "tolerance": 3e-5, "damping": 1e-10}  # the same on every sample
+HOPELESS = 1e3  # times the best start's cost: such a start is left out; those that led anywhere were within 100
+SEARCH_STEP = 0.4  # `flow.LONGEST_STEP` while searching: positions err by 0.1 um, which the last steps mend
+LEAST_SCATTER, INLIER = 0.01, 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class SplineFit:
+    """A spline fitted to the windows of a law's fit.
+
+    Attributes
+    ----------
+    fit : Fit
+        The law's, whose windows, calibrations and contact it has.
+    places : tuple of int
+        The shared unknowns beside the curve (`fitting.model.parameters`).
+    basis : CurveCoordinates
+    path : Path
+        Along every sample, with the curve.
+    task : LeastSquaresProblem
+        What the last pass minimised: unknowns are ``places``, then the curve's coordinates.
+    solution : Solution
+    jacobian : (N, p + 6) f8
+        At the solution.
+    chi : float
+        Weighted rms residual over the noise.
+    """
+
+    fit: Fit
+    places: tuple[int, ...]
+    basis: CurveCoordinates
+    path: Path
+    task: LeastSquaresProblem
+    solution: Solution
+    jacobian: Array
+    chi: float
+
+    @property
+    def spline(self) -> FrictionSpline:
+        """The curve."""
+        spline = self.path.curve.spline
+        if spline is None:
+            raise RuntimeError("a spline fit follows a spline")
+        return spline
+
+    @property
+    def u(self) -> Array:
+        """Unknowns of all runs, (13 runs,)."""
+        return self.path.u
+
+    def linearised(self) -> LinearisedFit:
+        """Return the problem made linear at the solution; the curve's coordinates are the last unknowns."""
+        task, p = self.task, self.solution.u.size
+        return LinearisedFit(
+            shared=np.ascontiguousarray(self.jacobian[:, :p]),
+            local=np.ascontiguousarray(self.jacobian[:, p:]),
+            residual=self.solution.residual,
+            rows=task.rows,
+            weights=task.weights,
+            prior_precision=np.diag(task.precision),
+            prior_gradient=task.precision * (self.solution.u - task.prior),
+            local_precision=task.local_precision,
+            local_gradient=task.local_precision * (self.solution.local - task.local_prior),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Start:
+    u: Array
+    coefficients: Array
+    local: Array
+
+
+def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
+    """Fit a spline on the contact (jump or ramp) of a law's fit; None where its flow cannot be followed.
+
+    Parameters
+    ----------
+    fit : Fit
+        The best law of that contact.
+    noise : (runs,) f8
+        Standard deviation of one position of each run, m.
+    """
+    problem, law = fit.problem, LAWS[fit.law]
+    places = tuple(place for place in fit.active if place % PER_RUN not in (Global.LOG_F, Global.SHAPE))
+    knots = _knots(fit)
+    curve = spline_curve(FrictionSpline.over(knots), bool(law.ramp))
+    starts = _starts(fit, curve)
+    basis = CurveCoordinates.around(starts[-1].coefficients)
+    thinned = trajectory.fitted_windows(problem, thinned=True)
+    own = [_task(fit, thinned, places, curve, basis, start, noise, SEARCH_STEP) for start in starts]
+    first = [_unknowns(start, places, basis) for start in starts]
+    ranked: list[tuple[float, int, LeastSquaresProblem, _Start, Array]] = []
+    for task, start, u in zip(own, starts, first, strict=True):
+        found = task.evaluate(u, start.local, False)
+        if found is not None:
+            ranked.append((levenberg_marquardt.cost(task, u, start.local, found[0]), len(ranked), task, start, u))
+    best: tuple[float, LeastSquaresProblem, Solution] | None = None
+    ranked.sort(key=lambda row: row[:2])
+    for value, _, task, start, u in ranked:
+        if best is not None and value > HOPELESS * ranked[0][0]:
+            break
+        solution = _descend(task, u, start.local)
+        if solution is None:
+            continue
+        chi = _usual_chi(task, solution)
+        if best is None or chi < best[0]:
+            best = chi, task, solution
+        if chi < REACHED:
+            break
+    if best is None:
+        return None
+    _, task, solution = best
+    task = _reweighted(task, solution)
+    moved = levenberg_marquardt.minimise(task, solution.u, solution.local, **WEIGHTED)
+    solution = solution if moved is None else moved
+    start = _Start(fit.u, starts[-1].coefficients, solution.local)
+    full = _task(fit, fit.windows, places, curve, basis, start, noise, flow.LONGEST_STEP)
+    full = replace(
+        full,
+        weights=full.weights * task.weights / _task_weights(thinned, noise),
+        local_precision=task.local_precision,
+    )
+    last = levenberg_marquardt.minimise(full, solution.u, solution.local, **FINAL)
+    if last is None:
+        return None
+    jacobian = full.evaluate(last.u, last.local, True)
+    path = _path(fit, fit.windows, places, curve, basis, last.u, last.local, flow.LONGEST_STEP)
+    if jacobian is None or path is None:
+        return None
+    w = np.repeat(full.weights, [rows.stop - rows.start for rows in full.rows])
+    chi = math.sqrt(float(np.sum(w * last.residual**2) / np.sum(w * noise[fit.windows.run][full.owner] ** 2)))
+    return SplineFit(fit, places, basis, path, full, last, jacobian[1], chi)
+
+
+def _descend(task: LeastSquaresProblem, u: Array, local: Array) -> Solution | None:
+    """Minimise on the thinned record, at first as if the noise were larger: priors then hold what is far off."""
+    solution: Solution | None = None
+    for factor, max_steps, tolerance, damping in SEARCH:
+        own = replace(task, weights=task.weights / factor**2)
+        solution = levenberg_marquardt.minimise(
+            own, u, local, max_steps=max_steps, tolerance=tolerance, damping=damping
+        )
+        if solution is None:
+            return None
+        u, local = solution.u, solution.local
+    return solution
+
+
+def _knots(fit: Fit) -> Array:
+    """Return knots from 0 to the fastest slip speed beyond the ramp, m/s."""
+    fastest = 0.0
+    for number, run in enumerate(fit.problem.runs):
+        own = fit.u[PER_RUN * number :]
+        width = own[Global.D] if LAWS[fit.law].ramp else 0.0
+        for cycle in run.cut.used:
+            speed = own[Global.V_DR] - run.motion.velocity[slice(*cycle.slip)]
+            if speed.size:
+                fastest = max(fastest, float(np.quantile(speed, FASTEST)) - width)
+    return np.asarray(fastest * np.linspace(0.0, 1.0, PIECES + 1) ** KNOT_POWER)
+
+
+def _starts(fit: Fit, curve: Curve) -> list[_Start]:
+    """Return starts by the weak form, the same made straight at low speed, and the law's own curve, which is last."""
+    spline = curve.spline
+    if spline is None:
+        raise RuntimeError("no spline to start")
+    problem, law = fit.problem, LAWS[fit.law]
+    p = fit.values
+    s = np.linspace(0.0, spline.knots[-1], 20 * PIECES)
+    target = magnitude(law.curve_code, s, p.F, p.shape * p.F, p.shape)
+    smoothed = fit.windows.starting_values(problem.motions)
+    local = fit.local.copy()
+    belt = fit.u.reshape(-1, PER_RUN)[fit.windows.run, Global.V_DR]
+    if not law.ramp:
+        beyond = local[:, PerCycle.V_SLIP] > BESIDE_BELT * belt
+        local[beyond, : PerCycle.LEVEL] = smoothed[beyond, : PerCycle.LEVEL]
+    found = [_Start(fit.u, np.einsum("ik,k->i", project(spline, s), np.asarray(target)), local)]
+    seen = None if law.ramp else weak_form(problem, fit.u, spline)
+    if seen is None:
+        return found
+    K, coefficients, level = seen
+    if not (K > 0 and np.median(coefficients) > 0):
+        return found
+    u = fit.u.copy()
+    u[Global.K :: PER_RUN] = K
+    level = np.log(np.maximum(level, LOWEST_LEVEL))
+    own = smoothed.copy()
+    own[:, PerCycle.LEVEL], own[:, PerCycle.NEXT_LEVEL] = level, np.append(level[1:], 0.0)
+    straight = coefficients.copy()
+    low = max(3, int(np.sum(spline.knots < LOW_SPEED * spline.knots[-1])) + 1)
+    fall = np.clip(straight[low] - straight[low + 1], 0.0, STEEPEST_START * abs(straight[low]))
+    straight[:low] = straight[low] + np.arange(low, 0, -1) * fall
+    return [_Start(u, coefficients, own), _Start(u, straight, own), *found]
+
+
+def project(spline: FrictionSpline, s: Array) -> Array:
+    """Return the matrix (coefficients, k) from values at speeds s (k,) to the coefficients of the nearest spline."""
+    basis = spline.basis(s)
+    square = np.einsum("ki,kj->ij", basis, basis)
+    scale, inverse = scaled_inverse(square, np.diag(square))
+    return np.asarray(np.einsum("ij,kj->ik", inverse * scale[:, None] * scale, basis))
+
+
+def _unknowns(start: _Start, places: tuple[int, ...], basis: CurveCoordinates) -> Array:
+    return np.concatenate((start.u[list(places)], basis.coordinates(start.coefficients)))
+
+
+def _path(
+    fit: Fit,
+    windows: ShootingWindows,
+    places: tuple[int, ...],
+    curve: Curve,
+    basis: CurveCoordinates,
+    q: Array,
+    local: Array,
+    longest_step: float,
+) -> Path | None:
+    u = fit.u.copy()
+    u[list(places)] = q[: len(places)]
+    own = with_coefficients(curve, basis.coefficients(q[len(places) :]))
+    return follow(windows, own, parameters.copy_shared(u), local, longest_step=longest_step)
+
+
+def _task(
+    fit: Fit,
+    windows: ShootingWindows,
+    places: tuple[int, ...],
+    curve: Curve,
+    basis: CurveCoordinates,
+    start: _Start,
+    noise: Array,
+    longest_step: float,
+) -> LeastSquaresProblem:
+    """Return what is minimised over ``windows``; priors are the law's, those of the curve's coordinates besides."""
+    law = trajectory.least_squares(fit)
+    kept = [fit.active.index(place) for place in places]
+    none = np.full(basis.precision.size, np.inf)
+
+    def evaluate(q: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
+        path = _path(fit, windows, places, curve, basis, q, local, longest_step)
+        if path is None:
+            return None
+        if not derivatives:
+            return path.residual, np.zeros((0, 0))
+        bend = np.einsum("ni,ij->nj", spline_tangents(path), basis.matrix)
+        return path.residual, np.hstack([shared_tangents(path, places), bend, local_tangents(path)])
+
+    return LeastSquaresProblem(
+        evaluate=evaluate,
+        rows=windows.rows,
+        weights=_task_weights(windows, noise),
+        lower=np.concatenate((law.lower[kept], -none)),
+        upper=np.concatenate((law.upper[kept], none)),
+        prior=np.concatenate((law.prior[kept], 0 * basis.precision)),
+        precision=np.concatenate((law.precision[kept], basis.precision)),
+        local_prior=law.local_prior,
+        local_precision=_local_precision(fit, law.local_precision, start.local),
+        local_upper=_slower_than_belt(fit, windows),
+    )
+
+
+def _slower_than_belt(fit: Fit, windows: ShootingWindows) -> Array:
+    """Return upper bounds of the cycles' own unknowns: on a jump a slip starts slower than the belt.
+
+    A start beyond the belt's speed would meet friction in the other direction, and a curve could use that: a local
+    minimum at chi 1.07 with friction 7 % off.
+    """
+    found = np.full((len(windows.rows), PER_CYCLE), np.inf)
+    if not LAWS[fit.law].ramp:
+        found[:, PerCycle.V_SLIP] = BESIDE_BELT * fit.u.reshape(-1, PER_RUN)[windows.run, Global.V_DR]
+    return found
+
+
+def _task_weights(windows: ShootingWindows, noise: Array) -> Array:
+    return np.asarray(1 / noise[windows.run] ** 2)
+
+
+def _local_precision(fit: Fit, law: Array, local: Array) -> Array:
+    """Return the precisions of the cycles' own unknowns: the law's, but of the start speed and the levels' scatter."""
+    found = law.copy()
+    belt = np.array([motion.belt_speed for motion in fit.problem.motions])[fit.windows.run]
+    found[:, PerCycle.V_SLIP] = 1 / (START_SPEED_SD * belt) ** 2
+    found[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / _scatter(local) ** 2
+    return found
+
+
+def _scatter(local: Array) -> float:
+    return max(float(np.std(local[:, PerCycle.LEVEL])), LEAST_SCATTER)
+
+
+def _cycle_chi(task: LeastSquaresProblem, solution: Solution) -> Array:
+    """Return each cycle's rms residual over the noise that ``task`` assumes, shape (cycles,)."""
+    square = np.add.reduceat(solution.residual**2, task.starts) / np.diff(task.first)
+    return np.asarray(np.sqrt(square * task.weights))
+
+
+def _usual_chi(task: LeastSquaresProblem, solution: Solution) -> float:
+    """Return the geometric mean of the cycles' rms residuals over the noise: a few spoilt cycles hardly move it."""
+    return float(np.exp(np.mean(np.log(np.maximum(_cycle_chi(task, solution), 1e-6)))))
+
+
+def _reweighted(task: LeastSquaresProblem, solution: Solution) -> LeastSquaresProblem:
+    """Return the task with less weight on cycles that fit worse than the others, and the levels' scatter as found."""
+    chi = _cycle_chi(task, solution)
+    excess = chi / max(_usual_chi(task, solution), 1.0)
+    weight = np.minimum(2 / (1 + excess**2), 1.0)
+    precision = task.local_precision.copy()
+    inlier = weight > INLIER
+    scatter = _scatter(solution.local[inlier]) if inlier.sum() > 1 else _scatter(solution.local)
+    precision[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / scatter**2
+    return replace(task, weights=task.weights * weight, local_precision=precision)

@@ -1,0 +1,72 @@
+"""Curves measured on contacts whose friction is known, made once and shared."""
+
+import importlib.util
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from daq.runfile.recording import Recording
+from daq.runfile.rig import Measured, Rig
+from fitting.curve.measure import measure_curve
+from fitting.data import cycles, frame
+from fitting.estimation import search
+from fitting.model.problem import Run
+from processing.smoothing import smooth
+
+spec = importlib.util.spec_from_file_location("fitting_contacts", Path(__file__).parents[1] / "contacts.py")
+contacts = importlib.util.module_from_spec(spec)
+sys.modules[spec.name] = contacts
+spec.loader.exec_module(contacts)
+
+JITTER, COUNT = 30e-6, 50e-6
+
+
+def run_of(contact):
+    """Bring a contact, recorded by an encoder of 50 um and calibrated, into the fit's frame."""
+    time, position = contacts.recorded(contact, count=COUNT, jitter=JITTER)
+    rig = Rig(
+        name="contact",
+        metres_per_count=Measured(COUNT),
+        mass=Measured(contact.m, 1e-3 * contact.m),
+        datum=Measured(0.0, 5e-4),
+        damping=Measured(contact.c, 0.1 * contact.c + 1e-4),
+    )
+    # a count is seen as its lower edge: half a count belongs to the datum's own error
+    recording = Recording(source=Path("contact.h5"), time=time, position=position, rate_hz=1000.0, rig=rig)
+    motion = frame.from_kinematics(smooth(recording), rig, None)
+    return Run(motion, cycles.segment_cycles(motion, frozenset()))
+
+
+@pytest.fixture(scope="session")
+def measured():
+    """Give a function that measures the curve of one contact, or of several together, fitted with ``laws``.
+
+    It returns the curve, the fits, and the true friction per unit mass at the curve's speeds.
+    """
+
+    @cache
+    def of(*together, laws=(5,)):
+        runs = [run_of(contact) for contact in together]
+        fits = sorted(search.fit_laws(laws, runs), key=lambda fit: fit.geometric_mean_rms)
+        noise = np.array([np.sqrt(COUNT**2 / 12 + JITTER**2 * np.mean(run.motion.velocity**2)) for run in runs])
+        curve = measure_curve(fits, noise)
+        contact = together[0]
+        truth = np.array([contacts.curve(contact, s) for s in curve.speed - curve.ramp]) / contact.m
+        return SimpleNamespace(curve=curve, fits=fits, truth=truth, contact=contact)
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def contact():
+    """Give a function that describes a contact by its changes from the rig of the design."""
+
+    def of(**changes):
+        return replace(contacts.Contact(scatter=0.03, c=0.01, seed=3), **changes)
+
+    return of

@@ -1,0 +1,76 @@
+"""The measured curve against contacts of known friction, made by a generator that shares nothing with the fit."""
+
+import numpy as np
+import pytest
+
+from fitting.curve.measure import band_exit, in_newtons
+
+STRIBECK = {"curve": "stribeck", "Fc": 0.5, "v_s": 0.08, "Fv": 0.1}
+CONTACTS = {
+    "exponential": (STRIBECK, "stribeck-exponential-viscous"),
+    "exponential, no viscous term": (STRIBECK | {"Fc": 1.1, "v_s": 0.1, "Fv": 0.0}, "stribeck-exponential"),
+    "Gaussian": (STRIBECK | {"power": 2.0, "Fc": 0.6, "v_s": 0.15, "Fv": 0.15}, "stribeck-gaussian-viscous"),
+    "logarithmic": ({"curve": "logarithmic"}, "logarithmic"),
+}
+
+
+def check(result):
+    """Hold what is claimed of every contact whose friction is a function of relative speed."""
+    curve, K = result.curve, result.contact.k / result.contact.m
+    assert curve.chi < 1.04
+    assert curve.k_over_m.value == pytest.approx(K, rel=5e-4)
+    assert curve.k_over_m.lo < K < curve.k_over_m.hi
+    assert (curve.lo < result.truth).all()
+    assert (result.truth < curve.hi).all()
+    assert np.median(np.abs(curve.friction / result.truth - 1)) < 0.01
+
+
+def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
+    """The ranking named law 5 alone on such contacts, with k/m off by many of its standard errors."""
+    result = measured(contact(**CONTACTS["exponential, no viscous term"][0], duration=12.0))
+    check(result)
+    assert band_exit(result.curve, result.fits[0]).half_widths > 2
+    assert result.curve.forms[0].name == "stribeck-exponential"
+    assert not next(form for form in result.curve.forms if form.name == "hyperbolic").inside_band
+    force = in_newtons(result.curve, 0.3)
+    Fs = force.forms[0].parameters["Fs"]
+    assert (force.friction == 0.3 * result.curve.friction).all()
+    assert (Fs.unit, Fs.value) == ("N", pytest.approx(result.contact.Fs, rel=0.03))
+    assert force.forms[0].parameters["vs"].value == pytest.approx(0.1, rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONTACTS)
+def test_stribeck_and_logarithmic_contacts_are_measured_and_named(name, measured, contact):
+    changes, form = CONTACTS[name]
+    result = measured(contact(**changes))
+    check(result)
+    assert result.curve.forms[0].name == form
+    assert result.curve.forms[0].inside_band
+    assert band_exit(result.curve, result.fits[0]).half_widths > 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("form", "law"), [("constant", 1), ("linear", 3), ("hyperbolic", 5)])
+def test_a_true_law_lies_inside_the_band(form, law, measured, contact):
+    result = measured(contact(curve=form), laws=(law,))
+    check(result)
+    assert result.curve.forms[0].name == form
+    assert result.curve.forms[0].inside_band
+    assert band_exit(result.curve, result.fits[0]).half_widths < 1
+
+
+@pytest.mark.slow
+def test_runs_at_two_speeds_give_one_curve(measured, contact):
+    changes = CONTACTS["logarithmic"][0] | {"duration": 15.0}
+    result = measured(contact(**changes), contact(**changes, belt=0.15, seed=4))
+    check(result)
+    assert result.curve.forms[0].name == "logarithmic"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [{"k3": 17.0}, {"second_mass": (0.006, 5.28, 0.0007)}])
+def test_what_is_no_function_of_speed_keeps_its_misfit(change, measured, contact):
+    result = measured(contact(**change))
+    assert result.curve.chi > 1.2
+    assert result.curve.cpu_s < 4  # it used to search on from hopeless starts
