@@ -10,12 +10,17 @@ from daq.compute.arrays import Array, Integers, Mask
 from daq.compute.compile import compiled
 from fitting.model.parameters import PER_RUN
 from fitting.model.shooting import ShootingWindows
-from fitting.sensitivity import flow
+from fitting.sensitivity import flow, rates
 from fitting.sensitivity.friction import SPLINE
 from fitting.sensitivity.spline import FrictionSpline
 from rig_sim.flow.modes import NEGATIVE, RAMP, STICK
 
-KERNELS = ("rig_sim.friction.curve", "fitting.sensitivity.friction", "fitting.sensitivity.flow")
+KERNELS = (
+    "rig_sim.friction.curve",
+    "fitting.sensitivity.friction",
+    "fitting.sensitivity.rates",
+    "fitting.sensitivity.flow",
+)
 NO_KNOTS, NO_PIECES, NOTHING = np.zeros(2), np.zeros((1, 4)), np.zeros(0)
 
 
@@ -54,7 +59,7 @@ class Path:
     slip_speed : (M,) f8
         m/s; the argument of the curve, >= 0; 0 on a ramp and in stick.
     mode : (M,) i8
-        `rig_sim.flow.modes`, or CREEP (`fitting.sensitivity.flow`).
+        `rig_sim.flow.modes`, or CREEP (`fitting.sensitivity.rates`).
     landed : (M,) bool
         Whether the cycle's next level holds: after the landing of a slip window.
     first_point, first_step : (windows + 1,) i8
@@ -121,7 +126,7 @@ class Path:
     @property
     def stuck(self) -> Mask:
         """Where the mass moves with the belt or creeps on it: no acceleration counts there, shape (M,)."""
-        return np.asarray((self.mode == STICK) | (self.mode == flow.CREEP))
+        return np.asarray((self.mode == STICK) | (self.mode == rates.CREEP))
 
     @cached_property
     def side(self) -> Array:
@@ -167,11 +172,11 @@ def follow(
     spline = curve.spline
     own = np.array(u, float).reshape(-1, PER_RUN)
     if spline is not None:
-        own[:, flow.LOG_F] = 0.0
-    extra = flow.Extra(np.zeros(1, np.int64), NOTHING, NOTHING, NOTHING)
+        own[:, rates.LOG_F] = 0.0
+    extra = rates.Extra(np.zeros(1, np.int64), NOTHING, NOTHING, NOTHING)
     if along is not None:
         none = NOTHING
-        extra = flow.Extra(
+        extra = rates.Extra(
             along.first_point,
             along.time,
             none if acceleration is None else np.ascontiguousarray(acceleration),

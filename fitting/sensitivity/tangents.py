@@ -18,8 +18,8 @@ import numpy as np
 from daq.compute.arrays import Array, Integers
 from daq.compute.compile import compiled
 from fitting.model.parameters import PER_RUN, Global
-from fitting.sensitivity import flow
 from fitting.sensitivity.path import KERNELS, Path
+from fitting.sensitivity.rates import CREEP
 from rig_sim.flow.modes import STICK
 
 NO_COLUMNS = np.zeros((0, 0))
@@ -126,7 +126,7 @@ def integrate(
                         g0[j] += slope[a] * belt[a, j]
                         gm[j] += slope[a + 1] * belt[a + 1, j]
                         g1[j] += slope[a + 2] * belt[a + 2, j]
-                if mode[a] == flow.CREEP:
+                if mode[a] == CREEP:
                     for j in range(k):
                         k1 = (g0[j] - K * x[j]) / e0
                         k2 = (gm[j] - K * (x[j] + 0.5 * h * k1)) / em

@@ -36,8 +36,16 @@ def run_of(contact):
         datum=Measured(0.0, 5e-4),
         damping=Measured(contact.c, 0.1 * contact.c + 1e-4),
     )
-    # a count is seen as its lower edge: half a count belongs to the datum's own error
-    recording = Recording(source=Path("contact.h5"), time=time, position=position, rate_hz=1000.0, rig=rig)
+    recording = Recording(
+        source=Path("contact.h5"),
+        title=contact.curve,
+        started="2026-01-01T00:00:00+00:00",
+        ended="2026-01-01T00:00:30+00:00",
+        time=time,
+        position=position,
+        rate_hz=1000.0,
+        rig=rig,
+    )
     motion = frame.from_kinematics(smooth(recording), rig, None)
     return Run(motion, cycles.segment_cycles(motion, frozenset()))
 

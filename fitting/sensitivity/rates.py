@@ -1,0 +1,131 @@
+"""Kernels: what accelerates the mass in each mode, and one Runge-Kutta step of it.
+
+`fitting.sensitivity.flow` puts the steps together.
+"""
+
+import math
+from typing import NamedTuple
+
+from daq.compute.arrays import Array, Integers
+from fitting.model.parameters import Global
+from fitting.sensitivity.friction import Contact, friction
+from rig_sim.flow.modes import RAMP, STICK
+
+CREEP = 4  # a mode beside those of `rig_sim.flow.modes`: a steep ramp, its velocity that of balanced forces
+
+K, LOG_F, V_DR, SHAPE = int(Global.K), int(Global.LOG_F), int(Global.V_DR), int(Global.SHAPE)
+D, DATUM, DAMPING, FADE = int(Global.D), int(Global.DATUM), int(Global.DAMPING), int(Global.FADE)
+COMPLIANCE, COSINE, SINE, OMEGA = (
+    int(Global.COMPLIANCE),
+    int(Global.COSINE),
+    int(Global.SINE),
+    int(Global.OMEGA),
+)
+STATIC = int(Global.STATIC)
+
+
+class Extra(NamedTuple):
+    """A force and a change of the belt's speed besides, along an earlier path; each empty, or as long as ``time``.
+
+    ``first`` (windows + 1,) are the first points of each window, ``time`` (M,) in s, ``acceleration`` (M,) in m/s^2 and
+    ``belt`` (M,) in m/s.
+    """
+
+    first: Integers
+    time: Array
+    acceleration: Array
+    belt: Array
+
+
+class Window(NamedTuple):
+    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra."""
+
+    u: Array
+    contact: Contact
+    level: float
+    epoch: float
+    low: int
+    high: int
+    extra: Extra
+
+
+def between(times: Array, values: Array, low: int, high: int, t: float) -> float:
+    """Return values (M,) at time t by linear interpolation within [low, high); 0 where there are none."""
+    if values.size == 0:
+        return 0.0
+    last = high - 1
+    while last - low > 1:
+        middle = (low + last) // 2
+        if t < times[middle]:
+            last = middle
+        else:
+            low = middle
+    gap = times[last] - times[low]
+    part = (t - times[low]) / gap if gap > 0.0 else 0.0
+    part = min(max(part, 0.0), 1.0)
+    return float(values[low] + part * (values[last] - values[low]))
+
+
+def belt_speed(w: Window, t: float) -> float:
+    """Return the speed of the unloaded belt, m/s."""
+    u, omega = w.u, w.u[OMEGA]
+    steady = u[V_DR] + between(w.extra.time, w.extra.belt, w.low, w.high, t)
+    if omega == 0.0:
+        return float(steady)
+    return float(steady + u[COSINE] * math.cos(omega * t) + u[SINE] * math.sin(omega * t))
+
+
+def belt_acceleration(w: Window, t: float, h: float) -> float:
+    """Return the belt's acceleration within the step from t to t + h, m/s^2."""
+    if w.u[OMEGA] == 0.0 and w.extra.belt.size == 0:
+        return 0.0
+    return (belt_speed(w, t + h) - belt_speed(w, t)) / h if h > 0.0 else 0.0
+
+
+def level_at(w: Window, t: float) -> float:
+    """Return the friction level over F, which fades from the cycle's break-away on."""
+    return float(w.level * (1.0 - w.u[FADE] * (t - w.epoch)))
+
+
+def free_force(w: Window, t: float, x: float) -> float:
+    """Return what acts on the mass besides friction and damping, m/s^2."""
+    return float(-w.u[K] * (x - w.u[DATUM]) + between(w.extra.time, w.extra.acceleration, w.low, w.high, t))
+
+
+def acceleration(w: Window, mode: int, t: float, x: float, v: float) -> float:
+    """Return x'' (m/s^2) of slip or ramp."""
+    force, _, _ = friction(w.contact, mode, belt_speed(w, t) - v, level_at(w, t))
+    return float(free_force(w, t, x) - w.u[DAMPING] * v + force)
+
+
+def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
+    """Return x' (m/s) of a mode without inertia: the belt's in stick, that of balanced forces in creep."""
+    if mode == STICK:
+        return belt_speed(w, t)
+    _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
+    return float((rise * belt_speed(w, t) + free_force(w, t, x)) / (rise + w.u[DAMPING]))
+
+
+def advance(w: Window, mode: int, t: float, x: float, v: float, h: float) -> tuple[float, float]:
+    """Return (x, v) after a step of length h."""
+    half = 0.5 * h
+    if mode == STICK or mode == CREEP:
+        k1 = bound_velocity(w, mode, t, x)
+        k2 = bound_velocity(w, mode, t + half, x + half * k1)
+        k3 = bound_velocity(w, mode, t + half, x + half * k2)
+        k4 = bound_velocity(w, mode, t + h, x + h * k3)
+        x += h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        return x, bound_velocity(w, mode, t + h, x)
+    a1 = acceleration(w, mode, t, x, v)
+    v2 = v + half * a1
+    a2 = acceleration(w, mode, t + half, x + half * v, v2)
+    v3 = v + half * a2
+    a3 = acceleration(w, mode, t + half, x + half * v2, v3)
+    v4 = v + h * a3
+    a4 = acceleration(w, mode, t + h, x + h * v3, v4)
+    return x + h / 6.0 * (v + 2.0 * (v2 + v3) + v4), v + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
+
+
+def load(w: Window, t: float, x: float) -> float:
+    """Return the force that friction must bear in stick, m/s^2."""
+    return float(w.u[DAMPING] * belt_speed(w, t) - free_force(w, t, x))
