@@ -14,6 +14,9 @@ from fitting.model.parameters import NUISANCE, PER_RUN, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows
 
+DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear
+LEAST_FADE_SD = 1e-6  # 1/s
+
 
 @dataclass(frozen=True, eq=False)
 class PassState:
@@ -145,6 +148,16 @@ class Fit:
         table = self.windows.table
         own = (table[:, 1] == 0) & (table[:, 5] == run) & self.inlier_cycles[table[:, 0]]
         return wear.level_trend(self.windows.level_epoch[own], np.exp(self.local[table[own, 0], PerCycle.LEVEL]))
+
+    @property
+    def fade_sd(self) -> tuple[float, ...]:
+        """How much the levels of each run may fade within a cycle, 1/s: about what they lose from cycle to cycle."""
+        found = []
+        for run in range(self.runs):
+            trend = self.level_trend(run)
+            lost = DEFAULT_FADE_SD if trend is None else math.hypot(trend.rate.value, trend.rate.sd)
+            found.append(max(lost, LEAST_FADE_SD))
+        return tuple(found)
 
     def for_run(self, run: int) -> "Fit":
         """Return what the fit says of one run: its unknowns, cycles and residuals; the solution stays that of all."""

@@ -63,10 +63,15 @@ def test_static_and_kinetic_levels_are_separate(ranked):
 
 @pytest.mark.parametrize(
     ("law", "static"),
-    [(4, 1.2), pytest.param(2, 1.3, marks=pytest.mark.slow), pytest.param(6, 1.3, marks=pytest.mark.slow)],
+    [
+        (4, 1.2),
+        pytest.param(2, 1.1, marks=pytest.mark.slow),
+        pytest.param(2, 1.3, marks=pytest.mark.slow),
+        pytest.param(6, 1.3, marks=pytest.mark.slow),
+    ],
 )
 def test_a_ramp_that_breaks_away_above_the_level_of_slip(synthetic, law, static):
-    """The ramp's width used to come out too small by that factor."""
+    """The ramp's width used to come out too small by that factor; below about 1.2 it still did."""
     ranking = rank(smooth(synthetic.recording(law=law, static=static)), laws=(law - 1, law))
     assert ranking.laws_in_set == (law,)
     found = ranking.best.parameters
