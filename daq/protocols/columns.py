@@ -94,12 +94,12 @@ class Columns:
         if not self.checks:
             return ticks & 0xFFFFFFFF, up & limit - 1, down
         a, b, illegal, check = found.group(*self.checks)
-        if check and reduce(xor, self._guarded(found), 0) != int(check, 16):
+        if check and reduce(xor, self.guarded(found), 0) != int(check, 16):
             return Other.DAMAGED
         levels = int(a or 0) | int(b or 0) << 1
         return ticks & 0xFFFFFFFF, up & limit - 1, down, levels, int(illegal or 0) & 0xFFFF
 
-    def _guarded(self, found: re.Match[bytes]) -> bytes:
+    def guarded(self, found: re.Match[bytes]) -> bytes:
         """Return the part of a line that its xor covers: everything before the separator in front of it."""
         before = found.string[: found.start(self.checks[-1])].removesuffix(b"*").rstrip(b" \t")
         if self.labels:

@@ -7,12 +7,15 @@ lines is made from one line, and it reads what the pattern of the columns reads:
 - Other text stays as it is, but for digits and spaces.  Where columns have no labels, the line must have as many words
   as columns, so that each word is one column's; labels that are used hold no digits (`daq.protocols.columns`).
 
-Not so read: lines with an xor, and text with a minus that is no sign.
+- From the separator before an xor on, which must be the last column, nothing but its digits differs.
+
+Not so read: text with a minus that is no sign, and an xor among labels or before other columns.
 """
 
 import re
 from dataclasses import dataclass
 from itertools import chain
+from string import hexdigits
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +34,7 @@ _NUMBER, _DIGITS, _SPACES, _OTHER = 1, 2, 3, 4
 _LIKE = {_NUMBER: (rb"-?+\d{1,9}+", 10), _DIGITS: (rb"\d{1,9}+", 9), _SPACES: (rb"[ \t]{1,8}+", 8)}
 _LIKE_VALUE = {name: pattern.replace("(", "(?:").encode() for name, pattern in VALUES.items()} | {"time": rb"\d{1,12}+"}
 _LONGEST_VALUE = 12
+_HEX_DIGIT = np.array([int(chr(byte), 16) if chr(byte) in hexdigits else 0 for byte in range(256)], dtype=np.uint8)
 _DIGITS_AND_SIGNS = bytes(byte if byte in b"-0123456789" else 32 for byte in range(256))  # anything else: a space
 
 
@@ -48,15 +52,20 @@ class Shape:
         Which of them are columns: by name, the whole part and the fraction of the time as ``time`` and ``fraction``.
     fraction_digits : int
         Digits of the time's fraction.
+    unguarded, xor : int
+        Bytes of a line from the end of what its xor covers on, and from the xor's digits on; 0 without an xor.
     """
 
     pattern: re.Pattern[bytes]
     numbers: int
     place: dict[str, int]
     fraction_digits: int
+    unguarded: int
+    xor: int
 
     def read(self, form: Columns, lines: bytes) -> NDArray[np.int64]:
         """Return the values in n lines, (n, k), up to the first line with a value out of range."""
+        lines, intact = self._checked(lines) if self.xor else (lines, np.True_)
         sent = np.fromstring(lines.translate(_DIGITS_AND_SIGNS), np.int64, sep=" ").reshape(-1, self.numbers)
         zero = np.zeros(len(sent), dtype=np.int64)
         value = {name: sent[:, place] for name, place in self.place.items()}
@@ -68,22 +77,38 @@ class Shape:
         limit = 1 << form.bits
         up, down = (value[name] if name else zero for name in form.counters)
         if form.net:
-            sound = (-limit <= 2 * up) & (up < limit)
+            sound = intact & (-limit <= 2 * up) & (up < limit)
         else:
-            sound = (up < limit) & (down < limit)
+            sound = intact & (up < limit) & (down < limit)
         values = [ticks & 0xFFFFFFFF, up & limit - 1, down]
         if form.checks:
             a, b, illegal = (value.get(name, zero) for name in ("a", "b", "illegal"))
             values += [a | b << 1, illegal & 0xFFFF]
         return np.column_stack(values)[: len(sound) if sound.all() else int(sound.argmin())]
 
+    def _checked(self, lines: bytes) -> tuple[bytes, NDArray[np.bool_]]:
+        """Return n lines with spaces instead of their xor, and of each whether its xor is right, (n,)."""
+        text = np.frombuffer(bytearray(lines), np.uint8)
+        end = np.flatnonzero(text == ord("\n"))
+        start = np.concatenate((np.zeros(1, dtype=np.int64), end[:-1] + 1))
+        found = np.bitwise_xor.reduceat(text, np.column_stack((start, end - self.unguarded)).ravel())[::2]
+        high, low = end - self.xor, end - self.xor + 1
+        stated = _HEX_DIGIT[text[high]] << 4 | _HEX_DIGIT[text[low]]
+        text[high] = text[low] = ord(" ")
+        return text.tobytes(), found == stated
+
 
 def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
     """Return the shape of a line that matches the pattern of its columns; None: no others like it are searched for."""
     line = found.string
     cells = _SEPARATED.split(line.strip(b" \t\r"))
-    if "xor" in form.names or not (form.labels or (len(cells) == len(form.names) and all(cells))):
+    if not (form.labels or (len(cells) == len(form.names) and all(cells))):
         return None
+    guarded, xor = len(line), len(line)
+    if "xor" in form.names:
+        if form.labels or form.names[-1] != "xor":
+            return None
+        guarded, xor = len(form.guarded(found)), found.start(form.checks[-1])
     pattern, place, numbers, longest, at = b"", {}, 0, 0, 0
     parts = chain.from_iterable(
         ("time", "fraction") if name in TIMES else (name,) for name in form.names if name != "-"
@@ -97,17 +122,20 @@ def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
             if piece is None:
                 return None
             kind = piece.lastindex or 0
-            like, length = _LIKE.get(kind, (re.escape(piece[0]), 1))
+            like, length = _LIKE[kind] if kind in _LIKE and at < guarded else (re.escape(piece[0]), len(piece[0]))
             pattern, longest = pattern + like, longest + length
             numbers += kind in (_NUMBER, _DIGITS)
             at = piece.end()
-        if name:
+        if name == "xor":
+            pattern, at = pattern + b"[0-9A-Fa-f]{2}", end
+        elif name:
             pattern += rb"\d{%d}" % (end - start) if name == "fraction" else _LIKE_VALUE[name]
             place[name], numbers, longest, at = numbers, numbers + 1, longest + _LONGEST_VALUE, end
     if longest > LONGEST_LINE:
         return None  # a line like it could be too long
     digits = next((end - start for name, start, end in spans if name == "fraction"), 0)
-    return Shape(re.compile(rb"(?:%b\n)++" % pattern), numbers, place, digits)
+    pattern = rb"(?:%b\n)++" % pattern
+    return Shape(re.compile(pattern), numbers, place, digits, len(line) - guarded, len(line) - xor)
 
 
 class LineParser:

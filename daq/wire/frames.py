@@ -159,12 +159,19 @@ def enframe(payload: bytes) -> bytes:
     return line + DELIMITER
 
 
-def unstuff(line: bytes) -> bytes:
-    """Return payload and CRC of the bytes between two delimiters, unchecked; nothing where COBS does not hold."""
-    if len(line) > LONGEST_LINE:
-        return b""
+def unstuff(lines: list[bytes]) -> list[bytes]:
+    """Return payload and CRC, unchecked, of the bytes between delimiters; nothing where COBS does not hold."""
+    if max(map(len, lines), default=0) <= LONGEST_LINE:
+        try:
+            return list(map(cobs.decode, lines))
+        except cobs.DecodeError:  # of one line at least
+            pass
+    return list(map(_unstuff_line, lines))
+
+
+def _unstuff_line(line: bytes) -> bytes:
     try:
-        body: bytes = cobs.decode(line)
+        body: bytes = cobs.decode(line) if len(line) <= LONGEST_LINE else b""
     except cobs.DecodeError:
         return b""
     return body
@@ -172,7 +179,10 @@ def unstuff(line: bytes) -> bytes:
 
 def deframe(line: bytes) -> bytes | None:
     """Return the payload of the bytes between two delimiters, or None when COBS or the CRC does not hold."""
-    body = unstuff(line)
+    return _checked(_unstuff_line(line))
+
+
+def _checked(body: bytes) -> bytes | None:
     payload = body[:-2]
     if len(body) < SHORTEST_BODY or crc_hqx(payload, CRC_SEED) != body[-2] | body[-1] << 8:
         return None
@@ -358,10 +368,11 @@ class FrameReader:
     def payloads(self, data: bytes) -> list[bytes]:
         """Take bytes as they came and return the payloads they complete whose CRC holds, in order."""
         lines = [line for line in self._splitter.feed(data) if line]
-        payloads = [deframe(line) for line in lines]
-        if None in payloads:
-            damaged = [len(line) for line, payload in zip(lines, payloads, strict=True) if payload is None]
-            self.crc_errors += len(damaged) - (self._first and payloads[0] is None)
+        found = [_checked(body) for body in unstuff(lines)]
+        payloads = [payload for payload in found if payload is not None]
+        if len(payloads) < len(found):
+            damaged = [len(line) for line, payload in zip(lines, found, strict=True) if payload is None]
+            self.crc_errors += len(damaged) - (self._first and found[0] is None)
             self._discarded_bytes += sum(damaged)
         self._first = self._first and not lines
-        return [payload for payload in payloads if payload is not None]
+        return payloads
