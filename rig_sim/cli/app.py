@@ -271,6 +271,9 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
 
 
 app.command(maps.map_, name="map")
+app.command(maps.sweep)
+app.command(maps.basins)
+app.command(maps.lyapunov)
 
 
 def _two_mass_events(scene: "Scene", until: float, since: float, max_steps: int) -> Answer:

@@ -1,16 +1,21 @@
-"""The commands of ``rig-sim`` that ask the map of two masses: map."""
+"""The commands of ``rig-sim`` that ask the map of two masses: map, sweep, basins, lyapunov."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
 from daq.errors import InputError
 
 if TYPE_CHECKING:
     from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
+    from rig_sim.flow.two_mass import TwoMassFlow
+
+MOST_CELLS = 1_000_000
+MOST_EVENTS = 10_000_000
 
 Plot = Annotated[Path | None, Parameter(help="Draw the result into this file (.png, .svg, .pdf).")]
 Force = Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")]
@@ -91,6 +96,188 @@ def map_(
     return Answer(data, "\n".join(lines))
 
 
+@dataclass(frozen=True)
+class SweptScene:
+    """A scene with one key left open, as a process is handed it."""
+
+    name: str
+    changes: dict[str, object]
+    key: str
+
+    def __call__(self, value: float) -> "TwoMassFlow":
+        """Return the masses of the scene whose key has this value."""
+        from rig_sim.scenes.scene import scene
+
+        return scene(self.name, **{**self.changes, self.key: value}).two_mass_flow()
+
+
+def sweep(
+    scene: str,
+    /,
+    *,
+    over: Annotated[str, Parameter(help="section.key=START:STOP, or START:STOP:N for N values (default 41).")],
+    section: Annotated[
+        Literal["poincare", "map"],
+        Parameter(help="Points: x1 where the first mass turns forwards, or d = x2 - x1 while both masses stick."),
+    ] = "poincare",
+    jobs: Annotated[int, Parameter(help="Processes; the results do not depend on it.")] = 1,
+    scheduler: Annotated[
+        str | None, Parameter(help="Address of a running dask scheduler whose workers do it; needs stickslip[cluster].")
+    ] = None,
+    plot: Plot = None,
+    force: Force = False,
+    set_: SetChanges = None,
+    json: Json = False,
+) -> Answer:
+    """Find the attractors of two masses at each value of a parameter: a bifurcation diagram.
+
+    At every value the starts lie all over the stretches that a global stick can have. Attractor 1 has the largest basin
+    at the first value; then the numbers follow. A motion without global stick counts as one more attractor, with points
+    in the section poincare alone.
+
+    Example: rig-sim sweep two-mass --over belt.speed=0.08:0.2:400 --jobs 2 --plot bifurcations.png
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from daq.compute.workers import workers
+    from rig_sim.cli.parameter_range import parse
+    from rig_sim.dynamics.maps.sweep import sweep as find
+    from rig_sim.scenes.scene import parse_changes
+
+    if jobs < 1:
+        raise InputError(f"is {jobs}", "--jobs", "give 1 or more")
+    span = parse(over)
+    flow_at = SweptScene(scene, parse_changes(set_), span.key)
+    values = span.values().tolist()
+    for end in (values[0], values[-1]):
+        _checked(flow_at(end), scene)
+    with workers(jobs, scheduler) as spread, application.progress("sweeping", span.number) as show:
+        rows = find(flow_at, values, section, spread=spread, progress=show)
+    data: dict[str, Any] = {
+        "parameter": span.key,
+        "section": section,
+        "rows": [
+            {
+                "parameter": row.value,
+                "attractor": row.attractor,
+                "points": row.points,
+                "period": row.period,
+                "share": row.share,
+            }
+            for row in rows
+        ],
+    }
+    lines = [f"{span.key:>14}  attractor  share  period  points"]
+    for row in rows:
+        few = ", ".join(f"{point:.6g}" for point in row.points[:4]) + (" ..." if len(row.points) > 4 else "")
+        period = str(row.period or "-")
+        lines.append(f"{row.value:14.8g}  {row.attractor:9}  {row.share:5.3f}  {period:>6}  {few}")
+    if plot is not None:
+        from rig_sim.dynamics.maps.plot import save, sweep_figure
+
+        save(sweep_figure(rows, span.key, section), plot, force=force)
+        data["file"] = plot
+        lines.append(str(plot))
+    return Answer(data, "\n".join(lines))
+
+
+def basins(
+    scene: str,
+    /,
+    *,
+    cells: Annotated[int, Parameter(help="Cells that the interval of d is divided into.")] = 4000,
+    plot: Plot = None,
+    force: Force = False,
+    set_: SetChanges = None,
+    json: Json = False,
+) -> Answer:
+    """Find the attractors of two masses, and which share of the stretches d leads to each: cell mapping.
+
+    Start and the belt's start are ignored.
+
+    Example: rig-sim basins two-mass --cells 4000
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file.
+    """
+    from rig_sim.dynamics.maps.basins import basins as find
+
+    if not 2 <= cells <= MOST_CELLS:
+        raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
+    f = stick_map(scene, set_)
+    found = find(f, cells)
+    data: dict[str, Any] = {
+        "range": [f.lo, f.hi],
+        "shares": [attractor.share for attractor in found.attractors],
+        "attractors": [asdict(attractor) for attractor in found.attractors],
+        "nowhere": found.nowhere,
+        "cells": cells,
+        "cycles": found.cycles,
+    }
+    lines = []
+    for number, attractor in enumerate(found.attractors, 1):
+        kind = f"period {attractor.period}" if attractor.period else "not periodic"
+        few = ", ".join(f"{point:.12g}" for point in attractor.points[:4]) + (
+            " ..." if len(attractor.points) > 4 else ""
+        )
+        lines.append(f"attractor {number}: {100.0 * attractor.share:.3f} %, {kind}: {few}")
+    if found.nowhere or not found.attractors:
+        lines.append(f"no global stick: {100.0 * found.nowhere:.3f} %")
+    if plot is not None:
+        from rig_sim.dynamics.maps.plot import basins_figure, save
+
+        save(basins_figure(found), plot, force=force)
+        data["file"] = plot
+        lines.append(str(plot))
+    return Answer(data, "\n".join(lines))
+
+
+def lyapunov(
+    scene: str,
+    /,
+    *,
+    events: Annotated[
+        int, Parameter(help="Events, from one global stick to the next, to take the mean over.")
+    ] = 20_000,
+    set_: SetChanges = None,
+    json: Json = False,
+) -> Answer:
+    """Find the Lyapunov exponent of two masses on the attractor that the start leads to: per event, from their map.
+
+    Positive for chaos. On a periodic attractor it is exact and its standard error 0.
+
+    Example: rig-sim lyapunov two-mass --events 20000 --set belt.speed=0.08075
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file, with start.d or start.attractor.
+    """
+    from rig_sim.dynamics.maps.lyapunov import BLOCKS
+    from rig_sim.dynamics.maps.lyapunov import lyapunov as find
+    from rig_sim.motion.two_masses import stretch
+    from rig_sim.scenes.scene import parse_changes
+    from rig_sim.scenes.scene import scene as read
+
+    if not BLOCKS <= events <= MOST_EVENTS:
+        raise InputError(f"is {events}", "--events", f"give {BLOCKS} to {MOST_EVENTS}")
+    f = stick_map(scene, set_)
+    start = stretch(read(scene, **parse_changes(set_)))
+    if not abs(start) <= f.hi:
+        raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
+    found = find(f, start, events)
+    data = {**asdict(found), "per": "event"}
+    if found.outcome != "completed":
+        return Answer(data, f"{found.outcome}: the motion stops sticking; list its events instead")
+    orbit = f"period {found.period}, exact" if found.period else f"over {found.events} events"
+    return Answer(data, f"{found.exponent:.8g} +- {found.stderr:.2g} per event ({orbit})")
+
+
 def stick_map(name: str, changes: list[str] | None) -> "StickMap":
     """Return the map of a scene of two masses.
 
@@ -99,10 +286,21 @@ def stick_map(name: str, changes: list[str] | None) -> "StickMap":
     InputError
         One mass, or a belt at rest.
     """
-    from rig_sim.dynamics.maps.stick_map import StickMap
     from rig_sim.scenes.scene import parse_changes, scene
 
-    flow = scene(name, **parse_changes(changes)).two_mass_flow()
+    return _checked(scene(name, **parse_changes(changes)).two_mass_flow(), name)
+
+
+def _checked(flow: "TwoMassFlow", name: str) -> "StickMap":
+    """Return the map of two masses.
+
+    Raises
+    ------
+    InputError
+        They are not physical, or their belt is at rest.
+    """
+    from rig_sim.dynamics.maps.stick_map import StickMap
+
     try:
         return StickMap(flow)
     except ValueError as error:

@@ -1,5 +1,6 @@
 """The motion of two masses listed: their events, the motion at given times, or where the first mass turns forwards."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -107,18 +108,23 @@ class PairMotion:
         """Integrator steps taken so far."""
         return int(self._work[STEPS])
 
-    def rows(self, times: "list[float] | Array", wanted: int) -> Iterator[list[float]]:
-        """Yield a row for each event, time or crossing up to the last of ``times`` (s, increasing), or to the end."""
+    def rows(self, times: "list[float] | Array", wanted: int, *, most: float = math.inf) -> Iterator[list[float]]:
+        """Yield a row for each event, time or crossing up to the last of ``times`` (s, increasing), or to the end.
+
+        No more than ``most`` rows.
+        """
         self._work[SECTION] = 1.0 if wanted == CROSSINGS else 0.0
         served = 0
         outcome = LIST_FULL
-        while outcome == LIST_FULL:
-            outcome, listed, done = self._call(times[served:], wanted)
+        while outcome == LIST_FULL and most > 0:
+            outcome, listed, done = self._call(times[served:], wanted, int(min(most, ROWS)))
             served += done
+            most -= len(listed)
             yield from listed
+        outcome = COMPLETED if outcome == LIST_FULL else outcome
         self.outcome = OUTCOMES[outcome]
 
-    def _call(self, times: "list[float] | Array", wanted: int) -> tuple[int, list[list[float]], int]:
+    def _call(self, times: "list[float] | Array", wanted: int, most: int) -> tuple[int, list[list[float]], int]:
         """Call the kernel once, interpreted or compiled."""
         kernel: Any = list_motion
         rows: Any = [0.0] * (WIDTH * ROWS)
@@ -133,7 +139,7 @@ class PairMotion:
                 self._compiled, self._work = True, np.array(self._work)
                 self._work[STEPS_ALLOWED] = float(self._max_steps)
         outcome, count, served = kernel(
-            self.frame, self.flow.a, self.flow.b, times, len(times), wanted, ROWS, rows, self._work
+            self.frame, self.flow.a, self.flow.b, times, len(times), wanted, most, rows, self._work
         )
         if outcome == STEP_LIMIT and self.steps < self._max_steps:
             outcome = LIST_FULL  # of the interpreted steps: the compiled kernel goes on

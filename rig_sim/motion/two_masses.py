@@ -57,17 +57,42 @@ def start(scene: Scene) -> tuple[float, float, float, float]:
     Raises
     ------
     InputError
-        No global stick has the stretch ``start.d``.
+        No global stick has the stretch ``start.d``; there is no attractor of the number ``start.attractor``.
     """
     begin = scene.start
-    if begin.d is None:
+    if begin.d is None and begin.attractor is None:
         return begin.x1 or 0.0, begin.v1 or 0.0, begin.x2 or 0.0, begin.v2 or 0.0
     flow = scene.two_mass_flow()
     try:
-        x1, x2 = slip_start(flow, begin.d)
+        x1, x2 = slip_start(flow, stretch(scene))
     except ValueError as error:
         raise InputError(str(error), "start.d", "give another start.d, or start.x1, v1, x2, v2") from None
     return x1, flow.mass.v_belt, x2, flow.mass.v_belt
+
+
+def stretch(scene: Scene) -> float:
+    """Return x2 - x1 (m) of the global stick that a scene begins with.
+
+    Raises
+    ------
+    InputError
+        The scene begins otherwise; there is no attractor of the number ``start.attractor``.
+    """
+    begin = scene.start
+    if begin.d is not None:
+        return begin.d
+    if begin.attractor is None:
+        raise InputError("does not begin in a global stick", f"scene {scene.name}", "set start.d or start.attractor")
+    from rig_sim.dynamics.maps.basins import basins
+    from rig_sim.dynamics.maps.stick_map import StickMap
+    from rig_sim.dynamics.maps.sweep import CELLS
+
+    flow = scene.two_mass_flow()
+    found = basins(StickMap(flow), CELLS).attractors if flow.mass.v_belt else ()
+    if begin.attractor > len(found):
+        what = f"start.attractor is {begin.attractor}, and the map from stick to stick has {len(found)}"
+        raise InputError(what, f"scene {scene.name}", "give another number, or start.d")
+    return found[begin.attractor - 1].points[0]
 
 
 def two_mass_events(

@@ -32,7 +32,7 @@ output    truth                                 the board also sends the exact m
 ========= ===================================== ========================================================================
 
 Top-level keys: name, title, seed (default 0).  SI units, or dimensionless throughout.  ``G_stick = -static Fs/d``:
-naming one of the two in a change removes the other.
+naming one of the two in a change removes the other; so does naming another way to start.
 """
 
 import math
@@ -53,6 +53,7 @@ BUILTIN_FOLDER = Path(__file__).parent / "builtin"
 TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper", "drive", "shaker")
 TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # what two masses may have
 EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "output")
+STARTS = (("x", "v"), ("x1", "v1", "x2", "v2"), ("d",), ("attractor",))  # ways to begin; a change drops the others
 OLD_NAMES = {"tell": "output"}  # of sections, still accepted
 SECTIONS = TERMS + EFFECTS
 LARGEST_FILE = 1 << 20  # bytes of a scene; what is longer is something else, and may have no end
@@ -269,6 +270,10 @@ def _change(content: dict[str, Any], dotted: str, value: object, where: str) -> 
     content[section][key] = value
     if section == "friction" and key in ("G_stick", "d"):
         content[section].pop("d" if key == "G_stick" else "G_stick", None)
+    if section == "start":
+        for way in STARTS:
+            for other in way if key not in way else ():
+                content[section].pop(other, None)
 
 
 def _checked(content: dict[str, Any], where: str) -> Scene:
@@ -386,9 +391,8 @@ def _check_masses(found: Scene, where: str) -> None:
     if found.friction is not None and LAWS[found.friction.law].contact != "jump":
         what = f"friction.law is {found.friction.law}, a ramp, which is not modelled for two masses"
         raise InputError(what, where, "take law 1, 3 or 5")
-    ways = [("x", "v"), ("x1", "v1", "x2", "v2"), ("d",), ("attractor",)]
-    used = [way for way in ways if any(key in given for key in way)]
-    if ways[0] in used:
+    used = [way for way in STARTS if any(key in given for key in way)]
+    if STARTS[0] in used:
         raise InputError("start.x or start.v beside coupling", where, "give start.x1, v1, x2, v2, or start.d")
     if len(used) > 1:
         what = f"start has {used[0][0]} and {used[1][0]}"

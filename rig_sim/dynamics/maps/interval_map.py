@@ -21,6 +21,10 @@ class IntervalMap(Protocol):
         """Return the ``times``-th iterate of each x."""
         ...
 
+    def orbit(self, start: float, number: int) -> Array:
+        """Return f(start), f(f(start)) ..., shape (number,)."""
+        ...
+
 
 def slope(f: IntervalMap, x: Array) -> Array:
     """Return f'(x), shape (n,): a difference quotient of fourth order; NaN where f is not defined about x."""
@@ -28,13 +32,3 @@ def slope(f: IntervalMap, x: Array) -> Array:
     x = np.asarray(x, dtype=np.float64)
     values = f((x[:, None] + h * np.array([-2.0, -1.0, 1.0, 2.0])).ravel()).reshape(-1, 4)
     return (values @ np.array([1.0, -8.0, 8.0, -1.0])) / (12.0 * h)  # type: ignore[no-any-return]
-
-
-def iterates(f: IntervalMap, x: float, times: int) -> Array:
-    """Return f(x), f(f(x)) ..., shape (times,)."""
-    points = np.empty(times)
-    at = np.array([x])
-    for i in range(times):
-        at = f(at)
-        points[i] = at[0]
-    return points

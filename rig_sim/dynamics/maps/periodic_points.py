@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
-from rig_sim.dynamics.maps.interval_map import IntervalMap, iterates, slope
+from rig_sim.dynamics.maps.interval_map import IntervalMap, slope
 
 # Places at which f^n(x) - x is compared with 0.  Two periodic points between neighbouring places are not seen: twice as
 # many halve the distance at which they are.
@@ -56,7 +56,7 @@ def periodic_points(f: IntervalMap, period: int = 1, *, places: int = PLACES) ->
         root = return_point(f, period, float(x[i]), float(x[i + 1]))
         if root is None or any(abs(root - point) <= SAME * (f.hi - f.lo) for orbit in found for point in orbit.points):
             continue
-        orbit = iterates(f, root, period)
+        orbit = f.orbit(root, period)
         if any(period % n == 0 and abs(orbit[n - 1] - root) <= SAME * (f.hi - f.lo) for n in range(1, period)):
             continue
         first = int(np.argmin(orbit))

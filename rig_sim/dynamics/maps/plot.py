@@ -1,5 +1,6 @@
 """Pictures of maps and attractors; matplotlib is imported here and nowhere else in `rig_sim.dynamics`."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +8,15 @@ from matplotlib.figure import Figure
 
 from daq.errors import InputError
 from daq.output import atomic
+from rig_sim.dynamics.maps.basins import Basins
 from rig_sim.dynamics.maps.interval_map import IntervalMap
 from rig_sim.dynamics.maps.periodic_points import periodic_points
+from rig_sim.dynamics.maps.sweep import AttractorAt
 
 FORMATS = (".png", ".svg", ".pdf")
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
 PLACES = 4000  # drawn of a map
+MOST_DRAWN = 5000  # points drawn as shapes; more become an image
 
 
 def map_figure(f: IntervalMap, times: int = 1) -> Figure:
@@ -42,6 +46,41 @@ def map_figure(f: IntervalMap, times: int = 1) -> Figure:
         title=f"Map {name} from stick to stick",
     )
     axes.set_aspect("equal")
+    return figure
+
+
+def sweep_figure(rows: Sequence[AttractorAt], parameter: str, section: str) -> Figure:
+    """Return a bifurcation diagram: the points of every attractor over the parameter."""
+    figure = Figure(figsize=(8.6, 5.6), layout="constrained")
+    axes = figure.add_subplot()
+    for number in sorted({row.attractor for row in rows}):
+        own = [row for row in rows if row.attractor == number]
+        x = np.concatenate([np.full(len(row.points), row.value) for row in own])
+        y = np.concatenate([row.points for row in own])
+        colour = COLOURS[(number - 1) % len(COLOURS)]
+        axes.plot(x, y, ".", ms=2.4, mew=0, color=colour, rasterized=len(x) > MOST_DRAWN, label=f"attractor {number}")
+    axes.legend(markerscale=6)
+    ordinate = "x1 where the first mass turns forwards" if section == "poincare" else "d = x2 - x1 in global stick"
+    axes.set(xlabel=f"{parameter} (the scene's unit)", ylabel=f"{ordinate} (the scene's unit)")
+    axes.set_title(f"Attractors over {parameter}")
+    return figure
+
+
+def basins_figure(found: Basins) -> Figure:
+    """Return a figure of which attractor each start d leads to, with the attractors' points above."""
+    figure = Figure(figsize=(8.6, 2.6), layout="constrained")
+    axes = figure.add_subplot()
+    half = 0.5 * (found.centres[1] - found.centres[0])
+    for index, attractor in enumerate(found.attractors):
+        colour = COLOURS[index % len(COLOURS)]
+        label = f"attractor {index + 1}: {100.0 * attractor.share:.1f} %"
+        axes.fill_between(
+            found.centres, 0.0, 1.0, where=found.fate == index, color=colour, step="mid", lw=0, label=label
+        )
+        axes.plot(attractor.points, np.full(len(attractor.points), 1.15), "o", ms=4, mew=0, color=colour)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    axes.set(xlim=(found.centres[0] - half, found.centres[-1] + half), ylim=(0.0, 1.3), yticks=[])
+    axes.set(xlabel="d = x2 - x1 at the start (the scene's unit)", title="Basins; above, the attractors")
     return figure
 
 

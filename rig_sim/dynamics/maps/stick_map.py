@@ -1,8 +1,8 @@
 """The map of two coupled masses from one global stick to the next: d = x2 - x1 -> f(d).
 
 While both masses stick, d is all that decides what follows.  An event runs from there, one mass breaking away or both,
-to the next global stick; its word lists which mass broke away, in order: '2', '21', '212'.  Every event ends within
-`STEPS_OF_EVENT` integrator steps or in a named outcome.
+to the next global stick; its word lists which mass broke away, in order: '2', '21', '212'.  Every event ends within a
+number of integrator steps or in a named outcome.
 """
 
 import math
@@ -19,9 +19,10 @@ from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_mas
 from rig_sim.integrate.buffer import ORDER, Buffer
 from rig_sim.integrate.two_mass import MODE1, MODE2, STEPS, STEPS_ALLOWED, TIME, Y1, Y2, new_pair, pair_event, place
 
-# Steps of one event, some 1 us each.  The thesis's events take 20 to 60, and the square root of a times as many where
-# the coupling is strong; a motion that has not stuck after as many as these counts as one that does not.
-STEPS_OF_EVENT = 20_000
+# Steps allowed for one event: so many, and so many more for each unit of the fastest frequency, sqrt(1 + 2 a), up to a
+# limit.  The thesis's events take 20 to 60 steps, 0.3 us each; a motion that has not stuck after these does not count
+# as one that sticks.  Twice as many double the time that a sweep spends on motions that never stick.
+STEPS_OF_EVENT, STEPS_PER_FREQUENCY, MOST_STEPS = 2_000, 100.0, 200_000
 INTERPRETED_STEPS = 200  # of an event, about 0.3 s; a longer one starts again in compiled code
 WORD = 64  # letters of a word that are kept
 NO_STICK = 30
@@ -29,7 +30,7 @@ ENDS = {
     **OUTCOMES,
     NO_STICK: Outcome(
         "no global stick",
-        f"the masses did not both stick within {STEPS_OF_EVENT} steps: list the events instead, or slow the belt",
+        "the masses did not both stick within the steps allowed: list the events instead, or slow the belt",
     ),
 }
 # Degree and tolerance of the series: rounding; errors of the map below 1e-9; below 1e-5 (measured by
@@ -71,6 +72,7 @@ def events_from(
     b: float,
     starts: Buffer,
     times: int,
+    chained: int,
     degree: int,
     tolerance: float,
     work: Buffer,
@@ -79,10 +81,15 @@ def events_from(
     durations: Buffer,
     outcomes: Buffer,
 ) -> int:
-    """Apply the map ``times`` times to each of the starts (d in the frame); return how many letters ``word`` holds."""
+    """Apply the map ``times`` times to each of the starts (d in the frame); return how many letters ``word`` holds.
+
+    With ``chained`` 1 only the first start counts, and every result is the next start.
+    """
     letters = 0
+    d = 0.0
     for i in range(len(starts)):
-        d = starts[i]
+        if chained == 0 or i == 0:
+            d = starts[i]
         duration = 0.0
         outcome = 0
         for _j in range(times):
@@ -163,6 +170,11 @@ class StickMap:
         results: Array = self._follow(np.asarray(x, dtype=np.float64), times, compiled=True)[0]
         return results
 
+    def orbit(self, start: float, number: int) -> Array:
+        """Return f(start), f(f(start)) ..., shape (number,); NaN from where no global stick follows."""
+        results: Array = self._follow(np.full(number, start), 1, compiled=True, chained=1)[0]
+        return results
+
     def event(self, d: float) -> StickEvent:
         """Return the event that follows the global stick with stretch ``d`` (m); a long one uses compiled code."""
         if not abs(d) <= self.hi:
@@ -174,17 +186,19 @@ class StickMap:
         outcome = ENDS[int(outcomes[0])]
         return StickEvent(float(results[0]), word, float(durations[0]), outcome.name, outcome.advice)
 
-    def _follow(self, starts: Array, times: int, *, compiled: bool) -> tuple[Array, Array, Array, str]:
+    def _follow(
+        self, starts: Array, times: int, *, compiled: bool, chained: int = 0
+    ) -> tuple[Array, Array, Array, str]:
         """Return f, durations, outcomes and the last word."""
         fr, (degree, tolerance) = self._frame, self._precision
-        work = new_pair(STEPS_OF_EVENT if compiled else INTERPRETED_STEPS, compiled=compiled)
+        allowed = min(STEPS_OF_EVENT + int(STEPS_PER_FREQUENCY * math.sqrt(1.0 + 2.0 * self.flow.a)), MOST_STEPS)
+        work = new_pair(allowed if compiled else INTERPRETED_STEPS, compiled=compiled)
         starts = np.where(np.abs(starts) <= self.hi, fr.mirror * starts, np.nan)
         word = np.zeros(WORD)
         results, durations, outcomes = np.zeros((3, len(starts)))
         kernel = compiled_events() if compiled else events_from
-        letters = kernel(
-            fr, self.flow.a, self.flow.b, starts, times, degree, tolerance, work, word, results, durations, outcomes
-        )
+        a, b = self.flow.a, self.flow.b
+        letters = kernel(fr, a, b, starts, times, chained, degree, tolerance, work, word, results, durations, outcomes)
         shown = "".join(str(int(letter)) for letter in word[: min(letters, WORD)]) + "..." * (letters > WORD)
         return fr.mirror * results, durations, outcomes, shown
 

@@ -1,0 +1,146 @@
+"""Attractors of two masses over a parameter: a bifurcation diagram.
+
+At every value the attractors are found anew, from starts all over the interval of d (`rig_sim.dynamics.maps.basins`),
+so that none is lost where another one has the larger basin, and values can be shared out over processes.  Attractors
+of neighbouring values are then numbered alike where they lie closest.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from rig_sim.dynamics.maps.basins import NOWHERE, basins
+from rig_sim.dynamics.maps.section import section_points
+from rig_sim.dynamics.maps.stick_map import StickMap
+from rig_sim.flow.two_mass import TwoMassFlow
+
+CELLS = 600  # of the cell mapping at each value; a basin narrower than a few cells may be missed: more cells find it
+CROSSINGS = 256  # points of the section on an attractor
+LEFT_OUT = 200  # first crossings of a motion without global stick
+SAME_POINT = 1e-7  # of the interval: points of the section closer than this are drawn as one
+CHUNK = 8  # values that a process takes at a time, some 0.1 s each
+
+Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
+
+
+@dataclass(frozen=True)
+class AttractorAt:
+    """An attractor at one value of the parameter.
+
+    Attributes
+    ----------
+    value : float
+        Of the parameter.
+    attractor : int
+        Its number, from 1; at the first value by the size of the basin.
+    points : tuple of float
+        d in global stick, or x1 on the section; m.
+    period : int or None
+        Of the map's orbit; None for a chaotic one, and where there is no global stick.
+    share : float
+        Of the interval of d that leads to it.
+    extent : tuple of two floats
+        Smallest and largest point.
+    """
+
+    value: float
+    attractor: int
+    points: tuple[float, ...]
+    period: int | None
+    share: float
+    extent: tuple[float, float]
+
+
+def sweep(
+    flow_at: Callable[[float], TwoMassFlow],
+    values: Sequence[float],
+    section: str,
+    *,
+    spread: Spread = map,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[AttractorAt]:
+    """Return the attractors at every value, in order.
+
+    Parameters
+    ----------
+    flow_at : callable
+        The masses at a value of the parameter; pickled where ``spread`` uses processes.
+    values : sequence of float
+        Of the parameter.
+    section : str
+        'map': points are d in global stick; 'poincare': x1 where the first mass turns forwards.
+    spread : callable
+        The ``map`` that shares out the work; results do not depend on it.
+    progress : callable
+        Called with the number of values done.
+    """
+    chunks = [tuple(values[first : first + CHUNK]) for first in range(0, len(values), CHUNK)]
+    found: list[AttractorAt] = []
+    done = 0
+    for chunk, results in zip(chunks, spread(partial(attractors_of, flow_at, section), chunks), strict=True):
+        for rows in results:
+            found += numbered(rows, found)
+        done += len(chunk)
+        progress(done)
+    return found
+
+
+def attractors_of(
+    flow_at: Callable[[float], TwoMassFlow], section: str, values: Sequence[float]
+) -> list[list[AttractorAt]]:
+    """Return the attractors at some values, the largest basin first."""
+    return [attractors_at(flow_at(value), value, section) for value in values]
+
+
+def attractors_at(flow: TwoMassFlow, value: float, section: str) -> list[AttractorAt]:
+    """Return the attractors at one value, the largest basin first."""
+    f = StickMap(flow)
+    found = basins(f, CELLS)
+    rows = []
+    for attractor in found.attractors:
+        points = attractor.points
+        if section == "poincare":
+            points = distinct(section_points(flow, points[0], CROSSINGS).tolist(), SAME_POINT * (f.hi - f.lo))
+        rows.append((points, attractor.period, attractor.share))
+    if found.nowhere > 0.0 and section == "poincare":
+        start = float(found.centres[np.flatnonzero(found.fate == NOWHERE)[0]])
+        crossed = section_points(flow, start, CROSSINGS, skip=LEFT_OUT).tolist()
+        rows.append((distinct(crossed, SAME_POINT * (f.hi - f.lo)), None, found.nowhere))
+    return [
+        AttractorAt(value, number, points, period, share, (min(points), max(points)))
+        for number, (points, period, share) in enumerate(rows, 1)
+        if points
+    ]
+
+
+def distinct(points: list[float], tolerance: float) -> tuple[float, ...]:
+    """Return the points in increasing order, those within ``tolerance`` of the one before left out."""
+    kept: list[float] = []
+    for point in sorted(points):
+        if not kept or point - kept[-1] > tolerance:
+            kept.append(point)
+    return tuple(kept)
+
+
+def numbered(rows: list[AttractorAt], before: list[AttractorAt]) -> list[AttractorAt]:
+    """Return attractors with the numbers of the closest ones at the value before; others get numbers not yet in use."""
+    if not before:
+        return rows
+    previous = [row for row in before if row.value == before[-1].value]
+    pairs = sorted(
+        (sum(abs(a - b) for a, b in zip(row.extent, old.extent, strict=True)), i, old.attractor)
+        for i, row in enumerate(rows)
+        for old in previous
+    )
+    numbers: dict[int, int] = {}
+    for _, i, number in pairs:
+        if i not in numbers and number not in numbers.values():
+            numbers[i] = number
+    for i in range(len(rows)):
+        if i not in numbers:
+            numbers[i] = next(n for n in range(1, len(rows) + len(previous) + 1) if n not in numbers.values())
+    named = [AttractorAt(row.value, numbers[i], *list(vars(row).values())[2:]) for i, row in enumerate(rows)]
+    return sorted(named, key=lambda row: row.attractor)
