@@ -162,7 +162,6 @@ def test_a_belt_at_rest_has_no_map():
         ({"friction.law": 6}, "ramp"),
         ({"drive.u0": 1.0, "drive.omega": 1.0}, "drive beside coupling"),
         ({"belt.ripple": 0.1}, "belt.ripple"),
-        ({"start.x1": 0.1}, "start has"),
         ({"start.x": 0.1}, "start.x or"),
         ({"coupling.a": -1.0}, "coupling.a"),
     ],
