@@ -2,7 +2,7 @@
 
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,17 @@ def smoothing_kernels() -> None:
     from processing import compare
 
     compare.rows(daq.load(Path(__file__).resolve().parent.parent / "data_samples" / "law5.h5"), None)
+
+
+@pytest.fixture(scope="module")
+def undrawn_reports() -> Iterator[None]:
+    """Leave the pictures of reports empty: to draw them costs several times the fit of two laws."""
+    from fitting.report import plot
+
+    names = [picture.__name__ for picture in (*plot.PICTURES, plot.break_aways)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plot, "draw", lambda ranking, counted: dict.fromkeys(names, "<svg></svg>"))
+        yield
 
 
 @pytest.fixture(scope="session")

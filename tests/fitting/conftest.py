@@ -11,7 +11,6 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
-from fitting.report import plot
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -46,15 +45,6 @@ def contacts():
 def synthetic():
     """Give the generator's module."""
     return synthetic_rig
-
-
-@pytest.fixture(scope="module")
-def undrawn_reports():
-    """Leave the pictures of reports empty: to draw them costs several times the fit of two laws."""
-    names = [picture.__name__ for picture in (*plot.PICTURES, plot.break_aways)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plot, "draw", lambda ranking, counted: dict.fromkeys(names, "<svg></svg>"))
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -104,10 +104,13 @@ def judged(runs, kernel=None, last_bits=0.0):
     return json.loads(done.stdout)
 
 
+KERNEL, OTHERS = (available()[-1], available()[:-1]) if available() else (None, [])  # the newest, which OpenBLAS takes
+
+
 @pytest.fixture(scope="module")
 def native(runs):
     """Judge the runs as they are."""
-    return judged(runs)
+    return judged(runs, KERNEL)
 
 
 def assert_the_same(found, native):
@@ -132,14 +135,14 @@ def test_the_laws_are_named(native):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kernel", available())
+@pytest.mark.parametrize("kernel", OTHERS)
 def test_every_kernel_of_the_linear_algebra_gives_the_same_answer(runs, native, kernel):
     assert_the_same(judged(runs, kernel), native)
 
 
 @pytest.mark.slow
 def test_the_last_bits_of_a_record_decide_nothing(runs, native):
-    found = judged(runs, last_bits=LAST_BITS)
+    found = judged(runs, KERNEL, LAST_BITS)
     # Of `harsh` the verdict and the set alone are claimed.  Its k/m moves by 0.4 to 1 standard errors while the rms of
     # its residuals is equal to 1e-7: the weights of outlying cycles have not converged (docs/identification.md).
     found["harsh"]["laws"] = native["harsh"]["laws"]
