@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
+from daq.compute.arrays import Array, Integers, Mask
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.departure import Forcing
 from fitting.departures.trajectory import Trajectory
@@ -26,23 +26,31 @@ class Base:
     linear : LinearisedFit
     path : Path
     trajectory : Trajectory
+    counted : (N,) bool
+        False for the first sample of a window of blocks, where residual and derivatives are 0.
+    block : int
+        Samples in a block; 1 where there are none.
     """
 
     linear: LinearisedFit
     path: Path
     trajectory: Trajectory
+    counted: Mask
+    block: int = 1
 
     @classmethod
     def of(
         cls, linear: LinearisedFit, path: Path, records: Sequence[MeasuredMotion], revolution: float | None = None
     ) -> "Base":
         """Read a path; ``revolution`` is the travel per revolution of the encoder, m, where the calibration has it."""
-        return cls(linear, path, Trajectory.from_path(path, records, linear.residual, revolution))
+        trajectory = Trajectory.from_path(path, records, linear.residual, revolution)
+        return cls(linear, path, trajectory, np.ones(linear.residual.size, np.bool_))
 
     def thinned(self) -> "Base":
         """Return the same on blocks of samples, `BLOCK_HZ` a second, for scans.
 
-        A block has the mean residual and the mean derivatives of its samples, and the path is that at its middle.
+        A block has the mean residual and the mean derivatives of its samples, and the path is that at its middle.  Its
+        position is what leaves that residual: the mean position of a curved path is not that at its middle.
 
         Raises
         ------
@@ -58,7 +66,7 @@ class Base:
             whole,
             table=blocks.table,
             time=whole.time[blocks.middle],
-            position=whole.position[blocks.middle],
+            position=self.path.model[blocks.middle] - blocks.mean(self.linear.residual),
             source=whole.source[blocks.middle],
             rows=blocks.rows,
         )
@@ -73,7 +81,8 @@ class Base:
             rows=blocks.rows,
             weights=self.linear.weights * stride,
         )
-        return Base.of(linear, path, self.trajectory.records, self.trajectory.revolution)
+        trajectory = Trajectory.from_path(path, self.trajectory.records, linear.residual, self.trajectory.revolution)
+        return Base(linear, path, trajectory, blocks.first >= 0, stride)
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:
         """Return how the positions answer to forcings, one after another, shape (N, columns of all)."""

@@ -204,6 +204,26 @@ class LinearisedFit:
             _kernel(elimination.add_along)(columns, self.first, np.ascontiguousarray(steps), out)
         return out
 
+    def step(self, damping: float = 0.0) -> tuple[Array, Array]:
+        """Return the Gauss-Newton step of the shared (p,) and of the cycles' own unknowns (cycles, q).
+
+        ``damping`` adds that share of its own to every shared unknown's curvature (Levenberg-Marquardt).
+        """
+        _, total = self.information()
+        raw = np.einsum("cpp->p", self._product(self.shared, self.shared)) + np.diag(self.prior_precision)
+        scale, inverse = scaled_inverse(total + damping * np.diag(np.diag(total)), raw)
+        gradient = self.gradients().sum(axis=0) + self.prior_gradient
+        step = -scale * np.einsum("ij,j->i", inverse, scale * gradient)
+        pull = self._product(self.local, self.residual[:, None])[:, :, 0] + self.local_gradient
+        own = np.einsum("cij,cj->ci", self._inverse, pull + np.einsum("cpq,p->cq", self._own, step))
+        return np.asarray(step), np.asarray(-own)
+
+    @property
+    def cost(self) -> float:
+        """Cost of the residuals alone, without the priors."""
+        squares = np.add.reduceat(self.residual**2, self.first[:-1])
+        return 0.5 * float(np.sum(self.weights * squares))
+
     def scores(self, columns: Array) -> Scores:
         """Return gradient and curvature in further unknowns, shared and own unknowns eliminated.
 
