@@ -22,7 +22,7 @@ from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.trajectory import least_squares
 from fitting.model import parameters
-from fitting.model.parameters import PerCycle
+from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.sensitivity.columns import local_tangents, shared_tangents
 from fitting.sensitivity.path import Path, follow
 
@@ -34,7 +34,7 @@ LAST = 1e-3  # of the departure's size: a pass that changes it by less is the la
 PARTS = (1.0, 0.5, 0.25, 0.1)  # of the linear step, from which the search starts
 SCALE_STEP = 1e-4  # relative: derivative by the scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path
 SCALE_RANGE = 0.15  # relative: how far a scale may move from where the scan found it
-TOO_FAST = 0.999  # of the belt's speed: a slip window that starts faster is a law's way out of a misfit
+BESIDE_BELT = 0.9995  # of the belt's speed: largest velocity at which a slip may start (`fitting.curve.spline_fit`)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +66,12 @@ class Refit:
     def residual(self) -> Array:
         """Model minus measurement, m, shape (N,)."""
         return self.linear.residual
+
+    @property
+    def usual_rms(self) -> float:
+        """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
+        square = [float(np.mean(self.residual[rows] ** 2)) for rows in self.linear.rows]
+        return math.exp(0.5 * float(np.mean(np.log(square))))
 
 
 def refit_with(fit: Fit, base: Base, departure: Departure, scale: float, noise: float) -> Refit | None:
@@ -118,15 +124,20 @@ class _Model:
         self._departure, self._scale, self._scanned = departure, scale, math.isfinite(scale)
         self._task = least_squares(fit)
         self._more = departure.columns + (1 if self._scanned else 0)
+        self._fastest = np.full(fit.local.shape, np.inf)
+        if not fit.problem.ramp:  # a start beyond the belt's speed is a law's way out of a misfit
+            speed = fit.u.reshape(-1, PER_RUN)[fit.windows.run, Global.V_DR]
+            self._fastest[:, PerCycle.V_SLIP] = BESIDE_BELT * speed
 
     def start(self) -> tuple[Array, Array]:
         """Return shared and cycles' own unknowns, a part of the linear step on from where the law's fit ended."""
         places = list(self._fit.active)
         shared, local = np.concatenate([self._fit.u[places], np.zeros(self._more)]), self._fit.local.copy()
         first = self._fit.windows.starting_values(self._fit.problem.motions)
-        fast = local[:, PerCycle.V_SLIP] > TOO_FAST * self._fit.values.v_dr
+        fast = local[:, PerCycle.V_SLIP] > self._fastest[:, PerCycle.V_SLIP]
         own = slice(PerCycle.X_SLIP, PerCycle.V_SLIP + 1)
         local[fast, own] = first[fast, own]
+        local = np.minimum(local, self._fastest)
         k = self._departure.columns
         forced = self._base.respond([self._departure.forcing(self._base.trajectory, self._scale)])
         linear = self._base.linear
@@ -169,6 +180,7 @@ class _Model:
             precision=np.concatenate([self._task.precision, np.zeros(self._more)]),
             local_prior=self._task.local_prior,
             local_precision=self._task.local_precision,
+            local_upper=self._fastest,
         )
 
     def _cycle_weights(self, noise: float) -> Array:
@@ -183,7 +195,7 @@ class _Model:
         return self._apart(shared).coefficients
 
     def search(self, shared: Array, local: Array, noise: float) -> levenberg_marquardt.Solution | None:
-        """Minimise with what the departure does along the path of the search before; None where none can be followed."""
+        """Minimise with what the departure does along the path before; None where the motion cannot be followed."""
         found = levenberg_marquardt.minimise(self.problem(noise), shared, local, max_steps=PASS[0], tolerance=PASS[1])
         if found is None:
             return None

@@ -39,6 +39,8 @@ class FoundDeparture:
         Share of the misfit beyond the noise that it explains, in one linear step.
     refitted : bool
         Whether value and stderr come from a fit with it; else from one linear step.
+    law : int or None
+        The law that describes the record together with it, where one does.
     """
 
     name: str
@@ -52,6 +54,7 @@ class FoundDeparture:
     gain: float = 0.0
     explained: float = 0.0
     refitted: bool = False
+    law: int | None = None
 
     @property
     def size(self) -> Measured:
@@ -71,6 +74,7 @@ class FoundDeparture:
             "text": self.text,
             "explained": self.explained,
             "refitted": self.refitted,
+            "law": self.law,
         }
         if self.scale is not None:
             row["scale"] = vars(self.scale)

@@ -75,7 +75,7 @@ def score_departures(
     base = Base.of(linear, path, records, revolution)
     found = strongest(base)
     excess = misfit_beyond_noise(linear, noise)
-    return tuple(describe(tested, records[0], linear, excess) for tested in found)
+    return tuple(describe(tested, records[0], excess) for tested in found)
 
 
 def strongest(base: Base) -> list[Tested]:
@@ -108,7 +108,7 @@ def misfit_beyond_noise(linear: LinearisedFit, noise: Array | float) -> float:
     return max(0.5 * float(np.sum(weights * (linear.residual**2 - np.square(noise)))), 0.0)
 
 
-def describe(tested: Tested, record: MeasuredMotion, linear: LinearisedFit, excess: float) -> FoundDeparture:
+def describe(tested: Tested, record: MeasuredMotion, excess: float) -> FoundDeparture:
     """Put a departure into the units of the rig."""
     departure, coefficients = tested.departure, tested.score.coefficients
     size = amplitude(coefficients, tested.score.covariance)

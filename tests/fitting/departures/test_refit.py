@@ -1,0 +1,63 @@
+"""A law fitted with the departure that was put in describes the contact, and finds its size."""
+
+import math
+
+import pytest
+
+from fitting.departures.explain import base_of, confirm, explain_misfit
+from fitting.departures.strongest import strongest
+
+K = 10.5552
+OMEGA = 5 * math.sqrt(35.184)
+COUNT = 7.67e-6
+NOISE = COUNT / math.sqrt(12)
+HARD = 0.05 * K / 0.177**2
+
+
+def explained(fit, **laws):
+    return explain_misfit([fit, *laws.values()], fit.problem.motions, NOISE)
+
+
+def test_a_hard_spring_is_fitted_with_the_law(fitted):
+    fit = fitted(scatter=0.03, k3=HARD)
+    first = explained(fit)[0]
+    assert (first.name, first.refitted, first.law) == ("spring-nonlinear", True, 5)
+    assert first.value == pytest.approx(HARD / 0.3, rel=0.01)
+    assert abs(first.value - HARD / 0.3) < 4 * first.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "changes", "size"),
+    [
+        ("guide-friction", {"guide": 0.05}, 0.05 / 0.3),
+        ("eccentricity", {"eccentricity": (5e-4, 0.12566)}, 5e-4),
+        ("belt-drift", {"belt_drift": 0.02}, 0.001),
+        ("belt-ripple", {"ripple": ((0.015, 0.7), (0.01, 2.9))}, 0.0022),
+        ("second-mode", {"second_mass": (0.006, 0.006 * OMEGA**2, 0.006 * 0.02 * OMEGA)}, 0.02),
+        ("friction-by-belt-position", {"by_belt_position": (0.05, 1.6)}, 0.05),
+        ("friction-by-mass-position", {"by_mass_position": (0.05, 0.1)}, 0.05),
+    ],
+)
+def test_the_size_after_the_refit_is_within_a_few_percent(fitted, name, changes, size):
+    first = explained(fitted(scatter=0.03, **changes))[0]
+    assert first.name == name
+    assert first.value == pytest.approx(size, rel=0.05)
+
+
+@pytest.mark.slow
+def test_the_law_is_found_together_with_the_departure(fitted):
+    """Law 3 on a hard spring: law 5 fits better as long as the spring is taken for linear."""
+    changes = {"curve": "linear", "k3": 0.05 * K / 0.195**2, "scatter": 0.03}
+    wrong, right = fitted(law=5, **changes), fitted(law=3, **changes)
+    first = explained(wrong, right=right)[0]
+    assert (first.name, first.law) == ("spring-nonlinear", 3)
+    assert first.value == pytest.approx(0.05 * K / 0.195**2 / 0.3, rel=0.02)
+
+
+def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
+    fit = fitted(scatter=0.03, k3=HARD)
+    records = fit.problem.motions
+    others = [one for one in strongest(base_of(fit, records)) if one.departure.name == "second-mode"]
+    assert others
+    assert confirm(others[0], [fit], records, NOISE) is None
