@@ -117,7 +117,9 @@ def continue_(
     Example: rig-sim continue damped --over damper.c=0.3:0.6
 
     Special points: hopf, fold (the stable and the unstable orbit meet), border-collision (the fixed point crosses the
-    edge of a ramp). Start and the random sections are ignored.
+    edge of a ramp). Of two masses, orbits of periods 1 and 2 of their map, with the points period-doubling, fold and
+    crisis (a chaotic attractor meets the unstable orbit that bounds its basin). Start and the random sections are
+    ignored.
 
     Parameters
     ----------
@@ -131,6 +133,8 @@ def continue_(
 
     span = parse(over)
     changes = parse_changes(set_)
+    if read(scene, **{**changes, span.key: span.start}).coupling is not None:
+        return maps.continue_map(maps.SweptScene(scene, changes, span.key), span)
     with application.progress("following", span.number) as show:
         found = continuation(
             lambda value: read(scene, **{**changes, span.key: value}).flow(), span.values(), progress=show

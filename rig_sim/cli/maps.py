@@ -11,6 +11,7 @@ from daq.console.application import Answer, Json, SetChanges
 from daq.errors import InputError
 
 if TYPE_CHECKING:
+    from rig_sim.cli.parameter_range import ParameterRange
     from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
     from rig_sim.flow.two_mass import TwoMassFlow
 
@@ -109,6 +110,37 @@ class SweptScene:
         from rig_sim.scenes.scene import scene
 
         return scene(self.name, **{**self.changes, self.key: value}).two_mass_flow()
+
+
+def continue_map(flow_at: SweptScene, span: "ParameterRange") -> Answer:
+    """Return the answer of ``rig-sim continue`` for two masses."""
+    from rig_sim.dynamics.maps.map_continuation import map_continuation
+
+    with application.progress("following", span.number) as show:
+        branches, points = map_continuation(
+            lambda value: _checked(flow_at(value), flow_at.name), span.values().tolist(), progress=show
+        )
+    data = {
+        "parameter": span.key,
+        "branches": [
+            {
+                "kind": f"period {branch.period}",
+                "stable": branch.stable,
+                "rows": [
+                    {"value": value, "points": orbit.points, "slope": orbit.slope} for value, orbit in branch.rows
+                ],
+            }
+            for branch in branches
+        ],
+        "points": [{"kind": point.kind, "parameter": span.key, "value": point.value} for point in points],
+    }
+    lines = [
+        f"{'stable' if branch.stable else 'unstable':8} period {branch.period} {span.key} from {branch.rows[0][0]:.6g} "
+        f"to {branch.rows[-1][0]:.6g}, {len(branch.rows)} values"
+        for branch in branches
+    ]
+    lines += [f"{point.kind}: {span.key} = {point.value:.12g}" for point in points] or ["no special point"]
+    return Answer(data, "\n".join(lines))
 
 
 def sweep(

@@ -39,8 +39,10 @@ class PeriodicPoint:
         return abs(self.slope) < 1.0
 
 
-def periodic_points(f: IntervalMap, period: int = 1, *, places: int = PLACES) -> tuple[PeriodicPoint, ...]:
-    """Return the orbits of exactly this period, by their smallest point.
+def periodic_points(
+    f: IntervalMap, period: int = 1, *, places: int = PLACES, within: tuple[float, float] | None = None
+) -> tuple[PeriodicPoint, ...]:
+    """Return the orbits of exactly this period, by their smallest point: those with a point in the interval ``within``.
 
     Raises
     ------
@@ -49,7 +51,8 @@ def periodic_points(f: IntervalMap, period: int = 1, *, places: int = PLACES) ->
     """
     if period < 1:
         raise ValueError(f"period is {period}; need 1 or more")
-    x = np.linspace(f.lo, f.hi, places)
+    lo, hi = within or (f.lo, f.hi)
+    x = np.linspace(max(lo, f.lo), min(hi, f.hi), places)
     gain = f(x, period) - x
     found: list[PeriodicPoint] = []
     for i in np.flatnonzero(np.sign(gain[:-1]) * np.sign(gain[1:]) <= 0.0):

@@ -11,6 +11,7 @@ from daq.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.maps.basins import basins, merged
 from rig_sim.dynamics.maps.lyapunov import lyapunov
+from rig_sim.dynamics.maps.map_continuation import map_continuation
 from rig_sim.dynamics.maps.periodic_points import periodic_points
 from rig_sim.dynamics.maps.stick_map import StickMap
 from rig_sim.dynamics.maps.sweep import AttractorAt, attractors_at, numbered
@@ -169,3 +170,33 @@ def test_a_sweep_draws_both_attractors(capsys, tmp_path):
 def test_processes_change_no_bit_of_a_sweep(capsys):
     words = ["sweep", "two-mass", "--over", "belt.speed=0.09:0.12:24"]
     assert answer(capsys, *words) == answer(capsys, *words, "--jobs", "2")
+
+
+def test_the_period_doubling_of_the_logistic_map_and_no_other_point():
+    branches, points = map_continuation(logistic, np.linspace(2.82, 3.12, 4).tolist())
+    assert [(point.kind, point.value) for point in points] == [("period-doubling", pytest.approx(3.0, abs=1e-8))]
+    assert {(branch.period, branch.stable) for branch in branches} == {(1, True), (1, False), (2, True)}
+
+
+def test_a_map_that_touches_the_diagonal_is_a_fold():
+    def quadratic(r):
+        return FormulaMap(lambda x: x * x + r, -1.0, 1.0)
+
+    points = map_continuation(quadratic, [0.1, 0.2, 0.3])[1]
+    assert [(point.kind, point.value) for point in points] == [("fold", pytest.approx(0.25, abs=1e-10))]
+
+
+@pytest.mark.parametrize(
+    ("span", "kind", "name"),
+    [
+        pytest.param("0.0804:0.0808:3", "crisis", "boundary_crisis", marks=pytest.mark.slow),
+        ("0.083:0.085:2", "period-doubling", "reverse_period_doubling"),
+        pytest.param("0.168:0.172:3", "fold", "period2_fold", marks=pytest.mark.slow),
+    ],
+)
+def test_bifurcations_of_the_two_masses(capsys, span, kind, name):
+    found = answer(capsys, "continue", "two-mass", "--over", f"belt.speed={span}")
+    expected = REFERENCE["bifurcations_V"][name]
+    (point,) = found["points"]
+    assert (point["kind"], point["parameter"]) == (kind, "belt.speed")
+    assert point["value"] == pytest.approx(expected["value"], abs=1e-9)
