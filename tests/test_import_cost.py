@@ -12,66 +12,52 @@ MODULES = {
     "fit-friction": "fitting.cli",
     "rig-sim": "rig_sim.cli.app",
 }
-HELP = [
-    ("daq", []),
-    *[
-        ("daq", [name])
-        for name in (
-            "record",
-            "recover",
-            "check",
-            "calibrate",
-            "replay",
-            "decode",
-            "import",
-            "export",
-            "ports",
-            "doctor",
-            "demo",
-        )
-    ],
-    ("process", []),
-    *[("process", [name]) for name in ("smooth", "compare", "inspect", "export")],
-    ("fit-friction", []),
-    ("rig-sim", []),
-    *[("rig-sim", [name]) for name in ("scenes", "cycle", "events", "run", "compare")],
-]
+HELP = {
+    "daq": "record recover check calibrate replay decode import export ports doctor demo",
+    "process": "smooth compare inspect export",
+    "fit-friction": "",
+    "rig-sim": "scenes cycle events run compare",
+}
 LOADER = """
 import json, sys
-sys.argv = {argv!r}
-try:
-    from {module} import main
-    main()
-except SystemExit as stop:
-    code = stop.code
-sys.stderr.write("\\nLOADED " + json.dumps([code, sorted({{name.split(".")[0] for name in sys.modules}})]))
+found = []
+for sys.argv in {lines!r}:
+    try:
+        from {module} import main
+        main()
+    except SystemExit as stop:
+        code = stop.code
+    found.append([code, sorted({{name.split(".")[0] for name in sys.modules}})])
+sys.stderr.write("\\nLOADED " + json.dumps(found))
 """
 
 
-def loaded(command: str, arguments: list[str], cwd: object = None) -> set[str]:
-    """Run a command in a fresh interpreter and return the top-level names in its sys.modules."""
-    source = LOADER.format(argv=[command, *arguments], module=MODULES[command])
+def loaded(command: str, *lines: list[str], cwd: object = None) -> list[set[str]]:
+    """Run a command, line after line, in a fresh interpreter; return the top-level names in sys.modules after each."""
+    source = LOADER.format(lines=[[command, *line] for line in lines], module=MODULES[command])
     done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, cwd=cwd, check=False)
     assert "LOADED " in done.stderr, done.stderr
-    code, names = json.loads(done.stderr.rsplit("LOADED ", 1)[1])
-    assert code in (0, None), done.stderr
-    return set(names)
+    found = json.loads(done.stderr.rsplit("LOADED ", 1)[1])
+    assert all(code in (0, None) for code, _ in found), done.stderr
+    return [set(names) for _, names in found]
 
 
-@pytest.mark.parametrize(("command", "arguments"), HELP, ids=lambda value: value if isinstance(value, str) else None)
-def test_help_loads_no_numerical_package(command, arguments):
-    names = loaded(command, [*arguments, "--help"])
-    assert not names & {"numpy", "h5py", "scipy", "pandas", "matplotlib", "numba", "pydantic", "serial"}
+@pytest.mark.parametrize("command", HELP)
+def test_help_loads_no_numerical_package(command):
+    lines = [["--help"], *([name, "--help"] for name in HELP[command].split())]
+    heavy = {"numpy", "h5py", "scipy", "pandas", "matplotlib", "numba", "pydantic", "serial"}
+    for line, names in zip(lines, loaded(command, *lines), strict=True):
+        assert not names & heavy, line
 
 
 def test_recording_loads_no_analysis_package(tmp_path):
-    names = loaded("daq", ["record", "--duration", "0.5", "--json"], cwd=tmp_path)
+    (names,) = loaded("daq", ["record", "--duration", "0.5", "--json"], cwd=tmp_path)
     assert {"numpy", "h5py", "serial"} <= names
     assert not names & {"scipy", "pandas", "matplotlib", "numba", "jinja2"}
 
 
 def test_a_cycle_loads_no_scipy_numba_or_matplotlib():
-    names = loaded("rig-sim", ["cycle", "base", "--json"])
+    (names,) = loaded("rig-sim", ["cycle", "base", "--json"])
     assert not names & {"scipy", "pandas", "matplotlib", "numba", "h5py", "serial"}
 
 

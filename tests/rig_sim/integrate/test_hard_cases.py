@@ -338,10 +338,10 @@ def test_every_run_ends_by_name(capsys, monkeypatch, changes, until, outcome):
         assert play.MOST_EVENTS == 1_000_000
         monkeypatch.setattr(play, "MOST_EVENTS", 10_000)
     sets = [word for change in changes for word in ("--set", change)]
-    steps = [] if outcome == "event limit" else ["--max-steps", "20000"]
+    steps = [] if outcome == "event limit" else ["--max-steps", "5000"]
     found = document(capsys, "events", "base", "--until", until, *sets, *steps)
     assert found["outcome"] in {known.name for known in OUTCOMES.values()}
-    assert found["steps"] <= 20_000
+    assert found["steps"] <= 5_000
     if outcome:
         assert found["outcome"] == outcome
     if outcome == "event limit":
