@@ -17,6 +17,11 @@ from processing.record.motion import Corner, Motion, Phase, PhaseSegmentation
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED, reported_speed, speed_before_creep
 
+FAST = 0.25  # of the fastest in a slip: what belongs to it; noise and ringing of the smoother reach 0.2 on paper
+CREEP_SHARE = (
+    0.5  # of a slip's time: a smaller fast part shows creep; paper 0.1 to 0.3, swings of the six laws 0.7 to 0.9
+)
+
 Runs = list[tuple[int, int]]  # first and last sample, both included
 Stick = tuple[float, float, float, float]  # start, end, and their standard deviations, s
 
@@ -87,6 +92,34 @@ def corners_of_plateau(
         two = _crossing(time, size, last + 1 + int(beyond[0]), 2 * tolerance)
         end = max(2 * one - two, 0.5 * (start + end))
     return start, end
+
+
+def without_creep(series: Series, sticks: list[Stick], apart: Array) -> list[Stick]:
+    """Return the sticks, longer where most of a slip between two of them is creep or the smear of the filter.
+
+    A slip is then the part in which the mass is faster than `FAST` of its fastest.  A swing back is so for three
+    quarters of its time, and is left as it is.
+
+    Parameters
+    ----------
+    sticks : list of Stick
+        In order of time.
+    apart : array of shape (n,)
+        Velocity relative to the belt, m/s.
+    """
+    found = list(sticks)
+    time = series.time
+    starts = time[[piece.start for piece in series.pieces]]
+    for k, (before, behind) in enumerate(pairwise(sticks)):
+        if np.searchsorted(starts, before[1], side="right") != np.searchsorted(starts, behind[0], side="right"):
+            continue
+        i, j = np.searchsorted(time, (before[1], behind[0]))
+        speed = np.abs(apart[i:j])
+        fast = np.flatnonzero(speed > FAST * speed.max(initial=0.0))
+        if fast.size and fast[-1] - fast[0] < CREEP_SHARE * (j - i):
+            found[k] = (found[k][0], float(time[i + fast[0]]), *found[k][2:])
+            found[k + 1] = (float(time[i + fast[-1]]), *found[k + 1][1:])
+    return found
 
 
 def _crossing(time: Array, size: Array, at: int, level: float) -> float:

@@ -42,6 +42,7 @@ from processing.segmentation.phase_layout import (
     phases_from_sticks,
     runs_in_pieces,
     segment_at_corners,
+    without_creep,
 )
 
 LEAST_STICK = 0.03  # s: shorter plateaus are no sticks
@@ -103,6 +104,8 @@ def segment(
         if abs(speed - aim) <= SAME_SPEED * abs(slack):
             start, end = corners_of_plateau(run, series, size, seen.window, tolerance, moving)
             sticks.append((start, end, math.inf, math.inf))
+    apart = motion.velocity - level if belt is None else belt.motion.velocity
+    sticks = without_creep(series, sticks, apart)
     phases = phases_from_sticks(series, moving, sticks)
     if stated is None and belt is None:
         held = [rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
