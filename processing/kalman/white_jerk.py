@@ -101,6 +101,11 @@ def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
     few = max(len(stretches) // 16, 1)
     middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 6.0, 1.5)
     log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
+    grid = np.arange(LOG_RHO[0], LOG_RHO[1] + 3.0, 6.0).tolist()
+    if min(cost(value, 1)[0] for value in grid) < cost(log_rho, 1)[0]:
+        # Where the mass moves fast for a few per cent of the time, the few stretches may hold none of that.
+        middle = lowest(lambda log_rho: cost(log_rho, 1)[0], LOG_RHO, 6.0, 1.5)
+        log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
     return log_rho, cost(log_rho, 1)[1]
 
 

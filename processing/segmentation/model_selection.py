@@ -1,6 +1,6 @@
 """Model selection: a stick is accepted if it raises the log likelihood by 1.5 ln n for each of its corners.
 
-Where two in three are accepted, the others need only raise it at all; where most fail, all are rejected.  The null
+Where two in three are accepted, the others need only raise it at all; else all are rejected.  The null
 model is a motion of white jerk or of white snap throughout, whichever is more likely.
 """
 
@@ -95,8 +95,12 @@ def accept_sticks(
     # Where most sticks are beyond doubt, the others need only help.
     if estimates.once("beyond doubt", lambda: bool(dropped.mean() < 1 / 3)):
         dropped = gained < 0
-    if dropped.mean() > 1 / 2 and not estimates.closed:
+    if dropped.mean() > 1 / 3 and not estimates.closed:
         return []
+    lengths = np.array([np.ptp(times.at[stick]) for stick in sticks])
+    misfit = dropped & (lengths > times.unit)  # a flat part of a slip is shorter: these are sticks of another kind
+    if misfit.any():
+        return odd_spans(series, times, sticks, misfit, few=1.0 if estimates.closed else FEW)
     changed = bool(dropped.any() or ridden.any())
     before = times
     if changed or estimates.known("rebuilt 0"):

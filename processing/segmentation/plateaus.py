@@ -233,6 +233,10 @@ def _is_plateau(run: tuple[int, int], around: tuple[int, int], least: int, windo
 
 
 def _travels(run: tuple[int, int], motion: Motion) -> bool:
-    """Tell whether the mass moves at all within the run, by four standard errors of its speed."""
+    """Tell whether the mass moves at all within the run, by four standard errors of its mean speed.
+
+    A run of several smoothing windows has as many independent speeds.
+    """
     own = slice(run[0], run[1] + 1)
-    return abs(median_value(motion.velocity[own])) > 4 * median_value(motion.velocity_errors[own])
+    share = min(motion.window / (run[1] + 1 - run[0]), 1.0)
+    return abs(median_value(motion.velocity[own])) > 4 * math.sqrt(share) * median_value(motion.velocity_errors[own])
