@@ -21,6 +21,8 @@ FAST = 0.25  # of the fastest in a slip: what belongs to it; noise and ringing o
 CREEP_SHARE = (
     0.5  # of a slip's time: a smaller fast part shows creep; paper 0.1 to 0.3, swings of the six laws 0.7 to 0.9
 )
+SLOW = 0.2  # of the fastest of the usual slip; those of paper that the force of 0.01 falls in all reach 0.22
+FEWEST = 8  # slips: with fewer there is no usual one
 
 Runs = list[tuple[int, int]]  # first and last sample, both included
 Stick = tuple[float, float, float, float]  # start, end, and their standard deviations, s
@@ -94,11 +96,12 @@ def corners_of_plateau(
     return start, end
 
 
-def without_creep(series: Series, sticks: list[Stick], apart: Array) -> list[Stick]:
+def without_creep(series: Series, sticks: list[Stick], apart: Array, estimates: RecordEstimates) -> list[Stick]:
     """Return the sticks, longer where most of a slip between two of them is creep or the smear of the filter.
 
     A slip is then the part in which the mass is faster than `FAST` of its fastest.  A swing back is so for three
-    quarters of its time, and is left as it is.
+    quarters of its time, and is left as it is.  Where the fastest is below `SLOW` of that of the usual slip the mass
+    creeps throughout, and both sticks are one.
 
     Parameters
     ----------
@@ -106,19 +109,27 @@ def without_creep(series: Series, sticks: list[Stick], apart: Array) -> list[Sti
         In order of time.
     apart : array of shape (n,)
         Velocity relative to the belt, m/s.
+    estimates : RecordEstimates
+        Of the record: the fastest of its usual slip.
     """
-    found = list(sticks)
+    found: list[Stick] = sticks[:1]
     time = series.time
     starts = time[[piece.start for piece in series.pieces]]
-    for k, (before, behind) in enumerate(pairwise(sticks)):
-        if np.searchsorted(starts, before[1], side="right") != np.searchsorted(starts, behind[0], side="right"):
-            continue
-        i, j = np.searchsorted(time, (before[1], behind[0]))
-        speed = np.abs(apart[i:j])
-        fast = np.flatnonzero(speed > FAST * speed.max(initial=0.0))
-        if fast.size and fast[-1] - fast[0] < CREEP_SHARE * (j - i):
-            found[k] = (found[k][0], float(time[i + fast[0]]), *found[k][2:])
-            found[k + 1] = (float(time[i + fast[-1]]), *found[k + 1][1:])
+    spans = [np.searchsorted(time, (before[1], behind[0])) for before, behind in pairwise(sticks)]
+    fastest = [float(np.abs(apart[i:j]).max(initial=0.0)) for i, j in spans]
+    usual = estimates.once("fastest", lambda: float(np.median(fastest)) if len(fastest) >= FEWEST else 0.0)
+    for (i, j), most, (before, behind) in zip(spans, fastest, pairwise(sticks), strict=True):
+        same_piece = np.searchsorted(starts, before[1], side="right") == np.searchsorted(
+            starts, behind[0], side="right"
+        )
+        fast = np.flatnonzero(np.abs(apart[i:j]) > FAST * most)
+        if same_piece and most < SLOW * usual:
+            found[-1] = (*found[-1][:1], behind[1], found[-1][2], behind[3])
+        elif same_piece and fast.size and fast[-1] - fast[0] < CREEP_SHARE * (j - i):
+            found[-1] = (found[-1][0], float(time[i + fast[0]]), *found[-1][2:])
+            found.append((float(time[i + fast[-1]]), *behind[1:]))
+        else:
+            found.append(behind)
     return found
 
 

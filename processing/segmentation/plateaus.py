@@ -105,7 +105,7 @@ def segment(
             start, end = corners_of_plateau(run, series, size, seen.window, tolerance, moving)
             sticks.append((start, end, math.inf, math.inf))
     apart = motion.velocity - level if belt is None else belt.motion.velocity
-    sticks = without_creep(series, sticks, apart)
+    sticks = without_creep(series, sticks, apart, estimates)
     phases = phases_from_sticks(series, moving, sticks)
     if stated is None and belt is None:
         held = [rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
