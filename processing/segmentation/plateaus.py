@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
+from daq.compute.arrays import Array, Mask, runs
 from daq.runfile.rig import Measured
 from processing.kalman import white_jerk
 from processing.record.estimates import RecordEstimates
@@ -45,7 +45,8 @@ from processing.segmentation.phase_layout import (
     without_creep,
 )
 
-LEAST_STICK = 0.03  # s: shorter plateaus are no sticks
+LEAST_STICK = 0.03  # s: shorter plateaus are no sticks; and
+SHARE = 0.1  # of a cycle, where that is less: a slider that slips 15 times a second sticks for 7 to 20 ms
 FLAT = 0.05  # of the largest accelerations (95th percentile): what counts as none; not swept
 ROUNDING = 1e-9  # of the fastest speed, gained in a sample: what rounded numbers make of a straight line
 RESOLVED = 0.15  # of the largest accelerations: five standard errors must stay below it, else smooth more; not swept
@@ -89,7 +90,8 @@ def segment(
     size = _centred(seen, series.pieces)
     flat = (size <= tolerance) & moving
     wide = (size <= WIDER * tolerance) & moving
-    least = max(round(LEAST_STICK / series.interval), 3)
+    shortest = estimates.once("shortest", lambda: _shortest_stick(series, seen, moving))
+    least = max(round(shortest / series.interval), 3)
     candidates = _joined(runs_in_pieces(flat, series.pieces), runs_in_pieces(wide, series.pieces))
     plateaus = [
         run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, rides)
@@ -161,6 +163,14 @@ def _noise(motion: Motion, moving: Mask) -> float:
     # A smoother's error also allows for motion that a plateau does not have.
     share = math.sqrt(1 / 6) if motion.method == "rts" else 1.0
     return share * float(np.median(some))
+
+
+def _shortest_stick(series: Series, seen: Motion, moving: Mask) -> float:
+    """Return how long a plateau must last to be a stick, s: by the number of fast swings in the faster direction."""
+    forth, back = np.percentile(seen.velocity[moving], (99, 1)) if moving.any() else (0.0, 0.0)
+    speed = seen.velocity if forth > -back else -seen.velocity
+    swings = len(runs(moving & (speed > 0.5 * max(forth, -back))))
+    return min(LEAST_STICK, SHARE * series.interval * float(moving.sum()) / swings) if swings else LEAST_STICK
 
 
 def _search_motion(series: Series, motion: Motion, moving: Mask, estimates: RecordEstimates) -> tuple[Motion, float]:
