@@ -190,12 +190,17 @@ def _read(run: store.RunReader, own: slice, times: str) -> "tuple[Recording, Ser
 
 def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording, Series]":
     """Return some samples of a recording in memory."""
-    count = recording.belt_count
-    time, segment = data.time[own], recording.segment[own]
-    found = series.pieces(time, segment, data.interval)
-    position = data.position[own] - data.position[own.start]
-    part = replace(recording, segment=segment, belt_count=None if count is None else count[own])
-    return part, replace(data, time=time, position=position, pieces=found, count=None)
+    count, belt = recording.count, recording.belt_count
+    part = replace(
+        recording,
+        time=data.time[own],
+        position=recording.position[own],
+        count=None if count is None else count[own],
+        raw=None,
+        segment=recording.segment[own],
+        belt_count=None if belt is None else belt[own],
+    )
+    return part, series.from_recording(part)
 
 
 def _joined(parts: "list[tuple[Recording, Series]]") -> "tuple[Recording, Series]":
