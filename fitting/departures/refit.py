@@ -1,4 +1,4 @@
-"""A law fitted together with one departure, whose parameters become shared unknowns of the fit.
+"""A law or a free curve fitted together with one departure, whose parameters become shared unknowns of the fit.
 
 One linear step (`fitting.departures.scores`) takes the motion for what it was without the departure.  Here the motion
 is followed with it: what the departure does is evaluated along the path before and is a force, a change of the belt's
@@ -14,36 +14,34 @@ import numpy as np
 from daq.compute.arrays import Array
 from fitting.departures.base import Base
 from fitting.departures.departure import Departure, Forcing
+from fitting.departures.host import Host
 from fitting.departures.scores import Score, score
 from fitting.departures.trajectory import Trajectory
 from fitting.estimation import levenberg_marquardt
-from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.linearised import LinearisedFit
-from fitting.estimation.trajectory import least_squares
-from fitting.model import parameters
-from fitting.model.parameters import PER_RUN, Global, PerCycle
-from fitting.sensitivity.columns import local_tangents, shared_tangents
-from fitting.sensitivity.path import Path, follow
+from fitting.model.parameters import PerCycle
+from fitting.sensitivity.columns import local_tangents
+from fitting.sensitivity.path import Curve, Path, follow
 
 # Most steps of each pass, and the gain at which it stops.  After a pass the departure is evaluated anew.  The first
 # pass takes the noise that the law's misfit suggests, the others the record's own.
-PASSES, PASS = 8, (6, 1e-4)
+PASSES, WHOLE_PASSES, PASS = 8, 3, (6, 1e-4)  # on blocks, on all samples
 TIMES = 4  # that the motion is followed before the last pass, with all samples: the path of the law alone is not near
 LAST = 1e-3  # of the departure's size: a pass that changes it by less is the last
 PARTS = (1.0, 0.5, 0.25, 0.1)  # of the linear step, from which the search starts
 SCALE_STEP = 1e-4  # relative: derivative by the scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path
 SCALE_RANGE = 0.15  # relative: how far a scale may move from where the scan found it
-BESIDE_BELT = 0.9995  # of the belt's speed: largest velocity at which a slip may start (`fitting.curve.spline_fit`)
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Where the fit of a law with one departure ended.
+    """Where a fit with one departure ended.
 
     Attributes
     ----------
-    law : int
+    law : int or None
+        None for the free curve.
     departure : Departure
     score : Score
         Coefficients of the departure, with errors at the solution; the gain is that over the fit without it.
@@ -55,7 +53,7 @@ class Refit:
         At the solution; the departure's columns are the last of the shared ones.
     """
 
-    law: int
+    law: int | None
     departure: Departure
     score: Score
     scale: float
@@ -74,13 +72,13 @@ class Refit:
         return math.exp(0.5 * float(np.mean(np.log(square))))
 
 
-def refit_with(fit: Fit, base: Base, departure: Departure, scale: float, noise: float) -> Refit | None:
-    """Fit a law together with a departure.
+def refit_with(host: Host, base: Base, departure: Departure, scale: float, noise: float) -> Refit | None:
+    """Fit a law or the free curve together with a departure.
 
     Parameters
     ----------
-    fit : Fit
-        Of the law alone.
+    host : Host
+        The fit without it.
     base : Base
         The same, linearised, with all samples.
     departure : Departure
@@ -94,24 +92,29 @@ def refit_with(fit: Fit, base: Base, departure: Departure, scale: float, noise: 
     Refit or None
         None where the motion cannot be followed with it, or where nothing distinguishes it from what the law adjusts.
     """
-    model = _Model(fit, base.thinned(), departure, scale)
+    model = _Model(host, base.thinned(), departure, scale)
     unknowns, local = model.start()
     for number in range(PASSES):
         found = model.search(unknowns, local, noise if number else 0.0)
         if found is None:
             return None
-        size = float(np.hypot.reduce(model.coefficients(unknowns)))
-        unknowns, local, before = found.u, found.local, size
-        if abs(float(np.hypot.reduce(model.coefficients(unknowns))) - before) < LAST * before and number:
+        before, unknowns, local = model.coefficients(unknowns), found.u, found.local
+        if number and _settled(before, model.coefficients(unknowns)):
             break
-    return _Model(fit, base, departure, scale).finish(unknowns, local, noise)
+    return _Model(host, base, departure, scale).finish(unknowns, local, noise)
+
+
+def _settled(before: Array, after: Array) -> bool:
+    """Return whether a pass has changed the departure's size by next to nothing."""
+    return float(np.sum((after - before) ** 2)) < LAST**2 * float(np.sum(before**2))
 
 
 @dataclass(frozen=True)
 class _Unknowns:
-    """The unknowns of a search, apart: (13 runs,) of the runs, the coefficients, the scale."""
+    """The unknowns of a search, apart: (13 runs,) of the runs, the curve, the departure's coefficients, its scale."""
 
     u: Array
+    curve: Curve
     coefficients: Array
     scale: float
 
@@ -119,25 +122,19 @@ class _Unknowns:
 class _Model:
     """A law with a departure: what is minimised, from where, and what it ends in."""
 
-    def __init__(self, fit: Fit, base: Base, departure: Departure, scale: float) -> None:
-        self._fit, self._base, self._near = fit, base, base
+    def __init__(self, host: Host, base: Base, departure: Departure, scale: float) -> None:
+        self._host, self._base, self._near = host, base, base
         self._departure, self._scale, self._scanned = departure, scale, math.isfinite(scale)
-        self._task = least_squares(fit)
         self._more = departure.columns + (1 if self._scanned else 0)
-        self._fastest = np.full(fit.local.shape, np.inf)
-        if not fit.problem.ramp:  # a start beyond the belt's speed is a law's way out of a misfit
-            speed = fit.u.reshape(-1, PER_RUN)[fit.windows.run, Global.V_DR]
-            self._fastest[:, PerCycle.V_SLIP] = BESIDE_BELT * speed
 
     def start(self) -> tuple[Array, Array]:
         """Return shared and cycles' own unknowns, a part of the linear step on from where the law's fit ended."""
-        places = list(self._fit.active)
-        shared, local = np.concatenate([self._fit.u[places], np.zeros(self._more)]), self._fit.local.copy()
-        first = self._fit.windows.starting_values(self._fit.problem.motions)
-        fast = local[:, PerCycle.V_SLIP] > self._fastest[:, PerCycle.V_SLIP]
+        host = self._host
+        shared, local = np.concatenate([host.shared, np.zeros(self._more)]), host.local.copy()
+        fast = local[:, PerCycle.V_SLIP] > host.fastest[:, PerCycle.V_SLIP]
         own = slice(PerCycle.X_SLIP, PerCycle.V_SLIP + 1)
-        local[fast, own] = first[fast, own]
-        local = np.minimum(local, self._fastest)
+        local[fast, own] = host.first[fast, own]
+        local = np.minimum(local, host.fastest)
         k = self._departure.columns
         forced = self._base.respond([self._departure.forcing(self._base.trajectory, self._scale)])
         linear = self._base.linear
@@ -174,13 +171,13 @@ class _Model:
             evaluate=self._evaluate,
             rows=self._base.linear.rows,
             weights=weights,
-            lower=np.concatenate([self._task.lower, -reach]),
-            upper=np.concatenate([self._task.upper, reach]),
-            prior=np.concatenate([self._task.prior, np.zeros(self._more)]),
-            precision=np.concatenate([self._task.precision, np.zeros(self._more)]),
-            local_prior=self._task.local_prior,
-            local_precision=self._task.local_precision,
-            local_upper=self._fastest,
+            lower=np.concatenate([self._host.task.lower, -reach]),
+            upper=np.concatenate([self._host.task.upper, reach]),
+            prior=np.concatenate([self._host.task.prior, np.zeros(self._more)]),
+            precision=np.concatenate([self._host.task.precision, np.zeros(self._more)]),
+            local_prior=self._host.task.local_prior,
+            local_precision=self._host.task.local_precision,
+            local_upper=self._host.fastest,
         )
 
     def _cycle_weights(self, noise: float) -> Array:
@@ -206,17 +203,21 @@ class _Model:
         return found
 
     def finish(self, shared: Array, local: Array, noise: float) -> Refit | None:
-        """Search once more with all samples, from where the search on blocks ended, and take the errors there."""
+        """Search with all samples, from where the search on blocks ended, and take the errors there."""
         for _ in range(TIMES):
             near = self._follow(self._apart(shared), local)
             if near is None:
                 return None
             self._near = near
-        found = self.search(shared, local, noise)
-        if found is None:
-            return None
-        problem, unknowns, followed = self.problem(noise), self._apart(found.u), self._near
-        p, k = len(self._fit.active), self._departure.columns
+        for _ in range(WHOLE_PASSES):
+            found = self.search(shared, local, noise)
+            if found is None:
+                return None
+            last, shared, local = self.coefficients(shared), found.u, found.local
+            if _settled(last, self.coefficients(shared)):
+                break
+        problem, unknowns, followed = self.problem(noise), self._apart(shared), self._near
+        p, k = self._host.shared.size, self._departure.columns
         linear = replace(
             self._base.linear,
             shared=self._columns(followed, unknowns),
@@ -224,8 +225,8 @@ class _Model:
             residual=followed.linear.residual,
             weights=problem.weights,
             prior_precision=np.diag(problem.precision),
-            prior_gradient=problem.precision * (found.u - problem.prior),
-            local_gradient=problem.local_precision * (found.local - problem.local_prior),
+            prior_gradient=problem.precision * (shared - problem.prior),
+            local_gradient=problem.local_precision * (local - problem.local_prior),
         )
         order = [*range(p), *range(p + k, p + self._more)]  # its own scale is adjusted besides
         without = replace(
@@ -234,19 +235,18 @@ class _Model:
             prior_precision=linear.prior_precision[np.ix_(order, order)],
             prior_gradient=linear.prior_gradient[order],
         )
-        last = score(without, linear.shared[:, p : p + k], [k])[0]
-        if last is None:
+        errors = score(without, linear.shared[:, p : p + k], [k])[0]
+        if errors is None:
             return None
         before = replace(self._base.linear, weights=problem.weights).cost
-        last = replace(last, coefficients=unknowns.coefficients, gain=before - linear.cost)
-        return Refit(self._fit.law, self._departure, last, unknowns.scale, followed.path, linear)
+        errors = replace(errors, coefficients=unknowns.coefficients, gain=before - linear.cost)
+        return Refit(self._host.law, self._departure, errors, unknowns.scale, followed.path, linear)
 
     def _apart(self, shared: Array) -> _Unknowns:
-        p, k = len(self._fit.active), self._departure.columns
-        u = self._fit.u.copy()
-        u[list(self._fit.active)] = shared[:p]
+        p, k = self._host.shared.size, self._departure.columns
+        u, curve = self._host.apart(shared[:p])
         scale = self._scale * (1 + float(shared[p + k])) if self._scanned else self._scale
-        return _Unknowns(parameters.copy_shared(u), shared[p : p + k], scale)
+        return _Unknowns(u, curve, shared[p : p + k], scale)
 
     def _evaluate(self, shared: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
         """As `fitting.estimation.levenberg_marquardt.Evaluate`."""
@@ -268,7 +268,7 @@ class _Model:
             for part in (forcing.acceleration, forcing.belt_speed)
         )
         near = self._near.path
-        path = follow(near.windows, near.curve, unknowns.u, local, along=near, acceleration=force, belt_speed=belt)
+        path = follow(near.windows, unknowns.curve, unknowns.u, local, along=near, acceleration=force, belt_speed=belt)
         if path is None:
             return None
         known = self._base.trajectory
@@ -293,6 +293,6 @@ class _Model:
                 for near, far in zip(forcing, beside, strict=True)
             ]
             forcings.append(Forcing(*parts))
-        found = np.concatenate([shared_tangents(base.path, self._fit.active), base.respond(forcings)], axis=1)
+        found = np.concatenate([self._host.columns(base.path), base.respond(forcings)], axis=1)
         found[~base.counted] = 0.0
         return np.ascontiguousarray(found)

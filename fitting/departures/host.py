@@ -1,0 +1,104 @@
+"""What a departure is fitted together with: a law, or the free curve, as unknowns, path and priors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.curve.coordinates import CurveCoordinates
+from fitting.curve.spline_fit import SplineFit
+from fitting.estimation.fit import Fit
+from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
+from fitting.estimation.trajectory import least_squares
+from fitting.model import parameters
+from fitting.model.parameters import PER_RUN, Global, PerCycle
+from fitting.sensitivity.columns import shared_tangents, spline_tangents
+from fitting.sensitivity.path import Curve, Path, law_curve, with_coefficients
+
+BESIDE_BELT = 0.9995  # of the belt's speed: largest velocity at which a slip may start (`fitting.curve.spline_fit`)
+
+
+@dataclass(frozen=True, eq=False)
+class Host:
+    """A fit that a departure joins.
+
+    Attributes
+    ----------
+    law : int or None
+        None for the free curve.
+    shared, local : (p,), (cycles, 6) f8
+        Its unknowns at the solution: those at ``places``, then the coordinates of a free curve.
+    u : (13 runs,) f8
+    places : tuple of int
+    curve : Curve
+    basis : CurveCoordinates or None
+        Of a free curve.
+    task : LeastSquaresProblem
+        Its priors and bounds.
+    first, fastest : (cycles, 6) f8
+        The cycles' own unknowns by the smoothed motion, and their upper bounds.
+    """
+
+    law: int | None
+    shared: Array
+    local: Array
+    u: Array
+    places: tuple[int, ...]
+    curve: Curve
+    basis: CurveCoordinates | None
+    task: LeastSquaresProblem
+    first: Array
+    fastest: Array
+
+    @classmethod
+    def of_law(cls, fit: Fit) -> "Host":
+        """Join the fit of a law; on a jump a slip then starts slower than the belt, as it does for the free curve."""
+        fastest = np.full(fit.local.shape, np.inf)
+        if not fit.problem.ramp:
+            speed = fit.u.reshape(-1, PER_RUN)[fit.windows.run, Global.V_DR]
+            fastest[:, PerCycle.V_SLIP] = BESIDE_BELT * speed
+        return cls(
+            law=fit.law,
+            shared=fit.u[list(fit.active)],
+            local=fit.local,
+            u=fit.u,
+            places=fit.active,
+            curve=law_curve(fit.problem.curve, fit.problem.ramp),
+            basis=None,
+            task=least_squares(fit),
+            first=fit.windows.starting_values(fit.problem.motions),
+            fastest=fastest,
+        )
+
+    @classmethod
+    def of_curve(cls, fit: SplineFit) -> "Host":
+        """Join the free curve."""
+        return cls(
+            law=None,
+            shared=fit.solution.u,
+            local=fit.solution.local,
+            u=fit.u,
+            places=fit.places,
+            curve=fit.path.curve,
+            basis=fit.basis,
+            task=fit.task,
+            first=fit.solution.local,
+            fastest=np.broadcast_to(fit.task.local_upper, fit.solution.local.shape),
+        )
+
+    def apart(self, shared: Array) -> tuple[Array, Curve]:
+        """Return the unknowns of all runs and the curve for shared unknowns (p,)."""
+        u, count = self.u.copy(), len(self.places)
+        u[list(self.places)] = shared[:count]
+        curve = self.curve
+        if self.basis is not None:
+            curve = with_coefficients(curve, self.basis.coefficients(shared[count:]))
+        return parameters.copy_shared(u), curve
+
+    def columns(self, path: Path) -> Array:
+        """Return the derivatives of the positions by the shared unknowns, shape (N, p)."""
+        found = shared_tangents(path, self.places)
+        if self.basis is None:
+            return found
+        bend = np.einsum("ni,ij->nj", spline_tangents(path), self.basis.matrix)
+        return np.concatenate([found, bend], axis=1)
