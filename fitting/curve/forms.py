@@ -44,6 +44,7 @@ KINDS = {
     "1/speed": ("s/m", 0, -1),
     "": ("", 0, 0),
 }
+ROUNDING = 1e-12  # of the largest information
 MOST_CALLS = 60  # of a form from one start
 
 
@@ -146,15 +147,15 @@ FORMS = (
 
 
 class Metric(NamedTuple):
-    """What a form is compared with: coordinates c (n,) of the curve, and the root R (n, n) of the information on them.
+    """What a form is compared with, in the directions of the coordinates that the record shows.
 
-    ``freedom`` is how many of the coordinates the record shows, rather than their prior; ``samples`` how many positions
-    it has.
+    A form with coordinates c is at the distance root c - aim from what the record alone says, without the prior on the
+    curve; ``root`` (m, n) makes each of the m distances one of unit variance.  ``samples`` is how many positions there
+    are.
     """
 
-    target: Array
     root: Array
-    freedom: float
+    aim: Array
     samples: int
 
 
@@ -183,14 +184,17 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
     inverse = inverse * scale[:, None] * scale
     cross = total[first:, :first]
     own = total[first:, first:] - np.diag(prior) - np.einsum("ik,kl,jl->ij", cross, inverse, cross)
-    own /= max(fit.chi, 1.0) ** 2
     size, axes = eigen(0.5 * (own + own.T))
-    size = np.maximum(size, 0.0)
-    # each axis is known from the record as far as its information exceeds that of the prior along it
-    held = np.einsum("ik,i->k", axes**2, prior)
-    freedom = float(np.sum(size / np.maximum(size + held, 1e-300)))
-    root = np.sqrt(size)[:, None] * axes.T
-    return Metric(fit.solution.u[first:], root, freedom, fit.solution.residual.size)
+    # shown is what the record knows better than the prior
+    shown = size > np.maximum(np.einsum("ik,i->k", axes**2, prior), ROUNDING * size.max())
+    deviation = np.sqrt(size[shown])
+    root = deviation[:, None] * axes[:, shown].T
+    found = fit.solution.u[first:]
+    # the prior has pulled the curve from where the record alone would have it
+    pulled = np.einsum("ik,i->k", axes[:, shown], prior * found) / deviation
+    aim = np.einsum("ki,i->k", root, found) + pulled
+    excess = max(fit.chi, 1.0)
+    return Metric(root / excess, aim / excess, fit.solution.residual.size)
 
 
 def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> FormFit:
@@ -200,14 +204,13 @@ def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> Form
     fastest, size = float(fit.spline.knots[-1]), float(np.median(fit.spline.coefficients))
     x = np.linspace(0.0, 1.0, GRID) ** 1.6
     onto = size * np.einsum("ij,jk,kg->ig", metric.root, fit.basis.inverse, project(fit.spline, x * fastest))
-    aim = np.einsum("ij,j->i", metric.root, metric.target)
     logs = np.array([term.log for term in form.terms])
 
     def natural(p: Array) -> Array:
         return np.where(logs, np.exp(np.clip(p, -30.0, 30.0)), p)
 
     def distance(p: Array) -> Array:
-        return np.asarray(np.einsum("ig,g->i", onto, form.value(x, natural(p))) - aim)
+        return np.asarray(np.einsum("ig,g->i", onto, form.value(x, natural(p))) - metric.aim)
 
     tried = []
     for start in form.starts:
@@ -216,7 +219,7 @@ def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> Form
         tried.append((2 * float(found.cost), np.asarray(found.x), np.asarray(found.jac)))
     misfit, best, slopes = min(tried, key=lambda row: row[0])
     count = len(form.terms)
-    freedom = max(metric.freedom - count, 1.0)
+    freedom = max(metric.aim.size - count, 1)
     covariance = np.linalg.pinv(np.einsum("ki,kj->ij", slopes, slopes), rcond=1e-14, hermitian=True)
     quantile = float(stats.norm.ppf(0.5 + CONFIDENCE / 2))
     parameters = {}

@@ -36,11 +36,12 @@ START_SPEED_SD = 0.03  # of the belt's speed: how well smoothing knows the veloc
 BESIDE_BELT = 0.9995  # of the belt's speed: a start that the law put beyond it begins at the smoothed motion again
 REACHED = 1.03  # times the noise: no other start can be much better
 # From one start on the thinned record: times the noise, most steps, the gain at which it stops, and the first damping.
-SEARCH = ((30.0, 6, 1e-2, 1e-4), (4.0, 6, 1e-2, 1e-6), (1.0, 10, 1e-3, 1e-6))
+SEARCH = ((30.0, 8, 1e-2, 1e-4), (4.0, 8, 1e-2, 1e-6), (1.0, 15, 1e-3, 1e-6))
 # The valley of the low-speed coefficients is flat: with a first damping of 1e-4 the last steps number nine, not four.
 WEIGHTED: dict[str, Any] = {"max_steps": 6, "tolerance": 1e-4, "damping": 1e-8}  # the same with the cycles' weights
 FINAL: dict[str, Any] = {"max_steps": 10, "tolerance": 3e-5, "damping": 1e-10}  # the same on every sample
-HOPELESS = 1e3  # times the best start's cost: such a start is left out; those that led anywhere were within 100
+LOST = 3.0  # times the noise as it is assumed first: a start still so far off leads nowhere
+HOPELESS = 1e3  # times the lowest cost of a start, both as if the noise were larger: such a start is left out
 SEARCH_STEP = 0.4  # `flow.LONGEST_STEP` while searching: positions err by 0.1 um, which the last steps mend
 LEAST_SCATTER, INLIER = 0.01, 0.2
 
@@ -129,25 +130,25 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     starts = _starts(fit, curve)
     basis = CurveCoordinates.around(starts[-1].coefficients)
     thinned = trajectory.fitted_windows(problem, thinned=True)
-    own = [_task(fit, thinned, places, curve, basis, start, noise, SEARCH_STEP) for start in starts]
-    first = [_unknowns(start, places, basis) for start in starts]
-    ranked: list[tuple[float, int, LeastSquaresProblem, _Start, Array]] = []
-    for task, start, u in zip(own, starts, first, strict=True):
+    ranked: list[tuple[float, LeastSquaresProblem, _Start, Array]] = []
+    for start in starts:
+        task = _task(fit, thinned, places, curve, basis, start, noise, SEARCH_STEP)
+        u = _unknowns(start, places, basis)
         found = task.evaluate(u, start.local, False)
         if found is not None:
-            ranked.append((levenberg_marquardt.cost(task, u, start.local, found[0]), len(ranked), task, start, u))
+            value = levenberg_marquardt.cost(_noisier(task, SEARCH[0][0]), u, start.local, found[0])
+            ranked.append((value, task, start, u))
+    lowest = min((row[0] for row in ranked), default=0.0)
     best: tuple[float, LeastSquaresProblem, Solution] | None = None
-    ranked.sort(key=lambda row: row[:2])
-    for value, _, task, start, u in ranked:
-        if best is not None and value > HOPELESS * ranked[0][0]:
-            break
+    for value, task, start, u in ranked:
+        if value > HOPELESS * lowest:
+            continue
         solution = _descend(task, u, start.local)
         if solution is None:
             continue
-        chi = _usual_chi(task, solution)
-        if best is None or chi < best[0]:
-            best = chi, task, solution
-        if chi < REACHED:
+        if best is None or solution.cost < best[0]:
+            best = solution.cost, task, solution
+        if solution.outcome == "converged" and _usual_chi(task, solution) < REACHED:
             break
     if best is None:
         return None
@@ -178,14 +179,21 @@ def _descend(task: LeastSquaresProblem, u: Array, local: Array) -> Solution | No
     """Minimise on the thinned record, at first as if the noise were larger: priors then hold what is far off."""
     solution: Solution | None = None
     for factor, max_steps, tolerance, damping in SEARCH:
-        own = replace(task, weights=task.weights / factor**2)
+        own = _noisier(task, factor)
         solution = levenberg_marquardt.minimise(
             own, u, local, max_steps=max_steps, tolerance=tolerance, damping=damping
         )
         if solution is None:
             return None
         u, local = solution.u, solution.local
+        if _usual_chi(own, solution) > LOST:
+            value = levenberg_marquardt.cost(task, u, local, solution.residual)
+            return replace(solution, cost=value, outcome="no progress")
     return solution
+
+
+def _noisier(task: LeastSquaresProblem, factor: float) -> LeastSquaresProblem:
+    return replace(task, weights=task.weights / factor**2)
 
 
 def _knots(fit: Fit) -> Array:
@@ -202,7 +210,7 @@ def _knots(fit: Fit) -> Array:
 
 
 def _starts(fit: Fit, curve: Curve) -> list[_Start]:
-    """Return starts by the weak form, the same made straight at low speed, and the law's own curve, which is last."""
+    """Return starts by the weak form, at first made straight at low speed, and the law's own curve, which is last."""
     spline = curve.spline
     if spline is None:
         raise RuntimeError("no spline to start")
@@ -232,7 +240,7 @@ def _starts(fit: Fit, curve: Curve) -> list[_Start]:
     low = max(3, int(np.sum(spline.knots < LOW_SPEED * spline.knots[-1])) + 1)
     fall = np.clip(straight[low] - straight[low + 1], 0.0, STEEPEST_START * abs(straight[low]))
     straight[:low] = straight[low] + np.arange(low, 0, -1) * fall
-    return [_Start(u, coefficients, own), _Start(u, straight, own), *found]
+    return [_Start(u, straight, own), _Start(u, coefficients, own), *found]
 
 
 def project(spline: FrictionSpline, s: Array) -> Array:
