@@ -44,6 +44,7 @@ KINDS = {
     "1/speed": ("s/m", 0, -1),
     "": ("", 0, 0),
 }
+LOWEST = 2  # coefficients, which act below a twentieth of the largest slip speed
 ROUNDING = 1e-12  # of the largest information
 MOST_CALLS = 60  # of a form from one start
 
@@ -147,9 +148,9 @@ FORMS = (
 
 
 class Metric(NamedTuple):
-    """What a form is compared with, in the directions of the coordinates that the record shows.
+    """What a form is compared with, in the directions of the curve's coefficients that the record shows.
 
-    A form with coordinates c is at the distance root c - aim from what the record alone says, without the prior on the
+    A form with coefficients c is at the distance root c - aim from what the record alone says, without the prior on the
     curve; ``root`` (m, n) makes each of the m distances one of unit variance.  ``samples`` is how many positions there
     are.
     """
@@ -176,23 +177,37 @@ def fit_forms(fit: SplineFit, linear: LinearisedFit, speeds: Array) -> tuple[For
 
 
 def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
-    """Return the metric of the record about its curve; where the residuals exceed the noise, as if that were larger."""
+    """Return the metric of the record about its curve; where the residuals exceed the noise, as if that were larger.
+
+    The lowest coefficients are fitted again beside each form, as all else: what they do is not linear in them.
+    """
     _, total = linear.information()
-    first, prior = len(fit.places), fit.basis.precision
-    others = total[:first, :first]
+    places, n = len(fit.places), fit.basis.precision.size
+    turn = np.eye(places + n)
+    turn[places:, places:] = fit.basis.inverse  # from coordinates to coefficients
+    prior = np.zeros((places + n, places + n))
+    prior[places:, places:] = np.diag(fit.basis.precision)
+    total, prior, data = (np.einsum("ki,kl,lj->ij", turn, one, turn) for one in (total, prior, total - prior))
+    gradient = linear.gradients().sum(axis=0)
+    gradient[:places] += linear.prior_gradient[:places]
+    gradient = np.einsum("ki,k->i", turn, gradient)
+    first = places + LOWEST
+    others = data[:first, :first] + prior[:first, :first]
     scale, inverse = scaled_inverse(others, np.diag(others))
     inverse = inverse * scale[:, None] * scale
-    cross = total[first:, :first]
-    own = total[first:, first:] - np.diag(prior) - np.einsum("ik,kl,jl->ij", cross, inverse, cross)
+    cross = data[first:, :first]
+    own = data[first:, first:] - np.einsum("ik,kl,jl->ij", cross, inverse, cross)
     size, axes = eigen(0.5 * (own + own.T))
     # shown is what the record knows better than the prior
-    shown = size > np.maximum(np.einsum("ik,i->k", axes**2, prior), ROUNDING * size.max())
+    held = np.einsum("ik,ij,jk->k", axes, prior[first:, first:], axes)
+    shown = size > np.maximum(held, ROUNDING * size.max())
     deviation = np.sqrt(size[shown])
-    root = deviation[:, None] * axes[:, shown].T
-    found = fit.solution.u[first:]
-    # the prior has pulled the curve from where the record alone would have it
-    pulled = np.einsum("ik,i->k", axes[:, shown], prior * found) / deviation
-    aim = np.einsum("ki,i->k", root, found) + pulled
+    root = np.zeros((deviation.size, n))
+    root[:, LOWEST:] = deviation[:, None] * axes[:, shown].T
+    # where the record alone would have the curve: not pulled by its prior, and at the very minimum
+    pull = gradient[first:] - np.einsum("ik,kl,l->i", cross, inverse, gradient[:first])
+    aim = np.einsum("ki,i->k", root, fit.spline.coefficients)
+    aim -= np.einsum("ik,i->k", axes[:, shown], pull) / deviation
     excess = max(fit.chi, 1.0)
     return Metric(root / excess, aim / excess, fit.solution.residual.size)
 
@@ -203,7 +218,7 @@ def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> Form
 
     fastest, size = float(fit.spline.knots[-1]), float(np.median(fit.spline.coefficients))
     x = np.linspace(0.0, 1.0, GRID) ** 1.6
-    onto = size * np.einsum("ij,jk,kg->ig", metric.root, fit.basis.inverse, project(fit.spline, x * fastest))
+    onto = size * np.einsum("ij,jg->ig", metric.root, project(fit.spline, x * fastest))
     logs = np.array([term.log for term in form.terms])
 
     def natural(p: Array) -> Array:

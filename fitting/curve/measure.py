@@ -17,6 +17,10 @@ from fitting.model.parameters import Global
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 
+# Times the nearest jump law's error: a ramp law contains its jump law and is always a little nearer, by 1 % at most
+# where there is no ramp.
+RAMP_NEARER = 0.97
+NEAR = 1.3  # times the noise
 NEWTON = {"m s^-2": "N", "s^-1": "N s/m", "m^-1": "N s^2/m^2", "s m^-2": "N s^3/m^3"}  # units per unit mass, with it
 
 
@@ -39,32 +43,36 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
 
     Notes
     -----
-    The contact is a jump or a ramp.  That of the best law is tried; where this is a ramp law that misses the noise, the
-    jump first, because a wrong curve with a ramp can come nearer than with a jump.  The contact whose curve reaches the
-    noise is used, else the nearer one.
+    The contact is a jump or a ramp.  The ramp goes first where a ramp law comes near the noise and no jump law does;
+    otherwise the jump, because with a ramp a wrong law can come nearer than with a jump.  The other is tried where the
+    first does not reach the noise and the laws prefer it, or where the search stalled.
 
     Without a datum the curve is determined but for a constant: the band contains what is not known of it.
 
     Not modelled: friction that depends on anything but relative speed and its level in each cycle.
     """
     begun = clock.process_time()
+    ordered, prefers_ramp = _contacts(fits, noise)
     best: SplineFit | None = None
-    for fit in _contacts(fits, noise):
+    for fit in ordered:
         found = fit_spline(fit, noise)
         if found is not None and (best is None or found.chi < best.chi):
             best = found
-        if best is not None and best.chi < REACHED:
+        if best is not None and (best.chi < REACHED or not (prefers_ramp or best.solution.outcome == "no progress")):
             break
     return None if best is None else _measured(best, alpha, begun)
 
 
-def _contacts(fits: Sequence[Fit], noise: Array) -> list[Fit]:
-    """Return the fits whose contacts are to be tried, in this order."""
-    best = fits[0]
-    if not LAWS[best.law].ramp or best.geometric_mean_rms < REACHED * float(np.max(noise)):
-        return [best]
-    jumps = [fit for fit in fits if not LAWS[fit.law].ramp]
-    return [*jumps[:1], best]
+def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
+    """Return the nearest fit of each contact, first that to be tried first, and whether the laws prefer a ramp."""
+    by_error = sorted(fits, key=lambda fit: fit.geometric_mean_rms)
+    nearest = [next((fit for fit in by_error if LAWS[fit.law].ramp == ramp), None) for ramp in (0, 1)]
+    jump, ramp = nearest
+    if jump is None or ramp is None:
+        return [fit for fit in nearest if fit is not None], False
+    prefers_ramp = ramp.geometric_mean_rms < RAMP_NEARER * jump.geometric_mean_rms
+    near = ramp.geometric_mean_rms < NEAR * float(np.max(noise))
+    return [ramp, jump] if prefers_ramp and near else [jump, ramp], prefers_ramp
 
 
 def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:

@@ -40,6 +40,7 @@ SEARCH = ((30.0, 8, 1e-2, 1e-4), (4.0, 8, 1e-2, 1e-6), (1.0, 15, 1e-3, 1e-6))
 # The valley of the low-speed coefficients is flat: with a first damping of 1e-4 the last steps number nine, not four.
 WEIGHTED: dict[str, Any] = {"max_steps": 6, "tolerance": 1e-4, "damping": 1e-8}  # the same with the cycles' weights
 FINAL: dict[str, Any] = {"max_steps": 10, "tolerance": 3e-5, "damping": 1e-10}  # the same on every sample
+MISSED = 1.2  # times the noise: beyond, friction is no curve, and more steps would not make it one
 LOST = 3.0  # times the noise as it is assumed first: a start still so far off leads nowhere
 HOPELESS = 1e3  # times the lowest cost of a start, both as if the noise were larger: such a start is left out
 SEARCH_STEP = 0.4  # `flow.LONGEST_STEP` while searching: positions err by 0.1 um, which the last steps mend
@@ -163,7 +164,8 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
         weights=full.weights * task.weights / _task_weights(thinned, noise),
         local_precision=task.local_precision,
     )
-    last = levenberg_marquardt.minimise(full, solution.u, solution.local, **FINAL)
+    final = FINAL if _usual_chi(task, solution) < MISSED else FINAL | {"max_steps": 2}
+    last = levenberg_marquardt.minimise(full, solution.u, solution.local, **final)
     if last is None:
         return None
     jacobian = full.evaluate(last.u, last.local, True)

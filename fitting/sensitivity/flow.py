@@ -107,7 +107,7 @@ def ramp_mode(w: Window, t: float) -> int:
     edge = edge_speed(w.contact)
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     stretch = w.contact.F * w.contact.at_rest / w.u[K]
-    return CREEP if edge < NO_TRANSIENT * rise * stretch else RAMP
+    return CREEP if edge < w.no_transient * rise * stretch else RAMP
 
 
 def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
@@ -236,7 +236,7 @@ def follow_window(
                 mode = STICK if edge == 0.0 else ramp_mode(w, t)
             elif not landed and before == NEGATIVE and t >= earliest:
                 landed = True
-                w = Window(w.u, w.contact, next_level, w.epoch, w.low, w.high, w.extra)
+                w = Window(w.u, w.contact, next_level, w.epoch, w.low, w.high, w.extra, w.no_transient)
                 if edge == 0.0:
                     mode = POSITIVE if overtakes else STICK
                 else:
@@ -305,6 +305,7 @@ def follow_windows(
     filled with where each window's begin.
     """
     m, s = 0, 0
+    no_transient = NO_TRANSIENT * (longest / LONGEST_STEP) ** 4  # as the error of the steps
     for row in range(table.shape[0]):
         own, part = u[table[row, 5]], local[table[row, 0]]
         first, n = table[row, 2], table[row, 3]
@@ -318,7 +319,7 @@ def follow_windows(
         low, high = 0, 0
         if extra.time.size > 0:
             low, high = extra.first[row], extra.first[row + 1]
-        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, extra)
+        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, extra, no_transient)
         x, v = (part[X_STICK], part[V_STICK]) if stick else (part[X_SLIP], part[V_SLIP])
         first_point[row], first_step[row] = m, s
         m, s = follow_window(

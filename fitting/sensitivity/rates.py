@@ -38,7 +38,10 @@ class Extra(NamedTuple):
 
 
 class Window(NamedTuple):
-    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra."""
+    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra.
+
+    A transient on a ramp that moves the mass by less than ``no_transient`` of the spring's stretch is left out.
+    """
 
     u: Array
     contact: Contact
@@ -47,6 +50,7 @@ class Window(NamedTuple):
     low: int
     high: int
     extra: Extra
+    no_transient: float
 
 
 def between(times: Array, values: Array, low: int, high: int, t: float) -> float:

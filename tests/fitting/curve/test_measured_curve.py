@@ -53,7 +53,8 @@ def test_stribeck_and_logarithmic_contacts_are_measured_and_named(name, measured
 @pytest.mark.slow
 @pytest.mark.parametrize(("form", "law"), [("constant", 1), ("linear", 3), ("hyperbolic", 5)])
 def test_a_true_law_lies_inside_the_band(form, law, measured, contact):
-    result = measured(contact(curve=form), laws=(law,))
+    # constant friction grazes the belt: its level is not drawn again in every cycle
+    result = measured(contact(curve=form, scatter=0.0 if form == "constant" else 0.03), laws=(law,))
     check(result)
     assert result.curve.forms[0].name == form
     assert result.curve.forms[0].inside_band
