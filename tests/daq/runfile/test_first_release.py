@@ -91,9 +91,11 @@ def test_a_run_smooths_to_the_same_motion(files: Path, name: str) -> None:
     assert motion.method == wanted["method"]
     assert sum(phase.kind == "stick" for phase in motion.phases) == wanted["sticks"]
     assert motion.belt_speed == pytest.approx(wanted["belt_speed"], rel=1e-6)
-    # Since then landings at which the mass overtakes the belt have corners of their own: one in either run.
-    assert float(np.sqrt(np.mean(motion.velocity**2))) == pytest.approx(wanted["rms_velocity"], rel=1e-5)
-    assert float(np.sqrt(np.mean(motion.acceleration**2))) == pytest.approx(wanted["rms_acceleration"], rel=2e-3)
+    assert float(np.sqrt(np.mean(motion.velocity**2))) == pytest.approx(wanted["rms_velocity"], rel=1e-6)
+    # Since then landings at which the mass overtakes the belt have corners of their own: one in the import.  Those of
+    # the simulated run, of 5 samples, had them too, and the error of its velocity rose from 0.14 to 0.26 mm/s.
+    near = 2e-3 if name == "imported" else 1e-5
+    assert float(np.sqrt(np.mean(motion.acceleration**2))) == pytest.approx(wanted["rms_acceleration"], rel=near)
 
 
 @pytest.mark.parametrize("name", ["simulated", "imported"])
