@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
@@ -20,7 +20,7 @@ from fitting.sensitivity.path import follow, law_curve
 REACHED = 1.05
 # Of the gain of the linear step: a refit of the free curve that gains less has not come to its end.  A curve often is
 # near the noise without the departure, so its error alone does not tell.
-LEAST_PART = 0.8
+LEAST_PART = 0.5
 MOST_LAWS = 2  # that a departure is fitted with: the best, and the best of another curve
 
 
@@ -45,34 +45,47 @@ def explain_misfit(
     noise : float
         Standard deviation of one measured position, m.
     curve : MeasuredCurve, optional
-        The free curve; departures are tested on it, and without it on the best law.
+        The free curve.  Departures are tested on the best law and on it: a law that is wrong by itself can hide a
+        departure, and a free curve can take part of one up.
     revolution : float, optional
         Travel per revolution of the encoder, m; scanned where it is not known.
 
     Returns
     -------
     tuple of FoundDeparture
-        Size and error of the first are those of a fit with it where a law or the free curve then describes the record
-        (``refitted``, ``law``), else those of one linear step.
+        First where a law or the free curve describes the record together with it (``refitted``, ``law``): size and
+        error are then those of that fit.  Else as tested, on the base of which the first explains more.  Where the
+        free curve describes the record by itself, that is the curve.
     """
-    base = base_of(fits[0], records, revolution)
+    law = base_of(fits[0], records, revolution)
+    described = curve is not None and curve.chi < REACHED
+    lists = [] if law is None or described else [_list(law, records, noise)]
     if curve is not None:
-        base = Base.of(curve.linear, curve.spline_fit.path, records, revolution)
-    if base is None:
-        return ()
-    tested = strongest(base)
-    excess = misfit_beyond_noise(base.linear, noise)
-    found = [describe(one, records[0], excess) for one in tested]
-    if tested:
-        refit = confirm(tested[0], fits, records, noise, revolution)
-        if refit is None and curve is not None:
-            refit = _reached(refit_with(Host.of_curve(curve.spline_fit), base, *tested[0].at, noise), noise)
-            if refit is not None and refit.score.gain < LEAST_PART * tested[0].score.gain:
-                refit = None
+        lists.append(_list(Base.of(curve.linear, curve.spline_fit.path, records, revolution), records, noise, curve))
+    lists = sorted((one for one in lists if one.tested), key=lambda one: -one.found[0].explained)
+    for one in lists:
+        refit = confirm(one.tested[0], fits, records, noise, revolution)
+        if refit is None and one.curve is not None:
+            refit = confirm_on_curve(one.tested[0], one.base, one.curve, noise)
         if refit is not None:
-            found[0] = describe(refitted(tested[0], refit), records[0], excess)
-            found[0] = replace(found[0], refitted=True, law=refit.law)
-    return tuple(found)
+            first = describe(refitted(one.tested[0], refit), records[0], 0.0)
+            return (replace(first, explained=one.found[0].explained, refitted=True, law=refit.law), *one.found[1:])
+    return lists[0].found if lists else ()
+
+
+@dataclass(frozen=True, eq=False)
+class _List:
+    """What was found on one base: on a law, or on the free curve."""
+
+    base: Base
+    tested: list[Tested]
+    found: tuple[FoundDeparture, ...]
+    curve: MeasuredCurve | None
+
+
+def _list(base: Base, records: Sequence[MeasuredMotion], noise: float, curve: MeasuredCurve | None = None) -> _List:
+    excess, tested = misfit_beyond_noise(base.linear, noise), strongest(base)
+    return _List(base, tested, tuple(describe(one, records[0], excess) for one in tested), curve)
 
 
 def confirm(
@@ -95,6 +108,12 @@ def confirm(
         if _reached(found, noise) is not None:
             return found
     return None
+
+
+def confirm_on_curve(tested: Tested, base: Base, curve: MeasuredCurve, noise: float) -> Refit | None:
+    """Fit a departure with the free curve; None where that does not reach the noise, or stops before its end."""
+    refit = _reached(refit_with(Host.of_curve(curve.spline_fit), base, *tested.at, noise), noise)
+    return None if refit is None or refit.score.gain < LEAST_PART * tested.score.gain else refit
 
 
 def _reached(refit: Refit | None, noise: float) -> Refit | None:

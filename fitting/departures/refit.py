@@ -7,6 +7,7 @@ speed or of the reading in the next.  A scanned scale is one more unknown.  The 
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,7 @@ from fitting.sensitivity.path import Curve, Path, follow
 # pass takes the noise that the law's misfit suggests, the others the record's own.
 PASSES, WHOLE_PASSES, PASS = 8, 3, (6, 1e-4)  # on blocks, on all samples
 TIMES = 4  # that the motion is followed before the last pass, with all samples: the path of the law alone is not near
+HOPELESS = 3, 4.0  # passes, and times the noise: a fit that still errs so much does not reach it
 LAST = 1e-3  # of the departure's size: a pass that changes it by less is the last
 PARTS = (1.0, 0.5, 0.25, 0.1)  # of the linear step, from which the search starts
 SCALE_STEP = 1e-4  # relative: derivative by the scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path
@@ -67,9 +69,8 @@ class Refit:
 
     @property
     def usual_rms(self) -> float:
-        """Geometric mean of the cycles' errors, m: a few spoilt cycles hardly move it."""
-        square = [float(np.mean(self.residual[rows] ** 2)) for rows in self.linear.rows]
-        return math.exp(0.5 * float(np.mean(np.log(square))))
+        """Median of the cycles' errors, m."""
+        return usual_rms(self.residual, self.linear.rows)
 
 
 def refit_with(host: Host, base: Base, departure: Departure, scale: float, noise: float) -> Refit | None:
@@ -99,9 +100,16 @@ def refit_with(host: Host, base: Base, departure: Departure, scale: float, noise
         if found is None:
             return None
         before, unknowns, local = model.coefficients(unknowns), found.u, found.local
+        if number >= HOPELESS[0] and usual_rms(found.residual, model.rows) > HOPELESS[1] * model.noise(noise):
+            return None
         if number and _settled(before, model.coefficients(unknowns)):
             break
     return _Model(host, base, departure, scale).finish(unknowns, local, noise)
+
+
+def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
+    """Return the median of the cycles' errors, m: spoilt cycles do not move it."""
+    return math.sqrt(float(np.median([np.mean(residual[own] ** 2) for own in rows])))
 
 
 def _settled(before: Array, after: Array) -> bool:
@@ -184,8 +192,17 @@ class _Model:
         """Return weights of the cycles, less than 1 for one that fits far worse than the others, as in a law's fit."""
         linear = self._near.linear
         rms = np.array([math.sqrt(float(np.mean(linear.residual[rows] ** 2))) for rows in linear.rows])
-        excess = rms / max(float(np.median(rms)), noise / math.sqrt(self._base.block))
+        excess = rms / max(float(np.median(rms)), self.noise(noise))
         return np.minimum(2 / (1 + excess**2), 1.0)
+
+    @property
+    def rows(self) -> tuple[slice, ...]:
+        """The residuals of each cycle."""
+        return self._base.linear.rows
+
+    def noise(self, one: float) -> float:
+        """Return the standard deviation of a block's position where that of one is given."""
+        return one / math.sqrt(self._base.block)
 
     def coefficients(self, shared: Array) -> Array:
         """Return the departure's among the shared unknowns."""
