@@ -10,6 +10,7 @@ Noise may be correlated over three samples, as after a filter in the tracker: it
 `processing.defects.frames` counts the frames where single ones are clear of the noise.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -20,7 +21,7 @@ from daq.runfile.rig import Measured
 from fitting.estimation.fit import Fit
 from processing.record.kinematics import Kinematics
 
-# Samples of a piece: the shortest that shows the share to `CERTAIN` is taken.  In 16 samples a law's misfit leaves
+# Samples of a piece: the shortest that shows the share to `CERTAIN` is taken, or the last.  In 16 a law's misfit leaves
 # nothing, in 256 (0.64 s at 400 frames a second) constant friction shows the share under 1 mm of noise.
 PIECES = (16, 32, 64, 128, 192, 256)
 DEGREE = 3  # of the polynomial taken off each piece
@@ -87,7 +88,7 @@ def missing_share(fit: Fit, record: Kinematics, run: int = 0) -> Measured | None
         squares, speeds, cycle = _pieces(own, n, interval)
         if len(cycle) < FEWEST_PIECES or np.unique(cycle).size < FEWEST_CYCLES:
             return None
-        found = _regressed(squares, speeds, cycle, piece_modes(n))
+        found = _regressed(squares, speeds, cycle, piece_modes(n), CERTAIN if n < PIECES[-1] else math.inf)
         if found is not None:
             share, null = found
             if share.value > max(LEAST, SURE * null, SURE_OF_CYCLES * share.sd):
@@ -130,10 +131,12 @@ def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
     return squares[kept], np.array(steps)[kept], np.array(cycles, np.int64)[kept]
 
 
-def _regressed(squares: Array, steps: Array, cycle: Integers, modes: PieceModes) -> tuple[Measured, float] | None:
+def _regressed(
+    squares: Array, steps: Array, cycle: Integers, modes: PieceModes, certain: float
+) -> tuple[Measured, float] | None:
     """Return the share with its standard error by cycles, and that of a record without lost frames.
 
-    None where the latter is larger than `CERTAIN`.
+    None where the latter is larger than ``certain``.
     """
     noise = np.broadcast_to(modes.noise[:, None, :], (LAGS + 1, *squares.shape))
     columns = np.concatenate((noise, (steps[:, None] * modes.walk)[None]))
@@ -147,7 +150,7 @@ def _regressed(squares: Array, steps: Array, cycle: Integers, modes: PieceModes)
         inverse = np.linalg.inv(curvature) * np.outer(scale, scale)
         if round_ == 0:
             null = float(np.sqrt(2 * inverse[-1, -1]))
-            if null > CERTAIN:
+            if null > certain:
                 return None
         found = inverse @ np.einsum("akm,km->a", columns, weight * squares)
         expected = np.einsum("a,akm->km", found, columns)
