@@ -1,47 +1,135 @@
-"""`assess`: whether the best law, or another that the record cannot distinguish from it, describes the record."""
+"""`assess`: whether a law describes a record; the friction curve without a law; and what else acts where none does."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.adequacy.goodness import goodness_of_fit, judge
-from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, Adequacy
+from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
+from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
+from fitting.adequacy.visible import smallest_visible
+from fitting.curve.measure import band_exit, in_newtons, measure_curve
+from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
+from fitting.departures.result import FoundDeparture
+from fitting.departures.strongest import score_departures
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 
 NUMBER_OF_LAWS = 6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Assessment:
-    """The adequacy of all runs together and of each, by the law that was judged."""
+    """The adequacy of all runs together, and of each, by the law that was judged."""
 
     law: int
     together: Adequacy
     runs: tuple[Adequacy, ...]
 
 
-def assess(members: Sequence[Fit], motions: Sequence[MeasuredMotion], laws: int) -> Assessment:
-    """Assess the laws of a set until one describes the record.
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A law's goodness of fit, of all runs together and of each."""
+
+    fit: Fit
+    linearised: LinearisedFit | None
+    slips: tuple[RunSlips, ...]
+    together: GoodnessOfFit
+    each: tuple[GoodnessOfFit, ...]
+
+
+def assess(
+    fits: Sequence[Fit], members: Sequence[int], motions: Sequence[MeasuredMotion], laws: int, alpha: float = 0.05
+) -> Assessment:
+    """Assess the laws of a set until one describes the record, and measure the friction curve without a law.
 
     Parameters
     ----------
-    members : sequence of Fit
-        The laws that the record cannot distinguish, best first.
+    fits : sequence of Fit
+        Every law that was fitted, best first.
+    members : sequence of int
+        The laws that the record cannot distinguish from the best.
     motions : sequence of MeasuredMotion
         Of each run.
     laws : int
         How many laws were asked for.
+    alpha : float
+        1 - confidence of the curve's band.
 
     Returns
     -------
     Assessment
-        By the first law that describes the record, or by the best where none does.
+        By the first law that describes the record, or by the best where none does.  Of a single run of several,
+        goodness of fit and the smallest visible departure alone: curve and departures are those of all together.
     """
+    chosen = _first_adequate([fit for fit in fits if fit.law in members], motions)
+    noise = np.array([own.noise_m for own in chosen.slips])
+    curve = measure_curve([chosen.fit, *(fit for fit in fits if fit is not chosen.fit)], noise, alpha)
+    adequate = chosen.together.adequate
+    curve_goodness = None if adequate or curve is None else _judge_curve(curve, motions)
+    of_speed = curve_goodness is not None and curve_goodness.adequate
+    if adequate:
+        outcome = ADEQUATE
+    elif laws < NUMBER_OF_LAWS:
+        outcome = NONE_FITTED
+    else:
+        outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
+    departures: tuple[FoundDeparture, ...] = ()
+    if curve is not None and not adequate and not of_speed:
+        departures = _departures(curve, motions, noise)
+    visible = (
+        (None,) * len(motions)
+        if chosen.linearised is None
+        else smallest_visible(chosen.fit, chosen.linearised, chosen.slips)
+    )
+    together = Adequacy(
+        outcome,
+        chosen.together.noise_m,
+        chosen.together,
+        min((size for size in visible if size is not None), default=None),
+        departures=departures,
+    )
+    if curve is not None:
+        mass = known_mass(motions[0], curve)
+        together = replace(
+            together,
+            curve=_reported(curve, mass, trusted=adequate or of_speed),
+            curve_goodness=curve_goodness,
+            outside_band={fit.law: band_exit(curve, fit) for fit in fits},
+            unit="N/kg" if mass is None else "N",
+        )
+    if len(motions) == 1:
+        return Assessment(chosen.fit.law, together, (together,))
+    each = [
+        Adequacy(ADEQUATE if own.adequate else outcome, own.noise_m, own, size)
+        for own, size in zip(chosen.each, visible, strict=True)
+    ]
+    return Assessment(chosen.fit.law, together, tuple(each))
+
+
+def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
+    """Return the mass that turns the curve into newtons, kg; None when neither mass nor stiffness is known."""
+    if motion.mass is not None:
+        return motion.mass.value
+    return motion.stiffness.value / curve.k_over_m.value if motion.stiffness is not None else None
+
+
+def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> MeasuredCurve:
+    """Return the curve in newtons where the mass is known; k/m without its interval where it does not hold."""
+    curve = replace(curve, k_over_m=replace(curve.k_over_m, trusted=trusted))
+    return curve if mass is None else in_newtons(curve, mass)
+
+
+def _first_adequate(members: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> Judged:
     first = None
     for fit in members:
-        found = _assess(fit, motions, NONE_OF_SIX if laws == NUMBER_OF_LAWS else NONE_FITTED)
+        linearised = LinearisedFit.at(fit)
+        # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
+        refit = _unchanged if linearised is None else linearised.refit
+        slips = judge(fit.residual, refit, fit, motions)
+        found = Judged(fit, linearised, slips, *goodness_of_fit(slips, fit.residual, fit))
         if found.together.adequate:
             return found
         first = first or found
@@ -50,17 +138,17 @@ def assess(members: Sequence[Fit], motions: Sequence[MeasuredMotion], laws: int)
     return first
 
 
-def _assess(fit: Fit, motions: Sequence[MeasuredMotion], otherwise: str) -> Assessment:
-    linearised = LinearisedFit.at(fit)
-    # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
-    refit = _unchanged if linearised is None else linearised.refit
-    slips = judge(fit.residual, refit, fit, motions)
-    together, each = goodness_of_fit(slips, fit.residual, fit)
-    adequacies = [
-        Adequacy(ADEQUATE if found.adequate else otherwise, found.noise_m, found) for found in (together, *each)
-    ]
-    return Assessment(fit.law, adequacies[0], tuple(adequacies[1:]))
-
-
 def _unchanged(residuals: Array) -> Array:
     return residuals
+
+
+def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
+    fit, linear = curve.spline_fit.fit, curve.linear
+    slips = judge(linear.residual, linear.refit, fit, motions, curve.spline_fit.path.windows)
+    return goodness_of_fit(slips, linear.residual, fit, curve.spline_fit.path.windows)[0]
+
+
+def _departures(curve: MeasuredCurve, motions: Sequence[MeasuredMotion], noise: Array) -> tuple[FoundDeparture, ...]:
+    path = curve.spline_fit.path
+    owner = np.repeat(path.windows.table[:, 5], path.windows.table[:, 3])
+    return score_departures(curve.linear, path, motions, noise=noise[owner])

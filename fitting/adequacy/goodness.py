@@ -9,6 +9,7 @@ the same record gives the same number.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from fitting.adequacy.noise import PositionNoise, estimate_noise
 from fitting.adequacy.statistics import SlipBins, SlipStatistics
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
+from fitting.model.shooting import ShootingWindows
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13
@@ -57,33 +59,66 @@ class GoodnessOfFit:
 
 @dataclass(frozen=True, eq=False)
 class RunSlips:
-    """What is judged of one run: its noise, its slips, and their statistics of the record and of repetitions."""
+    """What is judged of one run: its noise, its slips, and their statistics of the record and of repetitions.
+
+    Attributes
+    ----------
+    noise : PositionNoise
+    noise_m : float
+        Standard deviation of one position, m.
+    bins : SlipBins
+    seen : SlipStatistics
+        Of the record.
+    null_sums, null_squares : (bins, B) f8
+        Sums of the residuals of the repetitions, and of their squares, in each bin.
+    """
 
     noise: PositionNoise
     noise_m: float
     bins: SlipBins
     seen: SlipStatistics
-    null: SlipStatistics
+    null_sums: Array
+    null_squares: Array
+
+    @cached_property
+    def null(self) -> SlipStatistics:
+        """Statistics of the repetitions; without lag 1."""
+        return self.bins.combine(self.null_sums, self.null_squares)
+
+    @property
+    def judged(self) -> bool:
+        """Whether there are slips enough."""
+        return self.bins.slips >= FEWEST_SLIPS
+
+    def limits(self, p: float) -> tuple[float, float]:
+        """Return the limits of `repeat`, from its least value, and of `smooth` at which noise is rejected."""
+        return limit(p / 2, self.null.repeat - least(self.bins)), limit(p / 2, self.null.smooth)
 
 
 def judge(
-    residual: Array, refit: Callable[[Array], Array], fit: Fit, motions: Sequence[MeasuredMotion]
+    residual: Array,
+    refit: Callable[[Array], Array],
+    fit: Fit,
+    motions: Sequence[MeasuredMotion],
+    windows: ShootingWindows | None = None,
 ) -> tuple[RunSlips, ...]:
     """Return the statistics of each run's slips beside those of their null distribution.
 
     Parameters
     ----------
     residual : (N,) f8
-        What is judged, m: what a law leaves, or a curve in the windows of that law's fit.
+        What is judged, m: what a law leaves, or a curve.
     refit : callable
         Residuals (N, B) to what a linear fit of all unknowns leaves of them
         (`fitting.estimation.linearised.LinearisedFit.refit`).
     fit : Fit
-        Whose windows are used, of all runs together.
+        Whose cycles are judged, of all runs together.
     motions : sequence of MeasuredMotion
         Of each run.
+    windows : ShootingWindows, optional
+        Of the same cycles, where the residuals are not those of the fit's own.
     """
-    windows = fit.windows
+    windows = fit.windows if windows is None else windows
     owner = np.repeat(windows.table[:, 5], windows.table[:, 3])
     position = windows.position + residual
     velocity = np.empty_like(position)
@@ -91,9 +126,10 @@ def judge(
     for run, motion in enumerate(motions):
         own = owner == run
         velocity[own] = motion.velocity[windows.source[own]]
-        noises.append(estimate_noise(fit, motion, run))
-    bins = [SlipBins.from_fit(fit, run) for run in range(len(motions))]
-    repeated: list[list[SlipStatistics]] = [[] for _ in motions]
+        noises.append(estimate_noise(windows, residual, fit.inlier_cycles, motion, run))
+    landings = np.array([cycle.landing for cycle in fit.cycles])
+    bins = [SlipBins.cut(windows, landings, fit.inlier_cycles, run) for run in range(len(motions))]
+    repeated: list[list[tuple[Array, Array]]] = [[] for _ in motions]
     rng = np.random.default_rng(SEED)
     at_once = max(1, min(REPETITIONS, MOST_AT_ONCE // position.size))
     for first in range(0, REPETITIONS, at_once):
@@ -105,26 +141,24 @@ def judge(
         left = refit(drawn)
         for run, cut in enumerate(bins):
             if cut.slips >= FEWEST_SLIPS:
-                repeated[run].append(cut.statistics(left))
+                repeated[run].append((cut.sums(left), cut.sums(left**2)))
     found = []
     for run, (noise, cut, draws) in enumerate(zip(noises, bins, repeated, strict=True)):
-        if draws:
-            parts = [np.concatenate([getattr(one, name) for one in draws]) for name in vars(draws[0])]
-            null, seen = SlipStatistics(*parts), cut.statistics(residual[:, None])
-        else:
-            null = seen = SlipStatistics(*np.zeros((4, 1)))
-        found.append(RunSlips(noise, noise.sd(velocity[owner == run]), cut, seen, null))
+        sums, squares = (np.hstack(parts) for parts in zip(*draws, strict=True)) if draws else np.zeros((2, 0, 1))
+        seen = cut.statistics(residual[:, None]) if draws else SlipStatistics(*np.zeros((4, 1)))
+        found.append(RunSlips(noise, noise.sd(velocity[owner == run]), cut, seen, sums, squares))
     return tuple(found)
 
 
 def goodness_of_fit(
-    slips: Sequence[RunSlips], residual: Array, fit: Fit
+    slips: Sequence[RunSlips], residual: Array, fit: Fit, windows: ShootingWindows | None = None
 ) -> tuple[GoodnessOfFit, tuple[GoodnessOfFit, ...]]:
-    """Return the goodness of fit of all runs together, and of each."""
+    """Return the goodness of fit of all runs together, and of each; arguments as for `judge`."""
     each = []
-    run_of = fit.windows.run
+    windows = fit.windows if windows is None else windows
+    run_of = windows.run
     for run, own in enumerate(slips):
-        rows = [residual[part] for k, part in enumerate(fit.rows) if run_of[k] == run and fit.inlier_cycles[k]]
+        rows = [residual[part] for k, part in enumerate(windows.rows) if run_of[k] == run and fit.inlier_cycles[k]]
         square = float(np.mean(np.concatenate(rows) ** 2)) if rows else 0.0
         each.append(
             GoodnessOfFit(
@@ -151,14 +185,19 @@ def goodness_of_fit(
 
 def probability(slips: RunSlips) -> float:
     """Return the probability of the statistics by noise alone, corrected for there being two of them."""
-    if slips.bins.slips < FEWEST_SLIPS:
+    if not slips.judged:
         return 1.0
-    least = -1 / max(slips.bins.slips - 1, 1)  # of `repeat`: its gamma distribution begins there
+    begin = least(slips.bins)
     found = (
-        tail(float(slips.seen.repeat[0]) - least, slips.null.repeat - least),
+        tail(float(slips.seen.repeat[0]) - begin, slips.null.repeat - begin),
         tail(float(slips.seen.smooth[0]), slips.null.smooth),
     )
     return min(1.0, len(found) * min(found))
+
+
+def least(bins: SlipBins) -> float:
+    """Return the least value that `repeat` can have: its gamma distribution begins there."""
+    return -1 / max(bins.slips - 1, 1)
 
 
 def tail(value: float, null: Array) -> float:
@@ -169,3 +208,11 @@ def tail(value: float, null: Array) -> float:
     if not mean > 0 or not spread > 0:
         return 1.0
     return float(gamma.sf(value, (mean / spread) ** 2, scale=spread**2 / mean))
+
+
+def limit(p: float, null: Array) -> float:
+    """Return the value that is exceeded with probability p under that distribution."""
+    from scipy.stats import gamma
+
+    mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
+    return float(gamma.isf(p, (mean / spread) ** 2, scale=spread**2 / mean))

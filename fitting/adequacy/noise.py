@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Mask
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.fit import Fit
+from fitting.model.shooting import ShootingWindows
 
 ORDER, SQUARED_WEIGHTS = 4, 70.0  # of the differences: (1, 4, 6, 4, 1) squared and summed
 ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near whole multiples of the pitch
@@ -67,13 +67,19 @@ class PositionNoise:
         return np.asarray(moved - (np.floor((moved + error) / self.pitch) + 0.5) * self.pitch)
 
 
-def estimate_noise(fit: Fit, motion: MeasuredMotion, run: int = 0) -> PositionNoise:
+def estimate_noise(
+    windows: ShootingWindows, residual: Array, inliers: Mask, motion: MeasuredMotion, run: int = 0
+) -> PositionNoise:
     """Estimate the noise of a run from what a fit leaves.
 
     Parameters
     ----------
-    fit : Fit
+    windows : ShootingWindows
         Of all runs together.
+    residual : (N,) f8
+        m.
+    inliers : (cycles,) bool
+        The cycles to use.
     motion : MeasuredMotion
         Of the run.
     run : int
@@ -83,12 +89,12 @@ def estimate_noise(fit: Fit, motion: MeasuredMotion, run: int = 0) -> PositionNo
     interval = float(np.median(np.diff(motion.time)))
     slowest = FASTEST_PATTERN * pitch / interval if motion.resolution < pitch else 0.0
     squares, speeds = [], []
-    for k, _, first, count, _, own in fit.windows.table:
-        if own == run and fit.inlier_cycles[k] and count > ORDER:
+    for k, _, first, count, _, own in windows.table:
+        if own == run and inliers[k] and count > ORDER:
             part = slice(first, first + count)
-            speed = motion.velocity[fit.windows.source[part]][ORDER // 2 : -ORDER // 2]
+            speed = motion.velocity[windows.source[part]][ORDER // 2 : -ORDER // 2]
             fast = np.abs(speed) >= slowest
-            squares.append((np.diff(fit.residual[part], ORDER) ** 2 / SQUARED_WEIGHTS)[fast])
+            squares.append((np.diff(residual[part], ORDER) ** 2 / SQUARED_WEIGHTS)[fast])
             speeds.append(speed[fast] ** 2)
     square, v2 = (np.concatenate(parts) if parts else np.empty(0) for parts in (squares, speeds))
     if square.size < FEWEST:

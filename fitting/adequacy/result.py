@@ -1,37 +1,66 @@
-"""What the assessment of a record says: does a law describe it, and how far can that be trusted."""
+"""What the assessment of a record says: does a law describe it, and if none does, what else is known."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from fitting.adequacy.goodness import GoodnessOfFit
+from fitting.curve.result import BandExit, MeasuredCurve
+from fitting.departures.result import FoundDeparture
 
 ADEQUATE = "adequate"
 NONE_OF_SIX = "none of the six"
+NOT_OF_SPEED = "not a function of relative speed"
 NONE_FITTED = "none of the laws fitted"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Adequacy:
     """Whether the best law describes a record.
 
     Attributes
     ----------
     verdict : str
-        `ADEQUATE`, `NONE_OF_SIX`, or `NONE_FITTED` where not all six laws were fitted.
-    goodness : GoodnessOfFit or None
-        Of the law that was judged; None where no law could be fitted at all.
+        `ADEQUATE`; `NONE_OF_SIX`: no law, but a curve without a law may; `NOT_OF_SPEED`: not even that; `NONE_FITTED`
+        where not all six laws were fitted.
     noise_m : float
         Standard deviation of one position, m.
+    goodness : GoodnessOfFit or None
+        Of the law that was judged; None where no law could be fitted at all.
+    smallest_visible : float or None
+        Departure of friction, % of Fs, that half of all repetitions of this record would show
+        (`fitting.adequacy.visible`).
+    curve : MeasuredCurve or None
+        Friction against relative speed without a law, in newtons where mass or stiffness is known.
+    curve_goodness : GoodnessOfFit or None
+        Of the curve, where it was judged because no law is adequate.
+    outside_band : mapping of int to BandExit
+        Where each law leaves the curve's band the furthest.
+    unit : str
+        Of the curve's friction.
+    departures : tuple of FoundDeparture
+        What would explain the misfit, strongest first.
     """
 
     verdict: str
     noise_m: float
     goodness: GoodnessOfFit | None = None
+    smallest_visible: float | None = None
+    curve: MeasuredCurve | None = None
+    curve_goodness: GoodnessOfFit | None = None
+    outside_band: Mapping[int, BandExit] = field(default_factory=dict)
+    unit: str = "N/kg"
+    departures: tuple[FoundDeparture, ...] = ()
 
     @property
     def adequate(self) -> bool:
         """Whether a law describes the record."""
         return self.verdict == ADEQUATE
+
+    @property
+    def of_speed(self) -> bool:
+        """Whether the measured curve describes the record."""
+        return self.curve is not None and (self.curve_goodness is None or self.curve_goodness.adequate)
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
@@ -43,4 +72,33 @@ class Adequacy:
             "lag1": found and found.lag1,
             "repeat": found and found.repeat,
             "p_value": found and found.p_value,
+            "smallest_visible": self.smallest_visible,
+            "departures": [departure.as_json() for departure in self.departures],
+            "curve": None if self.curve is None else curve_as_json(self.curve, self.unit),
         }
+
+
+def curve_as_json(curve: MeasuredCurve, unit: str) -> dict[str, Any]:
+    """Return the document's form of a measured curve."""
+    k_over_m = curve.k_over_m.as_json()
+    del k_over_m["unit"]
+    return {
+        "speed": curve.speed.tolist(),
+        "friction": curve.friction.tolist(),
+        "lo": curve.lo.tolist(),
+        "hi": curve.hi.tolist(),
+        "unit": unit,
+        "k_over_m": k_over_m,
+        "chi": curve.chi,
+        "forms": [
+            {
+                "name": form.name,
+                "formula": form.formula,
+                "source": form.source,
+                "parameters": {name: item.as_json() for name, item in form.parameters.items()},
+                "chi": form.chi,
+                "inside_band": form.inside_band,
+            }
+            for form in curve.forms
+        ],
+    }

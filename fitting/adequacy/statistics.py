@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from fitting.estimation.fit import Fit
+from daq.compute.arrays import Array, Integers, Mask
+from fitting.model.shooting import ShootingWindows
 
 BINS = 60  # of a slip: 8 to 20 samples each at 1 kHz
 
@@ -64,14 +64,14 @@ class SlipBins:
     slips: int
 
     @classmethod
-    def from_fit(cls, fit: Fit, run: int = 0) -> "SlipBins":
-        """Cut the slips of one run's inlier cycles."""
-        windows, rows, cell, slips = fit.windows, [], [], 0
+    def cut(cls, windows: ShootingWindows, landings: Array, inliers: Mask, run: int = 0) -> "SlipBins":
+        """Cut the slips of one run's inlier cycles; ``landings`` (cycles,), s."""
+        rows, cell, slips = [], [], 0
         for k, stick, first, count, _, own in windows.table:
-            if stick or own != run or not fit.inlier_cycles[k]:
+            if stick or own != run or not inliers[k]:
                 continue
             time = windows.time[first : first + count]
-            phase = (time - time[0]) / (fit.cycles[k].landing - time[0])
+            phase = (time - time[0]) / (landings[k] - time[0])
             place = np.floor(BINS * phase).astype(np.int64)
             before = place < BINS
             rows.append(first + np.flatnonzero(before))
@@ -98,8 +98,12 @@ class SlipBins:
         products[1:] = residuals[1:] * residuals[:-1]
         return self.combine(self.sums(residuals), self.sums(residuals**2), self.sums(products))
 
-    def combine(self, sums: Array, squares: Array, products: Array) -> SlipStatistics:
-        """Return the statistics from sums of residuals, of their squares and of neighbours' products in each bin."""
+    def combine(self, sums: Array, squares: Array, products: Array | None = None) -> SlipStatistics:
+        """Return the statistics from sums of residuals, of their squares and of neighbours' products in each bin.
+
+        Without products `lag1` is 0.
+        """
+        products = np.zeros_like(sums) if products is None else products
         number = self.per_slip(self.count[:, None])
         occupied = self.per_slip(np.ones((self.slip.size, 1)))
         square = np.maximum(self.per_slip(squares) / number, 1e-300)

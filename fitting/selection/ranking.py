@@ -130,8 +130,7 @@ def rank(
         return _without_law(refused.reason, laws, runs, records, begun)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
-    members = [fit for fit in ordered if fit.law in chosen.members]
-    assessed = assess(members, [run.motion for run in runs], len(laws))
+    assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha)
     adequate = assessed.together.adequate
     tables = [_rows(fit, chosen, runs, alpha, sustained=sustained, trusted=adequate) for fit in ordered]
     rows = tuple(table[-1] for table in tables)

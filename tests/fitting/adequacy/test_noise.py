@@ -25,6 +25,10 @@ def left_over(noise, seed=1):
     return fit, motion
 
 
+def estimated(fit, motion):
+    return estimate_noise(fit.windows, fit.residual, fit.inlier_cycles, motion)
+
+
 @pytest.mark.parametrize(
     "noise",
     [
@@ -38,7 +42,7 @@ def left_over(noise, seed=1):
 )
 def test_rounding_white_noise_and_jitter_are_found_apart(noise):
     fit, motion = left_over(noise)
-    found = estimate_noise(fit, motion)
+    found = estimated(fit, motion)
     assert found.pitch == pytest.approx(noise.pitch, rel=1e-3)
     assert found.white == pytest.approx(noise.white, rel=0.1, abs=1e-12)
     assert found.jitter == pytest.approx(noise.jitter, rel=0.1, abs=2e-6)

@@ -1,0 +1,79 @@
+"""The smallest departure of friction that a record would show in half of all repetitions.
+
+What is not seen is not absent: a camera track passes under laws that an encoder would reject.  Friction is thought to
+depart from the law by a wave of the slip speed, of one or two periods over all speeds; what the law's own parameters
+make up for is taken off by the linear refit.  The wave's amplitude is raised until half of the repetitions of the
+record are rejected.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.adequacy.goodness import REJECTED, RunSlips, least
+from fitting.estimation.fit import Fit
+from fitting.estimation.linearised import LinearisedFit
+from fitting.model.parameters import PER_RUN, Global
+from fitting.sensitivity.path import follow, law_curve
+from fitting.sensitivity.tangents import tangents
+
+PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
+SMALLEST, LARGEST = 1e-6, 10.0  # amplitudes looked between, of Fs
+EVERY = 2  # repetitions are counted: half of 30 is known to 0.1, and the share rises steeply through it
+STEPS = 12  # of the bisection: to 0.4 %
+
+
+def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSlips]) -> tuple[float | None, ...]:
+    """Return for each run the amplitude that half of its repetitions show, % of Fs; median over the waves.
+
+    Parameters
+    ----------
+    fit : Fit
+    linearised : LinearisedFit
+        Of the same fit.
+    slips : sequence of RunSlips
+        Of the same fit, with the null distribution.
+
+    Returns
+    -------
+    tuple of float or None
+        None where no slip can be judged, or where the motion cannot be followed.
+    """
+    waves = departure_waves(fit)
+    if waves is None:
+        return (None,) * len(slips)
+    left = linearised.refit(waves)
+    return tuple(
+        100 * float(np.median([_half_seen(own, wave[:, None]) for wave in left.T])) if own.judged else None
+        for own in slips
+    )
+
+
+def departure_waves(fit: Fit) -> Array | None:
+    """Return the answer of the positions to waves of the friction with the amplitude Fs, shape (N, waves), m."""
+    path = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
+    if path is None or not path.slips.any():
+        return None
+    F = np.exp(path.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
+    size = np.where(path.slips, path.side * path.level * F, 0.0)
+    turn = 2 * math.pi * path.slip_speed / float(np.max(path.slip_speed[path.slips]))
+    waves = [shape(number * turn) for number in PERIODS for shape in (np.sin, np.cos)]
+    return tangents(path, size[:, None] * np.stack(waves, axis=1))
+
+
+def _half_seen(own: RunSlips, wave: Array) -> float:
+    """Return the amplitude of a wave (N, 1) at which half of the repetitions of a run are rejected, of Fs."""
+    draws = slice(None, None, EVERY)
+    sums, squares = own.bins.sums(wave), own.bins.sums(wave**2)
+    repeat, smooth = own.limits(REJECTED)
+    low, high = math.log(SMALLEST), math.log(LARGEST)
+    for _ in range(STEPS):
+        middle = 0.5 * (low + high)
+        size = math.exp(middle)
+        # What noise and wave have in common is left out of the squares: it is small against their sum.
+        found = own.bins.combine(own.null_sums[:, draws] + size * sums, own.null_squares[:, draws] + size**2 * squares)
+        rejected = (found.repeat - least(own.bins) > repeat) | (found.smooth > smooth)
+        low, high = (low, middle) if np.mean(rejected) > 0.5 else (middle, high)
+    return math.exp(0.5 * (low + high))
