@@ -1,9 +1,12 @@
 """The smallest departure of friction that a record would show in half of all repetitions.
 
 What is not seen is not absent: a camera track passes under laws that an encoder would reject.  Friction is thought to
-depart from the law by a wave of the slip speed, of one or two periods over all speeds; what the law's own parameters
-make up for is taken off by the linear refit.  The wave's amplitude is raised until half of the repetitions of the
-record are rejected.
+depart from the law by a wave: of the slip speed, with one or two periods over all speeds and the same amplitude at all
+of them, or of the position, with two or four periods over the travel and in proportion to the friction.  What the law's
+own parameters make up for is taken off by the linear refit.  Each wave's amplitude is raised until half of the
+repetitions of the record are rejected; the median of them is a typical size.  Departures that a law nearly makes up
+for (half a period over all speeds, say) must be several times larger to be seen, and a wave that it cannot follow at
+all shows at half of the size.
 """
 
 import math
@@ -20,6 +23,7 @@ from fitting.sensitivity.path import follow, law_curve
 from fitting.sensitivity.tangents import tangents
 
 PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
+PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most
 SMALLEST, LARGEST = 1e-6, 10.0  # amplitudes looked between, of Fs
 EVERY = 2  # repetitions are counted: half of 30 is known to 0.1, and the share rises steeply through it
 STEPS = 12  # of the bisection: to 0.4 %
@@ -52,15 +56,22 @@ def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSli
 
 
 def departure_waves(fit: Fit) -> Array | None:
-    """Return the answer of the positions to waves of the friction with the amplitude Fs, shape (N, waves), m."""
+    """Return the answer of the positions to waves of the friction as large as itself, shape (N, waves), m."""
     path = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
     if path is None or not path.slips.any():
         return None
     F = np.exp(path.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])
-    size = np.where(path.slips, path.side * path.level * F, 0.0)
+    level = np.where(path.slips, path.side * path.level * F, 0.0)
+    friction = np.where(path.slips, path.friction, 0.0)
     turn = 2 * math.pi * path.slip_speed / float(np.max(path.slip_speed[path.slips]))
-    waves = [shape(number * turn) for number in PERIODS for shape in (np.sin, np.cos)]
-    return tangents(path, size[:, None] * np.stack(waves, axis=1))
+    place = 2 * math.pi * path.position / float(np.ptp(path.position))
+    waves = [
+        size * shape(number * argument)
+        for size, argument, numbers in ((level, turn, PERIODS), (friction, place, PERIODS_OF_TRAVEL))
+        for number in numbers
+        for shape in (np.sin, np.cos)
+    ]
+    return tangents(path, np.stack(waves, axis=1))
 
 
 def _half_seen(own: RunSlips, wave: Array) -> float:

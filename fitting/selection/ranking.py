@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Rig
-from fitting.adequacy.assess import assess
+from fitting.adequacy.assess import assess, describes
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.data import cycles, frame, ripple
 from fitting.data.frame import MeasuredMotion
@@ -132,7 +132,14 @@ def rank(
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
     assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha)
     adequate = assessed.together.adequate
-    tables = [_rows(fit, chosen, runs, alpha, sustained=sustained, trusted=adequate) for fit in ordered]
+    outside = assessed.together.outside_band
+    tables = [
+        [
+            replace(row, outside_band=outside.get(fit.law))
+            for row in _rows(fit, chosen, runs, alpha, sustained=sustained, trusted=adequate)
+        ]
+        for fit in ordered
+    ]
     rows = tuple(table[-1] for table in tables)
     measured = all(run.motion.belt_measured for run in runs)
     if adequate:
@@ -183,7 +190,7 @@ def _fit(
     seen = sustained  # as the record itself shows, before any law is fitted
     _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
     fits = search.fit_laws(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
-    if not sustained and evidence.rules_out_constant_friction(fits, runs):
+    if not sustained and _more_than_constant(fits, runs):
         sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
         fits = search.fit_laws(laws, runs, jobs, progress, scheduler)
     fits = [fit for fit in fits if fit.law in laws]
@@ -198,6 +205,14 @@ def _fit(
     if not sustained and not any(run.cut.starts_at_rest for run in runs):
         _refuse(screening.SINE_ALONE, records)
     return fits, sustained
+
+
+def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+    """Return whether laws 1 and 2 leave more of a motion without sustained sticks than noise does."""
+    if not fits or evidence.rules_out_constant_friction(fits, runs):
+        return True
+    grazing = all(run.cut.starts_at_rest for run in runs)  # else it may be a sine, which is refused
+    return grazing and not describes(fits, [run.motion for run in runs])
 
 
 def _without_law(

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fitting.adequacy.result import Adequacy
+from fitting.curve.result import BandExit
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
@@ -38,6 +39,8 @@ class LawResult:
         Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
     fit : Fit
         The fit itself, for pictures.
+    outside_band : BandExit or None
+        Where its curve leaves the band of the measured one the furthest.
     """
 
     law: int
@@ -52,13 +55,15 @@ class LawResult:
     behind: tuple[float, float]
     orbit: float
     fit: Fit = field(repr=False, compare=False)
+    outside_band: BandExit | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""
-        document = {
+        document: dict[str, Any] = {
             name: getattr(self, name) for name in ("law", "name", "score", "weight", "in_set", "rms_m", "cycles")
         }
         document["parameters"] = {name: item.as_json() for name, item in self.parameters.items()}
+        document["outside_band"] = None if self.outside_band is None else vars(self.outside_band)
         return document | {"orbit_distance": self.orbit, "cpu_s": self.cpu_s}
 
 
