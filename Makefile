@@ -1,5 +1,6 @@
 # demo: the main job in one go; test: the quick checks; test-slow: the long ones; test-kernels: the fit under every BLAS
 # kernel that this processor runs; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
+# test begins with static (ruff, imports, mypy) on one core and kernels (what the tests would compile) on the other.
 PYTHON ?= python3
 VENV ?= .venv
 BIN = $(VENV)/bin
@@ -12,7 +13,7 @@ demo: $(VENV)/.installed
 	$(BIN)/daq demo
 
 test: $(VENV)/.installed-test
-	@$(MAKE) --no-print-directory -j2 static kernels  # mypy takes one core, the compiler the other
+	@$(MAKE) --no-print-directory -j2 static kernels
 	$(PYTEST) -m "not slow"
 
 static: $(VENV)/.installed-test
@@ -23,33 +24,6 @@ static: $(VENV)/.installed-test
 
 kernels: $(VENV)/.installed-test
 	$(BIN)/python tests/compile_kernels.py
-
-test-slow: the long ones; test-kernels: the fit under every BLAS
-# kernel that this processor runs; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
-PYTHON ?= python3
-VENV ?= .venv
-BIN = $(VENV)/bin
-PYTEST = $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
-BLAS_KERNELS = Haswell Sandybridge Prescott $(shell grep -qsw avx512f /proc/cpuinfo && echo SkylakeX)
-
-.PHONY: demo test static kernels test-slow test-kernels bench docs clean
-
-demo: $(VENV)/.installed
-	$(BIN)/daq demo
-
-test: $(VENV)/.installed-test
-	@$(MAKE) --no-print-directory -j2 static kernels  # mypy takes one core, the compiler the other
-	$(PYTEST) -m "not slow"
-
-static: $(VENV)/.installed-test
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/lint-imports --no-cache
-	$(BIN)/mypy
-
-# Two test processes would compile the same kernels at the same time; this one does it while mypy takes the other core.
-kernels: $(VENV)/.installed-test
-	@$(BIN)/python -c 'import daq, fitting, processing; fitting.rank(processing.smooth(daq.load("data_samples/law5.h5")))'
 
 test-slow: $(VENV)/.installed-test
 	$(PYTEST) -m slow
