@@ -35,10 +35,16 @@ def deflated(c: Buffer, at: int, degree: int, zeros: int, level: float, xi: floa
 
 def spread(c: Buffer, at: int, degree: int, zeros: int, xi: float) -> float:
     """Return a bound on how far `deflated` strays from its first term over [0, xi]."""
-    total = abs(c[at + degree])
-    for j in range(at + degree - 1, at + zeros, -1):
-        total = total * xi + abs(c[j])
-    return float(total * xi)
+    even = odd = 0.0  # powers apart: two chains of sums that do not wait for each other
+    square = xi * xi
+    last = at + degree
+    if (degree - zeros) % 2 == 1:
+        odd = abs(c[last])
+        last -= 1
+    for j in range(last, at + zeros, -2):
+        even = even * square + abs(c[j])
+        odd = odd * square + abs(c[j - 1])
+    return float((even * xi + odd) * xi)
 
 
 def survey(c: Buffer, at: int, degree: int, zeros: int, level: float, xi: float) -> tuple[float, float, float]:

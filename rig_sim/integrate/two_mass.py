@@ -22,13 +22,14 @@ from rig_sim.integrate.polynomial import first_root, spread
 from rig_sim.integrate.taylor import INVERSE
 
 SERIES = ORDER + 2
-# Series of the relative velocities (m/s), the positions (m), the friction forces (N), and the load on the contact of
-# the mass that sticks (N); the first coefficients of W1 ... Y2 are the state
-W1, W2, Y1, Y2, F1, F2, LOAD = range(0, 7 * SERIES, SERIES)
+# Series of the relative velocities (m/s), the positions (m), the friction over the mass (m/s in a unit of the series'
+# time), the friction's inverse over its first coefficient, and the load on the contact of the mass that sticks (N); the
+# first coefficients of W1 ... Y2 are the state
+W1, W2, Y1, Y2, F1, F2, Q1, Q2, LOAD = range(0, 9 * SERIES, SERIES)
 # Single numbers: the modes, the time, steps taken and allowed, events in a row without time passing, the unit of time
 # of the last step and, where the section's crossings are wanted, 1
-MODE1, MODE2, TIME, STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, SECTION = range(7 * SERIES, 7 * SERIES + 8)
-PAIR = 7 * SERIES + 8
+MODE1, MODE2, TIME, STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, SECTION = range(9 * SERIES, 9 * SERIES + 8)
+PAIR = 9 * SERIES + 8
 
 # Events besides the end of the time allowed: which mass, times the side its velocity or load leaves by
 FIRST, SECOND, CROSSING = 1, 2, 3  # CROSSING: the first mass's velocity over ground passes 0
@@ -99,26 +100,25 @@ def begin_slip(
     balance = force - fr.c * fr.v - damping * w - held + pulled
     if w == 0.0 and (sign * balance > 0.0 or abs(balance) <= ROUNDING * (abs(force) + abs(held) + abs(pulled))):
         balance = 0.0
-    work[F] = force
+    work[F] = force / fr.m * T
     work[W + 1] = balance / fr.m * T
     work[Y + 1] = (w + fr.v) * T
     return bend
 
 
-def friction_term(W: int, F: int, n: int, bend: float, work: Buffer) -> float:
-    """Return coefficient n of the friction: F q = constant with q = 1 + bend (w - w0)."""
+def friction_term(Q: int, F: int, n: int, work: Buffer) -> float:
+    """Return coefficient n of the friction: F (1 - Q) is its first coefficient."""
     total = 0.0
     i = F + n - 1
-    whole = W + 1 + n - n % 4
-    for j in range(W + 1, whole, 4):  # four terms a turn: shorter chains of sums
+    whole = Q + 1 + n - n % 4
+    for j in range(Q + 1, whole, 4):  # four terms a turn: shorter chains of sums
         total += (work[j] * work[i] + work[j + 1] * work[i - 1]) + (
             work[j + 2] * work[i - 2] + work[j + 3] * work[i - 3]
         )
         i -= 4
-    for j in range(whole, W + n + 1):
+    for j in range(whole, Q + n + 1):
         total += work[j] * work[i]
         i -= 1
-    total *= -bend
     work[F + n] = total
     return total
 
@@ -138,6 +138,8 @@ def expand(fr: Frame, a: float, b: float, degree: int, tolerance: float, work: B
     if mode2 != STICK:
         bend2 = begin_slip(fr, b, a, mode2, W2, Y2, F2, Y1, T, work)
     w1, y1, w2, y2 = work[W1 + 1], work[Y1 + 1], work[W2 + 1], work[Y2 + 1]
+    work[Q1 + 1] = -bend1 * w1
+    work[Q2 + 1] = -bend2 * w2
     curved = fr.curve == HYPERBOLIC
     inertia = T / fr.m
     damping1 = (fr.c - fr.G if fr.curve == LINEAR else fr.c) * inertia
@@ -152,15 +154,17 @@ def expand(fr: Frame, a: float, b: float, degree: int, tolerance: float, work: B
         if mode1 != STICK:
             y1 = T * w1 * share
             if curved:
-                pull1 += inertia * friction_term(W1, F1, n, bend1, work)
+                pull1 += friction_term(Q1, F1, n, work)
             w1 = (pull1 - damping1 * w1) * share
             work[W1 + n + 1] = w1
+            work[Q1 + n + 1] = -bend1 * w1
         if mode2 != STICK:
             y2 = T * w2 * share
             if curved:
-                pull2 += inertia * friction_term(W2, F2, n, bend2, work)
+                pull2 += friction_term(Q2, F2, n, work)
             w2 = (pull2 - damping2 * w2) * share
             work[W2 + n + 1] = w2
+            work[Q2 + n + 1] = -bend2 * w2
         work[Y1 + n + 1] = y1
         work[Y2 + n + 1] = y2
     ratio = 0.0

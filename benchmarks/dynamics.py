@@ -1,0 +1,143 @@
+"""Speed of the map of two masses against general tools, in one run.
+
+``python benchmarks/dynamics.py [EVENTS]`` (default 200 of the slow peers): CPU time per event and error against the
+exact map, on the thesis's two masses at V = 0.1 with starts all over the interval of d, of
+
+    exact, fine, coarse     rig_sim.dynamics.maps.stick_map, compiled
+    scipy                   rig_sim.comparison.two_masses: DOP853 between located events, rtol 1e-6
+    pynamicalsys            RK45 of the equations with sign(w) replaced by tanh(w/width), compiled by numba
+
+then the time of a bifurcation diagram with one and with two processes.  pynamicalsys knows neither stick nor events:
+its error is that of x2 - x1 at the instant of the next global stick.  Errors are quantiles: beside a jump of the map
+any method may fall on the other side.
+"""
+
+import json
+import math
+import os
+import platform
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from daq.compute.workers import workers
+from rig_sim.cli.maps import SweptScene
+from rig_sim.comparison.two_masses import next_stick
+from rig_sim.dynamics.maps.stick_map import COARSE, EXACT, FINE, StickMap
+from rig_sim.dynamics.maps.sweep import sweep
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.two_mass import TwoMassFlow, slip_start
+
+RESULTS = Path(__file__).resolve().parent / "results"
+FLOW = TwoMassFlow(Flow(v_belt=0.1))
+STARTS = np.linspace(-0.67, 0.67, 20_001)
+REPEATS = 5
+WIDTH = 1e-3  # of tanh(w/width): the smallest with which the peer is not slower still
+VALUES = np.linspace(0.08, 0.2, 400).tolist()
+
+
+def main(events: int) -> None:
+    rows = []
+    exact = StickMap(FLOW)
+    expected = exact(STARTS)
+    for name, precision in (("exact", EXACT), ("fine", FINE), ("coarse", COARSE)):
+        f = StickMap(FLOW, precision)
+        f(STARTS[:2])
+        cost = min(cpu_of(partial(f, STARTS))[0] for _ in range(REPEATS)) / len(STARTS)
+        rows.append(row(name, f"degree {precision[0]}, tolerance {precision[1]:.0e}", cost, f(STARTS) - expected))
+    few = STARTS[:: len(STARTS) // events]
+    cost, found = cpu_of(lambda: np.array([next_stick(FLOW, float(d), rtol=1e-6)[0] for d in few]))
+    rows.append(row("scipy", "DOP853, rtol 1e-06", cost / len(few), found - exact(few)))
+    smooth = smoothed()
+    if smooth is not None:
+        events_of = [exact.event(float(d)) for d in few]
+        smooth(float(few[0]), 1.0)
+        cost, found = cpu_of(
+            lambda: np.array([smooth(float(d), event.duration) for d, event in zip(few, events_of, strict=True)])
+        )
+        rows.append(row("pynamicalsys", f"RK45, tanh(w/{WIDTH:g})", cost / len(few), found - exact(few)))
+    for entry in rows:
+        print(
+            f"{entry['method']:13} {entry['setting']:32} {entry['per_second']:10.0f} events/s  "
+            f"error {entry['error_median']:.1e} (99 %: {entry['error_99']:.1e})"
+        )
+    fast = {entry["method"]: entry["per_second"] for entry in rows}
+    ratios = {peer: fast["fine"] / fast[peer] for peer in ("scipy", "pynamicalsys") if peer in fast}
+    for peer, ratio in ratios.items():
+        print(f"fine is {ratio:.0f} times as fast as {peer}, coarse {fast['coarse'] / fast[peer]:.0f} times")
+    times = {}
+    diagrams = {}
+    for jobs in (1, 2):
+        begun = time.perf_counter()
+        with workers(jobs) as spread:
+            diagrams[jobs] = sweep(SweptScene("two-mass", {}, "belt.speed"), VALUES, "poincare", spread=spread)
+        times[jobs] = time.perf_counter() - begun
+    same = diagrams[1] == diagrams[2]
+    print(
+        f"{len(VALUES)} velocities: {times[1]:.1f} s in one process, {times[2]:.1f} s in two "
+        f"({times[1] / times[2]:.2f} times as fast), {'the same to the last bit' if same else 'DIFFERENT'}"
+    )
+    RESULTS.mkdir(exist_ok=True)
+    result = {
+        "rows": rows,
+        "ratios": ratios,
+        "sweep_s": times,
+        "sweep_same": same,
+        "cpus": os.cpu_count(),
+        "machine": platform.processor() or platform.machine(),
+    }
+    (RESULTS / "dynamics.json").write_text(json.dumps(result, indent=1))
+
+
+def cpu_of(work):
+    begun = time.process_time()
+    result = work()
+    return time.process_time() - begun, result
+
+
+def row(method, setting, cost, error):
+    size = np.abs(error[np.isfinite(error)])
+    return {
+        "method": method,
+        "setting": setting,
+        "us_per_event": 1e6 * cost,
+        "per_second": 1.0 / cost,
+        "error_median": float(np.median(size)),
+        "error_99": float(np.quantile(size, 0.99)),
+    }
+
+
+def smoothed():
+    """Return a function (d, duration) -> x2 - x1 by pynamicalsys; None where it is not installed."""
+    try:
+        from numba import njit
+        from pynamicalsys import ContinuousDynamicalSystem
+    except ImportError:
+        print("pynamicalsys is not installed: pip install --group bench")
+        return None
+
+    @njit
+    def equations(time, u, parameters):
+        v, a, b, gamma, width = parameters
+        w1, w2 = u[2] - v, u[3] - v
+        F1 = -math.tanh(w1 / width) / (1.0 + gamma * abs(w1))
+        F2 = -b * math.tanh(w2 / width) / (1.0 + gamma * abs(w2))
+        return np.array([u[2], u[3], F1 - u[0] - a * (u[0] - u[1]), F2 - u[1] - a * (u[1] - u[0])])
+
+    system = ContinuousDynamicalSystem(equations_of_motion=equations, system_dimension=4, number_of_parameters=5)
+    system.integrator("rk45", atol=1e-8, rtol=1e-8)
+    parameters = [FLOW.mass.v_belt, FLOW.a, FLOW.b, FLOW.mass.gamma, WIDTH]
+
+    def follow(d, duration):
+        x1, x2 = slip_start(FLOW, d)
+        end = system.evolve_system([x1, x2, FLOW.mass.v_belt, FLOW.mass.v_belt], duration, parameters=parameters)
+        return float(end[1] - end[0])
+
+    return follow
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
