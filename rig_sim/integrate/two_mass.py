@@ -34,6 +34,7 @@ PAIR = 9 * SERIES + 8
 # Events besides the end of the time allowed: which mass, times the side its velocity or load leaves by
 FIRST, SECOND, CROSSING = 1, 2, 3  # CROSSING: the first mass's velocity over ground passes 0
 ROUNDING = 16.0 * EPS  # of the largest term of a force, within which it counts as at its level; not swept
+BEYOND = 1e-300  # m/s: next to nothing
 LONGEST = 4.0  # of a step in units of TIME_SCALE, as in `rig_sim.integrate.taylor`
 
 
@@ -253,9 +254,16 @@ def move(degree: int, xi: float, work: Buffer) -> None:
         w2 = w2 * xi + work[W2 + j]
     work[Y1], work[Y2] = y1, y2
     if slips1:
-        work[W1] = w1
+        work[W1] = arrived(int(work[MODE1]), w1, xi)
     if slips2:
-        work[W2] = w2
+        work[W2] = arrived(int(work[MODE2]), w2, xi)
+
+
+def arrived(mode: int, w: float, xi: float) -> float:
+    """Return a slip's w after a step: one that has come to exactly 0 just beyond it, as 0 is a slip that begins."""
+    if w != 0.0 or xi == 0.0:
+        return w
+    return BEYOND if mode == NEGATIVE else -BEYOND
 
 
 def global_stick(fr: Frame, a: float, b: float, tau_max: float, work: Buffer) -> tuple[int, float]:

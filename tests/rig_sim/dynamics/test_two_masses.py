@@ -76,6 +76,7 @@ def test_without_coupling_each_mass_moves_as_if_alone():
 
 
 def test_equal_masses_that_begin_alike_move_as_one():
+    """A mass that came to the belt's speed together with the other used to count as one that begins to slip."""
     flow = thesis(0.3, b=1.0)
     assert StickMap(flow).event(0.0).d == pytest.approx(0.0, abs=1e-14)
     assert StickMap(flow).event(0.0).duration == pytest.approx(list_events(flow.mass, 1.0, 0.3, 20.0).t[1], abs=1e-11)
