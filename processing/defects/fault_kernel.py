@@ -22,11 +22,11 @@ def median_of_five(a: float, b: float, c: float, d: float, e: float) -> float:
 def find_outliers(x: Array, limit: float, share: float, found: Integers, size: Array) -> int:
     """Find single readings out of line by more than ``limit``, m.
 
-    A reading is out of line where it differs from the median of five, and from the lines through its two neighbours on
-    either side: at a turning point and in the tip of a triangle one of these agrees.  It must also exceed the bend of
-    the motion beside it (twice the smaller one and 0.4 of the larger one; the top of a parabola has half of it), and
-    most differences from the median nearby must be below ``share`` of its own, so that a stretch of larger noise has
-    none.
+    A reading is out of line where it differs from the median of five, and from the lines through its neighbours on
+    either side: at a turning point and in the tip of a triangle those of one side agree.  It must also exceed the bend
+    of the motion beside it (twice the smaller one and 0.4 of the larger one; the top of a parabola, and a spike two
+    samples from another, have half of it; 0.3 where one side is straight), and most differences from the median nearby
+    must be below ``share`` of its own, so that a stretch of larger noise has none.
 
     Parameters
     ----------
@@ -41,14 +41,20 @@ def find_outliers(x: Array, limit: float, share: float, found: Integers, size: A
     n = x.size - 6
     for i in range(3, n + 3):
         here = x[i]
-        # These two first: they cost least, and reject nearly every reading.
-        if abs(here - 2 * x[i - 1] + x[i - 2]) <= limit or abs(here - 2 * x[i + 1] + x[i + 2]) <= limit:
+        # These first: they cost least, and reject nearly every reading.  Of two opposite spikes with a sound reading
+        # between them each lies on the line through the other: a side agrees if the line past its second reading does.
+        line, past = abs(here - 2 * x[i - 1] + x[i - 2]), abs(here - 1.5 * x[i - 1] + 0.5 * x[i - 3])
+        if line <= limit and past <= 2 * limit:
+            continue
+        line, past = abs(here - 2 * x[i + 1] + x[i + 2]), abs(here - 1.5 * x[i + 1] + 0.5 * x[i + 3])
+        if line <= limit and past <= 2 * limit:
             continue
         off = abs(here - median_of_five(x[i - 2], x[i - 1], here, x[i + 1], x[i + 2]))
         if off <= limit:
             continue
         before, behind = abs(x[i - 1] - 2 * x[i - 2] + x[i - 3]), abs(x[i + 1] - 2 * x[i + 2] + x[i + 3])
-        if off <= 2 * min(before, behind) + 0.4 * max(before, behind):
+        less, more = min(before, behind), max(before, behind)
+        if off <= 2 * less + (0.3 if less <= limit else 0.4) * more:
             continue
         quiet = total = 0
         for j in range(max(i - NEAR, 2), min(i + NEAR, n + 3) + 1):
