@@ -37,9 +37,7 @@ def seen_speeds(fit: SplineFit) -> Array:
 
 def curve_columns(fit: SplineFit, s: Array) -> Array:
     """Return derivatives (k, p) of friction at s beyond the ramp by the shared unknowns, the ramp's half-width too."""
-    found = np.zeros((s.size, fit.solution.u.size))
-    first = len(fit.places)
-    found[:, first:] = np.einsum("ki,ij->kj", fit.spline.basis(s), fit.basis.matrix)
+    found = np.asarray(np.einsum("ki,ij->kj", fit.spline.basis(s), fit.basis.slopes))
     if Global.D in fit.places and fit.path.curve.ramp:
         h = 1e-4 * fit.spline.knots[-1]
         found[:, fit.places.index(Global.D)] = -(fit.spline(s + h) - fit.spline(s - h)) / (2 * h)

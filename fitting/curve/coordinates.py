@@ -2,6 +2,10 @@
 
 The prior says that a second difference of neighbouring coefficients is of the order of half the friction; it decides
 only where the record shows nothing.  In these coordinates Levenberg-Marquardt needs no other form of a prior.
+
+A curve and a datum that move together leave the motion as it is: K datum + friction is what a record shows.  So the
+coordinates are those of a curve that follows the datum; what is left of a datum's effect is then a small number of its
+own, not the difference of two large ones, and an unknown datum keeps its whole interval.
 """
 
 from dataclasses import dataclass
@@ -27,14 +31,18 @@ class CurveCoordinates:
         Coordinates by coefficients.
     precision : (n,) f8
         Of the coordinates' priors: 1, and 0 for the ends.
+    offset, start : (p,) f8
+        How the whole curve moves with each of the unknowns beside it, and where these are at offset 0.
     """
 
     matrix: Array
     inverse: Array
     precision: Array
+    offset: Array
+    start: Array
 
     @classmethod
-    def around(cls, coefficients: Array) -> "CurveCoordinates":
+    def around(cls, coefficients: Array, offset: Array, start: Array) -> "CurveCoordinates":
         """Scale the coordinates by the middle of these coefficients (n,)."""
         n, size = coefficients.size, abs(float(np.median(coefficients)))
         if not size > 0:
@@ -49,12 +57,26 @@ class CurveCoordinates:
         matrix = np.zeros((n, n))
         matrix[:, : n - 2] = sd * (steps - along[:, None] * steps[-1])
         matrix[:, n - 2], matrix[:, n - 1] = size * (1 - along), size * along
-        return cls(matrix, inverse, np.concatenate((np.ones(n - 2), np.zeros(2))))
+        return cls(matrix, inverse, np.concatenate((np.ones(n - 2), np.zeros(2))), offset, start)
 
-    def coefficients(self, coordinates: Array) -> Array:
-        """Return coefficients (n,), m/s^2."""
-        return np.asarray(np.einsum("ij,j->i", self.matrix, coordinates))
+    @property
+    def slopes(self) -> Array:
+        """Derivatives (n, p + n) of the coefficients by the unknowns beside the curve and by its coordinates."""
+        return np.hstack([np.broadcast_to(self.offset, (self.precision.size, self.offset.size)), self.matrix])
 
-    def coordinates(self, coefficients: Array) -> Array:
-        """Return coordinates (n,)."""
-        return np.asarray(np.einsum("ij,j->i", self.inverse, coefficients))
+    @property
+    def inverse_slopes(self) -> Array:
+        """Derivatives (n, p + n) of the coordinates by the unknowns beside the curve and by its coefficients."""
+        whole = self.inverse.sum(axis=1)
+        return np.hstack([-whole[:, None] * self.offset, self.inverse])
+
+    def coefficients(self, unknowns: Array) -> Array:
+        """Return coefficients (n,), m/s^2, for the unknowns (p + n,)."""
+        p = self.offset.size
+        moved = float(np.sum(self.offset * (unknowns[:p] - self.start)))
+        return np.asarray(np.einsum("ij,j->i", self.matrix, unknowns[p:]) + moved)
+
+    def unknowns(self, beside: Array, coefficients: Array) -> Array:
+        """Return all unknowns (p + n,) for those beside the curve (p,) and its coefficients (n,)."""
+        moved = float(np.sum(self.offset * (beside - self.start)))
+        return np.concatenate((beside, np.einsum("ij,j->i", self.inverse, coefficients - moved)))

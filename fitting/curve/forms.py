@@ -184,7 +184,7 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
     _, total = linear.information()
     places, n = len(fit.places), fit.basis.precision.size
     turn = np.eye(places + n)
-    turn[places:, places:] = fit.basis.inverse  # from coordinates to coefficients
+    turn[places:] = fit.basis.inverse_slopes  # from coordinates to coefficients
     prior = np.zeros((places + n, places + n))
     prior[places:, places:] = np.diag(fit.basis.precision)
     total, prior, data = (np.einsum("ki,kl,lj->ij", turn, one, turn) for one in (total, prior, total - prior))

@@ -129,12 +129,14 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     knots = _knots(fit)
     curve = spline_curve(FrictionSpline.over(knots), bool(law.ramp))
     starts = _starts(fit, curve)
-    basis = CurveCoordinates.around(starts[-1].coefficients)
+    datums = np.array([place % PER_RUN == Global.DATUM for place in places])
+    offset = np.where(datums, -fit.values.K / fit.runs, 0.0)
+    basis = CurveCoordinates.around(starts[-1].coefficients, offset, fit.u[list(places)])
     thinned = trajectory.fitted_windows(problem, thinned=True)
     ranked: list[tuple[float, LeastSquaresProblem, _Start, Array]] = []
     for start in starts:
         task = _task(fit, thinned, places, curve, basis, start, noise, SEARCH_STEP)
-        u = _unknowns(start, places, basis)
+        u = basis.unknowns(start.u[list(places)], start.coefficients)
         found = task.evaluate(u, start.local, False)
         if found is not None:
             value = levenberg_marquardt.cost(_noisier(task, SEARCH[0][0]), u, start.local, found[0])
@@ -154,7 +156,7 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     if best is None:
         return None
     _, task, solution = best
-    task = _reweighted(task, solution)
+    task = _reweighted(fit, task, solution)
     moved = levenberg_marquardt.minimise(task, solution.u, solution.local, **WEIGHTED)
     solution = solution if moved is None else moved
     start = _Start(fit.u, starts[-1].coefficients, solution.local)
@@ -253,10 +255,6 @@ def project(spline: FrictionSpline, s: Array) -> Array:
     return np.asarray(np.einsum("ij,kj->ik", inverse * scale[:, None] * scale, basis))
 
 
-def _unknowns(start: _Start, places: tuple[int, ...], basis: CurveCoordinates) -> Array:
-    return np.concatenate((start.u[list(places)], basis.coordinates(start.coefficients)))
-
-
 def _path(
     fit: Fit,
     windows: ShootingWindows,
@@ -269,7 +267,7 @@ def _path(
 ) -> Path | None:
     u = fit.u.copy()
     u[list(places)] = q[: len(places)]
-    own = with_coefficients(curve, basis.coefficients(q[len(places) :]))
+    own = with_coefficients(curve, basis.coefficients(q))
     return follow(windows, own, parameters.copy_shared(u), local, longest_step=longest_step)
 
 
@@ -294,8 +292,9 @@ def _task(
             return None
         if not derivatives:
             return path.residual, np.zeros((0, 0))
-        bend = np.einsum("ni,ij->nj", spline_tangents(path), basis.matrix)
-        return path.residual, np.hstack([shared_tangents(path, places), bend, local_tangents(path)])
+        found = np.einsum("ni,ij->nj", spline_tangents(path), basis.slopes)
+        found[:, : len(places)] += shared_tangents(path, places)
+        return path.residual, np.hstack([found, local_tangents(path)])
 
     return LeastSquaresProblem(
         evaluate=evaluate,
@@ -332,12 +331,19 @@ def _local_precision(fit: Fit, law: Array, local: Array) -> Array:
     found = law.copy()
     belt = np.array([motion.belt_speed for motion in fit.problem.motions])[fit.windows.run]
     found[:, PerCycle.V_SLIP] = 1 / (START_SPEED_SD * belt) ** 2
-    found[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / _scatter(local) ** 2
+    found[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / _scatter(fit, local) ** 2
     return found
 
 
-def _scatter(local: Array) -> float:
-    return max(float(np.std(local[:, PerCycle.LEVEL])), LEAST_SCATTER)
+def _scatter(fit: Fit, local: Array) -> float:
+    """Return the standard deviation of the levels' logarithms that their prior has.
+
+    Without a datum it is a loose one, as for the laws: levels that differ less in proportion, the higher friction is,
+    would otherwise pull the datum away and the whole curve up.
+    """
+    loose = any(motion.datum_prior is None for motion in fit.problem.motions)
+    found = max(float(np.std(local[:, PerCycle.LEVEL])), LEAST_SCATTER)
+    return found * (trajectory.LOOSE_LEVELS if loose else 1.0)
 
 
 def _cycle_chi(task: LeastSquaresProblem, solution: Solution) -> Array:
@@ -351,13 +357,13 @@ def _usual_chi(task: LeastSquaresProblem, solution: Solution) -> float:
     return float(np.exp(np.mean(np.log(np.maximum(_cycle_chi(task, solution), 1e-6)))))
 
 
-def _reweighted(task: LeastSquaresProblem, solution: Solution) -> LeastSquaresProblem:
+def _reweighted(fit: Fit, task: LeastSquaresProblem, solution: Solution) -> LeastSquaresProblem:
     """Return the task with less weight on cycles that fit worse than the others, and the levels' scatter as found."""
     chi = _cycle_chi(task, solution)
     excess = chi / max(_usual_chi(task, solution), 1.0)
     weight = np.minimum(2 / (1 + excess**2), 1.0)
     precision = task.local_precision.copy()
     inlier = weight > INLIER
-    scatter = _scatter(solution.local[inlier]) if inlier.sum() > 1 else _scatter(solution.local)
+    scatter = _scatter(fit, solution.local[inlier] if inlier.sum() > 1 else solution.local)
     precision[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / scatter**2
     return replace(task, weights=task.weights * weight, local_precision=precision)
