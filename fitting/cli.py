@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json
-from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, InputError
+from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -54,6 +54,10 @@ def fit(
     csv: Annotated[
         Path | None, Parameter(help="Also write the ranking as a table with one row per run and law.")
     ] = None,
+    curve_csv: Annotated[
+        Path | None,
+        Parameter(help="Also write the measured friction curve with its band: relative speed, friction, lo, hi."),
+    ] = None,
     each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself: a batch.")] = False,
     jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1,
     scheduler: Annotated[str | None, Parameter(help="Fit on the workers of a dask scheduler: tcp://host:8786.")] = None,
@@ -89,6 +93,12 @@ def fit(
         table.refuse_foreign_file(csv, files)
         if csv.resolve() in {place.resolve() for place in places}:
             raise InputError("is also the name of the report", str(csv), "give another name with --csv or --report")
+    if curve_csv is not None:
+        if each:
+            raise InputError("--curve-csv with --each", "command line", "fit the runs one at a time")
+        table.refuse_foreign_file(curve_csv, files, table.CURVE)
+        if curve_csv.resolve() in {place.resolve() for place in (*places, *([] if csv is None else [csv]))}:
+            raise InputError("is also the name of another output", str(curve_csv), "give another name")
     if mass is not None and stiffness is not None:
         raise InputError("--mass and --stiffness together", "command line", "give one: the fit finds the other")
     options = job.FitOptions(
@@ -120,6 +130,11 @@ def fit(
         sides = done.ranking.runs or (done.ranking,)
         table.write(csv, [(path, side.as_json()) for path, side in zip(files, sides, strict=True)])
     ranking = done.ranking
+    if curve_csv is not None:
+        measured_curve = ranking.adequacy.curve
+        if measured_curve is None:
+            raise DataError("no friction curve could be measured", str(file), "leave out --curve-csv")
+        table.write_curve(curve_csv, measured_curve, ranking.adequacy.unit)
     counted = pooled(done.statistics)
     data = done.as_json() | {"report": places[0]}
     if ranking.runs:

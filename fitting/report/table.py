@@ -1,4 +1,4 @@
-"""The ranking as a table for other programs: comma-separated, a row for each run and law, parameters as columns."""
+"""Tables for other programs, comma-separated: the ranking, a row for each run and law; the measured friction curve."""
 
 import csv
 from collections.abc import Sequence
@@ -6,13 +6,36 @@ from pathlib import Path
 from typing import Any
 
 from daq.output import atomic
+from fitting.curve.result import MeasuredCurve
 
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 
 
-def refuse_foreign_file(path: Path, files: Sequence[Path]) -> None:
-    """Raise InputError when the table cannot go to ``path``: a folder, a run, a file that is no table of ours."""
-    atomic.refuse_existing(path, False, *files, own="file,law,name,", kind="ranking", flag="--csv")
+RANKING, CURVE = ("file,law,name,", "ranking", "--csv"), ("speed (m/s),", "friction curve", "--curve-csv")
+
+
+def refuse_foreign_file(path: Path, files: Sequence[Path], table: tuple[str, str, str] = RANKING) -> None:
+    """Raise InputError when a table cannot go to ``path``: a folder, a run, a file that is no such table of ours."""
+    own, kind, flag = table
+    atomic.refuse_existing(path, False, *files, own=own, kind=kind, flag=flag)
+
+
+def write_curve(path: Path, curve: MeasuredCurve, unit: str) -> None:
+    """Write friction against relative speed with its band, a row for each speed; an older table is replaced.
+
+    Parameters
+    ----------
+    path : Path
+    curve : MeasuredCurve
+    unit : str
+        Of its friction.
+    """
+    with atomic.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file)
+        out.writerow(["speed (m/s)", *(f"{name} ({unit})" for name in ("friction", "lo", "hi"))])
+        out.writerows(
+            zip(*(column.tolist() for column in (curve.speed, curve.friction, curve.lo, curve.hi)), strict=True)
+        )
 
 
 def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:

@@ -151,3 +151,22 @@ def test_a_strangers_table_and_the_run_itself_are_not_replaced(run, tmp_path):
         with pytest.raises(InputError, match=r"no ranking|own source"):
             cli.fit(run, csv=path)
     assert mine.read_text() == "mine"
+
+
+def test_the_measured_curve_is_a_table(run, tmp_path):
+    out = tmp_path / "curve.csv"
+    answer = cli.fit(run, laws="5", curve_csv=out, report=tmp_path / "curve.html")
+    curve = application.plain(answer.data)["adequacy"]["curve"]
+    with out.open() as file:
+        header, *rows = csv.reader(file)
+    assert header == ["speed (m/s)", *(f"{name} ({curve['unit']})" for name in ("friction", "lo", "hi"))]
+    columns = [[float(value) for value in column] for column in zip(*rows, strict=True)]
+    assert columns == [curve[name] for name in ("speed", "friction", "lo", "hi")]
+
+
+def test_a_foreign_file_is_not_replaced_by_the_curve(run, tmp_path):
+    mine = tmp_path / "mine.csv"
+    mine.write_text("my own table\n")
+    with pytest.raises(InputError, match="mine"):
+        cli.fit(run, laws="5", curve_csv=mine)
+    assert mine.read_text() == "my own table\n"
