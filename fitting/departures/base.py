@@ -51,11 +51,7 @@ class Base:
 
         A block has the mean residual and the mean derivatives of its samples, and the path is that at its middle.  Its
         position is what leaves that residual: the mean position of a curved path is not that at its middle.
-
-        Raises
-        ------
-        RuntimeError
-            When the path cannot be followed again.
+        Where the motion cannot be followed with these longer steps, all samples are kept.
         """
         whole = self.path.windows
         stride = max(1, round(self.trajectory.rate / BLOCK_HZ))
@@ -72,7 +68,7 @@ class Base:
         )
         path = follow(windows, self.path.curve, self.path.u, self.path.local)
         if path is None:
-            raise RuntimeError("a path that was followed before cannot be followed with longer steps")
+            return self
         linear = replace(
             self.linear,
             shared=blocks.mean(self.linear.shared),

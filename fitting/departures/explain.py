@@ -8,6 +8,7 @@ from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
 from fitting.departures.host import Host
+from fitting.departures.memory import suspect_memory
 from fitting.departures.refit import Refit, refit_with
 from fitting.departures.result import FoundDeparture
 from fitting.departures.strongest import Tested, describe, misfit_beyond_noise, strongest
@@ -55,7 +56,7 @@ def explain_misfit(
     tuple of FoundDeparture
         First where a law or the free curve describes the record together with it (``refitted``, ``law``): size and
         error are then those of that fit.  Else as tested, on the base of which the first explains more.  Where the
-        free curve describes the record by itself, that is the curve.
+        free curve describes the record by itself, that is the curve.  Memory comes before them where it is suspected.
     """
     law = base_of(fits[0], records, revolution)
     described = curve is not None and curve.chi < REACHED
@@ -70,7 +71,14 @@ def explain_misfit(
         if refit is not None:
             first = describe(refitted(one.tested[0], refit), records[0], 0.0)
             return (replace(first, explained=one.found[0].explained, refitted=True, law=refit.law), *one.found[1:])
-    return lists[0].found if lists else ()
+    found = lists[0].found if lists else ()
+    if curve is not None and not described:
+        base = Base.of(curve.linear, curve.spline_fit.path, records, revolution)
+        memory = suspect_memory(
+            base, max((one.found[0].explained for one in lists if one.curve is not None), default=0.0)
+        )
+        found = found if memory is None else (memory, *found)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from fitting.departures.base import Base
 from fitting.departures.departure import Departure
-from fitting.departures.scores import LEAST_KEPT
+from fitting.departures.scores import LEAST_KEPT, RIDGE
 
 CHUNK = 16  # scales at a time: the curvatures between all columns are made, and only those of one scale are used
 CLOSER = (-0.5, -0.25, 0.0, 0.25, 0.5)  # of the step between neighbours: where the best of a scan is looked at again
@@ -49,6 +49,7 @@ def _gains(base: Base, departure: Departure, scales: Array) -> Array:
     unit = 1 / np.sqrt(np.maximum(size, 1e-300))
     total = (found.total.reshape(shape) * unit)[kept]
     information = (information * unit[:, :, np.newaxis] * unit[:, np.newaxis])[kept]
+    information += RIDGE * np.eye(departure.columns)
     gain = np.zeros(scales.size)
     gain[kept] = 0.5 * np.sum(total * np.linalg.solve(information, total[:, :, np.newaxis])[:, :, 0], axis=1)
     return gain

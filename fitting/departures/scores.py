@@ -21,6 +21,7 @@ from fitting.estimation.linearised import LinearisedFit, Scores
 # err by 3e-6 of their size, so 1e-11 is rounding.  Quadratic drag, the least distinguishable beside a damping and a
 # law's shape, keeps 2e-7; at 1e-6 it was never found.
 LEAST_KEPT = 1e-9
+RIDGE = 1e-12  # of a curvature: two columns that do the same stay solvable, and no estimate changes by more
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,8 @@ def _score(found: Scores, own: slice) -> Score | None:
     statistic = float(np.sum(coefficients * _solve(jackknife, coefficients)))
     # Hotelling's T^2 of the n cycles
     log_p = float(fisher.logsf(statistic * (n - k) / (k * (n - 1)), k, n - k))
-    floor = np.sqrt(np.maximum(np.diag(np.linalg.inv(whole)) / np.maximum(np.diag(jackknife), 1e-300), 1.0))
+    noise = np.diag(_solve(whole, np.eye(k)))
+    floor = np.sqrt(np.maximum(noise / np.maximum(np.diag(jackknife), 1e-300), 1.0))
     return Score(
         coefficients=coefficients,
         covariance=jackknife * floor[:, np.newaxis] * floor,
@@ -105,6 +107,7 @@ def sigmas(log_p: float, trials: float = 1.0) -> float:
 
 
 def _solve(matrix: Array, right: Array) -> Array:
-    """Solve for one or two unknowns, in units of the diagonal."""
+    """Solve for one or two unknowns (k,), or for k columns, in units of the diagonal."""
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(scale * np.linalg.solve(matrix * scale[:, np.newaxis] * scale, scale * right))
+    scaled = matrix * scale[:, np.newaxis] * scale + RIDGE * np.eye(scale.size)
+    return np.asarray((scale * np.linalg.solve(scaled, (scale * right.T).T).T).T)

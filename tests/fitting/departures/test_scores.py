@@ -90,3 +90,10 @@ def test_of_equal_explanations_the_one_with_fewest_parameters_comes_first(base_o
     equal = [tested for tested in found if tested.score.gain > 0.96 * max(one.score.gain for one in found)]
     assert len(equal) > 1
     assert found[0].parameters == 1
+
+
+def test_two_columns_that_do_the_same_end_in_no_error(base_of):
+    base = base_of(scatter=0.03)
+    column = np.sin(np.arange(base.linear.residual.size) * 0.01)[:, np.newaxis]
+    found = score(base.linear, np.hstack([column, column]), [2])[0]
+    assert found is None or np.isfinite(found.gain)

@@ -1,0 +1,49 @@
+"""Memory: friction that depends on the recent history of the speed, as of LuGre and of rate-and-state models.
+
+No parameter is given.  Memory is suspected where not even a free function of speed describes the record, no departure
+of the table explains most of what it leaves over or is confirmed, and friction lags behind the speed: f(s(t - lag)),
+to first order f - lag f' ds/dt.  Sources: C. Canudas de Wit et al., IEEE Trans. Autom. Control 40 (1995) 419;
+J. R. Rice, A. L. Ruina, J. Appl. Mech. 50 (1983) 343.
+"""
+
+import math
+
+import numpy as np
+
+from fitting.departures.base import Base
+from fitting.departures.departure import Forcing
+from fitting.departures.result import FoundDeparture
+from fitting.departures.scores import score, sigmas
+from fitting.model.parameters import PER_RUN, Global
+
+# Of the misfit beyond the noise: a departure that explains more needs no memory beside it.  True departures explain 0.8
+# to 1; of LuGre contacts the best explained 0.35 and 0.65.
+MOST_EXPLAINED = 0.7
+LEAST_SIGMAS = 4.0
+
+
+def suspect_memory(base: Base, explained: float) -> FoundDeparture | None:
+    """Return memory as a departure without a parameter, None where nothing suggests it.
+
+    Parameters
+    ----------
+    base : Base
+        Of the free curve.
+    explained : float
+        Share of the free curve's misfit that the best departure explains.
+    """
+    if explained > MOST_EXPLAINED:
+        return None
+    tested = score(base.linear, base.respond([lag(base)]), [1])[0]
+    if tested is None or sigmas(tested.log_p) < LEAST_SIGMAS:
+        return None
+    text = "friction that remembers the recent history of the speed"
+    return FoundDeparture("memory", sigmas(tested.log_p), "", math.nan, math.nan, "", text, gain=tested.gain)
+
+
+def lag(base: Base) -> Forcing:
+    """Return what a lag of friction behind the speed, by 1 s, adds to the acceleration to first order."""
+    path = base.path
+    own = path.u.reshape(-1, PER_RUN)[path.run]
+    force = -own[:, Global.K] * base.trajectory.stretch - own[:, Global.DAMPING] * path.velocity + path.friction
+    return Forcing(acceleration=np.where(path.stuck, 0.0, path.friction_slope * force)[:, np.newaxis])

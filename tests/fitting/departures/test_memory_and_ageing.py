@@ -1,0 +1,51 @@
+"""Memory and ageing: what has no parameter of its own, and what the break-aways show."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from fitting.departures.ageing import find_ageing
+from fitting.departures.memory import suspect_memory
+from fitting.departures.result import FoundDeparture
+from fitting.estimation.result import BreakAway
+
+
+def break_aways(ratio, stick, scatter=0.002):
+    rng = np.random.default_rng(3)
+    times = 2.0 * np.arange(1, stick.size + 1)
+    events = [
+        BreakAway(number, float(t), float(one * (1 + scatter * rng.standard_normal())), 1.0, "")
+        for number, (t, one) in enumerate(zip(times, ratio, strict=True), start=1)
+    ]
+    cycles = [
+        SimpleNamespace(number=number, landing=t - s) for number, (t, s) in enumerate(zip(times, stick, strict=True))
+    ]
+    return events, SimpleNamespace(cycles=cycles)
+
+
+def test_a_level_above_that_of_slip_is_ageing_and_its_growth_is_seen():
+    stick = np.exp(np.random.default_rng(1).uniform(-1, 1, 20))
+    steady = find_ageing(*break_aways(np.full(20, 1.3), stick))
+    assert steady.value == pytest.approx(1.3, abs=0.005)
+    assert "grows" not in steady.text
+    growing = find_ageing(*break_aways(1.2 + 0.1 * np.log(stick), stick))
+    assert "grows" in growing.text
+
+
+def test_a_ratio_of_one_is_no_ageing():
+    stick = np.exp(np.random.default_rng(1).uniform(-1, 1, 20))
+    assert find_ageing(*break_aways(np.full(20, 1.007), stick)) is None
+    assert find_ageing(*break_aways(np.full(4, 1.3), stick[:4])) is None
+
+
+def test_a_contact_of_the_fitted_law_shows_no_memory(base_of):
+    assert suspect_memory(base_of(scatter=0.03), 0.0) is None
+
+
+def test_memory_has_no_number_in_the_document():
+    row = FoundDeparture("memory", 7.0, "", math.nan, math.nan, "", "").as_json()
+    assert row["parameter"] is None
+    assert row["value"] is None
+    assert row["stderr"] is None
