@@ -151,7 +151,7 @@ class BlockSmoother:
             if first <= last:
                 self._faults.append(Fault(first + low, last + low, fault.kind))
         if recording.raw is None:  # a board's sample numbers show where samples are missing
-            self._step_sums += frames.step_sums(data, own, sound.noise)
+            self._step_sums += frames.step_sums(sound.bridged, own, sound.noise)
         for loss in losses:
             if own.start <= loss.first < own.stop:
                 self._losses.append(replace(loss, first=loss.first + low, last=loss.last + low))
@@ -209,7 +209,7 @@ class BlockSmoother:
             "dropped_frames": counted.lost,
             "findings": (
                 *sensor_findings(faults, counted, self._samples),
-                *step_findings(self._losses, self._unit, repaired=self.repair == "fix"),
+                *step_findings(self._losses, counted, self._unit, repaired=self.repair == "fix"),
                 *self._drift(),
             ),
             "noise": noise,

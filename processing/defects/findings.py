@@ -43,10 +43,13 @@ def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int)
     return found
 
 
-def step_findings(steps: list[PositionStep], unit: str, *, repaired: bool) -> list[Finding]:
-    """Return the steps of the datum of a record without counts; those of a counted one are its lost counts."""
+def step_findings(steps: list[PositionStep], frames: FrameCount, unit: str, *, repaired: bool) -> list[Finding]:
+    """Return the steps of the datum of a record without counts; those of a counted one are its lost counts.
+
+    Where frames are lost or doubled among even times, each of them is a step of the position: none is of the datum.
+    """
     found = [step for step in steps if not step.counts]
-    if not found:
+    if not found or frames.lost or frames.doubled:
         return []
     largest = max(found, key=lambda step: abs(step.size)).size
     text = (
