@@ -14,8 +14,11 @@ from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputE
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from fitting.adequacy.result import Adequacy
     from fitting.batch import BatchRow
     from fitting.selection.result import Ranking
+
+MOST_FORMS = 4  # shown on the terminal; the document and the report have all
 
 app = application.application(
     "fit-friction", "Fit six friction laws to a recorded run and rank them.", "fit-friction run.h5 --report run.html"
@@ -190,7 +193,10 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
 
 
 def _text(ranking: "Ranking", statistics: list[str], places: list[Path], alpha: float) -> list[Any]:
-    lines: list[Any] = [_laws(ranking), _parameters(ranking, alpha)] if ranking.rows else []
+    # The last line is the verdict too: it is what a long output ends on, and what scripts read.
+    lines: list[Any] = [f"verdict: {ranking.verdict}"]
+    if ranking.rows:
+        lines += [_laws(ranking), _parameters(ranking, alpha), *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += statistics
     reports = ", ".join(map(str, places))
@@ -212,6 +218,38 @@ def _laws(ranking: "Ranking") -> "Table":
         member = "yes" if row.in_set else "-"
         table.add_row(f"{row.law} {row.name}", format_length(row.rms_m), behind, weight, member, style=style)
     return table
+
+
+def _adequacy(adequacy: "Adequacy") -> list[Any]:
+    """Return goodness of fit, the published forms of the measured curve, and the departures, in words."""
+    lines: list[Any] = []
+    found, curve = adequacy.goodness, adequacy.curve
+    if found is not None:
+        visible = adequacy.smallest_visible
+        seen = f"; smallest visible departure of friction: {visible:.2g} % of Fs" if visible is not None else ""
+        lines.append(
+            f"goodness of fit: {adequacy.verdict}; residuals {found.misfit:.3g} times the noise of "
+            f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p = {found.p_value:.2g}{seen}"
+        )
+    if curve is not None and not adequacy.adequate and adequacy.of_speed:
+        table = application.table("published forms of the measured curve", ("form", "chi", "inside band", "parameters"))
+        table.columns[0].justify = table.columns[3].justify = "left"
+        table.columns[0].overflow = "fold"
+        table.columns[0].no_wrap = table.columns[3].no_wrap = False
+        for form in curve.forms[:MOST_FORMS]:
+            values = ", ".join(f"{name} = {item.value:.4g} {item.unit}" for name, item in form.parameters.items())
+            table.add_row(form.name, f"{form.chi:.2f}", "yes" if form.inside_band else "-", values)
+        lines.append(table)
+    if adequacy.departures:
+        table = application.table(
+            "departures that would explain it", ("departure", "sigmas", "size", "std. error", "unit", "explained")
+        )
+        table.columns[0].justify = "left"
+        for one in adequacy.departures:
+            value, error = (f"{one.value:.4g}", f"{one.stderr:.2g}") if one.parameter else ("-", "-")
+            table.add_row(one.name, f"{one.sigmas:.1f}", value, error, one.unit, f"{100 * one.explained:.0f} %")
+        lines.append(table)
+    return lines
 
 
 def _parameters(ranking: "Ranking", alpha: float) -> "Table":

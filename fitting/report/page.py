@@ -10,10 +10,12 @@ from typing import Any
 from daq.errors import InputError
 from daq.output import atomic
 from daq.version import VERSION
+from fitting.adequacy.result import Adequacy
 from fitting.estimation.result import Parameter
 from fitting.report import plot
+from fitting.report.palette import COLOURS
 from fitting.selection.result import Ranking
-from fitting.selection.verdict import format_length
+from fitting.selection.verdict import format_length, format_probability
 from processing.record.kinematics import Kinematics
 from processing.statistics import from_kinematics
 
@@ -100,6 +102,9 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         events=[_event(event) for event in ranking.events],
         warnings=ranking.warnings,
         statistics=counted.rows(kinematics.unit),
+        adequacy=ranking.adequacy,
+        adequacy_facts=_adequacy_facts(ranking.adequacy),
+        forms=_forms(ranking.adequacy),
         pictures={name: Markup(text) for name, text in plot.draw(ranking, counted).items()},
         facts=[
             ("record", f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples"),
@@ -115,6 +120,48 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
     )
 
 
+def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
+    """Return goodness of fit as names and values."""
+    found = adequacy.goodness
+    if found is None:
+        return []
+    facts = [
+        ("verdict", adequacy.verdict),
+        ("noise of one position", format_length(found.noise_m)),
+        ("residuals of the best law", f"{found.misfit:.3g} times the noise"),
+        ("share that repeats in every cycle", f"{found.repeat:.2g}"),
+        ("probability by noise alone", format_probability(found.p_value).removeprefix("= ")),
+    ]
+    if adequacy.smallest_visible is not None:
+        facts.append(("smallest departure of friction to be seen", f"{adequacy.smallest_visible:.2g} % of Fs"))
+    if adequacy.curve is not None:
+        K = adequacy.curve.k_over_m
+        interval = f"{K.lo:.6g} … {K.hi:.6g}" if K.trusted else "interval withheld"
+        facts.append(("k/m of the measured curve", f"{K.value:.6g} s⁻² ({interval})"))
+        facts.append(("residuals of the measured curve", f"{adequacy.curve.chi:.3g} times the noise"))
+    return facts
+
+
+def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
+    """Return the published forms fitted to the measured curve, best first; none where the curve does not hold."""
+    if adequacy.curve is None or not adequacy.of_speed:
+        return []
+    return [
+        (
+            form.name,
+            form.formula,
+            ", ".join(
+                f"{name} = {item.value:.4g} ± {item.stderr:.2g} {_pretty(item.unit)}"
+                for name, item in form.parameters.items()
+            ),
+            f"{form.chi:.2f}",
+            "yes" if form.inside_band else "no",
+            form.source,
+        )
+        for form in adequacy.curve.forms
+    ]
+
+
 def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
     mean, half = row.behind
     return {
@@ -127,7 +174,7 @@ def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
         "behind": "best" if row.score == 0 else f"{mean:.2f} ± {half:.2f}",
         "orbit": f"{100 * row.orbit:.2g} %",
         "cpu": f"{row.cpu_s:.2f} s",
-        "colour": plot.COLOURS[row.law],
+        "colour": COLOURS[row.law],
     }
 
 

@@ -19,14 +19,12 @@ from matplotlib.ticker import NullFormatter
 
 from daq.compute.arrays import Array
 from fitting.data.cycles import Cycle
-from fitting.report import curves
+from fitting.report import adequacy_plot, curves
+from fitting.report.palette import COLOURS, INK, MEASURED
 from fitting.selection.result import Ranking
 from processing.plot import STYLE, break_aways
 from processing.statistics import StickSlipStatistics
 
-COLOURS = {1: "#56B4E9", 2: "#0072B2", 3: "#E69F00", 4: "#D55E00", 5: "#009E73", 6: "#CC79A7"}
-MEASURED = "#9a9a9a"
-INK = "#222222"
 RESOLUTION = 220  # dots per inch of the clouds, which are pictures inside the vector drawing
 PNG = re.compile(r"(?<=data:image/png;base64,)[A-Za-z0-9+/=\s]+")
 MOST_POINTS = 12_000
@@ -209,6 +207,12 @@ def draw(ranking: Ranking, counted: StickSlipStatistics) -> dict[str, str]:
     with mpl.rc_context(fname=str(STYLE)):
         shown = PICTURES if ranking.rows else (portrait,)
         drawn = {picture.__name__: svg(picture(ranking)) for picture in shown}
+        if ranking.rows:
+            drawn["orbits"] = svg(adequacy_plot.orbits(ranking))
+        if ranking.adequacy.curve is not None:
+            drawn["measured_curve"] = svg(adequacy_plot.measured_curve(ranking))
+        if ranking.adequacy.departures:
+            drawn["departures"] = svg(adequacy_plot.departures(ranking.adequacy))
         if counted.rows("m"):
             drawn["break_aways"] = svg(break_aways(counted, "m"))
     return drawn

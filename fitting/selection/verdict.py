@@ -4,9 +4,10 @@ import math
 from collections.abc import Sequence
 
 from fitting.adequacy.goodness import REJECTED
-from fitting.adequacy.result import Adequacy
+from fitting.adequacy.result import NONE_FITTED, Adequacy
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
+from fitting.departures.result import FoundDeparture
 from fitting.model.parameters import Global
 from fitting.model.problem import NARROWEST_RAMP
 from fitting.selection.result import LawResult
@@ -16,7 +17,6 @@ from rig_sim.friction.law import LAWS
 
 OTHER_SPEEDS = " or runs at other belt speeds"
 POOR_FIT = 0.003  # of the motion's range: five times what 12 % scatter, ripple and jitter leave over
-MOSTLY_REPEATED = 0.5  # share of the residuals' variance that repeats from cycle to cycle
 CLEARLY_ABOVE_NOISE = 1.1  # times the noise: a smaller excess is seen in what the residuals repeat, not in their size
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
@@ -87,35 +87,58 @@ def verdict_sentence(
 
 
 def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
-    """Return the verdict on a record that no law describes.
+    """Return the verdict on a record that no law describes: what friction does instead, and how far off the laws are.
 
     Parameters
     ----------
     rows : sequence of LawResult
         Best first.
     adequacy : Adequacy
-        Of the best law.
     """
     best = rows[0]
     named = f"law {best.law} ({best.name})"
-    what = (
-        "none of the six laws describes this record"
-        if len(rows) == len(LAWS)
-        else (
-            "none of the laws fitted describes this record"
-            if len(rows) > 1
-            else f"{named} does not describe this record"
-        )
-    )
-    closest = f"{named}, the closest," if len(rows) > 1 else "it"
-    left = f"leaves residuals of {format_length(best.rms_m)} rms"
-    found = adequacy.goodness
+    if len(rows) == 1:
+        head = f"{named} does not describe this record"
+    else:
+        which = "six laws" if adequacy.verdict != NONE_FITTED else "laws fitted"
+        head = f"none of the {which} describes this record"
+    parts = [part for part in (_instead(adequacy), _left_over(best, adequacy, len(rows))) if part]
+    return f"{head}: {'; '.join(parts)}"
+
+
+def _instead(adequacy: Adequacy) -> str:
+    """Return what the record shows instead of a law."""
+    departures, curve = adequacy.departures, adequacy.curve
+    strongest = f"strongest departure: {departures[0].text} ({_size(departures[0])})" if departures else ""
+    if adequacy.of_speed and curve is not None:
+        form = next((form for form in curve.forms if form.inside_band), None)
+        if form is not None:
+            values = ", ".join(f"{name} = {item.value:.3g} {item.unit}" for name, item in form.parameters.items())
+            return f"friction follows a curve of relative speed, {form.name.replace('-', ' ')} ({values})"
+        return strongest or "friction follows a curve of relative speed that is none of the published forms"
+    memory = "friction that remembers, or an effect that was not tested, is possible"
+    return f"no curve of relative speed on a constant spring describes it either; {strongest or memory}"
+
+
+def _size(departure: FoundDeparture) -> str:
+    sure = f"{departure.sigmas:.2g} standard deviations"
+    if not departure.parameter:
+        return sure
+    return f"{departure.parameter} = {departure.value:.3g} +- {departure.stderr:.2g} {departure.unit}, {sure}"
+
+
+def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
+    """Return how far the best law is from the record."""
+    named = f"law {best.law} ({best.name}), the closest," if laws > 1 else "it"
+    left = f"{named} leaves residuals of {format_length(best.rms_m)} rms"
+    found, outside = adequacy.goodness, best.outside_band
     if found is None:
-        return f"{what}: {closest} {left}"
-    same = ", and mostly the same in every cycle" if found.repeat > MOSTLY_REPEATED else ""
-    times = f", {found.misfit:.3g} times the noise" if found.misfit > CLEARLY_ABOVE_NOISE else ""
-    regular = " that are regular, not noise" if not times and not same else ""
-    return f"{what}: {closest} {left}{times}{same}{regular} (p {format_probability(found.p_value)})"
+        return left
+    times = f", {found.misfit:.3g} times the noise" if found.misfit > CLEARLY_ABOVE_NOISE else ", too regular for noise"
+    band = ""
+    if adequacy.of_speed and outside is not None and outside.half_widths > 1:
+        band = f", and leaves the measured band by {outside.half_widths:.2g} half-widths at {outside.speed:.2g} m/s"
+    return f"{left}{times}{band} (p {format_probability(found.p_value)})"
 
 
 def refused_sentence(reason: str, laws: Sequence[int]) -> str:

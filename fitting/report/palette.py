@@ -1,0 +1,5 @@
+"""Colours of the pictures."""
+
+COLOURS = {1: "#56B4E9", 2: "#0072B2", 3: "#E69F00", 4: "#D55E00", 5: "#009E73", 6: "#CC79A7"}
+MEASURED = "#9a9a9a"
+INK = "#222222"
