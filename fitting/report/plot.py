@@ -26,17 +26,18 @@ from processing.plot import STYLE, break_aways
 from processing.statistics import StickSlipStatistics
 
 RESOLUTION = 220  # dots per inch of the clouds, which are pictures inside the vector drawing
+SMALL_RESOLUTION = 120  # of small multiples: at the full one they are a quarter of the page's size
 PNG = re.compile(r"(?<=data:image/png;base64,)[A-Za-z0-9+/=\s]+")
 MOST_POINTS = 12_000
 
 
-def svg(figure: Figure) -> str:
+def svg(figure: Figure, resolution: int = RESOLUTION) -> str:
     """Return the figure as an ``<svg>`` element to stand inside a page: no prologue, no outside reference.
 
     Its clouds have 256 colours: a page of noisy points has 0.3 MB with them, 0.7 MB in full colour.
     """
     text = io.StringIO()
-    figure.savefig(text, format="svg", dpi=RESOLUTION, metadata={"Date": None, "Creator": None})
+    figure.savefig(text, format="svg", dpi=resolution, metadata={"Date": None, "Creator": None})
     drawn = text.getvalue()
     return PNG.sub(_in_few_colours, drawn[drawn.index("<svg") :])
 
@@ -208,7 +209,7 @@ def draw(ranking: Ranking, counted: StickSlipStatistics) -> dict[str, str]:
         shown = PICTURES if ranking.rows else (portrait,)
         drawn = {picture.__name__: svg(picture(ranking)) for picture in shown}
         if ranking.rows:
-            drawn["orbits"] = svg(adequacy_plot.orbits(ranking))
+            drawn["orbits"] = svg(adequacy_plot.orbits(ranking), SMALL_RESOLUTION)
         if ranking.adequacy.curve is not None:
             drawn["measured_curve"] = svg(adequacy_plot.measured_curve(ranking))
         if ranking.adequacy.departures:

@@ -22,7 +22,7 @@ def test_the_page_asks_nothing_of_the_network(page):
 
 def test_the_page_holds_verdict_pictures_and_every_law(page, ranked):
     assert ranked(law=5).verdict in page
-    assert page.count("<svg") == 7
+    assert page.count("<svg") == 9
     assert len(page.encode()) < 500_000
     for law in range(1, 7):
         assert f"</span>{law}</td>" in page
