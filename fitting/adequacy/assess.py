@@ -12,6 +12,7 @@ from fitting.adequacy.visible import smallest_visible
 from fitting.curve.measure import band_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
+from fitting.departures.explain import explain_misfit
 from fitting.departures.result import FoundDeparture
 from fitting.departures.strongest import score_departures
 from fitting.estimation.fit import Fit
@@ -82,7 +83,8 @@ def assess(
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FoundDeparture, ...] = ()
     if curve is not None and not adequate:
-        departures = _departures(chosen, curve, motions, noise, of_speed=of_speed)
+        others = [fit for fit in fits if fit is not chosen.fit]
+        departures = _departures(chosen, others, curve, motions, noise, of_speed=of_speed)
     visible = (
         (None,) * len(motions)
         if chosen.linearised is None
@@ -158,25 +160,29 @@ def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> Goo
 
 
 def _departures(
-    chosen: Judged, curve: MeasuredCurve, motions: Sequence[MeasuredMotion], noise: Array, *, of_speed: bool
+    chosen: Judged,
+    others: Sequence[Fit],
+    curve: MeasuredCurve,
+    motions: Sequence[MeasuredMotion],
+    noise: Array,
+    *,
+    of_speed: bool,
 ) -> tuple[FoundDeparture, ...]:
-    """Return what would explain the misfit: of the curve, or of the law where the curve hides it.
+    """Return what would explain the misfit: of law and curve, or of the law alone where the curve hides it.
 
     Drag and a weak guide are nearly functions of the relative speed.  A curve that is none of the published forms may
     be a law with such a departure; it is reported where it explains most of what the law leaves.
     """
     if not of_speed:
-        path, linear = curve.spline_fit.path, curve.linear
-    elif any(form.inside_band for form in curve.forms) or chosen.linearised is None:
+        return explain_misfit([chosen.fit, *others], motions, float(np.max(noise)), curve=curve)
+    if any(form.inside_band for form in curve.forms) or chosen.linearised is None:
         return ()
-    else:
-        fit, linear = chosen.fit, chosen.linearised
-        followed = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
-        if followed is None:
-            return ()
-        path = followed
+    fit, linear = chosen.fit, chosen.linearised
+    path = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
+    if path is None:
+        return ()
     owner = np.repeat(path.windows.table[:, 5], path.windows.table[:, 3])
     found = score_departures(linear, path, motions, noise=noise[owner])
-    if of_speed and found and found[0].explained < MOSTLY_EXPLAINED:
+    if found and found[0].explained < MOSTLY_EXPLAINED:
         return ()
     return found
