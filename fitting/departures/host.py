@@ -92,7 +92,7 @@ class Host:
         u[list(self.places)] = shared[:count]
         curve = self.curve
         if self.basis is not None:
-            curve = with_coefficients(curve, self.basis.coefficients(shared[count:]))
+            curve = with_coefficients(curve, self.basis.coefficients(shared))
         return parameters.copy_shared(u), curve
 
     def columns(self, path: Path) -> Array:
@@ -100,5 +100,6 @@ class Host:
         found = shared_tangents(path, self.places)
         if self.basis is None:
             return found
-        bend = np.einsum("ni,ij->nj", spline_tangents(path), self.basis.matrix)
-        return np.concatenate([found, bend], axis=1)
+        bend = np.einsum("ni,ij->nj", spline_tangents(path), self.basis.slopes)
+        bend[:, : found.shape[1]] += found
+        return np.asarray(bend)

@@ -109,7 +109,11 @@ def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
 def _instead(adequacy: Adequacy) -> str:
     """Return what the record shows instead of a law."""
     departures, curve = adequacy.departures, adequacy.curve
-    strongest = f"strongest departure: {departures[0].text} ({_size(departures[0])})" if departures else ""
+    strongest = ""
+    if departures:
+        first = departures[0]
+        host = f"law {first.law} describes it together with" if first.refitted and first.law else "strongest departure:"
+        strongest = f"{host} {first.text} ({_size(first)})"
     if adequacy.of_speed and curve is not None:
         form = next((form for form in curve.forms if form.inside_band), None)
         if form is not None:
