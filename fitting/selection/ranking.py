@@ -211,8 +211,9 @@ def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     """Return whether laws 1 and 2 leave more of a motion without sustained sticks than noise does."""
     if not fits or evidence.rules_out_constant_friction(fits, runs):
         return True
-    grazing = all(run.cut.starts_at_rest for run in runs)  # else it may be a sine, which is refused
-    return grazing and not describes(fits, [run.motion for run in runs])
+    # A record that may be a sine is refused elsewhere, and of several runs the drags of all decide.
+    alone = len(runs) == 1 and runs[0].cut.starts_at_rest
+    return alone and not describes(fits, [run.motion for run in runs])
 
 
 def _without_law(
