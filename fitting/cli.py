@@ -241,9 +241,8 @@ def _adequacy(adequacy: "Adequacy") -> list[Any]:
             table.add_row(form.name, f"{form.chi:.2f}", "yes" if form.inside_band else "-", values)
         lines.append(table)
     if adequacy.departures:
-        table = application.table(
-            "departures that would explain it", ("departure", "sigmas", "size", "std. error", "unit", "explained")
-        )
+        title = "beside the law" if adequacy.adequate else "departures that would explain it"
+        table = application.table(title, ("departure", "sigmas", "size", "std. error", "unit", "explained"))
         table.columns[0].justify = "left"
         for one in adequacy.departures:
             value, error = (f"{one.value:.4g}", f"{one.stderr:.2g}") if one.parameter else ("-", "-")

@@ -33,7 +33,7 @@ class Adequacy:
     curve : MeasuredCurve or None
         Friction against relative speed without a law, in newtons where mass or stiffness is known.
     curve_goodness : GoodnessOfFit or None
-        Of the curve, where it was judged because no law is adequate.
+        Of the curve, where it was judged: no law is adequate, or it leaves far more than the noise.
     outside_band : mapping of int to BandExit
         Where each law leaves the curve's band the furthest.
     unit : str

@@ -7,8 +7,8 @@ import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
 from fitting.data.frame import MeasuredMotion
-from fitting.departures.departure import Forcing
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.shooting import ShootingWindows
 from fitting.sensitivity.path import Path, follow
@@ -25,7 +25,7 @@ class Base:
     ----------
     linear : LinearisedFit
     path : Path
-    trajectory : Trajectory
+    trajectory : FittedMotion
     counted : (N,) bool
         False for the first sample of a window of blocks, where residual and derivatives are 0.
     block : int
@@ -34,7 +34,7 @@ class Base:
 
     linear: LinearisedFit
     path: Path
-    trajectory: Trajectory
+    trajectory: FittedMotion
     counted: Mask
     block: int = 1
 
@@ -43,7 +43,7 @@ class Base:
         cls, linear: LinearisedFit, path: Path, records: Sequence[MeasuredMotion], revolution: float | None = None
     ) -> "Base":
         """Read a path; ``revolution`` is the travel per revolution of the encoder, m, where the calibration has it."""
-        trajectory = Trajectory.from_path(path, records, linear.residual, revolution)
+        trajectory = FittedMotion.from_path(path, records, linear.residual, revolution)
         return cls(linear, path, trajectory, np.ones(linear.residual.size, np.bool_))
 
     def thinned(self) -> "Base":
@@ -77,7 +77,7 @@ class Base:
             rows=blocks.rows,
             weights=self.linear.weights * stride,
         )
-        trajectory = Trajectory.from_path(path, self.trajectory.records, linear.residual, self.trajectory.revolution)
+        trajectory = FittedMotion.from_path(path, self.trajectory.records, linear.residual, self.trajectory.revolution)
         return Base(linear, path, trajectory, blocks.first >= 0, stride)
 
     def respond(self, forcings: Sequence[Forcing]) -> Array:

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from fitting.departures.base import Base
-from fitting.departures.departure import Forcing
+from fitting.departures.definition.departure import Forcing
 from fitting.departures.result import FoundDeparture
 from fitting.departures.scores import score, sigmas
 from fitting.model.parameters import PER_RUN, Global

@@ -14,10 +14,10 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.departures.base import Base
-from fitting.departures.departure import Departure, Forcing
+from fitting.departures.definition.departure import Departure, Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.departures.host import Host
 from fitting.departures.scores import Score, score
-from fitting.departures.trajectory import Trajectory
 from fitting.estimation import levenberg_marquardt
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.linearised import LinearisedFit
@@ -289,7 +289,7 @@ class _Model:
         if path is None:
             return None
         known = self._base.trajectory
-        trajectory = Trajectory.from_path(path, known.records, path.residual, known.revolution)
+        trajectory = FittedMotion.from_path(path, known.records, path.residual, known.revolution)
         residual = path.residual
         reading = self._departure.forcing(trajectory, unknowns.scale).reading
         if reading is not None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.departures.base import Base
-from fitting.departures.departure import Departure
+from fitting.departures.definition.departure import Departure
 from fitting.departures.scores import LEAST_KEPT, RIDGE
 
 CHUNK = 16  # scales at a time: the curvatures between all columns are made, and only those of one scale are used

@@ -10,7 +10,7 @@ from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
-from fitting.departures.departure import Departure
+from fitting.departures.definition.departure import Departure
 from fitting.departures.result import FoundDeparture, Scale
 from fitting.departures.scan import best_scale
 from fitting.departures.scores import Score, score, sigmas
@@ -18,8 +18,8 @@ from fitting.departures.table import departures
 from fitting.estimation.linearised import LinearisedFit
 from fitting.sensitivity.path import Path
 
-# Least standard deviations and least fall of the cost of a departure that is reported.  Of 36 records that one of the
-# six laws describes, the best of all departures reached a gain of 6.
+# Least standard deviations and least fall of the cost of a departure that is reported.  On six records that one of
+# the six laws describes, the best of all departures reached a gain of 6.
 LEAST_SIGMAS, LEAST_GAIN = 4.0, 12.0
 # Of the whole cost: a departure that explains less is not reported.  Rounding to counts is not white; a free curve that
 # describes a record leaves patterns of counts, of which a belt ripple of 7 um/s explained 0.4 %.

@@ -16,6 +16,7 @@ from fitting.adequacy.assess import assess, describes
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.data import cycles, frame, ripple
 from fitting.data.frame import MeasuredMotion
+from fitting.departures.ageing import find_ageing
 from fitting.estimation import break_aways, derived, search
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
@@ -130,7 +131,7 @@ def rank(
         return _without_law(refused.reason, laws, runs, records, begun)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
-    assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha)
+    assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha, _revolution(records))
     adequate = assessed.together.adequate
     outside = assessed.together.outside_band
     tables = [
@@ -155,6 +156,9 @@ def rank(
         findings = (*record.findings, *contradicted)
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, findings, sustained=sustained)
         adequacy = assessed.runs[number]
+        aged = find_ageing(events, run.cut) if adequate else None
+        if aged is not None:
+            adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
         side = Ranking(words, chosen.members, own, events, said, run.motion, run.cut, adequacy, findings=findings)
         sides.append(side)
     cpu_s = clock.process_time() - begun
@@ -175,6 +179,15 @@ def rank(
         findings=tuple(finding for side in sides for finding in side.findings),
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
     )
+
+
+def _revolution(records: Sequence[Kinematics]) -> float | None:
+    """Return the travel per revolution of the encoder, m, where the runs have the same; None otherwise."""
+    found = set()
+    for record in records:
+        pitch, counts = record.recording.rig.metres_per_count, record.recording.rig.counts_per_revolution
+        found.add(None if pitch is None or counts is None else abs(pitch.value) * counts)
+    return found.pop() if len(found) == 1 else None
 
 
 def _fit(

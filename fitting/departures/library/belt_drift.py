@@ -5,11 +5,11 @@ a in 1/s, relative to the speed in the middle of the record.  Each run of a join
 
 import numpy as np
 
-from fitting.departures.departure import Departure, Forcing
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 
-def forcing(trajectory: Trajectory, _: float) -> Forcing:
+def forcing(trajectory: FittedMotion, _: float) -> Forcing:
     """Return v_b (t - t_mid)."""
     change = trajectory.belt_speed * trajectory.elapsed
     return Forcing(belt_speed=change[:, np.newaxis])

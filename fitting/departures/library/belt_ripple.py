@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.departures.departure import Departure, Forcing, harmonic
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing, harmonic
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 SLOWEST_HZ, FASTEST_HZ = 0.2, 25.0  # as for the ripple that is fitted
 GRID_HZ = 100.0  # rate at which the residuals are averaged
@@ -21,12 +21,12 @@ FEWEST = 4  # sticks
 PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
 
 
-def forcing(trajectory: Trajectory, hertz: float) -> Forcing:
+def forcing(trajectory: FittedMotion, hertz: float) -> Forcing:
     """Return sine and cosine of the ripple."""
     return Forcing(belt_speed=harmonic(2 * math.pi * hertz * trajectory.time))
 
 
-def frequencies(trajectory: Trajectory) -> Array:
+def frequencies(trajectory: FittedMotion) -> Array:
     """Return the strongest frequencies of the residuals in stick, Hz, each between its neighbours."""
     window, time = trajectory.window[trajectory.samples], trajectory.time[trajectory.samples]
     bins, left = [], []

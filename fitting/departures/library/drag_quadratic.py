@@ -7,11 +7,11 @@ another form, show it.  Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1
 
 import numpy as np
 
-from fitting.departures.departure import Departure, Forcing
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 
-def forcing(trajectory: Trajectory, _: float) -> Forcing:
+def forcing(trajectory: FittedMotion, _: float) -> Forcing:
     """Return -v |v|."""
     v = trajectory.velocity[:, np.newaxis]
     return Forcing(acceleration=-v * np.abs(v))

@@ -7,19 +7,19 @@ else it is scanned.  Source: encoder makers' notes on eccentricity error; the fi
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.departures.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 SMALLEST = 0.04  # of the travel: a smaller wheel would turn 25 times in a slip
 
 
-def forcing(trajectory: Trajectory, revolution: float) -> Forcing:
+def forcing(trajectory: FittedMotion, revolution: float) -> Forcing:
     """Return sine and cosine of the wheel's angle at each sample."""
     angle = speed_of_wave(revolution) * trajectory.position[trajectory.samples]
     return Forcing(reading=harmonic(angle))
 
 
-def revolutions(trajectory: Trajectory) -> Array:
+def revolutions(trajectory: FittedMotion) -> Array:
     """Return the length of one revolution, m: the calibrated one, or those up to the travel."""
     if trajectory.revolution is not None:
         return np.array([trajectory.revolution])

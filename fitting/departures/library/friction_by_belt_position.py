@@ -5,20 +5,20 @@ What changes from one slip to the next only is a scatter of the friction level; 
 """
 
 from daq.compute.arrays import Array
-from fitting.departures.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 SHORTEST = 0.7  # of the way between mass and belt in a cycle: a shorter belt turns more than once in a cycle
 LONGEST = 0.7  # of the way in the whole record: a place that does not come back is wear
 
 
-def forcing(trajectory: Trajectory, length: float) -> Forcing:
+def forcing(trajectory: FittedMotion, length: float) -> Forcing:
     """Return the friction times sine and cosine of the place on the belt."""
     phase = speed_of_wave(length) * (trajectory.belt_position - trajectory.position)
     return Forcing(acceleration=harmonic(phase, trajectory.friction))
 
 
-def lengths(trajectory: Trajectory) -> Array:
+def lengths(trajectory: FittedMotion) -> Array:
     """Return lengths of belts, m."""
     way = trajectory.belt_way
     return spaced(SHORTEST * way / trajectory.cycles, LONGEST * way, way)

@@ -5,19 +5,19 @@ tracks, as in E. Rabinowicz, Friction and Wear of Materials, 1995, ch. 4.
 """
 
 from daq.compute.arrays import Array
-from fitting.departures.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 SMALLEST = 0.08  # of the travel: what repeats more often in a slip averages out
 
 
-def forcing(trajectory: Trajectory, wavelength: float) -> Forcing:
+def forcing(trajectory: FittedMotion, wavelength: float) -> Forcing:
     """Return the friction times sine and cosine of the place."""
     phase = speed_of_wave(wavelength) * trajectory.position
     return Forcing(acceleration=harmonic(phase, trajectory.friction))
 
 
-def wavelengths(trajectory: Trajectory) -> Array:
+def wavelengths(trajectory: FittedMotion) -> Array:
     """Return wavelengths up to the travel, m."""
     return spaced(SMALLEST * trajectory.travel, trajectory.travel, trajectory.travel)
 

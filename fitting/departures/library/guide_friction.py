@@ -7,15 +7,15 @@ modelled.  Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automati
 
 import numpy as np
 
-from fitting.departures.departure import Departure, Forcing
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 # Of the largest velocity: a sample's change of velocity is 1 %, so a narrower turn is none that a step sees; ten times
 # as wide, the kink at v = 0 by which the guide is recognised is lost.
 TURN = 0.005
 
 
-def forcing(trajectory: Trajectory, _: float) -> Forcing:
+def forcing(trajectory: FittedMotion, _: float) -> Forcing:
     """Return -sign(v), as a tanh."""
     width = TURN * float(np.max(np.abs(trajectory.velocity)))
     return Forcing(acceleration=-np.tanh(trajectory.velocity[:, np.newaxis] / width))

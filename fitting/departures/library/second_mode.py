@@ -8,14 +8,14 @@ shifts in phase.  Source: J. P. Den Hartog, Mechanical Vibrations, 1956, ch. 3 (
 
 import cmath
 import math
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
-from fitting.departures.departure import Departure, Forcing
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 DAMPING = 0.01  # of the critical one
 SLOWEST, FASTEST = 1.5, 15.0  # times the main spring's frequency: slower is a second spring, faster moves with the mass
@@ -23,7 +23,7 @@ STEP = 0.012  # of the frequency: about half the width of the resonance
 DRIVE_S = 4e-3  # s: for so long the acceleration is held; at the fastest mode a tenth of its period
 
 
-def forcing(trajectory: Trajectory, omega: float) -> Forcing:
+def forcing(trajectory: FittedMotion, omega: float) -> Forcing:
     """Return what a mass of 1 (times the first) pulls with, in phase and a quarter turn later, m/s^2."""
     out = np.empty((trajectory.time.size, 2))
     for own, record in zip(trajectory.rows_of_runs, trajectory.records, strict=True):
@@ -36,7 +36,7 @@ def forcing(trajectory: Trajectory, omega: float) -> Forcing:
     return Forcing(acceleration=out)
 
 
-def frequencies(trajectory: Trajectory) -> Array:
+def frequencies(trajectory: FittedMotion) -> Array:
     """Return angular frequencies that the samples can show, rad/s."""
     interval = max(float(np.median(np.diff(record.time))) for record in trajectory.records)
     main = math.sqrt(trajectory.K)
@@ -44,7 +44,7 @@ def frequencies(trajectory: Trajectory) -> Array:
     return np.asarray(np.exp(np.arange(math.log(SLOWEST * main), math.log(fastest), STEP)))
 
 
-@cache
+@lru_cache(maxsize=8)  # one a run: every frequency uses the same drive
 def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
     """Return times and mean accelerations, m/s^2, of steps of about `DRIVE_S`; shapes (n,)."""
     interval = float(np.median(np.diff(record.time)))

@@ -6,11 +6,11 @@ it pushes has none.  Source: A. H. Nayfeh, D. T. Mook, Nonlinear Oscillations, 1
 
 import numpy as np
 
-from fitting.departures.departure import Departure, Forcing
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 
-def forcing(trajectory: Trajectory, _: float) -> Forcing:
+def forcing(trajectory: FittedMotion, _: float) -> Forcing:
     """Return -z^3."""
     return Forcing(acceleration=-(trajectory.stretch[:, np.newaxis] ** 3))
 

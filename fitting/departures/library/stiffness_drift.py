@@ -5,11 +5,11 @@ a in 1/s, relative to the stiffness in the middle of the record.  Each run of a 
 
 import numpy as np
 
-from fitting.departures.departure import Departure, Forcing
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.departure import Departure, Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 
-def forcing(trajectory: Trajectory, _: float) -> Forcing:
+def forcing(trajectory: FittedMotion, _: float) -> Forcing:
     """Return -K z (t - t_mid)."""
     change = -trajectory.K * trajectory.stretch * trajectory.elapsed
     return Forcing(acceleration=change[:, np.newaxis])

@@ -15,7 +15,7 @@ from fitting.sensitivity.path import Path
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class FittedMotion:
     """A fitted motion; M stage points, N samples.
 
     Attributes
@@ -67,7 +67,7 @@ class Trajectory:
     @classmethod
     def from_path(
         cls, path: Path, records: Sequence[MeasuredMotion], residual: Array, revolution: float | None = None
-    ) -> "Trajectory":
+    ) -> "FittedMotion":
         """Read a path along the windows of ``records``, with ``residual`` (N,) at its samples."""
         runs = [parameters.values(own) for own in path.u.reshape(-1, PER_RUN)]
         belt, middle = np.empty(path.time.size), np.empty(path.time.size)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.departures.trajectory import Trajectory
+from fitting.departures.definition.fitted_motion import FittedMotion
 
 
 class Forcing(NamedTuple):
@@ -57,11 +57,11 @@ class Departure:
     text: str
     parameter: str
     unit: str
-    forcing: Callable[[Trajectory, float], Forcing]
+    forcing: Callable[[FittedMotion, float], Forcing]
     columns: int = 1
     scale: str = ""
     scale_unit: str = ""
-    scales: Callable[[Trajectory], Array] | None = None
+    scales: Callable[[FittedMotion], Array] | None = None
     with_mass: tuple[str, str] | None = None
 
 

@@ -1,0 +1,1 @@
+"""What a departure is, and the fitted motion that it reads."""
