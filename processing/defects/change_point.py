@@ -12,6 +12,7 @@ import numpy as np
 from daq.compute.arrays import Array
 
 ROUNDED = 1 / 12  # counts^2: the mean square of rounding to whole counts; no model explains more
+TINY = 1e-300  # a determinant of two changes outside the samples, whose coefficients are then 0
 RIDGE = 1e-9  # of a column's own square: keeps pairs of nearly equal columns solvable, far below what a test compares
 
 
@@ -64,7 +65,7 @@ class ChangeModels:
         columns = self.columns[:, 0]
         own = np.einsum("mn,mn->m", columns, columns) * (1 + RIDGE)
         beside, square = columns @ other, float(other @ other) * (1 + RIDGE)
-        shared = own * square - beside**2
+        shared = np.maximum(own * square - beside**2, TINY)
         product, wanted = columns @ y, float(other @ y)
         size = (own * wanted - beside * product) / shared
         corner = (square * product - beside * wanted) / shared

@@ -236,7 +236,7 @@ def test_nobody_is_asked_to_do_anything_before_the_request_is_known_to_be_possib
     # The prompt to leave the mass alone, or to pull it aside, used to come first.
     assert application.run(app, arguments) == code
     err = capsys.readouterr().err
-    assert "mass" not in err
+    assert "the mass" not in err
     assert err.count("\n") == 1
 
 
