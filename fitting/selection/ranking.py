@@ -291,8 +291,7 @@ def _run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     if beyond and cut.cycles:
         what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
         raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
-    # A mass that merely grazes the belt shows too little of it: noise there passed for ripple.
-    found = ripple.find_ripple(motion, cut) if cut.plateau_fraction >= SUSTAINED else None
+    found = ripple.find_ripple(motion, cut)
     if found is not None:
         cut = cycles.segment_cycles(found.removed(motion), excluded)
     return Run(motion, cut, found)

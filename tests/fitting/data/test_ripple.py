@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fitting.data import cycles, frame, ripple
-from fitting.selection import ranking
 from fitting.selection.ranking import rank
 
 HERTZ, AMPLITUDE = 2.3, 0.0044
@@ -93,9 +92,3 @@ def test_break_aways_from_a_belt_that_ripples_carry_its_ripple(rippled, law):
     assert [event.break_away_level / event.kinetic_scale for event in events] == pytest.approx(
         [1.0] * len(events), abs=3e-3
     )
-
-
-def test_no_ripple_is_looked_for_where_the_mass_merely_grazes_the_belt(motion_of, monkeypatch):
-    # Ripple of 5 % at 11 Hz was found in a track of constant friction, which was then refused: sticks of many speeds.
-    monkeypatch.setattr(ranking.ripple, "find_ripple", lambda motion, cut: pytest.fail("looked for ripple"))
-    assert ranking._run(motion_of(law=1), frozenset()).ripple is None
