@@ -51,12 +51,8 @@ def test_what_runs_share_stands_once_and_the_rest_is_their_own():
     assert spread[1, Global.V_DR] == PER_RUN + Global.V_DR
 
 
-# The true law is first, but goodness of fit rejects laws 3 and 4 in joint fits at three belt speeds.
-REJECTED = pytest.mark.xfail(reason="goodness of fit rejects the true law in this joint fit")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [pytest.param(3, marks=REJECTED), pytest.param(4, marks=REJECTED), 5, 6])
+@pytest.mark.parametrize("law", [3, 4, 5, 6])
 def test_three_belt_speeds_put_the_true_law_first(runs_of, law):
     ranking = rank(runs_of(law, 2))
     assert ranking.best.law == law
