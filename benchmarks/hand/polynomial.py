@@ -1,6 +1,7 @@
 """Series of a slip in one flat buffer, as the kernels by hand use them: step, changes, first root on a level.
 
-The algorithm is the engine's (`rig_sim.integrate.taylor`), which explains it; the series of w begins at 0.
+The algorithm is the engine's (`rig_sim.integrate.taylor`, `rig_sim.integrate.polynomial`), which explains it; the
+series of w begins at 0.
 """
 
 import math

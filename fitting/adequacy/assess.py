@@ -17,7 +17,6 @@ from fitting.departures.result import FoundDeparture
 from fitting.departures.strongest import score_departures
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
-from fitting.sensitivity.path import follow, law_curve
 
 NUMBER_OF_LAWS = 6
 # Of the misfit of a law.  Drag and weak guides explain 0.84 to 1.0 of it, wrong departures of other truths up to 1.0:
@@ -91,8 +90,9 @@ def assess(
     noise = np.array([own.noise_m for own in chosen.slips])
     curve = measure_curve([chosen.fit, *(fit for fit in fits if fit is not chosen.fit)], noise, alpha)
     adequate = chosen.describes
-    judged = curve is not None and (not adequate or curve.chi > MISSED)
-    curve_goodness = _judge_curve(curve, motions) if judged and curve is not None else None
+    curve_goodness = None
+    if curve is not None and not (adequate and curve.chi <= MISSED):
+        curve_goodness = _judge_curve(curve, motions)
     of_speed = curve is not None and (curve_goodness is None or curve_goodness.adequate)
     if adequate:
         outcome = ADEQUATE
@@ -199,7 +199,7 @@ def _departures(
     if any(form.inside_band for form in curve.forms) or chosen.linearised is None:
         return ()
     fit, linear = chosen.fit, chosen.linearised
-    path = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
+    path = fit.path()
     if path is None:
         return ()
     owner = np.repeat(path.windows.table[:, 5], path.windows.table[:, 3])

@@ -19,7 +19,6 @@ from fitting.adequacy.goodness import REJECTED, RunSlips, least
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.parameters import PER_RUN, Global
-from fitting.sensitivity.path import follow, law_curve
 from fitting.sensitivity.tangents import tangents
 
 PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
@@ -57,7 +56,7 @@ def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSli
 
 def departure_waves(fit: Fit) -> Array | None:
     """Return the answer of the positions to waves of the friction as large as itself, shape (N, waves), m."""
-    path = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
+    path = fit.path()
     if path is None or not path.slips.any():
         return None
     F = np.exp(path.u.reshape(-1, PER_RUN)[path.run, Global.LOG_F])

@@ -360,8 +360,7 @@ def _usual_chi(task: LeastSquaresProblem, solution: Solution) -> float:
 def _reweighted(fit: Fit, task: LeastSquaresProblem, solution: Solution) -> LeastSquaresProblem:
     """Return the task with less weight on cycles that fit worse than the others, and the levels' scatter as found."""
     chi = _cycle_chi(task, solution)
-    excess = chi / max(_usual_chi(task, solution), 1.0)
-    weight = np.minimum(2 / (1 + excess**2), 1.0)
+    weight = trajectory.cycle_weights(chi, max(_usual_chi(task, solution), 1.0))
     precision = task.local_precision.copy()
     inlier = weight > INLIER
     scatter = _scatter(fit, solution.local[inlier] if inlier.sum() > 1 else solution.local)

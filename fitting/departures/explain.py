@@ -14,7 +14,6 @@ from fitting.departures.result import FoundDeparture
 from fitting.departures.strongest import Tested, describe, misfit_beyond_noise, strongest
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
-from fitting.sensitivity.path import follow, law_curve
 
 # Usual error of a cycle over the noise, below which a law with a departure describes the record.  True departures end
 # at 0.99 to 1.02; a wrong one that comes near, friction by position for a hard spring, at 1.1.
@@ -58,11 +57,12 @@ def explain_misfit(
         error are then those of that fit.  Else as tested, on the base of which the first explains more.  Where the
         free curve describes the record by itself, that is the curve.  Memory comes before them where it is suspected.
     """
-    law = base_of(fits[0], records, revolution)
     described = curve is not None and curve.chi < REACHED
-    lists = [] if law is None or described else [_list(law, records, noise)]
-    if curve is not None:
-        lists.append(_list(Base.of(curve.linear, curve.spline_fit.path, records, revolution), records, noise, curve))
+    law = None if described else base_of(fits[0], records, revolution)
+    free = None if curve is None else Base.of(curve.linear, curve.spline_fit.path, records, revolution)
+    lists = [] if law is None else [_list(law, records, noise)]
+    if free is not None:
+        lists.append(_list(free, records, noise, curve))
     lists = sorted((one for one in lists if one.tested), key=lambda one: -one.found[0].explained)
     for one in lists:
         refit = confirm(one.tested[0], fits, records, noise, revolution)
@@ -72,11 +72,9 @@ def explain_misfit(
             first = describe(refitted(one.tested[0], refit), records[0], 0.0)
             return (replace(first, explained=one.found[0].explained, refitted=True, law=refit.law), *one.found[1:])
     found = lists[0].found if lists else ()
-    if curve is not None and not described:
-        base = Base.of(curve.linear, curve.spline_fit.path, records, revolution)
-        memory = suspect_memory(
-            base, max((one.found[0].explained for one in lists if one.curve is not None), default=0.0)
-        )
+    if free is not None and not described:
+        explained = max((one.found[0].explained for one in lists if one.curve is not None), default=0.0)
+        memory = suspect_memory(free, explained)
         found = found if memory is None else (memory, *found)
     return found
 
@@ -137,7 +135,7 @@ def refitted(tested: Tested, refit: Refit) -> Tested:
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:
     """Linearise the fit of a law; None where the motion cannot be followed beside its solution."""
     linear = LinearisedFit.at(fit)
-    path = follow(fit.windows, law_curve(fit.problem.curve, fit.problem.ramp), fit.u, fit.local)
+    path = fit.path()
     if linear is None or path is None or not math.isfinite(linear.cost):
         return None
     return Base.of(linear, path, records, revolution)

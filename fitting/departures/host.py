@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.curve.coordinates import CurveCoordinates
-from fitting.curve.spline_fit import SplineFit
+from fitting.curve.spline_fit import BESIDE_BELT, SplineFit
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.trajectory import least_squares
@@ -14,8 +14,6 @@ from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, law_curve, with_coefficients
-
-BESIDE_BELT = 0.9995  # of the belt's speed: largest velocity at which a slip may start (`fitting.curve.spline_fit`)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from fitting.departures.scores import Score, score
 from fitting.estimation import levenberg_marquardt
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.trajectory import cycle_weights
 from fitting.model.parameters import PerCycle
 from fitting.sensitivity.columns import local_tangents
 from fitting.sensitivity.path import Curve, Path, follow
@@ -192,8 +193,7 @@ class _Model:
         """Return weights of the cycles, less than 1 for one that fits far worse than the others, as in a law's fit."""
         linear = self._near.linear
         rms = np.array([math.sqrt(float(np.mean(linear.residual[rows] ** 2))) for rows in linear.rows])
-        excess = rms / max(float(np.median(rms)), self.noise(noise))
-        return np.minimum(2 / (1 + excess**2), 1.0)
+        return cycle_weights(rms, max(float(np.median(rms)), self.noise(noise)))
 
     @property
     def rows(self) -> tuple[slice, ...]:

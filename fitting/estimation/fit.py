@@ -13,6 +13,7 @@ from fitting.model import parameters
 from fitting.model.parameters import NUISANCE, PER_RUN, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows
+from fitting.sensitivity.path import Path, follow, law_curve
 
 DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear
 LEAST_FADE_SD = 1e-6  # 1/s
@@ -142,6 +143,10 @@ class Fit:
     def runs(self) -> int:
         """How many runs were fitted together."""
         return self.u.size // PER_RUN
+
+    def path(self) -> Path | None:
+        """Follow the fitted motion along the windows, for tangents; None where it cannot be followed."""
+        return follow(self.windows, law_curve(self.problem.curve, self.problem.ramp), self.u, self.local)
 
     def level_trend(self, run: int = 0) -> wear.Wear | None:
         """Return the line through the friction levels of one run's inlier cycles (`fitting.estimation.wear`)."""

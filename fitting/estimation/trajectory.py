@@ -381,13 +381,17 @@ def _reestimate_noise(
     for run, motion in enumerate(motions):
         own = np.flatnonzero(windows.run == run)
         middle = max(float(np.median(state.cycle_rms[own])), motion.resolution)
-        excess = state.cycle_rms[own] / middle
-        weights[own] = np.minimum(2 / (1 + excess**2), 1.0)
+        weights[own] = cycle_weights(state.cycle_rms[own], middle)
         seen = effective_sigma(state.solution.residual, [windows.rows[k] for k in own if weights[k] > 0.5])
         # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
         sigma[run] = max(seen if first else min(seen, float(sigma[run])), motion.resolution)
     scatter = float(np.clip(np.std(state.local[weights > INLIER_WEIGHT, PerCycle.LEVEL]), 0.01, 0.5))
     return replace(state, weights=weights, sigma=sigma, scatter=scatter)
+
+
+def cycle_weights(errors: Array, usual: float) -> Array:
+    """Return weights (cycles,) of cycles with these errors: 1, and less for one that fits worse than the usual one."""
+    return np.minimum(2 / (1 + (errors / usual) ** 2), 1.0)
 
 
 def effective_sigma(residual: Array, rows: list[slice]) -> float:

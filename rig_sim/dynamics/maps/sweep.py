@@ -6,7 +6,7 @@ of neighbouring values are then numbered alike where they lie closest.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -142,5 +142,5 @@ def numbered(rows: list[AttractorAt], before: list[AttractorAt]) -> list[Attract
     for i in range(len(rows)):
         if i not in numbers:
             numbers[i] = next(n for n in range(1, len(rows) + len(previous) + 1) if n not in numbers.values())
-    named = [AttractorAt(row.value, numbers[i], *list(vars(row).values())[2:]) for i, row in enumerate(rows)]
+    named = [replace(row, attractor=numbers[i]) for i, row in enumerate(rows)]
     return sorted(named, key=lambda row: row.attractor)
