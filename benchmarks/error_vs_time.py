@@ -19,7 +19,8 @@ import matplotlib.pyplot as plt
 
 from rig_sim.comparison import reference
 from rig_sim.comparison.error_vs_time import Comparison, MethodResult, compare, difference
-from rig_sim.scenes.scene import Scene, scene
+from rig_sim.scenes.model import Scene
+from rig_sim.scenes.scene import scene
 
 try:
     from oracles.heyoka_events import TOLERANCE, Rig

@@ -33,7 +33,8 @@ from rig_sim.friction.curve import HYPERBOLIC, LINEAR
 from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.compiled import compiled
 from rig_sim.integrate.phases import next_event, run
-from rig_sim.scenes.scene import Scene, scene
+from rig_sim.scenes.model import Scene
+from rig_sim.scenes.scene import scene
 
 RESULTS = Path(__file__).resolve().parent / "results"
 ROOM = 4096

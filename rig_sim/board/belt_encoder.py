@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from daq.compute.arrays import Array
 from rig_sim.flow.flow import Flow
 from rig_sim.motion.trajectory import Trajectory
-from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.model import Scene
 from rig_sim.scenes.sections import Belt, Drive
 
 

@@ -28,7 +28,7 @@ from daq.wire.quadrature import EDGES_PER_COUNT
 from rig_sim.board.encoder import QuadratureEncoder
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.motion.trajectory import Trajectory
-from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.model import Scene
 from rig_sim.scenes.sections import Encoder
 
 FIRMWARE = (0, 1, 0)

@@ -11,7 +11,7 @@ from daq.console.application import Answer, Json, SetChanges
 from rig_sim.cli import maps
 
 if TYPE_CHECKING:
-    from rig_sim.scenes.scene import Scene
+    from rig_sim.scenes.model import Scene
 
 Until = Annotated[float, Parameter(help="End of the run, in the scene's unit of time (s in SI scenes).")]
 MaxSteps = Annotated[

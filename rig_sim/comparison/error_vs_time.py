@@ -18,7 +18,7 @@ from rig_sim.comparison.solve_ivp import by_solver
 from rig_sim.comparison.stepping import sample_phase
 from rig_sim.integrate.events import EventList, list_events
 from rig_sim.motion.play import flow_never_changes, play_events
-from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.model import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853", "radau", "lsoda")
 RK4_STEPS = (0.1, 0.03, 0.01, 0.003)  # of sqrt(m/k)

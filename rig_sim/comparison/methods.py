@@ -6,7 +6,7 @@ from functools import partial
 from daq.errors import InputError
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.motion.play import SamplePhase
-from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.model import Scene
 
 METHODS = ("exact", "rk4-henon", "dop853")
 RK4_STEP = 0.01  # of sqrt(m/k)

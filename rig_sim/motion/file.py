@@ -25,7 +25,7 @@ from rig_sim.integrate.phases import sample_phase
 from rig_sim.motion.play import DEFAULT_MAX_STEPS, SamplePhase, ScenePlayer
 from rig_sim.motion.two_masses import COLUMNS as TWO_MASS_COLUMNS
 from rig_sim.motion.two_masses import TwoMassPlayer
-from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.model import Scene
 
 SAMPLES_AT_ONCE = 65_536
 MOST_SAMPLES = 100_000_000  # 3.2 GB of HDF5

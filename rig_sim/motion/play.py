@@ -31,7 +31,7 @@ from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.events import EventList, list_events
 from rig_sim.integrate.phases import sample_phase
-from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.model import Scene
 
 if TYPE_CHECKING:
     import numpy as np

@@ -18,7 +18,7 @@ from rig_sim.flow.two_mass import slip_start
 from rig_sim.integrate.pair_motion import EVENTS, SAMPLES, PairMotion
 from rig_sim.integrate.two_mass import load
 from rig_sim.motion.play import DEFAULT_MAX_STEPS, MOST_EVENTS
-from rig_sim.scenes.scene import Scene
+from rig_sim.scenes.model import Scene
 
 COLUMNS = {
     "t": ("time", "s"),

@@ -12,7 +12,8 @@ from daq.wire.frames import Capability, Config, FrameReader, Ident, SampleBlock
 from rig_sim.board.belt_encoder import BeltEncoder
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.motion.play import ScenePlayer
-from rig_sim.scenes.scene import Scene, scene
+from rig_sim.scenes.model import Scene
+from rig_sim.scenes.scene import scene
 
 DELTA = 0.12566 / 4096 / 4
 CHANNEL: dict[str, object] = {"belt.channel": True}

@@ -12,7 +12,8 @@ from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.effects.shaker import controlled, phasor
 from rig_sim.flow.flow import Flow
 from rig_sim.motion.play import ScenePlayer, events
-from rig_sim.scenes.scene import Scene, scene
+from rig_sim.scenes.model import Scene
+from rig_sim.scenes.scene import scene
 from rig_sim.scenes.sections import Start
 
 V, GAMMA = 0.5, 3.0

@@ -8,7 +8,8 @@ import pytest
 from daq.errors import InputError
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
-from rig_sim.scenes.scene import SECTIONS, Scene, builtin_names, parse_changes, scene
+from rig_sim.scenes.model import SECTIONS, Scene
+from rig_sim.scenes.scene import builtin_names, parse_changes, scene
 
 
 def changed(*settings: str, base: str = "base") -> Scene:

@@ -1,0 +1,106 @@
+"""What the sections of a scene make impossible together, each refused with its key and what to do."""
+
+import math
+
+from daq.errors import InputError
+from rig_sim.flow.flow import LARGEST, SMALLEST, steepest_fall, validate
+from rig_sim.friction.law import LAWS
+from rig_sim.scenes.model import STARTS, Scene
+
+TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # what two masses may have
+
+
+def check_magnitudes(found: Scene, where: str) -> None:
+    """Refuse numbers whose products and ratios leave the range of floating-point arithmetic."""
+    for section, keys in found.model_dump(exclude_none=True).items():
+        for key, value in keys.items() if isinstance(keys, dict) else ():
+            if isinstance(value, float) and value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
+                what = f"{section}.{key} is {value:g}"
+                raise InputError(what, where, f"give 0 or a size from {SMALLEST:g} to {LARGEST:g}: choose other units")
+
+
+def check_together(found: Scene, where: str) -> None:
+    """Refuse what only two sections together make impossible."""
+    _check_masses(found, where)
+    friction = found.friction
+    if friction is None:
+        for effect in ("wear", "scatter"):
+            if getattr(found, effect) is not None:
+                raise InputError(f"{effect} without friction", where, f"add a friction section or drop {effect}")
+    else:
+        if friction.G_stick is not None and friction.d is not None:
+            raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -static Fs/d")
+        for key in LAWS[friction.law].parameters:
+            if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
+                name = "G_stick or d" if key == "d" else key
+                raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
+    if found.joint is not None and (found.belt is None or found.belt.length is None):
+        raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
+    if found.belt is not None and found.belt.ripple_hz is not None and found.belt.ripple is None:
+        raise InputError("belt.ripple_hz without belt.ripple", where, "give the ripple's amplitude, or drop ripple_hz")
+    if found.belt is not None and found.belt.ripple:
+        if found.belt.ripple_hz is None:
+            raise InputError("belt.ripple_hz is missing", where, "give the ripple's frequency in Hz")
+        if found.drive is not None:
+            raise InputError("belt.ripple beside a drive", where, "drop one: the integrator supports one harmonic")
+    if found.droop is not None:
+        if found.belt is None or friction is None:
+            raise InputError("droop without belt and friction", where, "add them or drop droop")
+        _check_droop(found, found.droop.fraction, where)
+    if found.shaker is not None:
+        try:
+            validate(found.flow())
+        except (ValueError, OverflowError) as error:
+            what = f"shaker.a = {found.shaker.a:g}, shaker.phi = {found.shaker.phi:g}: {error}"
+            raise InputError(what, where, "set belt.speed, a smaller shaker.a, or shaker.phi = 3.14159") from None
+    for effect in ("slip_loss", "gaps"):
+        if getattr(found, effect) is not None and found.encoder is None:
+            raise InputError(f"{effect} without an encoder", where, f"add an encoder section or drop {effect}")
+    if found.belt is not None and found.belt.channel and found.encoder is None:
+        raise InputError("belt.channel without an encoder", where, "add an encoder section or drop belt.channel")
+    if not math.isfinite(found.spring.k / found.mass.m):
+        raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")
+
+
+def _check_masses(found: Scene, where: str) -> None:
+    """Refuse a start that belongs to another number of masses, and what two masses do not have."""
+    given = sorted(found.start.model_fields_set)
+    if found.coupling is None:
+        if other := [key for key in given if key not in ("x", "v")]:
+            do = "give start.x and start.v, or add coupling.a and coupling.b"
+            raise InputError(f"start.{other[0]} without coupling", where, do)
+        return
+    for section in found.terms():
+        if section not in TWO_MASS_TERMS:
+            raise InputError(f"{section} beside coupling: not modelled for two masses", where, f"drop {section}")
+    for key in ("start", "length", "ripple", "ripple_hz", "channel"):
+        if found.belt is not None and getattr(found.belt, key):
+            raise InputError(f"belt.{key} beside coupling: not modelled for two masses", where, f"drop belt.{key}")
+    if found.friction is not None and LAWS[found.friction.law].contact != "jump":
+        what = f"friction.law is {found.friction.law}, a ramp, which is not modelled for two masses"
+        raise InputError(what, where, "take law 1, 3 or 5")
+    used = [way for way in STARTS if any(key in given for key in way)]
+    if STARTS[0] in used:
+        raise InputError("start.x or start.v beside coupling", where, "give start.x1, v1, x2, v2, or start.d")
+    if len(used) > 1:
+        what = f"start has {used[0][0]} and {used[1][0]}"
+        raise InputError(what, where, "keep one of: x1, v1, x2, v2; d; attractor")
+
+
+def _check_droop(found: Scene, fraction: float, where: str) -> None:
+    """Refuse a droop that has no single force, in the words of the scene's own keys."""
+    flow = found.model_copy(update={"shaker": None}).flow()
+    if flow.droop > 0.0 and flow.static != 1.0:
+        raise InputError(f"droop beside friction.static = {flow.static:g}", where, "drop one: with droop it must be 1")
+    if flow.droop > 0.0 and flow.Fs == 0.0:
+        raise InputError("droop with friction.Fs = 0: nothing loads the belt", where, "give Fs, or drop droop")
+    fall = steepest_fall(flow)
+    if flow.droop * fall >= 1.0:
+        most = fraction / (flow.droop * fall)
+        what = f"droop.fraction is {fraction:g}: friction would fall faster than the belt gives way"
+        do = f"give less than {most:.4g}" + ("" if most >= 1e-3 else ", or drop droop")
+        raise InputError(what, where, do + ", or a slower belt, or friction that falls less (gamma, G_slip)")
+    try:
+        validate(flow)
+    except ValueError as error:
+        raise InputError(str(error), where, "change that value, or drop droop") from None

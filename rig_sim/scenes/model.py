@@ -1,0 +1,114 @@
+"""The model of a scene: its sections, and the equation of motion that they make.  Keys: `rig_sim.scenes.scene`."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from daq.errors import InputError
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.two_mass import TwoMassFlow
+from rig_sim.friction.law import LAWS
+from rig_sim.scenes import sections
+from rig_sim.scenes.sections import Section
+
+TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper", "drive", "shaker")
+EFFECTS = ("wear", "scatter", "joint", "droop", "slip_loss", "gaps", "encoder", "jitter", "output")
+SECTIONS = TERMS + EFFECTS
+STARTS = (("x", "v"), ("x1", "v1", "x2", "v2"), ("d",), ("attractor",))  # ways to begin; a change drops the others
+
+
+class Scene(Section):
+    """What exists on the rig; an absent section is None and its term does not exist."""
+
+    name: str = ""
+    title: str = ""
+    seed: Annotated[int, Field(ge=0)] = 0
+    mass: sections.Mass
+    spring: sections.Spring
+    belt: sections.Belt | None = None
+    friction: sections.Friction | None = None
+    start: sections.Start = sections.Start()
+    coupling: sections.Coupling | None = None
+    damper: sections.Damper | None = None
+    drive: sections.Drive | None = None
+    shaker: sections.Shaker | None = None
+    wear: sections.WearSection | None = None
+    scatter: sections.Scatter | None = None
+    joint: sections.Joint | None = None
+    droop: sections.Droop | None = None
+    slip_loss: sections.SlipLoss | None = None
+    gaps: sections.Gaps | None = None
+    encoder: sections.Encoder | None = None
+    jitter: sections.Jitter | None = None
+    output: sections.Output | None = None
+
+    def terms(self) -> list[str]:
+        """Return the names of the sections the scene has, in the order of the table above."""
+        return [name for name in SECTIONS if getattr(self, name) is not None]
+
+    def flow(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
+        """Return the equation of motion as the integrator takes it.
+
+        A belt that ripples is there as a drive, in coordinates that swing with it: see `rig_sim.effects.ripple`.  A
+        shaker is there as another damper, spring and rest position: see `rig_sim.effects.shaker`.
+
+        Parameters
+        ----------
+        belt_running : bool
+            False before ``belt.start``: the belt is there, at rest.
+        factor : float
+            Wear times scatter: multiplies the whole friction curve, the ramp's width unchanged.
+
+        Raises
+        ------
+        InputError
+            The scene has two masses.
+        """
+        if self.coupling:
+            do = "drop the section coupling, or use events, run, fixed-point, map, sweep, basins or lyapunov"
+            raise InputError("has two masses, and this is for one", f"scene {self.name}", do)
+        return self._flow_of_one(belt_running=belt_running, factor=factor)
+
+    def two_mass_flow(self) -> TwoMassFlow:
+        """Return the equations of motion of two masses.
+
+        Raises
+        ------
+        InputError
+            The scene has one mass.
+        """
+        if self.coupling is None:
+            do = "set coupling.a and coupling.b, or take the scene two-mass"
+            raise InputError("has one mass, and this is for two", f"scene {self.name}", do)
+        return TwoMassFlow(self._flow_of_one(), float(self.coupling.a), float(self.coupling.b))
+
+    def _flow_of_one(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
+        """Return the flow of one mass, alone."""
+        law = LAWS[self.friction.law if self.friction else 1]
+        values = self.friction.parameters() if self.friction else {}
+        flow = Flow(
+            m=float(self.mass.m),
+            k=float(self.spring.k),
+            x0=float(self.spring.x0),
+            c=float(self.damper.c) if self.damper else 0.0,
+            v_belt=float(self.belt.speed) if self.belt and belt_running else 0.0,
+            curve=law.curve_code,
+            ramp=law.ramp,
+            Fs=values.get("Fs", 0.0),
+            static=float(self.friction.static) if self.friction else 1.0,
+            factor=factor,
+            G_slip=values.get("G_slip", 0.0),
+            gamma=values.get("gamma", 0.0),
+            d=values.get("d", 0.0),
+            u0=float(self.drive.u0) if self.drive else 0.0,
+            omega=float(self.drive.omega) if self.drive else 0.0,
+            phase=0.0,
+            droop=self.droop.fraction * abs(self.belt.speed) if self.droop and self.belt and belt_running else 0.0,
+        )
+        if self.shaker and belt_running:
+            from rig_sim.effects.shaker import controlled
+
+            flow = controlled(flow, float(self.shaker.a), float(self.shaker.phi))
+        if self.belt and self.belt.ripple and belt_running:
+            return self.belt.swing().driven(flow)
+        return flow
