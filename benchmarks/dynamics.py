@@ -27,7 +27,7 @@ from daq.compute.workers import workers
 from rig_sim.cli.maps import SweptScene
 from rig_sim.comparison.two_masses import next_stick
 from rig_sim.dynamics.maps.stick_map import COARSE, EXACT, FINE, StickMap
-from rig_sim.dynamics.maps.sweep import sweep
+from rig_sim.dynamics.maps.sweep import attractors_at, sweep
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 
@@ -68,12 +68,13 @@ def main(events: int) -> None:
     ratios = {peer: fast["fine"] / fast[peer] for peer in ("scipy", "pynamicalsys") if peer in fast}
     for peer, ratio in ratios.items():
         print(f"fine is {ratio:.0f} times as fast as {peer}, coarse {fast['coarse'] / fast[peer]:.0f} times")
+    find = partial(attractors_at, SweptScene("two-mass", {}, "belt.speed"), "poincare")
     times = {}
     diagrams = {}
     for jobs in (1, 2):
         begun = time.perf_counter()
         with workers(jobs) as spread:
-            diagrams[jobs] = sweep(SweptScene("two-mass", {}, "belt.speed"), VALUES, "poincare", spread=spread)
+            diagrams[jobs] = sweep(find, VALUES, spread=spread)
         times[jobs] = time.perf_counter() - begun
     same = diagrams[1] == diagrams[2]
     print(

@@ -1,6 +1,7 @@
 """The commands of ``rig-sim`` that ask the map of two masses: map, sweep, basins, lyapunov."""
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -176,6 +177,7 @@ def sweep(
     """
     from daq.compute.workers import workers
     from rig_sim.cli.parameter_range import parse
+    from rig_sim.dynamics.maps.sweep import attractors_at
     from rig_sim.dynamics.maps.sweep import sweep as find
     from rig_sim.scenes.scene import parse_changes
 
@@ -187,7 +189,7 @@ def sweep(
     for end in (values[0], values[-1]):
         _checked(flow_at(end), scene)
     with workers(jobs, scheduler) as spread, application.progress("sweeping", span.number) as show:
-        rows = find(flow_at, values, section, spread=spread, progress=show)
+        rows = find(partial(attractors_at, flow_at, section), values, spread=spread, progress=show)
     data: dict[str, Any] = {
         "parameter": span.key,
         "section": section,

@@ -1,8 +1,8 @@
-"""Attractors of two masses over a parameter: a bifurcation diagram.
+"""Attractors over a parameter: a bifurcation diagram.
 
-At every value the attractors are found anew, from starts all over the interval of d (`rig_sim.dynamics.maps.basins`),
-so that none is lost where another one has the larger basin, and values can be shared out over processes.  Attractors
-of neighbouring values are then numbered alike where they lie closest.
+At every value the attractors are found anew, so that none is lost where another one has the larger basin, and values
+can be shared out over processes: of two masses from starts all over the interval of d (`rig_sim.dynamics.maps.basins`).
+Attractors of neighbouring values are then numbered alike where they lie closest.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -55,9 +55,8 @@ class AttractorAt:
 
 
 def sweep(
-    flow_at: Callable[[float], TwoMassFlow],
+    find: Callable[[float], list[AttractorAt]],
     values: Sequence[float],
-    section: str,
     *,
     spread: Spread = map,
     progress: Callable[[float], None] = lambda _: None,
@@ -66,12 +65,10 @@ def sweep(
 
     Parameters
     ----------
-    flow_at : callable
-        The masses at a value of the parameter; pickled where ``spread`` uses processes.
+    find : callable
+        The attractors at a value of the parameter, the largest basin first; pickled where ``spread`` uses processes.
     values : sequence of float
         Of the parameter.
-    section : str
-        'map': points are d in global stick; 'poincare': x1 where the first mass turns forwards.
     spread : callable
         The ``map`` that shares out the work; results do not depend on it.
     progress : callable
@@ -80,7 +77,7 @@ def sweep(
     chunks = [tuple(values[first : first + CHUNK]) for first in range(0, len(values), CHUNK)]
     found: list[AttractorAt] = []
     done = 0
-    for chunk, results in zip(chunks, spread(partial(attractors_of, flow_at, section), chunks), strict=True):
+    for chunk, results in zip(chunks, spread(partial(attractors_of, find), chunks), strict=True):
         for rows in results:
             found += numbered(rows, found)
         done += len(chunk)
@@ -88,15 +85,24 @@ def sweep(
     return found
 
 
-def attractors_of(
-    flow_at: Callable[[float], TwoMassFlow], section: str, values: Sequence[float]
-) -> list[list[AttractorAt]]:
-    """Return the attractors at some values, the largest basin first."""
-    return [attractors_at(flow_at(value), value, section) for value in values]
+def attractors_of(find: Callable[[float], list[AttractorAt]], values: Sequence[float]) -> list[list[AttractorAt]]:
+    """Return the attractors at some values."""
+    return [find(value) for value in values]
 
 
-def attractors_at(flow: TwoMassFlow, value: float, section: str) -> list[AttractorAt]:
-    """Return the attractors at one value, the largest basin first."""
+def attractors_at(flow_at: Callable[[float], TwoMassFlow], section: str, value: float) -> list[AttractorAt]:
+    """Return the attractors of two masses at one value, the largest basin first.
+
+    Parameters
+    ----------
+    flow_at : callable
+        The masses at a value of the parameter.
+    section : str
+        'map': points are d in global stick; 'poincare': x1 where the first mass turns forwards.
+    value : float
+        Of the parameter.
+    """
+    flow = flow_at(value)
     f = StickMap(flow)
     found = basins(f, CELLS)
     rows = []
