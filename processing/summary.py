@@ -50,6 +50,7 @@ def run_as_json(motion: Kinematics) -> dict[str, Any]:
     return as_json(motion) | {
         "title": recording.title,
         "started": recording.started,
+        "remarks": recording.remarks(),
         "duration_s": motion.span,
         "rate_hz": recording.rate_hz,
         "segments": len(set(recording.segment.tolist())),
@@ -116,6 +117,7 @@ def run_sentences(motion: Kinematics, file: Path) -> list[str]:
     (low, high), (slow, fast) = data["position_range"], data["velocity_range"]
     return [
         f"{file}: {data['title']}, {data['started']}",
+        *(f"{name}: {text}" for name, text in motion.recording.remarks().items()),
         f"{data['samples']} samples at {data['rate_hz']:g} Hz, {data['duration_s']:.4g} s{segments}; events: {events}",
         f"position {low:.4g} to {high:.4g} {unit}, velocity {slow:.4g} to {fast:.4g} {unit}/s",
         *sentences(motion),

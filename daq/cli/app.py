@@ -2,7 +2,7 @@
 
 from typing import NoReturn
 
-from daq.cli import board, files, firmware, record, setup
+from daq.cli import board, files, firmware, notes, record, setup
 from daq.console import application
 
 app = application.application(
@@ -11,6 +11,7 @@ app = application.application(
 record.register(app)
 board.register(app)
 files.register(app)
+notes.register(app)
 setup.register(app)
 firmware.register(app)
 

@@ -10,6 +10,7 @@ from daq.cli import sentences
 from daq.console import application
 from daq.console.application import Answer, Json
 from daq.console.flags import Force
+from daq.console.notes import NO_NOTES, NoteFlags
 from daq.errors import InputError
 from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOptions, ImportOptions, ProbeOptions
 
@@ -33,6 +34,7 @@ def import_table(
     *,
     output: Output = None,
     options: ImportOptions = NO_OPTIONS,
+    notes: NoteFlags = NO_NOTES,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
@@ -49,14 +51,17 @@ def import_table(
 
     Example: daq import force.csv -o run.h5 --spring-force F --force-unit mN --stiffness "168 N/m" --belt "42 um/s"
     """
+    from dataclasses import replace
+
     from daq.imports import track
-    from daq.output import atomic
+    from daq.output import atomic, names
     from daq.runfile import store
 
-    target = output or file.with_suffix(".h5")
+    given = notes.given()
+    target = names.completed(output or file.with_suffix(".h5"))
     atomic.refuse_existing(target, force, file)
     found = track.read(file, options)
-    store.write(target, found.run, force=force)
+    store.write(target, replace(found.run, **given), force=force)
     data = sentences.run_data(found.run, target, found.warnings) | {
         key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even", "skipped")
     }

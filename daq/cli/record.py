@@ -14,6 +14,7 @@ from daq.cli import sentences
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force
+from daq.console.notes import NO_NOTES, NoteFlags
 from daq.console.settings import NO_FLAGS, BoardFlags, resolve
 from daq.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, InputError
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 DEFAULT_SCENE = "rig"
 
 Duration = Annotated[float, cyclopts.Parameter(name="--duration", help="Seconds to record.")]
-Output = Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="The run file.")]
+Output = Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="The run file; run-{n:03}.h5 is numbered.")]
 Scene = Annotated[
     str | None, cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file.")
 ]
@@ -48,6 +49,7 @@ def record(
     set_: SetChanges = None,
     realtime: Realtime = False,
     board: BoardFlags = NO_FLAGS,
+    notes: NoteFlags = NO_NOTES,
     force: Force = False,
     json: Json = False,
 ) -> Answer:
@@ -59,8 +61,13 @@ def record(
     Port, protocol, columns, baud, rate and decoder may also come from the environment (STICKSLIP_PORT ...), from the
     [board] of --rig, or from the user's config.toml, in this order.
 
+    In the name of the run file {n} becomes the next free number and {date} the date and time.
+
     Example: daq record --rate 1000 --duration 20 -o run.h5
+
+    Example: daq record -o 'run-{n:03}.h5' --sample "brass on steel" --operator Ada --tag humidity=45
     """
+    from daq.output import names
     from daq.protocols.request import RecordRequest
     from daq.recorder.record import record as take
 
@@ -70,10 +77,12 @@ def record(
             what = f"{given} is for the simulated rig, but --port {board.port} was given"
             raise InputError(what, given, "give one of the two")
         board = replace(board, port=rig_port(scene, set_, realtime))
-    wanted = RecordRequest(output=output, duration_s=duration, force=force, **resolve(board))
+    written = notes.given()
+    target = names.completed(output)
+    wanted = RecordRequest(output=target, duration_s=duration, force=force, notes=written, **resolve(board))
     with _stop_on_signal() as stop, application.progress("recording", duration, "s") as show:
         found = take(wanted, progress=show, say=application.note, stop=stop)
-    code = EXIT_DATA if found.short or found.sparse else EXIT_DONE if found.file == output else EXIT_DEVICE
+    code = EXIT_DATA if found.short or found.sparse else EXIT_DONE if found.file == target else EXIT_DEVICE
     return Answer(found.as_json(), sentences.recorded("recorded", found), code)
 
 

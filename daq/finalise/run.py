@@ -120,6 +120,9 @@ def run_data(
         belt_count=belt_count,
         truth=_truth(samples, truth_rows, tick_ns, header["port"]),
         operator=header["operator"],
+        sample_name=header.get("sample_name", ""),  # journals of 0.1.0 have none of these three
+        note=header.get("note", ""),
+        tags=header.get("tags", {}),
         provenance=header["provenance"] | {"finished_by": finished_by},
     )
     found = quality.from_run(recorded, samples, checked, streams, run)

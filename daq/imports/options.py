@@ -60,7 +60,6 @@ class ImportOptions:
     started: Annotated[
         str | None, Parameter(name="--start", help="Start time, ISO 8601 with time zone; default the file's date.")
     ] = None
-    title: Annotated[str | None, Parameter(help="Title of the run.")] = None
 
 
 NO_OPTIONS = ImportOptions()

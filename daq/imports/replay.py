@@ -20,7 +20,7 @@ from daq.imports import capture as decode
 from daq.imports import sigrok
 from daq.output import provenance
 from daq.runfile import store
-from daq.runfile.recording import EVENTS, Raw, Recording, positions
+from daq.runfile.recording import EVENTS, Raw, Recording, lost_samples, positions
 from daq.runfile.rig import Rig, quoted
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
@@ -96,8 +96,7 @@ def findings(run: Recording) -> dict[str, int]:
     found = {"lost": 0, "illegal": 0, "phase_errors": 0}
     if run.raw is not None:
         within = np.diff(run.segment) == 0
-        steps = np.diff(run.raw.sample.astype(np.int64))[within] - 1
-        found["lost"] = int(steps.sum())
+        found["lost"] = lost_samples(run.raw.sample, run.segment)
         found["illegal"] = int(counters.increments(run.raw.illegal, 16)[within].sum())
         found["phase_errors"] = int(np.count_nonzero(run.raw.flags & counters.FLAG_PHASE))
     return found | {"crc_errors": run.event_kind.count("crc")}

@@ -249,7 +249,7 @@ def _run(
     origin = "file's time of modification" if options.started is None else "--start"
     return replace(
         run,
-        title=options.title or f"{path.name}, imported",
+        title=f"{path.name}, imported",
         started=start.isoformat(),
         ended=end.isoformat(),
         config_toml=run.rig.to_toml() + "[import]\n" + "\n".join(lines) + "\n",

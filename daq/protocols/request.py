@@ -1,7 +1,9 @@
 """What to record: the one value that carries a person's request from the flags to the board."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,8 @@ class RecordRequest:
         The decoder that the board is to use, one of `daq.wire.frames.DECODERS`.
     calibration : str or None
         TOML text of a ``rig.toml`` that replaces the calibration that the board sends.
+    notes : mapping
+        Title, operator and the other notes on the run, by the attributes of `daq.runfile.recording.Recording`.
     """
 
     port: str = "rig://rig"
@@ -42,6 +46,7 @@ class RecordRequest:
     columns: str | None = None
     decoder: str | None = None
     calibration: str | None = None
+    notes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def part(self) -> Path:

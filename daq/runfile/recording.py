@@ -117,8 +117,10 @@ class Recording:
     truth : Truth or None
         The exact motion, on the way into a file only: `store.load` leaves it out, so that nobody reads it by accident
         (`store.truth` reads it).
-    operator : str
-        Who recorded.
+    operator, sample_name, note : str
+        Who recorded, what was measured, remarks; "" where nobody wrote any.
+    tags : mapping of str to str
+        Named values that a person gave the run.
     provenance : mapping
         Software, versions, command line.
     source, default, digest
@@ -149,6 +151,9 @@ class Recording:
     belt_count: NDArray[np.int64] | None = None
     truth: Truth | None = None
     operator: str = ""
+    sample_name: str = ""
+    note: str = ""
+    tags: Mapping[str, str] = field(default_factory=dict)
     provenance: Mapping[str, str | int] = field(default_factory=dict)
     source: Path = Path()
     default: str = "data"
@@ -164,6 +169,11 @@ class Recording:
     def unit(self) -> str:
         """Of `position`: "m", or "count" for counts of a rig whose metres per count nobody measured."""
         return "count" if self.count is not None and self.rig.metres_per_count is None else "m"
+
+    def remarks(self) -> dict[str, str]:
+        """Return what people wrote about the run, by name: operator, sample, note, then the tags."""
+        written = {"operator": self.operator, "sample": self.sample_name, "note": self.note} | dict(self.tags)
+        return {name: text for name, text in written.items() if text}
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return the run as a pandas table, one row a sample.
@@ -186,6 +196,12 @@ class Recording:
                 if values is not None:
                     columns[units.get(name, name)] = values
         return pd.DataFrame(columns)
+
+
+def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.uint16]) -> int:
+    """Return how many samples the sequence numbers skip within segments; both arguments have shape (n,)."""
+    within = np.diff(segment) == 0
+    return int((np.diff(sample.astype(np.int64))[within] - 1).sum())
 
 
 def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:

@@ -114,6 +114,10 @@ def _identity(run: Recording) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{run.started} {run.title} {run.digest}"))
 
 
+def _sample(run: Recording) -> str:
+    return run.sample_name or run.rig.name or "mass"
+
+
 def _segment(run: Recording) -> NDArray[np.uint16] | None:
     return None if run.raw is None else run.segment
 
@@ -141,8 +145,14 @@ TREE: tuple[Group | Field, ...] = (
     Group("operator", "NXuser", optional=True),
     Field("operator/name", "text", "", "who recorded", "operator", optional=True),
     Group("sample", "NXsample"),
-    Field("sample/name", "text", "", "name of the rig, or `mass`", value=lambda run: run.rig.name or "mass"),
+    Field("sample/name", "text", "", "of the sample, else of the rig, else `mass`", value=_sample),
+    Field("sample/description", "text", "", "what was measured, as stated", "sample_name", optional=True),
     Field("sample/mass", "measured", "kg", "moving mass", "rig.mass", optional=True),
+    Group("notes", "NXnote", optional=True),
+    Field("notes/type", "text", "", "`text/plain`", value=lambda run: "text/plain" if run.note else None),
+    Field("notes/data", "text", "", "remarks", "note", optional=True),
+    Group("tags", "NXcollection", optional=True),
+    Field("tags/*", "text or i8", "", "named values that a person gave the run", "tags", lambda run: run.tags or None),
     Group("instrument", "NXinstrument"),
     Group("instrument/encoder", "NXsensor"),
     Field("instrument/encoder/name", "text", "", "of the sensor", value=_sensor("encoder", "position track")),
@@ -221,6 +231,7 @@ TREE: tuple[Group | Field, ...] = (
     Field("data/time", "link", "s", f"{ENCODER_LOG}/time", value=lambda run: run.time),
     Field("data/value", "link", "m or count", f"{ENCODER_LOG}/value", value=lambda run: run.position),
 )
+NOTES = ("title", "operator/", "sample/name", "sample/description", "notes/", "tags/", "events/")  # of `rewrite_notes`
 FIELDS = tuple(row for row in TREE if isinstance(row, Field))
 OPTIONAL_GROUPS = tuple(row.path for row in TREE if isinstance(row, Group) and row.optional)
 
@@ -251,18 +262,36 @@ def write(file: h5py.File, run: Recording, file_name: str) -> None:
     file.attrs["HDF5_Version"] = h5py.version.hdf5_version
     file.attrs["h5py_version"] = h5py.version.version
     file.attrs["NeXus_version"] = "2024.02"
-    filled = [row for row in FIELDS if row.of_run(run) is not None]
-    for group in TREE:
-        if isinstance(group, Group) and not (group.optional and not any(parent(row) == group.path for row in filled)):
-            nexus.group(file, f"entry/{group.path}".rstrip("/"), group.nx_class, **group.attributes)
+    _write_fields(file, FIELDS, run)
     entry = file["entry"]
-    for row in filled:
-        _write_field(entry, row, row.of_run(run), run)
     nexus.scale(entry[ENCODER_LOG], "time")
     entry["program_name"].attrs.update({"version": VERSION, "configuration": "configuration/data"})
     entry[f"{ENCODER_LOG}/time"].attrs["start"] = run.started
     entry[f"{ENCODER_LOG}/value"].attrs["long_name"] = f"position ({run.unit})"
     entry["data"].attrs["title"] = run.title
+
+
+def rewrite_notes(file: h5py.File, run: Recording) -> None:
+    """Write the notes and events of ``run`` over those in the file of the run; nothing else is changed."""
+    entry = file["entry"]
+    rows = [row for row in FIELDS if row.path.startswith(NOTES)]
+    for name in {row.path.partition("/")[0] if parent(row) in OPTIONAL_GROUPS else row.path for row in rows}:
+        if name in entry:
+            del entry[name]
+    _write_fields(file, rows, run)
+    entry["data"].attrs["title"] = run.title
+
+
+def _write_fields(file: h5py.File, rows: Iterable[Field], run: Recording) -> None:
+    """Write those of the fields that the run has a value for, and the groups they stand in."""
+    filled = [row for row in rows if row.of_run(run) is not None]
+    inside = {parent(row) for row in filled}
+    for group in TREE:
+        path = f"entry/{group.path}".rstrip("/")
+        if isinstance(group, Group) and path not in file and (group.path in inside or not group.optional):
+            nexus.group(file, path, group.nx_class, **group.attributes)
+    for row in filled:
+        _write_field(file["entry"], row, row.of_run(run), run)
 
 
 def parent(row: Field) -> str:

@@ -9,7 +9,7 @@ Equal runs give equal bytes under the same file name and library versions: nothi
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -55,6 +55,12 @@ def load(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> Recording:
         return run.load(own)
 
 
+def times(path: str | os.PathLike[str]) -> Array:
+    """Return the times of a run's samples, s, shape (n,); InputError as for `load`."""
+    with reading(path) as run:
+        return run.times()
+
+
 @contextmanager
 def reading(path: str | os.PathLike[str]) -> "Iterator[RunReader]":
     """Open a run for reading parts of it one after the other; InputError as for `load`."""
@@ -83,6 +89,11 @@ class RunReader:
             source=self._where,
             default=nexus.text(self._entry.attrs.get("default", "data")),
         )
+
+    def times(self) -> Array:
+        """Return the times of all samples, s."""
+        column = nexus.read_array(self._entry, f"{schema.ENCODER_LOG}/time", np.float64, self._where)
+        return np.asarray(column)
 
     def positions(self, own: slice) -> Array:
         """Return the positions of some samples, m or counts."""
@@ -175,6 +186,59 @@ def extend(
             writer(entry)
             if default is not None:
                 entry.attrs["default"] = default
+
+
+def annotate(
+    path: str | os.PathLike[str], notes: Mapping[str, Any], marks: Sequence[tuple[float, str]] = ()
+) -> Recording:
+    """Change the notes on a finished run and add markers; the file is copied, changed and moved into place.
+
+    Parameters
+    ----------
+    path : path
+        The run file.
+    notes : mapping
+        New values of ``title``, ``operator``, ``sample_name``, ``note`` and ``tags`` of `Recording`; the others stay.
+        Tags are added to those of the run, and one of an empty value is removed.
+    marks : sequence of (float, str)
+        Markers: seconds since the first sample, and words.  Each becomes an event of the nearest sample.
+
+    Returns
+    -------
+    Recording
+        The run as it is now, with its first sample alone but all its events.
+
+    Raises
+    ------
+    InputError
+        As `load`; or for a marker outside the run.
+    """
+    target = Path(path)
+    with reading(target) as reader:
+        run, time = reader.load(slice(1)), reader.times()
+    tags = {name: value for name, value in {**run.tags, **notes.get("tags", {})}.items() if value}
+    run = replace(run, **{**notes, "tags": tags})
+    for seconds, text in marks:
+        if not 0 <= seconds <= time[-1]:
+            what = f"the marker at {seconds:g} s is outside the run, which lasts {time[-1]:.6g} s"
+            raise InputError(what, "--mark", "give a time since the first sample")
+        run = _marked(run, int(np.argmin(np.abs(time - seconds))), text)
+    with atomic.replacing(target, force=True) as temporary:
+        shutil.copyfile(target, temporary)
+        with disk.hdf5(temporary, "r+") as file:
+            schema.rewrite_notes(file, run)
+    return run
+
+
+def _marked(run: Recording, sample: int, text: str) -> Recording:
+    """Return the run with one more marker, after the events of the same sample."""
+    at = int(np.searchsorted(run.event_sample, sample, side="right"))
+    return replace(
+        run,
+        event_sample=np.insert(run.event_sample, at, sample).astype(np.uint32),
+        event_kind=(*run.event_kind[:at], "marker", *run.event_kind[at:]),
+        event_note=(*run.event_note[:at], text, *run.event_note[at:]),
+    )
 
 
 @contextmanager

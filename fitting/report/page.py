@@ -88,6 +88,7 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         title=recording.title or recording.source.name,
         file=recording.source.name,
         started=recording.started,
+        remarks=recording.remarks(),
         now=datetime.now().astimezone().isoformat(timespec="minutes"),
         version=VERSION,
         digest=recording.digest,

@@ -1,0 +1,128 @@
+"""`daq note` and `daq list`: what people wrote about their runs, and the runs of a folder."""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import cyclopts
+from cyclopts import Parameter
+
+from daq.console.application import Answer, Json
+from daq.console.notes import NO_NOTES, NoteFlags, check_text
+
+if TYPE_CHECKING:
+    from daq.runfile.listing import RunRow
+    from daq.runfile.recording import Recording
+
+WIDTH = 80  # columns of a terminal
+
+
+def _marker(type_: Any, tokens: Sequence[cyclopts.Token]) -> list[tuple[float, str]]:
+    from daq.console import units
+
+    typed = [token.value for token in tokens]
+    return [(units.quantity(time, "time", "--mark"), text) for time, text in zip(typed[::2], typed[1::2], strict=True)]
+
+
+Mark = Annotated[
+    list[tuple[float, str]] | None,
+    Parameter(
+        name="--mark",
+        negative=(),
+        converter=_marker,
+        n_tokens=2,
+        consume_multiple=False,
+        help="A marker: the time since the first sample, and words; repeatable.",
+    ),
+]
+
+
+def register(app: cyclopts.App) -> None:
+    """Add note and list to the `daq` application."""
+    app.command(note)
+    app.command(list_runs, name="list")
+
+
+def note(
+    run: Annotated[Path, Parameter(name="RUN.h5", help="The run file.")],
+    /,
+    *,
+    notes: NoteFlags = NO_NOTES,
+    mark: Mark = None,
+    json: Json = False,
+) -> Answer:
+    """Add notes and markers to a finished run, or print those it has.
+
+    A note replaces the one before; an empty one removes it.  Samples, smoothed motion and fit stay as they are.
+
+    Example: daq note run.h5 --sample "brass on steel" --tag humidity=45 --mark 12.5 "hand on the guide"
+    """
+    from daq.runfile import store
+
+    given = notes.given()
+    marks = mark or []
+    for _, text in marks:
+        check_text(text, "--mark")
+    found = store.annotate(run, given, marks) if given or marks else store.load(run, slice(1))
+    time = store.times(run) if "marker" in found.event_kind else None
+    events = zip(found.event_sample, found.event_kind, found.event_note, strict=True)
+    markers = [
+        {"t": float(time[sample]), "text": text}
+        for sample, kind, text in events
+        if time is not None and kind == "marker"
+    ]
+    data = {"file": run, **_notes(found), "markers": markers}
+    lines = [f"{run}: {found.title}"]
+    lines += [f"{name}: {text}" for name, text in found.remarks().items()]
+    lines += [f"{marker['t']:.3f} s: {marker['text']}" for marker in markers]
+    return Answer(data, "\n".join(lines))
+
+
+def _notes(run: "Recording") -> dict[str, Any]:
+    return {
+        "title": run.title,
+        "operator": run.operator,
+        "sample": run.sample_name,
+        "note": run.note,
+        "tags": dict(run.tags),
+    }
+
+
+def list_runs(
+    folders: Annotated[tuple[Path, ...], Parameter(name="FOLDER", help="Folders of runs; default this one.")] = (),
+    /,
+    *,
+    json: Json = False,
+) -> Answer:
+    """List the runs in folders, oldest first: title, date, duration, rate, lost samples, sticks and verdict.
+
+    Example: daq list measurements
+    """
+    from daq.runfile import listing
+
+    rows = listing.runs(folders or (Path(),))
+    if not rows:
+        where = ", ".join(str(folder) for folder in folders) or "this folder"
+        return Answer([], f"no runs in {where}")
+    return Answer([vars(row) for row in rows], "\n".join(line for row in rows for line in _lines(row)))
+
+
+def _lines(row: "RunRow") -> list[str]:
+    """Return the lines about one run: its facts, what people wrote, and the verdict."""
+    about = [row.title, row.sample, row.operator, *(f"{name}={value}" for name, value in row.tags.items())]
+    facts = [
+        (row.date, f"{(row.date or '')[:16].replace('T', ' ')}"),
+        (row.duration, f"{row.duration:.4g} s" if row.duration is not None else ""),
+        (row.rate, f"{row.rate:.5g} Hz" if row.rate is not None else ""),
+        (row.lost, f"{row.lost} lost"),
+        (row.sticks, f"{row.sticks} sticks"),
+    ]
+    lines = [
+        ", ".join(text for known, text in facts if known is not None),
+        ", ".join(text for text in about if text),
+        row.verdict,
+        row.problem,
+    ]
+    inside = [textwrap.fill(line, WIDTH, initial_indent="  ", subsequent_indent="  ") for line in lines if line]
+    return [str(row.file), *inside]

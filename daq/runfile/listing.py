@@ -1,0 +1,108 @@
+"""The runs in a folder, a row each, read without loading their samples."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from daq.errors import InputError
+from daq.runfile import nexus, schema, store
+from daq.runfile.recording import lost_samples
+
+# Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
+UNFINISHED = "a journal: still recording, or left by one that was killed (daq recover)"
+
+
+@dataclass(frozen=True)
+class RunRow:
+    """One run; None where the file does not say.
+
+    Attributes
+    ----------
+    file : Path
+        The run file, or the journal of a recording that has not ended.
+    title, date, operator, sample : str or None
+        Title, time of the first sample (ISO 8601 with zone), who recorded, what was measured.
+    duration : float or None
+        s.
+    rate : float or None
+        Nominal, Hz.
+    lost : int or None
+        Samples that the sequence numbers skip; None for an import.
+    sticks : int or None
+        None before ``process smooth``.
+    verdict : str or None
+        None before ``fit-friction``.
+    tags : dict
+        Named values.
+    problem : str or None
+        Why nothing else is known: not a run, damaged, not finished.
+    """
+
+    file: Path
+    title: str | None = None
+    date: str | None = None
+    duration: float | None = None
+    rate: float | None = None
+    lost: int | None = None
+    sticks: int | None = None
+    verdict: str | None = None
+    operator: str | None = None
+    sample: str | None = None
+    tags: dict[str, str] = field(default_factory=dict)
+    problem: str | None = None
+
+
+def runs(folders: Sequence[Path]) -> list[RunRow]:
+    """Return the runs and unfinished recordings in folders, oldest first; those without a date last.
+
+    Raises
+    ------
+    InputError
+        For a folder that is not there or cannot be read.
+    """
+    found = []
+    for folder in folders:
+        try:
+            files = sorted(item for item in folder.iterdir() if item.name.endswith((".h5", ".h5.part")))
+        except OSError as error:
+            what = "is a file" if folder.is_file() else f"cannot be listed: {error.strerror}"
+            raise InputError(what, str(folder), "give a folder of runs") from error
+        found += [RunRow(file, problem=UNFINISHED) if file.suffix == ".part" else _run(file) for file in files]
+    return sorted(found, key=lambda row: (row.date is None, row.date or "", str(row.file)))
+
+
+def _run(file: Path) -> RunRow:
+    try:
+        with store.opened(file) as opened:
+            return _row(nexus.read_group(opened, "entry", file), file)
+    except InputError as error:
+        return RunRow(file, problem=error.what)
+    except (OSError, RuntimeError, KeyError, ValueError) as error:  # damage, found inside the HDF5 library
+        return RunRow(file, problem=f"is damaged: {str(error).splitlines()[0]}")
+
+
+def _row(entry: h5py.Group, file: Path) -> RunRow:
+    wanted = ("title", "started", "rate_hz", "operator", "sample_name", "tags")
+    known = schema.read(entry, (row for row in schema.FIELDS if row.of in wanted), file)
+    time = nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", file)
+    lost = None
+    if "raw" in entry:
+        sample = nexus.read_array(entry, "raw/sample", np.uint32, file)
+        lost = lost_samples(sample, nexus.read_array(entry, "raw/segment", np.uint16, file))
+    sticks, verdict = "smooth/statistics/sticks", "fit/parameters/verdict"
+    return RunRow(
+        file=file,
+        title=known["title"],
+        date=known["started"],
+        duration=float(time[-1] - time[0]) + 1 / known["rate_hz"],
+        rate=known["rate_hz"],
+        lost=lost,
+        sticks=int(nexus.read_number(entry, sticks, file)) if sticks in entry else None,
+        verdict=nexus.read_text(entry, verdict, file) if verdict in entry else None,
+        operator=known.get("operator"),
+        sample=known.get("sample_name"),
+        tags=known.get("tags", {}),
+    )
