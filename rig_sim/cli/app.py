@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
-from rig_sim.cli import maps
+from rig_sim.cli import control, maps
 
 if TYPE_CHECKING:
     from rig_sim.scenes.model import Scene
@@ -278,6 +278,7 @@ app.command(maps.map_, name="map")
 app.command(maps.sweep)
 app.command(maps.basins)
 app.command(maps.lyapunov)
+app.command(control.shaker)
 
 
 def _two_mass_events(scene: "Scene", until: float, since: float, max_steps: int) -> Answer:

@@ -1,13 +1,9 @@
 """Shaker: a force on the mass made of its own velocity, amplified by ``a`` and shifted in phase by ``phi``.
 
-The thesis (6.10 to 6.13, after Heckl) writes a phasor: with S = gamma_lin - c and E = a e^{-i phi}, a small oscillation
-e^{-i Omega t} about the fixed point x_e has
-
-    m Omega^2 - i (S + E) Omega - k = 0,   Omega = sqrt(k/m - (S + E)^2/4m^2) + i (S + E)/2m = omega + i delta
-
-so omega > 0 is its frequency (rad/s) and delta its growth rate (1/s; > 0: it grows).  a in N s/m, phi in rad; the force
-leads the velocity by phi, and phi = pi is a damper of a.  gamma_lin = dF/dw at w = -v_belt: how friction rises as the
-mass speeds up, > 0 on a falling curve, -Fs/d inside a ramp.
+The thesis writes a phasor, which gives a small oscillation e^{-i Omega t} about the fixed point x_e its frequency omega
+and its growth rate delta: `rig_sim.dynamics.control.phasor`.  a in N s/m, phi in rad; the force leads the velocity by
+phi, and phi = pi is a damper of a.  gamma_lin = dF/dw at w = -v_belt: how friction rises as the mass speeds up, > 0 on
+a falling curve, -Fs/d inside a ramp.
 
 A phasor does not define the force for a motion that is no oscillation, and the filter before the phase shifter is not
 specified.  Integrated here is a shifter tuned to Omega: the local term with the phasor's effect on this oscillation.
@@ -33,28 +29,14 @@ saturating amplifier (so a shaker that drives the mass on, c_eff below 0, may do
 the shaker's own mass.
 """
 
-import cmath
 import math
 
+from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.fixed_point import friction_at_rest
 from rig_sim.flow.flow import Flow
 
 CREEP = 0.1  # of abs(delta): a slower oscillation is over, or grown e^63-fold, within one period
 NO_SHIFT = 1e-5  # rad
-
-
-def phasor(m: float, k: float, S: float, a: float, phi: float) -> complex:
-    """Return Omega = omega + i delta (1/s) of the small oscillation e^{-i Omega t} under the shaker.
-
-    Parameters
-    ----------
-    m, k, S : float
-        kg, N/m, and slope of the friction less the damping, gamma_lin - c, N s/m.
-    a, phi : float
-        The shaker's amplification, N s/m, and phase lead, rad.
-    """
-    P = (S + a * cmath.exp(-1j * phi)) / (2.0 * m)
-    return cmath.sqrt(k / m - P * P) + 1j * P
 
 
 def controlled(flow: Flow, a: float, phi: float) -> Flow:

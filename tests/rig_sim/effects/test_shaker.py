@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from daq.errors import InputError
+from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.fixed_point import friction_at_rest
 from rig_sim.dynamics.limit_cycle import cycle
-from rig_sim.effects.shaker import controlled, phasor
+from rig_sim.effects.shaker import controlled
 from rig_sim.flow.flow import Flow
 from rig_sim.motion.play import ScenePlayer, events
 from rig_sim.scenes.model import Scene
