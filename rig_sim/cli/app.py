@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
 from rig_sim.cli import control, maps
+from rig_sim.cli.atlas import atlas
 
 if TYPE_CHECKING:
     from rig_sim.scenes.model import Scene
@@ -279,6 +280,7 @@ app.command(maps.sweep)
 app.command(maps.basins)
 app.command(maps.lyapunov)
 app.command(control.shaker)
+app.command(atlas)
 
 
 def _two_mass_events(scene: "Scene", until: float, since: float, max_steps: int) -> Answer:

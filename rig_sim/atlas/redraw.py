@@ -1,0 +1,95 @@
+"""Redraw figures into a folder: a PNG each, and ``atlas.md``, which shows them with their tables."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.errors import InputError, nearest
+from daq.output import atomic
+from rig_sim.atlas.figure import Drawing, Entry
+from rig_sim.atlas.page import page
+from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
+
+PAGE = "atlas.md"
+
+
+@dataclass(frozen=True)
+class Redrawn:
+    """A figure with its drawing and the file that holds it."""
+
+    entry: Entry
+    drawing: Drawing
+    file: Path
+
+
+def chosen(asked: Iterable[str] | None) -> list[str]:
+    """Return the numbers of the figures asked for: '2.7', or '2' for a chapter; all of them for none.
+
+    Raises
+    ------
+    InputError
+        A number that is no figure of the atlas.
+    """
+    known = sorted([*ENTRIES, *NOT_REDRAWN], key=order)
+    found: list[str] = []
+    for name in asked or [number.partition(".")[0] for number in known]:
+        numbers = [number for number in known if name in (number, number.partition(".")[0])]
+        if not numbers:
+            raise InputError(f"no figure {name!r} in the atlas", "FIGURE", nearest(name, known))
+        found += [number for number in numbers if number not in found]
+    return sorted(found, key=order)
+
+
+def order(number: str) -> tuple[int, ...]:
+    """Return what sorts figures as the thesis does: 2.9 before 2.10."""
+    return tuple(int(part) for part in number.split("."))
+
+
+def redraw(
+    numbers: Iterable[str], folder: Path, *, force: bool = False, progress: Callable[[float], None] = lambda done: None
+) -> list[Redrawn]:
+    """Redraw figures into a folder, which is made where it does not exist.
+
+    Parameters
+    ----------
+    numbers : iterable of str
+        From `chosen`; those that are not redrawn are listed on the page with the reason.
+    folder : Path
+        Where ``figure-2.7.png`` ... and ``atlas.md`` go.
+    force : bool
+        Replace files that exist.
+    progress : callable
+        Called with the number of figures done.
+
+    Raises
+    ------
+    InputError
+        A file that exists, or a folder whose own folder does not.
+    RefusedError
+        The disk refuses.
+    """
+    numbers = list(numbers)
+    files = {number: folder / f"figure-{number}.png" for number in numbers if number in ENTRIES}
+    if folder.exists() and not folder.is_dir():
+        raise InputError("is no folder", str(folder), "give the name of a folder (-o)")
+    if not folder.exists() and not folder.absolute().parent.is_dir():
+        raise InputError("its folder does not exist", str(folder), f"make {folder.absolute().parent} first")
+    for file in (*files.values(), folder / PAGE):
+        if folder.exists():
+            atomic.refuse_existing(file, force)
+    from rig_sim.atlas.plot import picture
+
+    folder.mkdir(exist_ok=True)
+    done: list[Redrawn] = []
+    for number, file in files.items():
+        entry = ENTRIES[number]
+        drawing = entry.draw()
+        with atomic.replacing(file, force) as temporary:
+            temporary.write_bytes(picture(entry, drawing))
+        done.append(Redrawn(entry, drawing, file))
+        progress(len(done))
+    missing = {number: NOT_REDRAWN[number] for number in numbers if number in NOT_REDRAWN}
+    with atomic.replacing(folder / PAGE, force) as temporary:
+        shown = [(each.entry, each.drawing, each.file.name) for each in done]
+        temporary.write_text(page(shown, missing), encoding="utf-8")
+    return done

@@ -1,0 +1,62 @@
+"""The command ``rig-sim atlas``: the thesis's figures, each a picture and a table."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from daq.console import application
+from daq.console.application import Answer, Json
+
+
+def atlas(
+    figures: Annotated[
+        list[str] | None, Parameter(help="Numbers such as 2.7, or 2 for a chapter; default all.")
+    ] = None,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=["--output", "-o"], help="Folder for the pictures and their page.")],
+    force: Annotated[bool, Parameter(negative=(), help="Replace files that exist.")] = False,
+    json: Json = False,
+) -> Answer:
+    """Redraw figures of the thesis, each with a table of what it says, what is computed, and why they differ.
+
+    The folder receives figure-2.7.png ... and atlas.md, which shows them with their tables. Figures that the thesis's
+    text does not define are listed with the reason.
+
+    Example: rig-sim atlas 2.7 4 -o atlas
+    """
+    from rig_sim.atlas.redraw import PAGE, chosen, redraw
+    from rig_sim.atlas.registry import NOT_REDRAWN
+
+    numbers = chosen(figures)
+    missing = {number: NOT_REDRAWN[number] for number in numbers if number in NOT_REDRAWN}
+    with application.progress("drawing", len(numbers) - len(missing)) as show:
+        done = redraw(numbers, output, force=force, progress=show)
+    data = {
+        "folder": output,
+        "page": output / PAGE,
+        "figures": [
+            {
+                "figure": each.entry.number,
+                "title": each.entry.title,
+                "sentence": each.drawing.sentence,
+                "choices": each.drawing.choices,
+                "file": each.file,
+                "table": [asdict(row) for row in each.drawing.table],
+            }
+            for each in done
+        ],
+        "not_redrawn": [{"figure": number, "why": why} for number, why in missing.items()],
+    }
+    lines = []
+    for each in done:
+        differing = [row for row in each.drawing.table if not row.agrees]
+        lines.append(f"{each.entry.number:5} {each.entry.title}: {each.file}")
+        lines += [
+            f"      {row.quantity}: thesis {row.thesis}, computed {row.computed} ({row.why})" for row in differing
+        ]
+    lines += [f"{number:5} not redrawn: {why}" for number, why in missing.items()]
+    lines.append(f"{len(done)} figures, {len(missing)} not redrawn; {output / PAGE} shows them")
+    return Answer(data, "\n".join(lines))

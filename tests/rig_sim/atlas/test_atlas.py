@@ -1,0 +1,76 @@
+"""The atlas: which figures it has, the files and tables it writes, and its numbers against published ones."""
+
+import json
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from daq.console import application
+from rig_sim.atlas.figure import compare
+from rig_sim.atlas.redraw import chosen, order, redraw
+from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
+from rig_sim.cli.app import app
+
+REFERENCE = Path(__file__).parents[2] / "reference"
+CYCLES = {case["name"]: case for case in json.loads((REFERENCE / "limit_cycles.json").read_text())["cases"]}
+
+
+def value(figure, quantity):
+    (found,) = [row.value for row in ENTRIES[figure].draw().table if row.quantity == quantity]
+    return found
+
+
+def figures(first, last):
+    chapter, begin = order(first)
+    return {f"{chapter}.{place}" for place in range(begin, order(last)[1] + 1)}
+
+
+def test_the_figures_of_chapter_2_are_drawn():
+    assert set(ENTRIES) | set(NOT_REDRAWN) >= figures("2.6", "2.22")
+    assert not set(ENTRIES) & set(NOT_REDRAWN)
+
+
+def test_figures_are_asked_for_by_number_or_chapter_in_the_order_of_the_thesis():
+    assert chosen(["2.10", "2.9"]) == ["2.9", "2.10"]
+    assert chosen(["2", "2.7"])[:3] == ["2.6", "2.7", "2.8"]
+    assert chosen(None) == sorted({*ENTRIES, *NOT_REDRAWN}, key=order)
+
+
+def test_a_printed_number_agrees_within_one_unit_of_its_last_digit():
+    assert compare("", "-0.55", -0.5409, "rounded").agrees
+    missed = compare("", "0.9475", 0.94796, "rounded")
+    assert not missed.agrees
+    assert missed.why == "rounded"
+
+
+def test_a_figure_is_a_picture_and_a_page_with_its_table(tmp_path):
+    (done,) = redraw(["2.7"], tmp_path / "atlas")
+    with Image.open(done.file) as picture:
+        assert picture.width == 720
+        assert len(picture.getcolors()) > 10
+    text = (tmp_path / "atlas" / "atlas.md").read_text()
+    assert "## Figure 2.7" in text
+    assert "| displacement where slip begins | 1.0 | 1 | they agree |" in text
+
+
+def test_the_command_reports_tables_and_refuses_what_exists(capsys, tmp_path):
+    assert application.run(app, ["atlas", "2.13", "-o", str(tmp_path), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [entry["figure"] for entry in found["figures"]] == ["2.13"]
+    assert found["figures"][0]["table"][0]["agrees"]
+    assert application.run(app, ["atlas", "2.13", "-o", str(tmp_path)]) == 2
+    assert application.run(app, ["atlas", "2.99", "-o", str(tmp_path)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("figure", "quantity", "law", "key"),
+    [
+        ("2.15", "smallest velocity", 4, "v_min"),
+        ("2.18", "duration of the later sticks", 5, "t_stick"),
+        ("2.21", "largest velocity on the cycle, above the belt's", 6, "v_max"),
+    ],
+)
+def test_numbers_of_one_mass_are_the_published_ones(figure, quantity, law, key):
+    (case,) = [case for case in CYCLES.values() if case["params"] == {"law": law}]
+    assert value(figure, quantity) == pytest.approx(float(case[key]), abs=1e-12)
