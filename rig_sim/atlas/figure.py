@@ -54,7 +54,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class StatementCheck:
     """One row of a table: what the thesis says of a quantity, what is computed, and, where they differ, why.
 
     ``value`` is the number computed, None where the statement is no number.
@@ -78,7 +78,7 @@ class Drawing:
         What it shows.
     panels : tuple of Panel
         Filled into rows of ``columns`` panels.
-    table : tuple of Comparison
+    table : tuple of StatementCheck
         Empty where the thesis states nothing about the figure that can be computed.
     choices : str
         What the thesis does not state and was chosen here; empty for nothing.
@@ -86,7 +86,7 @@ class Drawing:
 
     sentence: str
     panels: tuple[Panel, ...]
-    table: tuple[Comparison, ...] = ()
+    table: tuple[StatementCheck, ...] = ()
     columns: int = 1
     choices: str = ""
 
@@ -102,7 +102,7 @@ class Entry:
 
 def compare(
     quantity: str, printed: str, value: float, why: str = "", *, within: float | None = None, of: float | None = None
-) -> Comparison:
+) -> StatementCheck:
     """Return the comparison of a printed number with a computed one.
 
     Parameters
@@ -122,9 +122,9 @@ def compare(
     unit = 10.0 ** -len(printed.partition(".")[2]) if of is None else 0.0
     allowed = (unit if within is None else within) * (1.0 + 1e-9)
     agrees = math.isfinite(value) and abs(value - number) <= allowed
-    return Comparison(quantity, printed, f"{value:.8g}", agrees, "" if agrees else why, value)
+    return StatementCheck(quantity, printed, f"{value:.8g}", agrees, "" if agrees else why, value)
 
 
-def state(quantity: str, thesis: str, computed: str, agrees: bool, why: str = "") -> Comparison:
+def state(quantity: str, thesis: str, computed: str, agrees: bool, why: str = "") -> StatementCheck:
     """Return the comparison of a statement in words; ``agrees`` is decided by what was computed."""
-    return Comparison(quantity, thesis, computed, agrees, "" if agrees else why)
+    return StatementCheck(quantity, thesis, computed, agrees, "" if agrees else why)

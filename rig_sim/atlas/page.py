@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from rig_sim.atlas.figure import Comparison, Drawing, Entry
+from rig_sim.atlas.figure import Drawing, Entry, StatementCheck
 
 HEAD = """# Atlas
 
@@ -40,7 +40,7 @@ def differences(drawn: Iterable[tuple[Entry, Drawing, str]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def table(rows: Iterable[Comparison]) -> str:
+def table(rows: Iterable[StatementCheck]) -> str:
     """Return a table of comparisons."""
     lines = ["| quantity | thesis says | computed | why they differ |", "| --- | --- | --- | --- |"]
     lines += [f"| {row.quantity} | {row.thesis} | {row.computed} | {row.why or 'they agree'} |" for row in rows]

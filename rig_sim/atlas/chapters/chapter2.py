@@ -7,7 +7,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import F, T, V, X, motion
-from rig_sim.atlas.figure import Comparison, Drawing, Entry, Panel, Trace, compare, state
+from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
 from rig_sim.dynamics.limit_cycle import Orbit, cycle
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
@@ -81,7 +81,7 @@ def number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def extremes(law: int, low: str, high: str, slowest: str, why: str = "") -> tuple[Comparison, ...]:
+def extremes(law: int, low: str, high: str, slowest: str, why: str = "") -> tuple[StatementCheck, ...]:
     """Return the comparisons of the extremes that the thesis reads off."""
     found = orbit(law)
     return (
@@ -91,7 +91,7 @@ def extremes(law: int, low: str, high: str, slowest: str, why: str = "") -> tupl
     )
 
 
-def history_table(law: int) -> tuple[Comparison, ...]:
+def history_table(law: int) -> tuple[StatementCheck, ...]:
     """Return what the thesis says of the time histories of a law."""
     begins, ends = first_stick(law)
     if law == 1:
@@ -247,7 +247,7 @@ def portrait(law: int) -> Drawing:
     )
 
 
-def portrait_table(law: int) -> tuple[Comparison, ...]:
+def portrait_table(law: int) -> tuple[StatementCheck, ...]:
     """Return what the thesis says of the phase portrait of a law."""
     found = orbit(law)
     if law == 1:
@@ -318,7 +318,7 @@ def curve(law: int) -> Drawing:
             Trace(np.array(edges), friction(law, np.array(edges)), "v_dr1 and v_dr2", "open", 1),
             Trace(np.array([belt]), np.zeros(1), "belt", "filled", 1),
         )
-    table: tuple[Comparison, ...] = ()
+    table: tuple[StatementCheck, ...] = ()
     if LAWS[law].contact == "ramp":
         slope = (friction(law, np.array([belt + 0.1])) - friction(law, np.array([belt - 0.1]))) / 0.2
         table = (
