@@ -48,29 +48,40 @@ class ChangeModels:
     smooth: Array
 
     def fit(self, count: Array) -> tuple[Array, Array]:
-        """Fit n counts: coefficients (m, k), and the mean squares left, counts^2, (m,), at least `ROUNDED`."""
-        y = count - self.smooth @ (self.smooth.T @ count)
+        """Fit n counts, or b times as many, (n, b).
+
+        Returns the coefficients, (m, k) or (m, k, b), and the mean squares left, counts^2, (m,) or (m, b), at least
+        `ROUNDED`.
+        """
+        y = self._deviations(count)
         product = self.columns @ y
-        solved = np.einsum("mij,mj->mi", self.inverse, product)
-        squares = (y @ y - np.einsum("mi,mi->m", solved, product)) / y.size
+        solved = np.einsum("mij,mj...->mi...", self.inverse, product)
+        squares = (_square(y) - np.einsum("mi...,mi...->m...", solved, product)) / len(y)
         return solved, np.maximum(squares, ROUNDED)
 
     def fit_beside(self, column: Array, count: Array) -> tuple[Array, Array]:
-        """Fit each model of one column together with another ``column``, (n,), to n counts.
+        """Fit each model of one column together with another ``column``, (n, b), to counts (n, b).
 
-        Returns its coefficients, (m,), and the mean squares left, (m,), as `fit`.
+        Returns the coefficients of the other column, (m, b), and the mean squares left, (m, b), as `fit`.
         """
-        both = np.stack((column, count)) - (np.stack((column, count)) @ self.smooth) @ self.smooth.T
-        other, y = both
+        other, y = self._deviations(column), self._deviations(count)
         columns = self.columns[:, 0]
-        own = np.einsum("mn,mn->m", columns, columns) * (1 + RIDGE)
-        beside, square = columns @ other, float(other @ other) * (1 + RIDGE)
+        own = np.einsum("mn,mn->m", columns, columns)[:, None] * (1 + RIDGE)
+        beside, square = columns @ other, _square(other) * (1 + RIDGE)
         shared = np.maximum(own * square - beside**2, TINY)
-        product, wanted = columns @ y, float(other @ y)
+        product, wanted = columns @ y, np.einsum("n...,n...->...", other, y)
         size = (own * wanted - beside * product) / shared
         corner = (square * product - beside * wanted) / shared
-        squares = (y @ y - size * wanted - corner * product) / y.size
+        squares = (_square(y) - size * wanted - corner * product) / len(y)
         return size, np.maximum(squares, ROUNDED)
+
+    def _deviations(self, count: Array) -> Array:
+        """Return counts less what the polynomial explains of them."""
+        return np.asarray(count - self.smooth @ (self.smooth.T @ count))
+
+
+def _square(count: Array) -> Array:
+    return np.asarray(np.einsum("n...,n...->...", count, count))
 
 
 def change_models(columns: Array, times: Array, degree: int) -> ChangeModels:

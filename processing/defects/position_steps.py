@@ -13,6 +13,7 @@ position has them again unless repair was asked for.  Not found: smaller steps, 
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
@@ -20,7 +21,7 @@ from itertools import combinations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 from processing.defects.change_point import ROUNDED, ChangeModels, change_models, jump_weights
 from processing.polynomial.even_grid import even_grid
 from processing.record.estimates import RecordEstimates
@@ -57,6 +58,8 @@ SPREAD = 5  # samples
 SIDE = 8  # samples of a parabola on either side
 AROUND = 20  # samples on either side that the models are fitted to
 SCATTER = 4.5  # times the median miss nearby
+BESIDE = 3  # samples from one suspect to the next of the same place
+TOGETHER = 256  # suspects tested at a time: 4 MB; with more the test costs as much
 CORNERS = np.arange(-12.0, 13.0, 2)  # samples from the suspect: where a corner or a velocity step is tried
 DEGREE = 4  # of the polynomial beside the models
 SLACK = 0.5  # of the sum of steps: by how much a record may be wider without them; without slips it is by all of it
@@ -115,23 +118,39 @@ def _miss(width: int) -> Array:
 
 def _in_piece(count: Array, limits: StepLimits) -> list[tuple[int, int, float]]:
     """Return first and last sample and the size of each step, in counts."""
-    suspects = []
+    alike: dict[tuple[int, int, int], list[int]] = {}
+    for low, high in _suspects(count, limits):
+        begin, end = max(low - AROUND, 0), min(high + AROUND + SPREAD, count.size)
+        alike.setdefault((low - begin, high - begin, end - begin), []).append(begin)
+    steps: list[tuple[int, tuple[int, int, float]]] = []
+    for place, begins in alike.items():
+        around = sliding_window_view(count, place[2])
+        for first in range(0, len(begins), TOGETHER):
+            own = np.array(begins[first : first + TOGETHER])
+            for k, start, width, size in _tested(around[own].T - count[own], place, limits):
+                at = int(own[k]) + start
+                begins_at = math.ceil(at)
+                steps.append((int(own[k]) + place[0], (begins_at, max(math.ceil(at + width - 1), begins_at), size)))
+    found: list[tuple[int, int, float]] = []
+    for _, step in sorted(steps):
+        if not found or step[0] > found[-1][1]:
+            found.append(step)
+    return found
+
+
+def _suspects(count: Array, limits: StepLimits) -> list[tuple[int, int]]:
+    """Return the first and last of the samples beside each other at which two parabolas miss each other."""
+    loud: list[Integers] = [np.empty(0, np.int64)]
     for width in range(1, SPREAD + 1):
         miss = np.abs(np.correlate(count, _miss(width), "valid"))
-        loud = np.flatnonzero(miss >= limits.suspect)
-        if loud.size:
-            usual = np.median(sliding_window_view(np.pad(miss, AROUND, mode="reflect"), 2 * AROUND + 1)[loud], axis=1)
-            suspects += (loud[miss[loud] >= SCATTER * usual] + SIDE).tolist()
-    found: list[tuple[int, int, float]] = []
-    first = 0
-    places = sorted(set(suspects))
-    for k, place in enumerate(places):
-        if k + 1 == len(places) or places[k + 1] - place > 3:
-            step = _tested(count, places[first], place, limits)
-            first = k + 1
-            if step is not None and not (found and step[0] <= found[-1][1]):
-                found.append(step)
-    return found
+        own = np.flatnonzero(miss >= limits.suspect)
+        if own.size:
+            near = sliding_window_view(np.pad(SCATTER * miss, AROUND, mode="reflect"), 2 * AROUND + 1)[own]
+            quiet = np.count_nonzero(near <= miss[own, None], axis=1)  # more than half: the median is among them
+            loud.append(own[quiet > AROUND] + SIDE)
+    places = np.unique(np.concatenate(loud))
+    groups = np.split(places, np.flatnonzero(np.diff(places) > BESIDE) + 1)
+    return [(int(group[0]), int(group[-1])) for group in groups if group.size]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,39 +187,49 @@ def _two_corners(low: int, high: int, samples: int) -> ChangeModels:
     return change_models(np.array(list(combinations(models.corners, 2))), models.times, DEGREE)
 
 
-def _tested(count: Array, low: int, high: int, limits: StepLimits) -> tuple[int, int, float] | None:
-    """Test the record around the samples low..high; None unless a step alone explains it."""
-    begin, end = max(low - AROUND, 0), min(high + AROUND + SPREAD, count.size)
-    place = low - begin, high - begin, end - begin
-    models, own = _models(*place), count[begin:end] - count[begin]
-    best_bent = float(models.bent.fit(own)[1].min())
-    if best_bent < max(limits.clear, min(limits.abrupt, BETTER) * ROUNDED):  # no model leaves less than `ROUNDED`
-        return None
-    first, width, stepped = models.first, models.width, models.stepped
-    sizes, squares = stepped.fit(own)
-    at = int(np.argmin(squares))
-    if width[at] > 1:  # it need not begin or end with a sample
-        finer = first[at] + np.arange(-1.0, 1.01, 0.25), width[at] + np.arange(-1.0, 1.51, 0.5)
-        first, width = (part.ravel() for part in np.meshgrid(*finer))
-        stepped = change_models(_steps(own.size, first, width)[:, None], models.times, DEGREE)
-        sizes, squares = stepped.fit(own)
-        at = int(np.argmin(squares))
-    better = limits.abrupt if width[at] <= 1 else BETTER
-    size, square = float(sizes[at, 0]), float(squares[at])
-    if square * better > best_bent:
-        # Perhaps a step beside a corner: both together, against any two corners.
-        bent = min(best_bent, float(_two_corners(*place).fit(own)[1].min()))
-        if ROUNDED * better > bent:
-            return None
-        sizes, squares = models.bent.fit_beside(_steps(own.size, first[at : at + 1], width[at : at + 1])[0], own)
-        both = int(np.argmin(squares))
-        size, square = float(sizes[both]), float(squares[both])
-        if square * better > bent:
-            return None
-    if abs(size) < limits.least:
-        return None
-    start = begin + first[at]
-    return math.ceil(start), max(math.ceil(start + width[at] - 1), math.ceil(start)), size
+@lru_cache(maxsize=256)
+def _finer(low: int, high: int, samples: int, at: int) -> tuple[Array, Array, ChangeModels]:
+    """Return first samples, widths and models of steps near number ``at`` of `StepModels`, in fractions of a sample."""
+    models = _models(low, high, samples)
+    near = models.first[at] + np.arange(-1.0, 1.01, 0.25), models.width[at] + np.arange(-1.0, 1.51, 0.5)
+    first, width = (part.ravel() for part in np.meshgrid(*near))
+    return first, width, change_models(_steps(samples, first, width)[:, None], models.times, DEGREE)
+
+
+def _tested(own: Array, place: tuple[int, int, int], limits: StepLimits) -> Iterator[tuple[int, float, float, float]]:
+    """Test b stretches of n samples, (n, b), with suspects at the same ``place`` in each.
+
+    Yields number, first sample, width and size of those that a step alone explains.
+    """
+    models, number = _models(*place), np.arange(own.shape[1])
+    bent = models.bent.fit(own)[1].min(axis=0)
+    # No model leaves less than `ROUNDED`.
+    left = bent >= max(limits.clear, min(limits.abrupt, BETTER) * ROUNDED)
+    own, number, bent = own[:, left], number[left], bent[left]
+    at, size, square = _best(models.stepped, own)
+    first, width = models.first[at], models.width[at]
+    for best in np.unique(at[width > 1]).tolist():
+        k = np.flatnonzero(at == best)
+        firsts, widths, finer = _finer(*place, best)
+        near, size[k], square[k] = _best(finer, own[:, k])
+        first[k], width[k] = firsts[near], widths[near]
+    better = np.where(width <= 1, limits.abrupt, BETTER)
+    k = np.flatnonzero((square * better > bent) & (ROUNDED * better <= bent))
+    if k.size:  # perhaps a step beside a corner: both together, against any two corners
+        bent[k] = np.minimum(bent[k], _two_corners(*place).fit(own[:, k])[1].min(axis=0))
+        sizes, squares = models.bent.fit_beside(_steps(len(own), first[k], width[k]).T, own[:, k])
+        both = squares.argmin(axis=0), np.arange(k.size)
+        size[k], square[k] = sizes[both], squares[both]
+    found = (square * better <= bent) & (np.abs(size) >= limits.least)
+    yield from zip(*(part[found].tolist() for part in (number, first, width, size)), strict=True)
+
+
+def _best(models: ChangeModels, own: Array) -> tuple[Integers, Array, Array]:
+    """Return which model of one column explains stretches (n, b) best, its coefficient, and the mean square left."""
+    sizes, squares = models.fit(own)
+    best = squares.argmin(axis=0)
+    each = np.arange(best.size)
+    return best, sizes[best, 0, each], squares[best, each]
 
 
 def _steps(samples: int, first: Array, width: Array) -> Array:
