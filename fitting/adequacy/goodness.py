@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.distributions import gamma_tail, gamma_upper_quantile
 from fitting.adequacy.noise import PositionNoise, estimate_noise
 from fitting.adequacy.statistics import SlipBins, SlipStatistics
 from fitting.data.frame import MeasuredMotion
@@ -202,17 +203,13 @@ def least(bins: SlipBins) -> float:
 
 def tail(value: float, null: Array) -> float:
     """Return the probability of a value or a larger one under a gamma distribution with the moments of ``null``."""
-    from scipy.stats import gamma
-
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
     if not mean > 0 or not spread > 0:
         return 1.0
-    return float(gamma.sf(value, (mean / spread) ** 2, scale=spread**2 / mean))
+    return gamma_tail(value, mean, spread)
 
 
 def limit(p: float, null: Array) -> float:
     """Return the value that is exceeded with probability p under that distribution."""
-    from scipy.stats import gamma
-
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
-    return float(gamma.isf(p, (mean / spread) ** 2, scale=spread**2 / mean))
+    return gamma_upper_quantile(p, mean, spread)

@@ -19,12 +19,14 @@ polynomial             a0 + a1 s + a2 s^2 + a3 s^3                R. Ibrahim, Ap
 =====================  =========================================  ==================================================
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.distributions import chi_square_quantile, normal_quantile
 from fitting.curve.result import FormFit
 from fitting.curve.spline_fit import SplineFit, project
 from fitting.estimation.covariance import scaled_inverse
@@ -46,63 +48,76 @@ KINDS = {
 }
 LOWEST = 2  # coefficients, which act below a twentieth of the largest slip speed
 ROUNDING = 1e-12  # of the largest information
-MOST_CALLS = 60  # of a form from one start
+# The parameter that is not linear: values tried over its range, and how often the bracket of the best is divided again.
+# Half as many over the range still find the same minima; each division narrows the bracket four times.
+TRIED, DIVISIONS, DIVIDED = 60, 12, 9
+SLOPE_STEP = 1e-5  # of its logarithm: central differences err by 1e-10
 
 
 class Term(NamedTuple):
-    """One parameter of a form: its name, what it measures, and whether its logarithm is fitted."""
+    """One parameter of a form: its name, what it measures, and whether the form is not linear in it."""
 
     name: str
     kind: str
-    log: bool = False
+    bends: bool = False
 
 
 class Form(NamedTuple):
-    """A form y(x; parameters) with y friction over its size at rest and x the slip speed over the largest."""
+    """A form with y friction over its size at rest and x the slip speed over the largest.
+
+    ``columns`` (x, bend) gives what a unit of each linear parameter adds to y, in the order of ``terms``; ``bend`` is
+    the one parameter in which the form is not linear, positive, within ``reach``.
+    """
 
     name: str
     formula: str
     source: str
     terms: tuple[Term, ...]
-    value: Callable[[Array, Array], Array]
-    starts: tuple[tuple[float, ...], ...]
+    columns: Callable[[Array, float], tuple[Array, ...]]
+    reach: tuple[float, float] = (1.0, 1.0)
 
 
 FS, FC, VS, FV = Term("Fs", "force"), Term("Fc", "force"), Term("vs", "speed", True), Term("Fv", "force/speed")
 TUSTIN = "A. Tustin, J. IEE 94 (1947) 143"
 ARMSTRONG = "B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994) 1083"
-FALLS = tuple((1.0, level, speed) for level in (0.4, 0.7) for speed in (0.05, 0.15, 0.4))
+# Beyond them the fall lies below the slowest speed, or the curve is straight.
+FALLS = (2e-3, 1e2)
 
 
-def _stribeck(power: int, viscous: bool) -> Callable[[Array, Array], Array]:
-    def value(x: Array, p: Array) -> Array:
-        fall = p[1] + (p[0] - p[1]) * np.exp(-((x / p[2]) ** power))
-        return np.asarray(fall + p[3] * x if viscous else fall)
+def _stribeck(power: int, viscous: bool) -> Callable[[Array, float], tuple[Array, ...]]:
+    def columns(x: Array, vs: float) -> tuple[Array, ...]:
+        fall = np.exp(-((x / vs) ** power))
+        return (fall, 1 - fall, x) if viscous else (fall, 1 - fall)
 
-    return value
+    return columns
 
 
 FORMS = (
-    Form("constant", "Fs", "C. A. Coulomb (1785)", (FS,), lambda x, p: p[0] + 0 * x, ((1.0,),)),
-    Form(
-        "linear", "Fs - G s", "law 3 and 4", (FS, Term("G", "force/speed")), lambda x, p: p[0] - p[1] * x, ((1.0, 0.1),)
-    ),
+    Form("constant", "Fs", "C. A. Coulomb (1785)", (FS,), lambda x, _: (np.ones_like(x),)),
+    Form("linear", "Fs - G s", "law 3 and 4", (FS, Term("G", "force/speed")), lambda x, _: (np.ones_like(x), -x)),
     Form(
         "hyperbolic",
         "Fs/(1 + gamma s)",
         "law 5 and 6",
         (FS, Term("gamma", "1/speed", True)),
-        lambda x, p: p[0] / (1 + p[1] * x),
-        ((1.0, 1.0), (1.0, 8.0)),
+        lambda x, gamma: (1 / (1 + gamma * x),),
+        (1e-4, 1e5),
     ),
-    Form("stribeck-exponential", "Fc + (Fs - Fc) exp(-s/vs)", TUSTIN, (FS, FC, VS), _stribeck(1, viscous=False), FALLS),
+    Form(
+        "stribeck-exponential",
+        "Fc + (Fs - Fc) exp(-s/vs)",
+        TUSTIN,
+        (FS, FC, VS),
+        _stribeck(1, viscous=False),
+        FALLS,
+    ),
     Form(
         "stribeck-exponential-viscous",
         "Fc + (Fs - Fc) exp(-s/vs) + Fv s",
         TUSTIN,
         (FS, FC, VS, FV),
         _stribeck(1, viscous=True),
-        tuple((*start, 0.1) for start in FALLS),
+        FALLS,
     ),
     Form(
         "stribeck-gaussian",
@@ -118,31 +133,30 @@ FORMS = (
         ARMSTRONG,
         (FS, FC, VS, FV),
         _stribeck(2, viscous=True),
-        tuple((*start, 0.1) for start in FALLS),
+        FALLS,
     ),
     Form(
         "logarithmic",
         "Fs - b ln(1 + s/v0)",
         "J. Dieterich, J. Geophys. Res. 84 (1979) 2161",
         (FS, Term("b", "force"), Term("v0", "speed", True)),
-        lambda x, p: p[0] - p[1] * np.log1p(x / p[2]),
-        ((1.0, 0.1, 0.01), (1.0, 0.2, 0.1), (1.0, 0.5, 0.5)),
+        lambda x, v0: (np.ones_like(x), -np.log1p(x / v0)),
+        (1e-12, 1e3),  # v0 of rocks is a micrometre a second
     ),
     Form(
         "power",
         "Fs - b (s/{fastest:.4g} m/s)^p",
         "E. Rabinowicz, Proc. Phys. Soc. 71 (1958) 668",
         (FS, Term("b", "force"), Term("p", "", True)),
-        lambda x, p: p[0] - p[1] * x ** p[2],
-        ((1.0, 0.4, 0.5), (1.0, 0.4, 1.5)),
+        lambda x, p: (np.ones_like(x), -(x**p)),
+        (1e-2, 2e1),
     ),
     Form(
         "polynomial",
         "a0 + a1 s + a2 s^2 + a3 s^3",
         "R. Ibrahim, Appl. Mech. Rev. 47 (1994) 209",
         (Term("a0", "force"), Term("a1", "force/speed"), Term("a2", "force/speed^2"), Term("a3", "force/speed^3")),
-        lambda x, p: p[0] + x * (p[1] + x * (p[2] + x * p[3])),
-        ((1.0, 0.0, 0.0, 0.0),),
+        lambda x, _: (np.ones_like(x), x, x**2, x**3),
     ),
 )
 
@@ -213,38 +227,34 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
 
 
 def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> FormFit:
-    from scipy import stats
-    from scipy.optimize import least_squares
-
     fastest, size = float(fit.spline.knots[-1]), float(np.median(fit.spline.coefficients))
     x = np.linspace(0.0, 1.0, GRID) ** 1.6
     onto = size * np.einsum("ij,jg->ig", metric.root, project(fit.spline, x * fastest))
-    logs = np.array([term.log for term in form.terms])
 
-    def natural(p: Array) -> Array:
-        return np.where(logs, np.exp(np.clip(p, -30.0, 30.0)), p)
+    def columns(bend: float) -> Array:
+        return np.asarray(np.einsum("ig,lg->il", onto, np.stack(form.columns(x, bend))))
 
-    def distance(p: Array) -> Array:
-        return np.asarray(np.einsum("ig,g->i", onto, form.value(x, natural(p))) - metric.aim)
-
-    tried = []
-    for start in form.starts:
-        first = np.where(logs, np.log(np.where(logs, start, 1.0)), start)
-        found = least_squares(distance, first, method="lm", max_nfev=MOST_CALLS * len(start))
-        tried.append((2 * float(found.cost), np.asarray(found.x), np.asarray(found.jac)))
-    misfit, best, slopes = min(tried, key=lambda row: row[0])
+    bend = _best_bend(columns, metric.aim, *form.reach)
+    slopes = columns(bend)
+    linear = np.linalg.lstsq(slopes, metric.aim, rcond=None)[0]
+    misfit = float(np.sum((np.einsum("il,l->i", slopes, linear) - metric.aim) ** 2))
+    bends = [i for i, term in enumerate(form.terms) if term.bends]
+    values = np.insert(linear, bends, math.log(bend))
+    if bends:
+        beside = columns(bend * math.exp(SLOPE_STEP)) - columns(bend * math.exp(-SLOPE_STEP))
+        slopes = np.insert(slopes, bends, np.einsum("il,l->i", beside, linear)[:, None] / (2 * SLOPE_STEP), axis=1)
     count = len(form.terms)
     freedom = max(metric.aim.size - count, 1)
     covariance = np.linalg.pinv(np.einsum("ki,kj->ij", slopes, slopes), rcond=1e-14, hermitian=True)
-    quantile = float(stats.norm.ppf(0.5 + CONFIDENCE / 2))
+    quantile = normal_quantile(0.5 + CONFIDENCE / 2)
     parameters = {}
-    for term, value, variance in zip(form.terms, best, np.diag(covariance), strict=True):
+    for term, value, variance in zip(form.terms, values, np.diag(covariance), strict=True):
         unit, force, speed = KINDS[term.kind]
         factor, error = size**force * fastest**speed, float(np.sqrt(max(variance, 0.0)))
         ends = [value - quantile * error, value, value + quantile * error]
-        lo, middle, hi = factor * (np.exp(np.clip(ends, -300, 300)) if term.log else np.array(ends))
+        lo, middle, hi = factor * (np.exp(np.clip(ends, -300, 300)) if term.bends else np.array(ends))
         parameters[term.name] = Parameter(
-            float(middle), float(error * (middle if term.log else factor)), float(lo), float(hi), unit
+            float(middle), float(error * (middle if term.bends else factor)), float(lo), float(hi), unit
         )
     return FormFit(
         name=form.name,
@@ -254,6 +264,23 @@ def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> Form
         misfit=misfit,
         chi=float(np.sqrt(misfit / freedom)),
         bic=misfit + count * float(np.log(metric.samples)),
-        inside_band=bool(misfit <= stats.chi2.ppf(CONFIDENCE, freedom)),
-        values=np.asarray(size * form.value(speeds / fastest, natural(best))),
+        inside_band=bool(misfit <= chi_square_quantile(CONFIDENCE, freedom)),
+        values=np.asarray(size * np.einsum("l,lk->k", linear, np.stack(form.columns(speeds / fastest, bend)))),
     )
+
+
+def _best_bend(columns: Callable[[float], Array], aim: Array, low: float, high: float) -> float:
+    """Return the parameter between ``low`` and ``high`` with which the linear ones come nearest to ``aim`` (m,).
+
+    What they leave is the part of ``aim`` outside the space of their columns.
+    """
+    if low == high:
+        return low
+    begin, end, number = math.log(low), math.log(high), TRIED
+    for _ in range(DIVISIONS):
+        tried = np.linspace(begin, end, number)
+        spaces = np.linalg.qr(np.stack([columns(math.exp(value)) for value in tried])).Q
+        left = aim - np.einsum("tml,tl->tm", spaces, np.einsum("tml,m->tl", spaces, aim))
+        best = int(np.argmin(np.sum(left**2, axis=1)))
+        begin, end, number = tried[max(best - 1, 0)], tried[min(best + 1, number - 1)], DIVIDED
+    return math.exp(0.5 * (begin + end))

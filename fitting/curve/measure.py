@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.distributions import normal_quantile, student_quantile
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
 from fitting.curve.forms import fit_forms
 from fitting.curve.result import BandExit, FormFit, MeasuredCurve
@@ -76,14 +77,12 @@ def _contacts(fits: Sequence[Fit], noise: Array) -> tuple[list[Fit], bool]:
 
 
 def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
-    from scipy.stats import norm, t
-
     linear = fit.linearised()
     both = covariances(linear)
     speeds = seen_speeds(fit)
     cycles = len(fit.task.rows)
-    quantile = float(t.ppf(1 - alpha / 2, max(cycles - 1, 1)))
-    half = half_widths(curve_columns(fit, speeds), both, 1 - alpha, quantile / float(norm.ppf(1 - alpha / 2)))
+    quantile = student_quantile(1 - alpha / 2, max(cycles - 1, 1))
+    half = half_widths(curve_columns(fit, speeds), both, 1 - alpha, quantile / normal_quantile(1 - alpha / 2))
     friction = fit.spline(speeds)
     ramp = float(fit.u[Global.D]) if fit.path.curve.ramp else 0.0
     K, error = float(fit.u[Global.K]), float(np.sqrt(max(covariance[0, 0] for covariance in both)))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.distributions import fisher_log_tail, normal_quantile
 from fitting.estimation.linearised import LinearisedFit, Scores
 
 # Of a column's curvature: where no more is left of it after the projection, the fit already adjusts it.  Derivatives
@@ -70,8 +71,6 @@ def score(base: LinearisedFit, columns: Array, widths: Sequence[int]) -> list[Sc
 
 
 def _score(found: Scores, own: slice) -> Score | None:
-    from scipy.stats import f as fisher
-
     information, total = found.information[:, own, own], found.score[:, own]
     k, n = total.shape[1], int(np.sum(np.any(total != 0, axis=1)))
     whole, gradient = found.total_information[own, own], found.total[own]
@@ -84,7 +83,7 @@ def _score(found: Scores, own: slice) -> Score | None:
     jackknife = (n - 1) / n * np.einsum("ck,cl->kl", beside, beside)
     statistic = float(np.sum(coefficients * _solve(jackknife, coefficients)))
     # Hotelling's T^2 of the n cycles
-    log_p = float(fisher.logsf(statistic * (n - k) / (k * (n - 1)), k, n - k))
+    log_p = fisher_log_tail(statistic * (n - k) / (k * (n - 1)), k, n - k)
     noise = np.diag(_solve(whole, np.eye(k)))
     floor = np.sqrt(np.maximum(noise / np.maximum(np.diag(jackknife), 1e-300), 1.0))
     return Score(
@@ -98,11 +97,9 @@ def _score(found: Scores, own: slice) -> Score | None:
 
 def sigmas(log_p: float, trials: float = 1.0) -> float:
     """Return the standard deviations of a normal variable whose two-sided tail is exp(log_p), after so many trials."""
-    from scipy.stats import norm
-
     log_tail = min(log_p + math.log(max(trials, 1.0)), 0.0) - math.log(2)
     if log_tail > -700:
-        return max(float(norm.isf(math.exp(log_tail))), 0.0)
+        return max(-normal_quantile(math.exp(log_tail)), 0.0)
     return math.sqrt(-2 * log_tail - math.log(-2 * log_tail * 2 * math.pi))
 
 

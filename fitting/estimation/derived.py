@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.distributions import student_quantile
 from daq.runfile.rig import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import covariance
@@ -100,8 +101,6 @@ def derived_parameters(
     sustained : bool
         Whether the contact sticks again and again: else its level is not made anew and shows no wear.
     """
-    from scipy.stats import t as student
-
     slots = columns(fit.active, fit.runs)[run]
     known = slots >= 0
     active = [Global(slot) for slot in slots[known]]
@@ -133,7 +132,7 @@ def derived_parameters(
     if default[Global.DATUM] and law.curve == "constant":
         undetermined.add(Global.DATUM)
     own = fit.u[PER_RUN * run : PER_RUN * (run + 1)]
-    quantile = float(student.ppf(1 - alpha / 2, max(len(fit.rows) - 1, 1)))
+    quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
     found: dict[str, Parameter] = {}
     for row in TABLE:
         scale = None if not row.scale or (row.scale == "stiffness" and motion.mass) else getattr(motion, row.scale)
@@ -177,13 +176,11 @@ def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) 
 
 def _wear(fit: Fit, run: int, level: Parameter, alpha: float) -> dict[str, Parameter]:
     """Return Fs/m when the recording began, and wear; empty where the cycles show no trend."""
-    from scipy.stats import t as student
-
     trend = fit.level_trend(run)
     if trend is None:
         return {}
     first, rate = trend.first, trend.rate
-    quantile = float(student.ppf(1 - alpha / 2, trend.degrees_of_freedom))
+    quantile = student_quantile(1 - alpha / 2, trend.degrees_of_freedom)
     error = math.hypot(level.stderr * first.value, level.value * first.sd)
     return {
         "Fs0/m": _parameter(level.value * first.value, error, quantile, level.unit, signed=False),

@@ -12,7 +12,6 @@ from daq.output import atomic
 from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
 from fitting.estimation.result import Parameter
-from fitting.report import plot
 from fitting.report.palette import COLOURS
 from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_length, format_probability
@@ -76,6 +75,8 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
     """Return the report as HTML."""
     import jinja2
     from markupsafe import Markup
+
+    from fitting.report import plot
 
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, autocorrelation_time
+from daq.compute.distributions import student_quantile
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
 from fitting.model.parameters import PER_RUN, Global
@@ -215,13 +216,11 @@ def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
     alpha : float
         1 - confidence of the t-interval.
     """
-    from scipy.stats import t as student
-
     laws, errors = evidence.laws, evidence.penalised
     n = errors.shape[1]
     mean = errors.mean(axis=1)
     winner = int(np.argmin(mean))
-    quantile = float(student.ppf(1 - alpha / 2, n - 1))
+    quantile = student_quantile(1 - alpha / 2, n - 1)
     samples = max(n, evidence.samples)
     score = {law: float(2 * samples * (mean[i] - mean[winner])) for i, law in enumerate(laws)}
     behind = {}

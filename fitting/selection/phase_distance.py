@@ -5,38 +5,61 @@ not a part of it.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
+from fitting.selection.nearest import nearest_distances
 
 MOST_POINTS = 4000
 
 
-def orbit_distance(fit: Fit, motion: MeasuredMotion) -> float:
-    """Return the rms distance of a law's orbit to the nearest points of the measured one.
+@dataclass(frozen=True, eq=False)
+class MeasuredOrbit:
+    """The measured motion in the phase plane, in ascending order of position.
 
-    Parameters
+    Attributes
     ----------
-    fit : Fit
-        Of this one run (`Fit.for_run`).
-    motion : MeasuredMotion
-
-    Returns
-    -------
-    float
-        In units of the orbit's size: positions are divided by the spread between their smallest and largest, velocities
-        by theirs.  What differs in time alone, such as a slip that comes late, does not count.
+    size : (2,) f8
+        Between smallest and largest position (m) and velocity (m/s).
+    position, velocity : (n,) f8
+        Over their sizes.
     """
-    from scipy.spatial import KDTree
 
-    size = np.array([np.ptp(motion.position), np.ptp(motion.velocity)])
-    tree = KDTree(np.stack([motion.position, motion.velocity], axis=1) / size)
-    own = model(fit) / size
-    found, _ = tree.query(own[:: max(1, len(own) // MOST_POINTS)])
-    return math.sqrt(float(np.mean(found**2)))
+    size: Array
+    position: Array
+    velocity: Array
+
+    @classmethod
+    def of(cls, motion: MeasuredMotion) -> "MeasuredOrbit":
+        """Sort a run's motion."""
+        size = np.array([np.ptp(motion.position), np.ptp(motion.velocity)])
+        order = np.argsort(motion.position, kind="stable")
+        return cls(size, motion.position[order] / size[0], motion.velocity[order] / size[1])
+
+    def distance(self, fit: Fit) -> float:
+        """Return the rms distance of a law's orbit to the nearest points of the measured one.
+
+        Parameters
+        ----------
+        fit : Fit
+            Of this one run (`Fit.for_run`).
+
+        Returns
+        -------
+        float
+            In units of the orbit's size, position and velocity each of its own.  What differs in time alone, such as a
+            slip that comes late, does not count.
+        """
+        own = model(fit) / self.size
+        x, v = np.ascontiguousarray(own[:: max(1, len(own) // MOST_POINTS)].T)
+        found = np.empty(x.size)
+        compiled(nearest_distances, (nearest_distances.__module__,))(self.position, self.velocity, x, v, found)
+        return math.sqrt(float(np.mean(found**2)))
 
 
 def model(fit: Fit) -> Array:

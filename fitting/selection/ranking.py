@@ -20,9 +20,10 @@ from fitting.departures.ageing import find_ageing
 from fitting.estimation import break_aways, derived, search
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
-from fitting.selection import equivalence, evidence, phase_distance, screening, verdict
+from fitting.selection import equivalence, evidence, screening, verdict
 from fitting.selection.contradictions import find_contradictions
 from fitting.selection.evidence import FEWEST_CYCLES, Evidence, ModelSet
+from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult
 from fitting.selection.result import Ranking as Ranking
 from processing.record.kinematics import Kinematics
@@ -134,10 +135,11 @@ def rank(
     assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha, _revolution(records))
     adequate = assessed.together.adequate
     outside = assessed.together.outside_band
+    orbits = [MeasuredOrbit.of(run.motion) for run in runs]
     tables = [
         [
             replace(row, outside_band=outside.get(fit.law))
-            for row in _rows(fit, chosen, runs, alpha, sustained=sustained, trusted=adequate)
+            for row in _rows(fit, chosen, runs, orbits, alpha, sustained=sustained, trusted=adequate)
         ]
         for fit in ordered
     ]
@@ -354,7 +356,14 @@ def _refuse(why: str, records: Sequence[Kinematics]) -> None:
 
 
 def _rows(
-    fit: Fit, chosen: ModelSet, runs: Sequence[Run], alpha: float, *, sustained: bool, trusted: bool
+    fit: Fit,
+    chosen: ModelSet,
+    runs: Sequence[Run],
+    orbits: Sequence[MeasuredOrbit],
+    alpha: float,
+    *,
+    sustained: bool,
+    trusted: bool,
 ) -> list[LawResult]:
     """Return a law's row for each run, and last the row for all of them together; one row for a single run.
 
@@ -365,13 +374,13 @@ def _rows(
         derived.derived_parameters(fit, run.motion, alpha, number, sustained=sustained)
         for number, run in enumerate(runs)
     ]
-    orbits = [phase_distance.orbit_distance(part, run.motion) for part, run in zip(parts, runs, strict=True)]
+    distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
     if len(runs) > 1:
         together = {name: item for name, item in parameters[0].items() if name not in derived.RUNS_OWN}
         for number, own in enumerate(parameters, start=1):
             together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
         parts, parameters = [*parts, fit], [*parameters, together]
-        orbits.append(math.sqrt(float(np.mean(np.square(orbits)))))
+        distances.append(math.sqrt(float(np.mean(np.square(distances)))))
     return [
         LawResult(
             law=fit.law,
@@ -384,8 +393,8 @@ def _rows(
             parameters={name: replace(item, trusted=trusted) for name, item in own.items()},
             cpu_s=fit.cpu_s,
             behind=chosen.behind[fit.law],
-            orbit=orbit,
+            orbit=distance,
             fit=part,
         )
-        for part, own, orbit in zip(parts, parameters, orbits, strict=True)
+        for part, own, distance in zip(parts, parameters, distances, strict=True)
     ]

@@ -33,15 +33,11 @@ class FrictionSpline:
     @classmethod
     def over(cls, knots: Array, coefficients: Array | None = None) -> "FrictionSpline":
         """Return a spline over knots (n + 1,), its coefficients (n + 3,) 0 unless given."""
-        from scipy.interpolate import PPoly
-
         clamped = np.concatenate(([knots[0]] * DEGREE, knots, [knots[-1]] * DEGREE))
         count, n = knots.size + DEGREE - 1, knots.size - 1
         pieces = np.zeros((count, n, DEGREE + 1))
-        for j in range(count):
-            unit = np.zeros(count)
-            unit[j] = 1.0
-            pieces[j] = PPoly.from_spline((clamped, unit, DEGREE)).c[::-1, DEGREE : DEGREE + n].T
+        for i in range(n):
+            pieces[i : i + DEGREE + 1, i] = _pieces_over(clamped, i + DEGREE)
         return cls(knots, np.zeros(count) if coefficients is None else coefficients, pieces)
 
     def with_coefficients(self, coefficients: Array) -> "FrictionSpline":
@@ -67,6 +63,25 @@ class FrictionSpline:
     def __call__(self, s: Array) -> Array:
         """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s."""
         return np.asarray(np.einsum("kj,j->k", self.basis(np.asarray(s, float)), self.coefficients))
+
+
+def _pieces_over(t: Array, i: int) -> Array:
+    """Return the polynomials (4, 4) of the basis functions i - 3 to i over [t_i, t_(i+1)], in powers of s - t_i.
+
+    By the recurrence of C. de Boor, A Practical Guide to Splines (2001), X.
+    """
+    found = np.zeros((DEGREE + 2, DEGREE + 1))  # the last one is 0 here
+    found[DEGREE, 0] = 1.0
+    for k in range(1, DEGREE + 1):
+        for row in range(DEGREE - k, DEGREE + 1):
+            j = i - DEGREE + row
+            rise, fall = np.zeros((2, DEGREE + 1))
+            if row > DEGREE - k:
+                rise = ((t[i] - t[j]) * found[row] + np.roll(found[row], 1)) / (t[j + k] - t[j])
+            if row < DEGREE:
+                fall = ((t[j + k + 1] - t[i]) * found[row + 1] - np.roll(found[row + 1], 1)) / (t[j + k + 1] - t[j + 1])
+            found[row] = rise + fall
+    return found[:-1]
 
 
 def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, out: Array) -> None:
