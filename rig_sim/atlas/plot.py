@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 STYLE = Path(__file__).with_name("atlas.mplstyle")
-COLOURS = 48  # of a picture: with 24 the edges of thin lines show steps, with 128 a file is a third larger
-WIDTH, HEIGHT = 7.2, {1: 2.15, 2: 2.75, 3: 2.35}  # of the picture, and of a row by the number of panels in it, inches
+COLOURS = 64  # of a picture: with 24 the edges of thin lines show steps, with 128 a file is a third larger
+WIDTH, HEIGHT = 7.2, {1: 2.15, 2: 3.0, 3: 2.35}  # of the picture, and of a row by the number of panels in it, inches
 ALONE = 4.1  # height of a panel that is the only one
 LETTERS = 112  # of a line of the sentence
 LOOKS: dict[str, dict[str, Any]] = {
