@@ -20,6 +20,7 @@ from fitting.estimation.levenberg_marquardt import LeastSquaresProblem, Solution
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model import parameters
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
+from fitting.model.problem import level_prior
 from fitting.model.shooting import ShootingWindows
 from fitting.sensitivity import flow
 from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
@@ -341,9 +342,7 @@ def _scatter(fit: Fit, local: Array) -> float:
     Without a datum it is a loose one, as for the laws: levels that differ less in proportion, the higher friction is,
     would otherwise pull the datum away and the whole curve up.
     """
-    loose = any(motion.datum_prior is None for motion in fit.problem.motions)
-    found = max(float(np.std(local[:, PerCycle.LEVEL])), LEAST_SCATTER)
-    return found * (trajectory.LOOSE_LEVELS if loose else 1.0)
+    return level_prior(fit.problem.motions) * max(float(np.std(local[:, PerCycle.LEVEL])), LEAST_SCATTER)
 
 
 def _cycle_chi(task: LeastSquaresProblem, solution: Solution) -> Array:

@@ -5,6 +5,9 @@ gradients of the cycles shows how far the estimate would move with other cycles.
 out too small; the curvature at the noise level rms x sqrt(correlation time) is the floor.  There a cycle informs by no
 more than its own residuals allow: the drag of a start-up alone shows the belt's speed under constant friction, so that
 no other cycle says how far a belt that ripples moves it.
+
+Without a datum the prior of the friction levels is wider than their scatter (`EstimationProblem.level_prior`).  The
+curvature then understates what they inform, so the floor is the covariance of the estimate under the true scatter.
 """
 
 import math
@@ -16,6 +19,7 @@ from daq.compute.arrays import Array, autocorrelation_time
 from daq.runfile.rig import Measured
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import SchurComplement, eigen
+from fitting.model.parameters import PerCycle
 
 # Times the variance that the fit assumes of a cycle's residuals: what they may have, since a correlation time from one
 # window is uncertain.  With 4 the error of the belt's speed from a drag on a rippling belt would be too small by 2.
@@ -41,7 +45,12 @@ def covariance(fit: Fit, precision: Array) -> Array:
     own = own * scale
     meat = np.einsum("ci,cj->ij", own, own) * (cycles / max(cycles - 1, 1)) + np.diag(precision * scale**2)
     sandwich = np.einsum("ik,kl->il", np.einsum("ik,kl->il", bread, meat), bread)
-    own_scale, limited = scaled_inverse(H - _unfounded(fit, reduced), np.diag(blocks.H))
+    share = _founded(fit)
+    informed = np.einsum("c,cpr->pr", share - 1, reduced.by_cycle(blocks.cycle_curvature))
+    own_scale, limited = scaled_inverse(H + informed, np.diag(blocks.H))
+    if fit.problem.level_prior > 1:
+        narrower = np.einsum("c,cpr->pr", share, reduced.by_prior(_excess(fit))) * own_scale[:, None] * own_scale
+        limited = limited - np.einsum("ij,jk,kl->il", limited, narrower, limited)
     least, found = np.diag(limited) * (own_scale / scale) ** 2, np.diag(sandwich)
     floor = np.sqrt(np.maximum(least / np.maximum(found, 1e-20 * least), 1.0))
     spread = sandwich * floor[:, None] * floor
@@ -49,15 +58,24 @@ def covariance(fit: Fit, precision: Array) -> Array:
     return np.asarray(spread * scale[:, None] * scale)
 
 
-def _unfounded(fit: Fit, reduced: SchurComplement) -> Array:
-    """Return the part of the reduced curvatures (p, p) by which cycles inform beyond what their residuals allow."""
+def _founded(fit: Fit) -> Array:
+    """Return the share (cycles,) of what a cycle informs that its residuals allow."""
     assumed = fit.sigma[fit.windows.run] ** 2 / fit.state.weights
     own = np.full(assumed.size, 1e-300)
     for cycle, _, first, size, *_ in fit.windows.table:  # a drag is a window of the first cycle
         part = fit.residual[first : first + size]
         own[cycle] = max(own[cycle], float(np.mean(part**2)) * autocorrelation_time([part]))
-    share = 1 - np.minimum(ALLOWED * assumed / own, 1.0)
-    return np.asarray(np.einsum("c,cpr->pr", share, reduced.by_cycle(fit.solution.blocks.cycle_curvature)))
+    return np.asarray(np.minimum(ALLOWED * assumed / own, 1.0))
+
+
+def _excess(fit: Fit) -> Array:
+    """Return the part of the precisions (cycles, q) of the levels' prior by which it is wider than their scatter."""
+    wider = fit.problem.level_prior
+    found = np.zeros_like(fit.solution.blocks.gl)
+    found[fit.inlier_cycles, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = (1 - wider**-2) / (
+        wider * fit.state.scatter
+    ) ** 2
+    return found
 
 
 def without_prior(fit: Fit, index: int) -> Measured:

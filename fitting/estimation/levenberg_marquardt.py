@@ -196,6 +196,13 @@ class SchurComplement:
         """Return what each cycle informs of the shared unknowns, (c, p, p), with its own unknowns also fitted."""
         return np.asarray(cycle_curvature - np.einsum("cpq,cqr->cpr", self._cross, self._spread))
 
+    def by_prior(self, precision: Array) -> Array:
+        """Return the covariance of each cycle's reduced gradient, (c, p, p), that its own unknowns' priors lead to.
+
+        ``precision`` (c, q) are the priors' 1/sd^2, where the unknowns scatter by sd.
+        """
+        return np.asarray(np.einsum("cqp,cq,cqr->cpr", self._spread, precision, self._spread))
+
     def local_step(self, gl: Array) -> Array:
         """Return inv(Hl) gl, shape (cycles, q)."""
         return np.asarray(np.einsum("cij,cj->ci", self._inverse, gl))

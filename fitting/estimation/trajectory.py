@@ -55,9 +55,6 @@ ALTERNATIVE_FACTOR = 10.0  # times the best start's error after the first pass: 
 LOST_MINIMUM = 1.05  # times the error before: a pass that ends so much worse has left its minimum and is undone
 CONTAINED = 1.0005  # times its jump law's error: a ramp law that errs more is in a poor minimum
 SAME_MINIMUM = 1.001  # times the best start's error: a start that ends so near it has led to the same minimum
-# Of the levels' own scatter, without a datum: their prior would otherwise pull at the datum, as the larger Fs is, the
-# less the levels scatter relative to it.
-LOOSE_LEVELS = 5.0
 OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 
@@ -341,9 +338,8 @@ def _least_squares(
     """Return what a pass minimises when it moves the shared unknowns at ``index``."""
     prior, precision = _priors(problem, state)
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
-    local_sd = np.array([[x, v, state.scatter, state.scatter, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
-    if LAWS[problem.law].curve != "constant" and any(motion.datum_prior is None for motion in problem.motions):
-        local_sd[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] *= LOOSE_LEVELS
+    level = problem.level_prior * state.scatter
+    local_sd = np.array([[x, v, level, level, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
     local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
     return levenberg_marquardt.LeastSquaresProblem(
         evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),

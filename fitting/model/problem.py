@@ -21,6 +21,9 @@ RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
 RIPPLE_FREQUENCY_SD = 0.1  # of a turn over the whole record: further off lie other minima
 LARGEST_LOG_DROP = 30.0  # log: so far below its first value friction is none, and its exponential still a number
 LARGEST_STATIC = 5.0  # break-away level over Fs: dry contacts have 1 to 2
+# Of the levels' own scatter, without a datum: their prior would otherwise pull at the datum, as the larger Fs is, the
+# less the levels scatter relative to it.  Chosen by trial on camera tracks without calibration.
+LOOSE_LEVELS = 5.0
 NARROWEST_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
 
 
@@ -129,6 +132,14 @@ class EstimationProblem:
         return bool(LAWS[self.law].ramp)
 
     @property
+    def level_prior(self) -> float:
+        """Standard deviation of the prior of the friction levels, in standard deviations of their scatter.
+
+        Constant friction holds the datum, so that no level pulls at it.
+        """
+        return 1.0 if LAWS[self.law].curve == "constant" else level_prior(self.motions)
+
+    @property
     def motions(self) -> tuple[MeasuredMotion, ...]:
         """The motion of each run."""
         return tuple(run.motion for run in self.runs)
@@ -137,6 +148,11 @@ class EstimationProblem:
     def cycles(self) -> tuple[Cycle, ...]:
         """The cycles that are fitted, run by run."""
         return tuple(cycle for run in self.runs for cycle in run.cut.used)
+
+
+def level_prior(motions: Sequence[MeasuredMotion]) -> float:
+    """Return `EstimationProblem.level_prior` where the datum is fitted with a curve that is not constant."""
+    return LOOSE_LEVELS if any(motion.datum_prior is None for motion in motions) else 1.0
 
 
 def datum_calibration(motion: MeasuredMotion) -> Measured:

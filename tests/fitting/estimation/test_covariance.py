@@ -6,23 +6,27 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.runfile.rig import Measured
+from daq.runfile.rig import Measured, Rig
+from fitting.data import cycles, frame
+from fitting.estimation import search
 from fitting.estimation.covariance import covariance
 from fitting.estimation.derived import derived_parameters
 from fitting.estimation.levenberg_marquardt import NormalEquations
+from fitting.model.problem import Run
+from processing.smoothing import smooth
 
 
 def fit_with(slopes, guess):
-    """Return what `covariance` reads of a fit whose cycles (c) each measure slopes (p,) times the unknowns, once."""
+    """Return what `covariance` reads of a fit whose cycles each measure slopes (p,) times the unknowns, once."""
     slopes = np.asarray(slopes, float)
-    cycles, p = slopes.shape
-    misfit = np.where(np.arange(cycles) % 2, 1.0, -1.0)
+    count, p = slopes.shape
+    misfit = np.where(np.arange(count) % 2, 1.0, -1.0)
     blocks = NormalEquations(
         g=np.zeros(p),
         H=slopes.T @ slopes + np.diag(guess),
-        gl=np.zeros((cycles, 1)),
-        Hl=np.ones((cycles, 1, 1)),
-        cross=np.zeros((cycles, p, 1)),
+        gl=np.zeros((count, 1)),
+        Hl=np.ones((count, 1, 1)),
+        cross=np.zeros((count, p, 1)),
         cycle_g=slopes * misfit[:, None],
         cycle_curvature=slopes[:, :, None] * slopes[:, None, :],
     )
@@ -30,8 +34,9 @@ def fit_with(slopes, guess):
         solution=SimpleNamespace(blocks=blocks),
         residual=misfit,
         sigma=np.ones(1),
-        state=SimpleNamespace(weights=np.ones(cycles)),
-        windows=SimpleNamespace(run=np.zeros(cycles, int), table=np.array([(k, 0, k, 1, 0, 0) for k in range(cycles)])),
+        state=SimpleNamespace(weights=np.ones(count)),
+        problem=SimpleNamespace(level_prior=1.0),
+        windows=SimpleNamespace(run=np.zeros(count, int), table=np.array([(k, 0, k, 1, 0, 0) for k in range(count)])),
     )
 
 
@@ -62,6 +67,16 @@ def test_what_one_cycle_alone_shows_is_as_uncertain_as_that_cycle_s_residuals():
     before, after = covariance(sound, np.zeros(2)), covariance(rippled, np.zeros(2))
     assert after[0, 0] == pytest.approx(before[0, 0])
     assert after[1, 1] > 25 * before[1, 1]
+
+
+def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cycles(synthetic):
+    # The prior of the levels, five times wider than their scatter, went into it: it was four times too large.
+    recording = replace(synthetic.recording(law=5, delta=5e-5), rig=Rig())
+    motion = frame.from_kinematics(smooth(recording), recording.rig, None)
+    (fit,) = search.fit_laws((5,), [Run(motion, cycles.segment_cycles(motion))], 1)
+    level = derived_parameters(fit, motion, 0.05)["Fs/m"]
+    assert level.stderr == pytest.approx(level.value * fit.state.scatter / np.sqrt(len(fit.rows)), rel=0.3)
+    assert level.lo < 35.184 * 0.13068 < level.hi
 
 
 @pytest.mark.parametrize(("known", "unit"), [("mass", "k"), ("stiffness", "m")])
