@@ -60,13 +60,15 @@ def fit(
     jobs: int = 1,
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
+    *,
+    force: bool = False,
 ) -> list[BatchRow]:
     """Fit every run by itself; files are read and written here, by one process, whoever does the fitting.
 
     Parameters
     ----------
     files, places : sequence of Path
-        Runs, and where their reports go.
+        Runs, and where their reports go; no places where no reports are wanted.
     options : FitOptions
     jobs : int
         Processes; more than there are runs are not started.
@@ -74,6 +76,8 @@ def fit(
         Address of a dask scheduler, whose workers fit instead; they need no files.
     progress : callable, optional
         Called with the number of runs done.
+    force : bool
+        Replace files that are no reports of these runs.
 
     Raises
     ------
@@ -88,9 +92,10 @@ def fit(
     rows: list[BatchRow] = []
     try:
         with workers(min(jobs, len(files)), scheduler) as each:
-            found = each(partial(_fitted, options=options), _read(files, places, options))
-            for file, place, one in zip(files, places, found, strict=True):
-                rows.append(_saved(file, place, one))
+            pairs = [(file, places[number : number + 1]) for number, file in enumerate(files)]
+            found = each(partial(_fitted, options=options), _read(pairs, options, force))
+            for (file, place), one in zip(pairs, found, strict=True):
+                rows.append(_saved(file, place, one, force))
                 if progress is not None:
                     progress(float(len(rows)))
     except DeviceError as error:
@@ -105,11 +110,16 @@ def exit_code(rows: Sequence[BatchRow]) -> int:
     return max((row.code for row in rows), key=SEVERITY.index, default=errors.EXIT_DONE)
 
 
-def _read(files: Sequence[Path], places: Sequence[Path], options: FitOptions) -> Iterator[LoadedRun | Failure]:
-    for file, place in zip(files, places, strict=True):
+def _read(
+    pairs: Sequence[tuple[Path, Sequence[Path]]], options: FitOptions, force: bool
+) -> Iterator[LoadedRun | Failure]:
+    """Read each run, and refuse the file at the place of its report, if there is one, that is no report of it."""
+    for file, places in pairs:
         try:
-            page.refuse_foreign_file(place)
-            yield job.load_run(file, options)
+            run = job.load_run(file, options)
+            for place in places:
+                page.refuse_foreign_file(place, run.recording.digest, force=force)
+            yield run
         except Exception as error:
             yield _failure(error, file)
 
@@ -124,15 +134,15 @@ def _fitted(run: LoadedRun | Failure, options: FitOptions) -> FitOutput | Failur
         return _failure(error, run.recording.source)
 
 
-def _saved(file: Path, place: Path, found: FitOutput | Failure) -> BatchRow:
+def _saved(file: Path, places: Sequence[Path], found: FitOutput | Failure, force: bool) -> BatchRow:
     """Write what was found where it belongs."""
     if isinstance(found, Failure):
         return BatchRow(file, {}, found)
     try:
-        found.save([file], [place])
+        found.save([file], places, force=force)
     except Exception as error:
         return BatchRow(file, {}, _failure(error, file))
-    return BatchRow(file, found.as_json() | {"report": place})
+    return BatchRow(file, found.as_json() | {"report": next(iter(places), None)})
 
 
 def _failure(error: Exception, file: Path) -> Failure:

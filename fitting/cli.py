@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -50,10 +51,19 @@ def fit(
         ),
     ] = None,
     exclude_cycles: Annotated[str, Parameter(help="Cycles to leave out, counted from 1: 3,7-9.")] = "",
+    begin: Annotated[
+        str | None,
+        Parameter(name="--from", help="Fit from this time of the run, s or with a unit.", allow_leading_hyphen=True),
+    ] = None,
+    end: Annotated[
+        str | None, Parameter(name="--to", help="Fit up to this time of the run, likewise.", allow_leading_hyphen=True)
+    ] = None,
     alpha: Annotated[float, Parameter(help="1 - confidence level of the intervals and the set.")] = 0.05,
     report: Annotated[
-        Path | None, Parameter(help="Report to write; default RUN.report.html; with several runs one each, numbered.")
+        Path | None,
+        Parameter(help="Report to write; default RUN.report.html; with several runs one each, numbered."),
     ] = None,
+    no_report: Annotated[bool, Parameter(negative=(), help="Write no report.")] = False,
     csv: Annotated[
         Path | None, Parameter(help="Also write the ranking as a table with one row per run and law.")
     ] = None,
@@ -64,6 +74,9 @@ def fit(
     each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself: a batch.")] = False,
     jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1,
     scheduler: Annotated[str | None, Parameter(help="Fit on the workers of a dask scheduler: tcp://host:8786.")] = None,
+    force: Annotated[
+        bool, Parameter(negative=(), help="Replace a report or table that is not this run's own.")
+    ] = False,
     json: Json = False,
 ) -> Answer:
     """Fit the friction laws to a run, rank them, and write a report beside it.
@@ -78,11 +91,16 @@ def fit(
     With --each every run is fitted by itself: a failed one stops no other, its error stands in its row; exit code 0
     when all are decided, 5 when one is undecided, 6 when no law describes one, else that of the worst error.
 
+    With --from or --to a part of each run is smoothed by itself and fitted; times are those of the run.  Results and
+    reports of the same run are replaced by new ones, those of another run only with --force.
+
     Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g"
+
+    Example: fit-friction run.h5 --from 5 --to "1.5 min" --no-report
 
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
-    from daq.console.units import measured, quantity
+    from daq.console.units import measured, quantity, time_or_none
     from fitting import batch, job
     from fitting.report import page as pages
     from fitting.report import table
@@ -91,15 +109,17 @@ def fit(
     files = [file, *more]
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
-    places = pages.report_paths(files, report)
+    if no_report and report is not None:
+        raise InputError("--report and --no-report together", "command line", "give one")
+    places: list[Path] = [] if no_report else pages.report_paths(files, report)
     if csv is not None:
-        table.refuse_foreign_file(csv, files)
+        table.refuse_foreign_file(csv, files, force=force)
         if csv.resolve() in {place.resolve() for place in places}:
             raise InputError("is also the name of the report", str(csv), "give another name with --csv or --report")
     if curve_csv is not None:
         if each:
             raise InputError("--curve-csv with --each", "command line", "fit the runs one at a time")
-        table.refuse_foreign_file(curve_csv, files, table.CURVE)
+        table.refuse_foreign_file(curve_csv, files, table.CURVE, force=force)
         if curve_csv.resolve() in {place.resolve() for place in (*places, *([] if csv is None else [csv]))}:
             raise InputError("is also the name of another output", str(curve_csv), "give another name")
     if mass is not None and stiffness is not None:
@@ -115,20 +135,23 @@ def fit(
         belt_speed=belt_speed if belt_speed in (None, "channel") else quantity(belt_speed, "speed", "--belt-speed"),
         excluded=tuple(numbers(exclude_cycles, "--exclude-cycles")),
         alpha=alpha,
+        begin=time_or_none(begin, "--from"),
+        end=time_or_none(end, "--to"),
+        report=not no_report,
     )
     if each:
         with application.progress("fitting", float(len(files)), "runs") as progress:
-            rows = batch.fit(files, places, options, jobs, scheduler, progress)
+            rows = batch.fit(files, places, options, jobs, scheduler, progress, force=force)
         if csv is not None:
             table.write(csv, [(row.file, row.document) for row in rows])
         data = {"runs": [row.as_json() for row in rows]}
         return Answer(data, _batch(rows), batch.exit_code(rows))
-    for place in places:
-        pages.refuse_foreign_file(place)
     runs = [job.load_run(path, options) for path in files]
+    for place, run in zip(places, runs, strict=False):
+        pages.refuse_foreign_file(place, run.recording.digest, force=force)
     with application.progress("fitting", float(len(options.laws)), "laws") as progress:
         done = job.fit_runs(runs, options, jobs, scheduler, progress)
-    done.save(files, places)
+    done.save(files, places, force=force)
     if csv is not None:
         sides = done.ranking.runs or (done.ranking,)
         table.write(csv, [(path, side.as_json()) for path, side in zip(files, sides, strict=True)])
@@ -139,10 +162,11 @@ def fit(
             raise DataError("no friction curve could be measured", str(file), "leave out --curve-csv")
         table.write_curve(curve_csv, measured_curve, ranking.adequacy.unit)
     counted = pooled(done.statistics)
-    data = done.as_json() | {"report": places[0]}
+    data = done.as_json() | {"report": places[0] if places else None}
     if ranking.runs:
         data["runs"] = [
-            {"file": path, "report": page} | side for path, page, side in zip(files, places, data["runs"], strict=True)
+            {"file": path, "report": page} | side
+            for path, page, side in zip(files, places or repeat(None), data["runs"], strict=False)
         ]
     return Answer(data, _text(ranking, counted.sentences("m"), places, alpha), job.exit_code(data))
 
@@ -199,9 +223,9 @@ def _text(ranking: "Ranking", statistics: list[str], places: list[Path], alpha: 
         lines += [_laws(ranking), _parameters(ranking, alpha), *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += statistics
-    reports = ", ".join(map(str, places))
+    reports = f"; report: {', '.join(map(str, places))}" if places else ""
     cycles = f"{ranking.best.cycles} cycles, " if ranking.rows else ""
-    lines.append(f"{cycles}{ranking.cpu_s:.1f} s of CPU time; report: {reports}")
+    lines.append(f"{cycles}{ranking.cpu_s:.1f} s of CPU time{reports}")
     lines.append(f"verdict: {ranking.verdict}")
     return lines
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
 from daq.runfile import store as runfile
+from daq.runfile.nexus import EVERY
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
 from fitting.adequacy.result import ADEQUATE
@@ -23,7 +24,10 @@ from processing.statistics import StickSlipStatistics, from_kinematics, pooled
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Options of a fit, the same for every run; None keeps the run's own calibration."""
+    """Options of a fit, the same for every run; None keeps the run's own calibration.
+
+    ``begin`` and ``end`` are times (s) of the run between which it is fitted; ``report`` is whether a page is wanted.
+    """
 
     laws: tuple[int, ...] = ALL_LAWS
     mass: Measured | None = None
@@ -35,6 +39,9 @@ class FitOptions:
     belt_speed: float | str | None = None
     excluded: tuple[int, ...] = ()
     alpha: float = 0.05
+    begin: float | None = None
+    end: float | None = None
+    report: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +55,12 @@ class LoadedRun:
 
 @dataclass(frozen=True, eq=False)
 class FitOutput:
-    """A ranking, the page of each run, and the statistics of its stick-slip."""
+    """A ranking, the statistics of each run's stick-slip, its raw data's digest, and its page, where one is wanted."""
 
     ranking: Ranking
-    pages: tuple[str, ...]
     statistics: tuple[StickSlipStatistics, ...]
+    digests: tuple[str, ...]
+    pages: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
         """Return the document of the ranking, with the statistics of stick-slip of all runs together and of each."""
@@ -64,13 +72,13 @@ class FitOutput:
             ]
         return document
 
-    def save(self, files: Sequence[Path], places: Sequence[Path]) -> None:
-        """Write results into the run files and the reports beside them."""
-        for path, place, page, side in zip(
-            files, places, self.pages, self.ranking.runs or (self.ranking,), strict=True
-        ):
+    def save(self, files: Sequence[Path], places: Sequence[Path], *, force: bool = False) -> None:
+        """Write results into the run files, and the reports to their places; there are none without a report."""
+        for path, side in zip(files, self.ranking.runs or (self.ranking,), strict=True):
             store.save(side, path)
-            report.write(page, place)
+        if places:
+            for place, page, digest in zip(places, self.pages, self.digests, strict=True):
+                report.write(page, place, digest, force=force)
 
 
 def exit_code(document: Mapping[str, Any]) -> int:
@@ -86,10 +94,11 @@ def load_run(path: Path, options: FitOptions) -> LoadedRun:
     Raises
     ------
     InputError
-        For a file that is no run, or a calibration that cannot be.
+        For a file that is no run, a calibration that cannot be, or times between which the run has no samples.
     """
-    kinematics = stage.load(path)
-    recording = runfile.load(path) if kinematics is None else kinematics.recording
+    own = runfile.between(path, options.begin, options.end)
+    kinematics = stage.load(path) if own == EVERY else None  # of a part, the smoothing is its own
+    recording = runfile.load(path, own) if kinematics is None else kinematics.recording
     return LoadedRun(recording, kinematics, _rig(recording.rig, options))
 
 
@@ -128,12 +137,11 @@ def fit_runs(
         document = {"statistics": together.as_json(), "findings": findings}
         error.add_result(document, together.sentences(motions[0].unit))
         raise
-    sides = ranking.runs or (ranking,)
-    return FitOutput(
-        ranking,
-        tuple(report.render(side, motion, options.alpha) for side, motion in zip(sides, motions, strict=True)),
-        counted,
-    )
+    pages: tuple[str, ...] = ()
+    if options.report:
+        sides = ranking.runs or (ranking,)
+        pages = tuple(report.render(side, own, options.alpha) for side, own in zip(sides, motions, strict=True))
+    return FitOutput(ranking, counted, tuple(motion.recording.digest for motion in motions), pages)
 
 
 def _rig(rig: Rig, options: FitOptions) -> Rig:

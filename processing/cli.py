@@ -14,6 +14,13 @@ if TYPE_CHECKING:
     from processing.record.kinematics import Kinematics, SmoothingSummary
 
 Run = Annotated[Path, Parameter(help="Run file written by daq record, import or replay.")]
+From = Annotated[
+    str | None,
+    Parameter(name="--from", help="Begin at this time of the run, s or with a unit.", allow_leading_hyphen=True),
+]
+To = Annotated[
+    str | None, Parameter(name="--to", help="End at this time of the run, likewise.", allow_leading_hyphen=True)
+]
 Force = Annotated[bool, Parameter(negative=(), help="Replace an existing output file.")]
 
 app = application.application(
@@ -43,24 +50,33 @@ def smooth(
         Parameter(help="Steps of the position (lost counts, a datum that moved): off (no search), flag or fix them."),
     ] = "flag",
     belt_speed: Annotated[str, Parameter(help="auto (from belt counts, else from plateaus), or m/s, signed.")] = "auto",
+    begin: From = None,
+    end: To = None,
     json: Json = False,
 ) -> Answer:
     """Estimate the motion, sticks and slips, and write them into the run file; the raw data do not change.
 
+    With --from or --to a part of the run is smoothed, and the commands that read the result see that part alone.
+
     Example: process smooth run.h5 --window 20ms
+
+    Example: process smooth run.h5 --from 5 --to 1.5min
     """
+    from daq.console.units import time_or_none
     from daq.runfile import store
     from processing import smoothing, stage, summary
 
     asked = (method, window, order, times, belt_speed, repair_counts)
     motion: Kinematics | SmoothingSummary
-    n = store.samples(file)
+    own = store.between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
+    with store.reading(file, own) as run:
+        n = run.samples
     if n > smoothing.LARGE:
         with application.progress("smoothing", n, "samples") as progress:
-            motion = smoothing.smooth_file(file, *asked, progress=progress)
+            motion = smoothing.smooth_file(file, *asked, progress=progress, own=own)
     else:
-        made = smoothing.smooth(store.load(file), *asked)
-        stage.save(made, file)
+        made = smoothing.smooth(store.load(file, own), *asked)
+        stage.save(made, file, own)
         motion = made
     counted = stage.load_statistics(file)
     data = summary.as_json(motion) | {"statistics": counted.as_json()}

@@ -15,6 +15,7 @@ import numpy as np
 
 from daq.errors import InputError, nearest
 from daq.runfile import store
+from daq.runfile.nexus import EVERY
 from processing import belt_motion, stage
 from processing.blocks import BlockSmoother
 from processing.methods import registry
@@ -110,6 +111,7 @@ def smooth_file(
     belt_speed: float | str = "auto",
     repair_counts: str = "flag",
     progress: Callable[[float], None] = lambda done: None,
+    own: slice = EVERY,
 ) -> SmoothingSummary:
     """Smooth a run block by block and write the stage into its file.
 
@@ -121,6 +123,8 @@ def smooth_file(
         The run file.
     progress : callable
         Called with the number of samples done.
+    own : slice
+        Samples to smooth; by default all.
 
     The others are those of `smooth`.
 
@@ -131,7 +135,7 @@ def smooth_file(
     """
     begun = clock.process_time()
     _check(method, repair_counts)
-    with store.reading(path) as run:
+    with store.reading(path, own) as run:
         n = run.samples
         stretches, travel = learning_stretches(run.positions, n)
         joined = _joined([_read(run, own, times) for own in stretches])
@@ -147,8 +151,8 @@ def smooth_file(
         smoothed = stage.begin(entry)
         table = stage.empty(smoothed, n, recording.unit, belt=belt)
         ends = []
-        with store.reading(path) as run:
-            reader = _Reader(path, run, times, margin)
+        with store.reading(path, own) as run:
+            reader = _Reader(run, times, margin)
             for begin in range(0, n, BLOCK):
                 end = min(begin + BLOCK, n)
                 part, data, low = reader.read(begin, end)
@@ -167,7 +171,7 @@ def smooth_file(
             cpu_s=clock.process_time() - begun,
         )
         made.append(summary)
-        stage.finish(smoothed, summary, recording.digest)
+        stage.finish(smoothed, summary, recording.digest, own)
 
     store.extend(path, "smooth", write, default="smooth")
     return made[0]
@@ -235,14 +239,14 @@ def _joined(parts: "list[tuple[Recording, Series]]") -> "tuple[Recording, Series
 class _Reader:
     """Reads blocks of a run with ``margin`` samples on either side, on one time axis throughout."""
 
-    def __init__(self, path: Path, run: store.RunReader, times: str, margin: int) -> None:
+    def __init__(self, run: store.RunReader, times: str, margin: int) -> None:
         self._run, self._times, self._margin = run, times, margin
         self._anchors: dict[int, tuple[float, int]] = {}
         self._grid = None
         n = run.samples
         if times == "nominal" and run.load(slice(0, 1)).raw is None:
             # An import has no sample numbers: its even grid follows from the whole record.
-            self._grid = import_grid.learn(path, n, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
+            self._grid = import_grid.learn(run, [max(begin - margin, 0) for begin in range(0, n, BLOCK)])
 
     def read(self, begin: int, end: int) -> "tuple[Recording, Series, int]":
         """Return samples begin..end-1 with their neighbours, and the number of the first of these."""

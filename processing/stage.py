@@ -3,7 +3,8 @@
 ::
 
     smooth            NXprocess   @default=phase_portrait; program, version, date, sequence_index
-      parameters      NXparameters  how it was made, and the sha256 of what it was made from
+      parameters      NXparameters  how it was made, and the sha256 of what it was made from; first_sample and
+                                  last_sample where a part of the run was smoothed
       kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time; with a belt
                                   channel belt_velocity and its errors too
       phase_portrait  NXdata      velocity against position, and time: hard links, no copy
@@ -42,6 +43,7 @@ from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematic
 
 DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 EVENTS = {"stick_s": "stick_time", "slip_s": "slip_time", "drop_m": "drop", "break_away_m": "break_away"}
+PART = ("first_sample", "last_sample")  # parameters of a stage that holds a part of the run
 COUNTS = ("sticks", "slips", "spikes", "frozen")
 ADDED = ("start_errors", "end_errors", "size")  # columns that the first stages did not have
 Column = tuple[Callable[[Any], float], type, str]  # of a row its value, the type and the units, {unit} for a length's
@@ -90,14 +92,17 @@ TABLES: dict[str, tuple[str, str, str, dict[str, Column]]] = {  # title, axis, s
 }
 
 
-def save(kinematics: Kinematics, path: Path) -> None:
-    """Write the stage into the run file, replacing an earlier one (and dropping what was fitted to that)."""
+def save(kinematics: Kinematics, path: Path, own: slice = nexus.EVERY) -> None:
+    """Write the stage into the run file, replacing an earlier one (and dropping what was fitted to that).
+
+    ``own`` are the samples of the run that were smoothed, where they are a part of it.
+    """
 
     def write(entry: h5py.Group) -> None:
         smooth = begin(entry)
         table = empty(smooth, kinematics.samples, kinematics.unit, belt=kinematics.belt_counted)
         fill(table, 0, {name: getattr(kinematics, name) for name in table})
-        finish(smooth, kinematics, kinematics.recording.digest)
+        finish(smooth, kinematics, kinematics.recording.digest, own)
 
     store.extend(path, "smooth", write, default="smooth")
 
@@ -129,7 +134,7 @@ def fill(table: h5py.Group, begin: int, columns: Mapping[str, Array]) -> None:
         table[name][begin : begin + values.size] = values
 
 
-def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: str) -> None:
+def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: str, own: slice = nexus.EVERY) -> None:
     """Write how the motion was made, its portrait, and its phases, beside the kinematics."""
     unit = motion.unit
     parameters = nexus.group(smooth, "parameters", "NXparameters")
@@ -144,6 +149,9 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
     nexus.field(parameters, "noise", np.float64(motion.noise), unit)
     nexus.field(parameters, "cpu_time", np.float64(motion.cpu_s), "s")
     nexus.field(parameters, "sha256_input", digest)
+    if own != nexus.EVERY:
+        for name, sample in zip(PART, (own.start, own.stop - 1), strict=True):
+            nexus.field(parameters, name, np.int64(sample))
     portrait = nexus.group(
         smooth, "phase_portrait", "NXdata", signal="velocity", axes="position", title="phase portrait"
     )
@@ -169,7 +177,7 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
     position, time = kinematics["position"][()], kinematics["time"][()]
     if motion.losses and not motion.repaired:
         raw = "raw/segment"
-        segment = smooth.parent[raw][()] if raw in smooth.parent else np.zeros(time.size, np.int64)
+        segment = smooth.parent[raw][own] if raw in smooth.parent else np.zeros(time.size, np.int64)
         position -= step_offsets(segment, motion.losses)
     _write_statistics(smooth, statistics(motion, position, time), unit)
 
@@ -198,11 +206,11 @@ def load(path: Path) -> Kinematics | None:
     InputError
         For a file that is no run, or a stage that is damaged or was made from other raw data.
     """
-    recording = store.load(path)
     with store.opened(path) as file:
         entry = file["entry"]
         if "smooth" not in entry:
             return None
+        recording = store.load(path, _part(entry, path))
         made_from = nexus.read_text(entry, "smooth/parameters/sha256_input", path)
         if made_from != recording.digest:
             raise InputError(
@@ -239,6 +247,14 @@ def load(path: Path) -> Kinematics | None:
             repaired="repaired" in entry[parameters] and bool(nexus.read_number(entry, f"{parameters}/repaired", path)),
             cpu_s=nexus.read_number(entry, f"{parameters}/cpu_time", path),
         )
+
+
+def _part(entry: h5py.Group, path: Path) -> slice:
+    """Return which samples of the run the stage holds."""
+    if f"smooth/parameters/{PART[0]}" not in entry:
+        return nexus.EVERY
+    first, last = (int(nexus.read_number(entry, f"smooth/parameters/{name}", path)) for name in PART)
+    return slice(first, last + 1)
 
 
 def load_statistics(path: Path) -> StickSlipStatistics:

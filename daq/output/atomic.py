@@ -37,12 +37,13 @@ def refuse_existing(
         raise InputError("is a folder", where, f"give a file name ({flag})")
     if path.exists() and not path.is_file():
         raise InputError("is a device, not a file", where, "give a file name")
-    if path.exists() and own:
+    if path.exists() and not force:
+        do = f"give another name ({flag}), or --force to replace it"
+        if not own:
+            raise InputError("the output file exists", where, do)
         with path.open("rb") as file:
             if own.encode() not in file.read(2000):
-                raise InputError(f"exists and is no {kind}", where, f"give another name ({flag})")
-    elif path.exists() and not force:
-        raise InputError("the output file exists", where, f"give another name ({flag}), or --force to replace it")
+                raise InputError(f"exists and is no {kind}", where, do)
     if not path.absolute().parent.is_dir():
         raise InputError("its folder does not exist", where, f"make {path.absolute().parent} first")
 

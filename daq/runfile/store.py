@@ -61,25 +61,53 @@ def times(path: str | os.PathLike[str]) -> Array:
         return run.times()
 
 
+def between(path: str | os.PathLike[str], begin: float | None, end: float | None) -> slice:
+    """Return the samples of a run from time ``begin`` to ``end``, s on its own time axis; None: from or to its end.
+
+    Raises
+    ------
+    InputError
+        As `load`; and for times between which the run has fewer than two samples.
+    """
+    if begin is None and end is None:
+        return nexus.EVERY
+    time = times(path)
+    first = 0 if begin is None else int(np.searchsorted(time, begin))
+    last = time.size if end is None else int(np.searchsorted(time, end, side="right"))
+    if last - first < 2:
+        asked = f"{time[0] if begin is None else begin:g} to {time[-1] if end is None else end:g} s"
+        what = f"fewer than two samples from {asked}; the run lasts from {time[0]:.6g} to {time[-1]:.6g} s"
+        raise InputError(what, str(path), "give other times with --from and --to")
+    return slice(first, last)
+
+
 @contextmanager
-def reading(path: str | os.PathLike[str]) -> "Iterator[RunReader]":
-    """Open a run for reading parts of it one after the other; InputError as for `load`."""
+def reading(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> "Iterator[RunReader]":
+    """Open a run, or some of its samples, for reading parts one after the other; InputError as for `load`."""
     where = Path(path)
     with opened(where) as file, _damage(where):
-        yield RunReader(nexus.read_group(file, "entry", where), where)
+        yield RunReader(nexus.read_group(file, "entry", where), where, own)
 
 
 class RunReader:
-    """A run file that stays open."""
+    """A run file that stays open; of the samples ``own`` alone, where they are given, numbered from the first."""
 
-    def __init__(self, entry: h5py.Group, where: Path) -> None:
+    def __init__(self, entry: h5py.Group, where: Path, own: slice = nexus.EVERY) -> None:
         self._entry, self._where = entry, where
-        self.samples = int(nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", where).size)
+        n = int(nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", where).size)
+        self._own, self._whole = range(n)[own], own == nexus.EVERY
+        self.samples = len(self._own)
+
+    def _in_file(self, own: slice) -> slice:
+        if self._whole and own == nexus.EVERY:
+            return own  # a column of another length shows
+        part = self._own[own]
+        return slice(part.start, part.stop)
 
     def load(self, own: slice = nexus.EVERY) -> Recording:
         """Return the run, or some of its samples (`load`)."""
         rows = (row for row in schema.FIELDS if not row.of.startswith("truth."))
-        found = schema.read(self._entry, rows, self._where, own)
+        found = schema.read(self._entry, rows, self._where, self._in_file(own))
         _check_motion(found["time"], found["position"], self._where)
         raw = _part(found, "raw")
         return Recording(
@@ -92,12 +120,16 @@ class RunReader:
 
     def times(self) -> Array:
         """Return the times of all samples, s."""
-        column = nexus.read_array(self._entry, f"{schema.ENCODER_LOG}/time", np.float64, self._where)
+        column = nexus.read_array(
+            self._entry, f"{schema.ENCODER_LOG}/time", np.float64, self._where, self._in_file(nexus.EVERY)
+        )
         return np.asarray(column)
 
     def positions(self, own: slice) -> Array:
         """Return the positions of some samples, m or counts."""
-        column = nexus.read_array(self._entry, f"{schema.ENCODER_LOG}/value", np.float64, self._where, own)
+        column = nexus.read_array(
+            self._entry, f"{schema.ENCODER_LOG}/value", np.float64, self._where, self._in_file(own)
+        )
         return np.asarray(column)
 
 

@@ -44,12 +44,18 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
     return found
 
 
-def refuse_foreign_file(path: Path) -> None:
-    """Raise InputError when ``path`` holds something that is not a report of ours, or cannot be written."""
-    atomic.refuse_existing(path, own=MARK, kind="report", flag="--report")
+def refuse_foreign_file(path: Path, digest: str, *, force: bool = False) -> None:
+    """Raise InputError when ``path`` cannot be written, or without ``force`` holds no report of the run of this digest.
+
+    A report of any release contains the sha256 of the raw record that it was made from.
+    """
+    atomic.refuse_existing(path, force, own=MARK, kind="report", flag="--report")
+    if path.exists() and not force and digest not in path.read_text(encoding="utf-8", errors="replace"):
+        do = "give another name (--report), or --force to replace it"
+        raise InputError("exists and is the report of another run", str(path), do)
 
 
-def write(page: str, path: Path) -> None:
+def write(page: str, path: Path, digest: str, *, force: bool = False) -> None:
     """Write a report that `render` made.
 
     Parameters
@@ -57,16 +63,19 @@ def write(page: str, path: Path) -> None:
     page : str
         The HTML that `render` returned.
     path : Path
-        An older report there is replaced, any other file is not.
+        An older report of the same run there is replaced, any other file only by ``force``.
+    digest : str
+        Of the run's raw data.
+    force : bool
 
     Raises
     ------
     InputError
-        When ``path`` holds something that is not a report.
+        When ``path`` holds something else.
     RefusedError
         The disk refuses; an older report still stands.
     """
-    refuse_foreign_file(path)
+    refuse_foreign_file(path, digest, force=force)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -109,7 +118,11 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         forms=_forms(ranking.adequacy),
         pictures={name: Markup(text) for name, text in plot.draw(ranking, counted).items()},
         facts=[
-            ("record", f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples"),
+            (
+                "record",
+                f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples, from "
+                f"{motion.time[0]:.4g} to {motion.time[-1]:.4g} s of the run",
+            ),
             ("break-aways", f"{len(cut.cycles)} found, {len(cut.used)} fitted"),
             ("in stick", f"{100 * cut.plateau_fraction:.0f} % of the record"),
             ("standard error of a position", format_length(motion.resolution)),

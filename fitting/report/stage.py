@@ -3,7 +3,7 @@
 ::
 
     fit               NXprocess   @default=ranking; program, version, date, sequence_index
-      parameters      NXparameters  verdict, adequacy, warnings, cpu_time
+      parameters      NXparameters  verdict, adequacy, warnings, cpu_time; begin and end of what was fitted
       ranking         NXdata      one row a law: score, weight, in_set, rms, cycles, orbit_distance; law_name beside it
       cycles          NXdata      one row a break-away: t, static_level, kinetic_scale
     fit_law1 ...      NXprocess   @default=friction_curve
@@ -46,6 +46,8 @@ def _write(entry: h5py.Group, ranking: Ranking) -> None:
     nexus.field(about, "verdict", ranking.verdict)
     nexus.field(about, "adequacy", ranking.adequacy.verdict)
     nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")
+    for name, time in zip(("begin", "end"), ranking.motion.time[[0, -1]], strict=True):
+        nexus.field(about, name, np.float64(time), "s")
     if ranking.warnings:
         nexus.field(about, "warnings", list(ranking.warnings))
     if not ranking.rows:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from daq.errors import InputError
 from daq.output import atomic
 from fitting.curve.result import MeasuredCurve
 
@@ -14,10 +15,21 @@ EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbi
 RANKING, CURVE = ("file,law,name,", "ranking", "--csv"), ("speed (m/s),", "friction curve", "--curve-csv")
 
 
-def refuse_foreign_file(path: Path, files: Sequence[Path], table: tuple[str, str, str] = RANKING) -> None:
-    """Raise InputError when a table cannot go to ``path``: a folder, a run, a file that is no such table of ours."""
+def refuse_foreign_file(
+    path: Path, files: Sequence[Path], table: tuple[str, str, str] = RANKING, *, force: bool = False
+) -> None:
+    """Raise InputError when a table cannot go to ``path``: a folder, a run, without ``force`` what is not theirs.
+
+    Theirs is a table of that kind; a ranking that names other runs than ``files`` is not.
+    """
     own, kind, flag = table
-    atomic.refuse_existing(path, False, *files, own=own, kind=kind, flag=flag)
+    atomic.refuse_existing(path, force, *files, own=own, kind=kind, flag=flag)
+    if path.exists() and not force and table is RANKING:
+        with path.open(newline="", encoding="utf-8", errors="replace") as file:
+            others = {Path(row["file"]).name for row in csv.DictReader(file)} - {run.name for run in files}
+        if others:
+            what = f"exists and is the ranking of another run, {min(others)}"
+            raise InputError(what, str(path), f"give another name ({flag}), or --force to replace it")
 
 
 def write_curve(path: Path, curve: MeasuredCurve, unit: str) -> None:

@@ -7,12 +7,11 @@ time to the last.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
 from daq.compute.arrays import Array
-from daq.runfile import store
+from daq.runfile.store import RunReader
 from processing.record.series import interval_numbers
 
 
@@ -31,16 +30,16 @@ class ImportGrid:
         return np.asarray(self.start + (self.numbers[low] + steps) * self.step)
 
 
-def learn(path: Path, n: int, lows: Sequence[int]) -> ImportGrid:
-    """Learn the grid of the ``n`` samples of a run; ``lows`` are increasing sample numbers, the first of them 0.
+def learn(run: RunReader, lows: Sequence[int]) -> ImportGrid:
+    """Learn the grid of a run's samples; ``lows`` are increasing sample numbers, the first of them 0.
 
     The usual interval is the median of those of the stretches between ``lows``.
     """
-    edges = [*lows, n - 1]
-    usual = float(np.median([np.median(np.diff(_times(path, own))) for own in _stretches(edges)]))
+    edges = [*lows, run.samples - 1]
+    usual = float(np.median([np.median(np.diff(_times(run, own))) for own in _stretches(edges)]))
     numbers, number, start, end = {0: 0}, 0, 0.0, 0.0
     for first, last in _stretches(edges):
-        time = _times(path, (first, last))
+        time = _times(run, (first, last))
         start = float(time[0]) if first == 0 else start
         end = float(time[-1])
         number += int(interval_numbers(np.diff(time), usual).sum())
@@ -52,5 +51,5 @@ def _stretches(edges: Sequence[int]) -> list[tuple[int, int]]:
     return [(first, last) for first, last in pairwise(edges) if last > first]
 
 
-def _times(path: Path, own: tuple[int, int]) -> Array:
-    return store.load(path, slice(own[0], own[1] + 1)).time
+def _times(run: RunReader, own: tuple[int, int]) -> Array:
+    return run.load(slice(own[0], own[1] + 1)).time

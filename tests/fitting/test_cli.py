@@ -14,6 +14,7 @@ from daq.errors import InputError
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from fitting import cli
+from fitting.report import table
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
 
@@ -117,6 +118,40 @@ def test_a_foreign_report_is_refused_before_anything_is_fitted(run):
     assert page.read_text() == "mine"
 
 
+def test_a_part_of_a_run_is_fitted_without_a_report_or_anything_that_draws_one(run, tmp_path):
+    path = tmp_path / "part.h5"
+    shutil.copy(run, path)
+    source = (
+        "import sys\nfrom daq.console import application\nfrom fitting.cli import app\n"
+        f"code = application.run(app, [{str(path)!r}, *'--laws 5 --from 1 --to 9500ms --no-report --json'.split()])\n"
+        "drawing = {'matplotlib', 'PIL', 'pandas', 'jinja2', 'scipy.stats', 'scipy.optimize'} & set(sys.modules)\n"
+        "sys.exit(f'{code} {drawing}' if code or drawing else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["report"] is None
+    assert not list(tmp_path.glob("*.html"))
+    assert all(1 < event["t"] < 9.5 for event in document["cycles"])
+    with h5py.File(path) as file:
+        about = file["entry/fit/parameters"]
+        assert (about["begin"][()], about["end"][()]) == pytest.approx((1.0, 9.5), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("flags", "what"),
+    [
+        ({"begin": "20"}, "fewer than two samples"),
+        ({"begin": "5 m"}, "--from"),
+        ({"no_report": True, "report": "x.html"}, "together"),
+    ],
+)
+def test_parts_and_reports_that_cannot_be_are_refused(run, flags, what):
+    with pytest.raises(InputError) as refused:
+        cli.fit(run, **flags)
+    assert what in f"{refused.value.what} {refused.value.where}"
+
+
 def test_help_loads_nothing_numerical():
     source = (
         "import sys\nfrom daq.console import application\nfrom fitting.cli import app\n"
@@ -151,6 +186,16 @@ def test_a_strangers_table_and_the_run_itself_are_not_replaced(run, tmp_path):
         with pytest.raises(InputError, match=r"no ranking|own source"):
             cli.fit(run, csv=path)
     assert mine.read_text() == "mine"
+
+
+def test_the_ranking_of_another_run_is_replaced_by_force_alone(tmp_path):
+    """It used to be replaced by any run's."""
+    out = tmp_path / "ranking.csv"
+    table.write(out, [(tmp_path / "one.h5", {"ranking": [dict.fromkeys(table.EVIDENCE, 1) | {"parameters": {}}]})])
+    table.refuse_foreign_file(out, [tmp_path / "one.h5", tmp_path / "two.h5"])
+    with pytest.raises(InputError, match=r"another run, one\.h5"):
+        table.refuse_foreign_file(out, [tmp_path / "two.h5"])
+    table.refuse_foreign_file(out, [tmp_path / "two.h5"], force=True)
 
 
 def test_the_measured_curve_is_a_table(run, tmp_path):

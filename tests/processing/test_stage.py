@@ -13,9 +13,9 @@ import xarray
 import daq
 from daq.errors import InputError
 from daq.runfile import store
-from processing import stage
+from processing import cli, stage
 from processing.record.finding import Finding
-from processing.smoothing import smooth
+from processing.smoothing import smooth, smooth_file
 from processing.statistics import from_kinematics
 
 
@@ -55,6 +55,20 @@ def test_what_was_saved_is_loaded(path):
         assert replace(one, start_sd=0, end_sd=0) == replace(other, start_sd=0, end_sd=0)
         assert (one.start_sd, one.end_sd) == pytest.approx((other.start_sd, other.end_sd), rel=1e-6)
     assert found.recording.default == "smooth"
+
+
+def test_a_part_of_a_run_is_smoothed_and_read_back(path):
+    before = raw_bytes(path)
+    cli.smooth(path, method="sg", window="21", begin="1.5", end="4 s")
+    found = stage.load(path)
+    assert found.time[[0, -1]] == pytest.approx([1.5, 4.0], abs=2e-3)
+    own = store.between(path, 1.5, 4.0)
+    assert np.array_equal(found.position, smooth(store.load(path, own), "sg", 21).position)
+    assert found.recording.time.size == own.stop - own.start
+    assert raw_bytes(path) == before
+    whole = smooth_file(path, "sg", 21, own=own)
+    assert whole.samples == found.samples
+    assert np.array_equal(stage.load(path).velocity, found.velocity)
 
 
 def test_noise_of_a_stage_written_before_it_was_kept_is_estimated_again(path):

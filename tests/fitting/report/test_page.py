@@ -32,19 +32,24 @@ def test_a_strangers_file_is_not_replaced(tmp_path):
     path = tmp_path / "run.report.html"
     path.write_text("<html>mine</html>")
     with pytest.raises(InputError, match="is no report"):
-        report.refuse_foreign_file(path)
+        report.refuse_foreign_file(path, "")
     assert path.read_text() == "<html>mine</html>"
 
 
-def test_an_older_report_is_replaced(tmp_path, page):
+def test_a_report_is_replaced_by_one_of_the_same_run_alone(tmp_path, page):
+    """A report of any run used to be replaced."""
     path = tmp_path / "run.report.html"
-    path.write_text(page)
-    report.refuse_foreign_file(path)
+    digest = 8 * "0123abcd"
+    path.write_text(page.replace("</footer>", f"; sha256 of the raw record {digest}</footer>"))
+    report.refuse_foreign_file(path, digest)
+    with pytest.raises(InputError, match="another run"):
+        report.refuse_foreign_file(path, digest[::-1])
+    report.refuse_foreign_file(path, digest[::-1], force=True)
 
 
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(InputError, match="folder does not exist"):
-        report.refuse_foreign_file(tmp_path / "none" / "run.html")
+        report.refuse_foreign_file(tmp_path / "none" / "run.html", "")
 
 
 def test_the_true_laws_orbit_is_the_nearest(ranked):
