@@ -52,7 +52,7 @@ class Fit:
         The law and the runs.
     u : (13 runs,) f8
         Of each run K = k/m (1/s^2), log of F = Fs/m (m/s^2), v_dr (m/s), shape (gamma or G_slip/Fs, s/m), d (m/s),
-        datum (m), c/m (1/s), fade (fraction of a cycle's level lost per second), compliance (belt speed lost per metre
+        datum (m), c/m (1/s), fade (fraction of the first level lost per second), compliance (belt speed lost per metre
         of spring stretch, 1/s), the belt's ripple: cosine and sine amplitude (m/s), angular frequency (rad/s), and a
         ramp's break-away level over F; see `fitting.model.parameters`.
     active : tuple of int

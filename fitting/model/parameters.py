@@ -26,7 +26,7 @@ class Global(IntEnum):
     D = 4  # half-width of the ramp, m/s
     DATUM = 5  # the spring's rest position, m
     DAMPING = 6  # c/m, 1/s
-    FADE = 7  # fraction of a cycle's friction level lost per second, 1/s
+    FADE = 7  # fraction of the first friction level lost per second within the cycles, 1/s
     COMPLIANCE = 8  # belt speed lost per metre of spring stretch, 1/s
     COSINE = 9  # of the belt's ripple, m/s
     SINE = 10  # of the belt's ripple, m/s

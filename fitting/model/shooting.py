@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from daq.compute.arrays import Array
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
-from fitting.model import parameters
+from fitting.model import fading, parameters
+from fitting.model.fading import remaining
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
@@ -175,7 +176,7 @@ def evaluator(
     known = columns >= 0
     run, place = np.nonzero(known)
     slot = columns[known]
-    predict = compiled(window_positions, __name__, inline=False)
+    predict = compiled(window_positions, __name__, fading.__name__, inline=False)
     room = np.empty((3, n))
     work = new_work(WORK_STEPS, compiled=True)
 
@@ -323,7 +324,7 @@ def integrate_window(
         # The level fades steadily; the flow's is constant, so it is lowered in small steps.
         steady = p.fade == 0.0 or mode == STICK
         end = last if steady else min(t + FADE_STEP_S, last)
-        factor = level * (1.0 - p.fade * (0.5 * (t + end) - window.level_epoch))
+        factor = level * remaining(p.fade, 0.5 * (t + end), window.level_epoch)
         if not factor > 0.0:
             return NOT_FINITE
         factor *= hold

@@ -6,6 +6,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.model import parameters
+from fitting.model.fading import relative_change
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
@@ -122,8 +123,8 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
             forces[:, j] = -path.velocity
         elif slot == Global.FADE:
             epoch = path.windows.level_epoch[path.window]
-            fall = (path.time - epoch) / (1 - path.unknown(Global.FADE) * (path.time - epoch))
-            forces[:, j] = np.where(slips | ramp, -fall * friction, 0.0)
+            change = relative_change(path.unknown(Global.FADE), path.time, epoch)
+            forces[:, j] = np.where(slips | ramp, change * friction, 0.0)
         elif slot == Global.STATIC:
             forces[:, j] = np.where(ramp & (q == 0.0), friction / path.unknown(Global.STATIC), 0.0)
         if slot in by_q_of:

@@ -7,6 +7,7 @@ import math
 from typing import NamedTuple
 
 from daq.compute.arrays import Array, Integers
+from fitting.model.fading import remaining
 from fitting.model.parameters import Global
 from fitting.sensitivity.friction import Contact, friction
 from rig_sim.flow.modes import RAMP, STICK
@@ -88,7 +89,7 @@ def belt_acceleration(w: Window, t: float, h: float) -> float:
 
 def level_at(w: Window, t: float) -> float:
     """Return the friction level over F, which fades from the cycle's break-away on."""
-    return float(w.level * (1.0 - w.u[FADE] * (t - w.epoch)))
+    return float(w.level * remaining(w.u[FADE], t, w.epoch))
 
 
 def free_force(w: Window, t: float, x: float) -> float:
