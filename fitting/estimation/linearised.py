@@ -8,16 +8,18 @@ unknowns of each cycle are eliminated by their Schur complement.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
+from daq.compute.arrays import Array, Integers, Mask
 from daq.compute.compile import compiled
 from fitting.estimation import elimination, trajectory
 from fitting.estimation.covariance import scaled_inverse
 from fitting.estimation.fit import Fit
+
+UNSEEN = 1e-6  # of its weight: what is left to a cycle that does not count, so that its own unknowns stay determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +194,8 @@ class LinearisedFit:
         Returns
         -------
         (N, B) f8
+            As they were where the step would raise the cost: a search that ended beside a jump of the motion has no
+            derivatives there.
         """
         pull = self._product(self.local, residuals)
         gradient = self._reduced(self._product(self.shared, residuals), self._own, pull).sum(axis=0)
@@ -200,9 +204,8 @@ class LinearisedFit:
         own = -np.einsum("cij,cjb->cib", self._inverse, pull)
         shared = np.broadcast_to(step, (len(self.rows), *step.shape))
         out = np.array(residuals, order="C")
-        for columns, steps in ((self.shared, shared), (self.local, own)):
-            _kernel(elimination.add_along)(columns, self.first, np.ascontiguousarray(steps), out)
-        return out
+        self._add(shared, own, out)
+        return np.where(self._squares(out) <= self._squares(residuals), out, residuals)
 
     def step(self, damping: float = 0.0) -> tuple[Array, Array]:
         """Return the Gauss-Newton step of the shared (p,) and of the cycles' own unknowns (cycles, q).
@@ -218,11 +221,31 @@ class LinearisedFit:
         own = np.einsum("cij,cj->ci", self._inverse, pull + np.einsum("cpq,p->cq", self._own, step))
         return np.asarray(step), np.asarray(-own)
 
+    def without(self, spoilt: Mask) -> "LinearisedFit":
+        """Return the fit one Gauss-Newton step on, without the weight of some cycles (cycles,).
+
+        As it was where that raises the cost of the others: there the derivatives do not hold.
+        """
+        others = replace(self, weights=np.where(spoilt, UNSEEN * self.weights, self.weights))
+        step, own = others.step()
+        out = self.residual[:, None].copy()
+        self._add(np.broadcast_to(step[:, None], (len(self.rows), step.size, 1)), own[:, :, None], out)
+        moved = replace(others, residual=out[:, 0])
+        return moved if moved.cost <= others.cost else self
+
+    def _add(self, shared: Array, own: Array, out: Array) -> None:
+        """Add what steps of shared (cycles, p, B) and own unknowns (cycles, q, B) do to positions ``out`` (N, B)."""
+        for columns, steps in ((self.shared, shared), (self.local, own)):
+            _kernel(elimination.add_along)(columns, self.first, np.ascontiguousarray(steps), out)
+
     @property
     def cost(self) -> float:
         """Cost of the residuals alone, without the priors."""
-        squares = np.add.reduceat(self.residual**2, self.first[:-1])
-        return 0.5 * float(np.sum(self.weights * squares))
+        return 0.5 * float(self._squares(self.residual))
+
+    def _squares(self, residuals: Array) -> Array:
+        """Return the weighted sum of squares of residuals (N, ...), shape (...)."""
+        return np.asarray(np.einsum("c,c...->...", self.weights, np.add.reduceat(residuals**2, self.first[:-1])))
 
     def scores(self, columns: Array) -> Scores:
         """Return gradient and curvature in further unknowns, shared and own unknowns eliminated.

@@ -316,7 +316,7 @@ def _with_static(
         freed = _minimise(problem, windows, replace(state, u=u, static=True), *limits)
         if freed is not None and freed.solution is not None and freed.solution.cost < cost:
             best, cost = freed, freed.solution.cost
-    return best, state.solution.cost - cost
+    return best, best.gain_over(state, windows)
 
 
 def _priors(problem: EstimationProblem, state: PassState) -> tuple[Array, Array]:

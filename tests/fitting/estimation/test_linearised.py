@@ -1,5 +1,7 @@
 """The linearised fit agrees with a dense least-squares solution of the same problem, and with the fit itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,6 +63,24 @@ def test_a_refit_leaves_what_dense_least_squares_leave(problem):
     weight = np.repeat(found.weights, SAMPLES)
     step = -np.linalg.solve(H, dense[:, :-MORE].T @ (weight[:, None] * further))
     assert found.refit(further) == pytest.approx(further + dense[:, :-MORE] @ step)
+
+
+def test_without_a_cycle_the_others_are_fitted_by_themselves(problem):
+    found, _, dense = problem
+    spoilt = np.array([False, True, False, False])
+    left = found.without(spoilt)
+    counted = np.repeat(~spoilt, SAMPLES)
+    H, g = curvature(found, dense[:, :-MORE] * counted[:, None])
+    expected = found.residual - dense[:, :-MORE] @ np.linalg.solve(H, g)
+    assert left.residual[counted] == pytest.approx(expected[counted], abs=1e-3)
+
+
+def test_a_refit_without_derivatives_leaves_what_there_was(problem):
+    """Beside a jump of the motion repetitions grew to 1e10 m, and residuals of 500 times the noise passed as noise."""
+    found, further, _ = problem
+    broken = replace(found)
+    vars(broken)["_inverse"] = -vars(found).get("_inverse", found._inverse)
+    assert broken.refit(further) == pytest.approx(further)
 
 
 def test_scores_are_those_of_the_dense_problem(problem):

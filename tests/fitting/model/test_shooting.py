@@ -102,15 +102,16 @@ def test_touching_the_belt_at_the_start_changes_the_motion_continuously():
 
 
 def test_fading_lowers_the_level_as_a_smaller_level_would():
-    time = np.linspace(0.0, 0.4, 41)
+    """The level is a line that begins with the record: late cycles lose a larger fraction of theirs."""
+    time = np.linspace(6.0, 6.4, 41)
     worn = predicted(one_window(time, earliest_landing=9.0), start(0.12, 0.1), fade=0.02)
     fine = np.linspace(0.0, 0.4, 40_001)
-    h = fine[1]
+    h, fade = fine[1], 0.02 / (1 - 0.02 * 6.0)
     x, v, path = 0.12, 0.1, [0.12]
     for t in fine[:-1]:  # leap-frog with a level that falls at every step
-        v += 0.5 * h * (F * (1 - 0.02 * t) - K * x)
+        v += 0.5 * h * (F * (1 - fade * t) - K * x)
         x += h * v
-        v += 0.5 * h * (F * (1 - 0.02 * (t + h)) - K * x)
+        v += 0.5 * h * (F * (1 - fade * (t + h)) - K * x)
         path.append(x)
     assert worn == pytest.approx(np.array(path)[::1000], abs=6e-6)  # at four times the nominal wear
 

@@ -113,6 +113,14 @@ def test_tangents_of_spline_coefficients_are_differences(ramp):
         assert found[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-3 * size)
 
 
+def test_tangents_of_the_fade_are_differences():
+    windows, local, curve = one_window(), SLIP[None], Curve(HYPERBOLIC, False)
+    found = shared_tangents(follow(windows, curve, unknowns(shape=9.6, fade=0.02), local), [Global.FADE])[:, 0]
+    ends = [follow(windows, curve, unknowns(shape=9.6, fade=0.02 + h), local).model for h in (1e-5, -1e-5)]
+    assert np.abs(found).max() > 1e-3  # m per 1/s
+    assert found == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-3 * np.abs(found).max())
+
+
 def test_a_force_and_a_change_of_the_belt_besides_are_followed_and_have_their_tangents():
     u, windows, local = unknowns(shape=9.6), one_window(), SLIP[None]
     curve = Curve(HYPERBOLIC, False)
