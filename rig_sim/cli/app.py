@@ -281,6 +281,7 @@ app.command(maps.basins)
 app.command(maps.lyapunov)
 app.command(control.shaker)
 app.command(atlas)
+app.command(control.lock)
 
 
 def _two_mass_events(scene: "Scene", until: float, since: float, max_steps: int) -> Answer:

@@ -2,13 +2,24 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from daq.console.application import Answer, Json
+from daq.console import application
+from daq.console.application import Answer, Json, SetChanges
 from daq.errors import InputError
 from rig_sim.flow.flow import LARGEST, SMALLEST
+
+if TYPE_CHECKING:
+    from daq.compute.arrays import Array
+    from rig_sim.dynamics.control.landing_map import LandingMap
+    from rig_sim.dynamics.control.locking import Locking
+    from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit
+
+MOST_PERIOD = 100  # of a search; the multipliers of longer orbits leave no digit of a motion
+MOST_EVENTS = 10_000_000
+SHOWN = 5  # orbits, and positions of an orbit, in the text
 
 Plot = Annotated[Path | None, Parameter(help="Draw the result into this file (.png, .svg, .pdf).")]
 Force = Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")]
@@ -78,6 +89,143 @@ def shaker(
         data["file"] = plot
         lines.append(str(plot))
     return Answer(data, "\n".join(lines))
+
+
+def lock(
+    scene: str,
+    /,
+    *,
+    period: Annotated[int, Parameter(help="Landings in one turn of the orbit.")],
+    budget: Annotated[float, Parameter(help="Largest change of the drive's amplitude, as a fraction of drive.u0.")],
+    method: Annotated[
+        Literal["ogy", "search"],
+        Parameter(
+            help="ogy (Ott, Grebogi and Yorke: a change at each landing), or search (the thesis's: raise the amplitude "
+            "until the section repeats, then take it back)."
+        ),
+    ] = "ogy",
+    events: Annotated[int, application.Whole, Parameter(help="Landings after which the control gives up.")] = 20_000,
+    plot: Plot = None,
+    force: Force = False,
+    set_: SetChanges = None,
+    json: Json = False,
+) -> Answer:
+    """Find an unstable orbit of a driven mass, and lock the motion onto it by small changes of the drive's amplitude.
+
+    The orbits are found by close returns of the uncontrolled motion; of several, the least unstable one is taken. An
+    event is a landing: a passage from slip to stick.
+
+    Example: rig-sim lock forced --period 2 --budget 0.0235
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file, with a drive.
+    """
+    from rig_sim.dynamics.control.landing_map import LandingMap
+    from rig_sim.dynamics.control.locking import find_and_lock
+    from rig_sim.scenes.scene import parse_changes
+    from rig_sim.scenes.scene import scene as read
+
+    _check("budget", budget)
+    if budget > 1.0:
+        raise InputError(f"is {budget:g}", "--budget", "give a fraction of drive.u0, from 0 to 1")
+    if not 1 <= period <= MOST_PERIOD:
+        raise InputError(f"is {period}", "--period", f"give 1 to {MOST_PERIOD} landings")
+    if not 1 <= events <= MOST_EVENTS:
+        raise InputError(f"is {events}", "--events", f"give 1 to {MOST_EVENTS}")
+    if method == "search" and plot is not None:
+        raise InputError("draws --method ogy alone", "--plot", "drop one of the two")
+    played = read(scene, **parse_changes(set_))
+    flow = played.flow()
+    if played.drive is None:
+        raise InputError("has no drive to control", f"scene {scene}", "set drive.u0 and drive.omega")
+    try:
+        f = LandingMap(flow)
+    except ValueError as error:
+        raise InputError(str(error), f"scene {scene}", "change that value with --set") from None
+    data: dict[str, Any] = {"method": method, "period": period, "budget": budget, "du_limit": budget * f.strength}
+    data |= {"outcome": "", "advice": "", "orbit": None, "orbits": [], "regular_period": None, "locked": False}
+    data |= {"events_to_lock": None, "events": 0, "du_max": 0.0, "du_final": 0.0}
+    first = f.first(float(played.start.x), float(played.start.v))
+    if first.outcome != "completed":
+        data |= {"outcome": first.outcome, "advice": "the motion does not reach a stick: change the drive or the belt"}
+    elif method == "search":
+        data |= _searched(f, first.state, period, budget)
+    else:
+        found = find_and_lock(f, first.state, period, budget, events)
+        data |= _locked(f, found)
+        if plot is not None and found.lock is not None:
+            from rig_sim.dynamics.control.lock_plot import lock_figure
+            from rig_sim.dynamics.maps.plot import save
+
+            save(lock_figure(f, found.lock, period, budget), plot, force=force)
+            data["file"] = plot
+    return Answer(data, _lock_lines(data))
+
+
+def _locked(f: "LandingMap", found: "Locking") -> dict[str, Any]:
+    """Return what a lock has found, as JSON keys."""
+    rows = [_orbit_row(f, orbit) for orbit in found.orbits]
+    data: dict[str, Any] = {"outcome": found.outcome, "advice": found.advice, "orbits": rows}
+    data |= {"orbit": rows[0] if rows else None, "regular_period": found.regular}
+    if found.lock is not None:
+        sizes = [abs(float(change)) for change in found.lock.changes]
+        data |= {"locked": found.lock.locked, "events_to_lock": found.lock.events_to_lock, "events": len(sizes)}
+        data |= {"du_max": max(sizes, default=0.0), "du_final": float(found.lock.changes[-1]) if sizes else 0.0}
+    return data
+
+
+def _orbit_row(f: "LandingMap", orbit: "UnstableOrbit") -> dict[str, Any]:
+    """Return an orbit as JSON keys."""
+    landings = [f.landing(point) for point in orbit.points]
+    duration = math.fsum(landing.duration for landing in landings)
+    return {
+        "x_slip": [landing.x_slip for landing in landings],
+        "t": orbit.points[:, 0],
+        "x": orbit.points[:, 1],
+        "duration": duration,
+        "drive_periods": round(duration / f.period),
+        "multipliers": orbit.multipliers,
+    }
+
+
+def _searched(f: "LandingMap", start: "Array", period: int, budget: float) -> dict[str, Any]:
+    """Return what the thesis's search-and-lock has found, as JSON keys."""
+    from rig_sim.dynamics.control.search_and_lock import search_and_lock
+
+    found = search_and_lock(f, start, period, budget)
+    if found.change is None or found.points is None:
+        advice = "the section did not repeat with this period: raise the budget"
+        return {"outcome": "not locked", "advice": advice, "events": found.events, "du_max": budget * f.strength}
+    x_slip = [f.landing(point, found.change).x_slip for point in found.points]
+    orbit = {"x_slip": x_slip, "t": found.points[:, 0], "x": found.points[:, 1]}
+    data = {"orbit": orbit, "events_to_lock": found.events, "events": found.events, "kept": found.kept}
+    data |= {"du_max": found.change, "du_final": 0.0, "locked": found.stays}
+    advice = "without the change the motion leaves the orbit: take --method ogy"
+    return data | ({"outcome": "locked"} if found.stays else {"outcome": "locked while changed", "advice": advice})
+
+
+def _lock_lines(data: dict[str, Any]) -> str:
+    """Return what a lock has found, in words."""
+    lines = [f"outcome        {data['outcome']}" + (f" ({data['advice']})" if data["advice"] else "")]
+    if data["regular_period"] is not None:
+        lines.append(f"without control the motion settles on period {data['regular_period']}")
+    for number, orbit in enumerate(data["orbits"][:SHOWN] or [data["orbit"]]):
+        if orbit is not None:
+            more = " ..." if len(orbit["x_slip"]) > SHOWN else ""
+            places = ", ".join(f"{x:.12g}" for x in orbit["x_slip"][:SHOWN]) + more
+            size = f", multiplier {_shown(orbit['multipliers'][0])}" if "multipliers" in orbit else ""
+            lines.append(f"{'orbit' if number == 0 else '':14} x at break-away {places}{size}")
+    lines.append(f"locked         {data['locked']}")
+    if data["events_to_lock"] is not None:
+        lines.append(f"events to lock {data['events_to_lock']}")
+    lines.append(f"largest change {data['du_max']:.6g} of {data['du_limit']:.6g} allowed, last {data['du_final']:.3g}")
+    return "\n".join([*lines, str(data["file"])] if "file" in data else lines)
+
+
+def _shown(number: complex) -> str:
+    return f"{number.real:.10g}" if number.imag == 0.0 else f"{number:.10g}"
 
 
 def _check(name: str, value: float, *, positive: bool = False, negative: bool = False) -> None:

@@ -1,0 +1,162 @@
+"""The map of a driven mass from one landing on the belt to the next; the drive's amplitude is its control parameter.
+
+A landing is a passage from slip to stick, of a ramp law into the ramp from its slower edge.  Its state is the phase of
+the drive, as a time (s) within the drive's period, and the position (m): both are needed, since the position at
+break-away alone has two phases.  The amplitude u0 (N) is the parameter that the thesis perturbs; a change holds from
+one landing to the next.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from rig_sim.flow import modes
+from rig_sim.flow.contact_state import initial_mode
+from rig_sim.flow.flow import Flow, validate
+from rig_sim.flow.frame import frame
+from rig_sim.integrate.buffer import CARRY, RAPID, STEPS, Buffer, new_work
+from rig_sim.integrate.phases import run, sample_phase
+
+# Integrator steps between two landings, 1 us each; the thesis's motions take 15.  A motion that has not landed after
+# these does not count as one that lands.
+STEPS_OF_LANDING = 20_000
+OSCILLATIONS = 1000.0  # of the mass alone, and the longest stick besides, within which it has to land
+
+
+@dataclass(frozen=True)
+class Landing:
+    """What follows a state up to the next landing.
+
+    Attributes
+    ----------
+    state : (2,) float64
+        Time within the drive's period (s) and position (m) at the landing; NaN without one.
+    duration : float
+        s.
+    x_slip : float
+        Where the mass broke away last before, m (the thesis's X_A).
+    outcome : str
+        'completed'; 'no landing'; or how the integrator ended.
+    """
+
+    state: Array
+    duration: float
+    x_slip: float
+    outcome: str
+
+
+class LandingMap:
+    """The map from landing to landing of a driven mass: a `ControlledMap` of two numbers.
+
+    Parameters
+    ----------
+    flow : Flow
+        With a drive.
+
+    Attributes
+    ----------
+    period : float
+        Of the drive, s.
+    scale, turn, strength
+        As in `ControlledMap`: the drive's period and the largest stretch; the drive's period; u0.
+
+    Raises
+    ------
+    ValueError
+        The flow is not physical, or has no drive.
+    """
+
+    def __init__(self, flow: Flow) -> None:
+        validate(flow)
+        if flow.u0 == 0.0 or flow.omega == 0.0:
+            raise ValueError("has no drive whose amplitude could be controlled")
+        fr = frame(flow)
+        self.flow = flow
+        self.period = 2.0 * math.pi / abs(flow.omega)
+        self.strength = abs(flow.u0)
+        size = (fr.B + self.strength) / fr.k
+        self.scale = np.array([self.period, size + fr.v / fr.omega0])
+        self.turn = np.array([self.period, math.inf])
+        stick = 2.0 * (size + self.strength / fr.k) / fr.v if fr.v > 0.0 else 0.0
+        self._horizon = stick + OSCILLATIONS * 2.0 * math.pi / fr.omega0 + self.period
+        self._mode = modes.RAMP if fr.d > 0.0 else modes.STICK
+        self._edge = -fr.mirror * fr.d
+        self._behind = modes.NEGATIVE if fr.mirror > 0.0 else modes.POSITIVE
+        self._lists = np.zeros((4, 1))
+        self._work: Buffer = new_work(STEPS_OF_LANDING, compiled=True)
+
+    def __call__(self, state: Array, change: float = 0.0) -> Array:
+        """Return the state at the next landing, (2,), with u0 changed by ``change`` (N); NaN without one."""
+        return self.landing(state, change).state
+
+    def landing(self, state: Array, change: float = 0.0) -> Landing:
+        """Return the next landing after the one at ``state``."""
+        return self._next(self._mode, state[1], self._edge, state[0] % self.period, change)
+
+    def first(self, x: float, v: float) -> Landing:
+        """Return the first landing of a motion that starts at x (m) with velocity v (m/s) at phase 0."""
+        return self._next(initial_mode(self.flow, x, v, 0.0), x, v - self.flow.v_belt, 0.0, 0.0)
+
+    def _next(self, mode: int, x: float, w: float, t: float, change: float) -> Landing:
+        flow = self.flow._replace(u0=self.flow.u0 + change)
+        step, work = compiled_run(), self._work
+        work[STEPS] = work[CARRY] = work[RAPID] = 0.0
+        begun, end, x_slip = t, t + self._horizon, math.nan
+        while True:
+            before = mode
+            outcome, count, _, mode, x, w, t = step(flow, mode, x, w, t, end, 1, *self._lists, 0, work)
+            if outcome != modes.LIST_FULL or count == 0:
+                name = modes.OUTCOMES[outcome].name
+                ended = "no landing" if outcome in (modes.COMPLETED, modes.STEP_LIMIT) else name
+                return Landing(np.full(2, np.nan), math.nan, x_slip, ended)
+            if before in (modes.STICK, modes.RAMP):
+                x_slip = x
+            elif mode == modes.STICK or (mode == modes.RAMP and before == self._behind):
+                state = np.array([(t + work[CARRY]) % self.period, x])
+                return Landing(state, t - begun, x_slip, "completed")
+
+    def motion(self, states: Array, changes: Array, rate: float) -> tuple[Array, Array, Array]:
+        """Return time (s, from the first landing), x (m) and v (m/s) of a motion under control, (n,) each.
+
+        Parameters
+        ----------
+        states, changes : (n, 2) and (n,) float64
+            Its landings, and the change of u0 (N) from each to the next.
+        rate : float
+            Samples per second; every landing is sampled besides.
+        """
+        time = 0.0
+        pieces = []
+        for state, change in zip(states, changes, strict=True):
+            times, x, v = self._sampled(state, float(change), rate)
+            pieces.append((time + times, x, v))
+            time += times[-1]
+        t, x, v = (np.concatenate([piece[i] for piece in pieces] or [np.zeros(0)]) for i in range(3))
+        return t, x, v
+
+    def _sampled(self, state: Array, change: float, rate: float) -> tuple[Array, Array, Array]:
+        """Return times since a landing, x and v up to the next one, both landings included."""
+        start = state[0] % self.period
+        times = np.append(np.arange(0.0, duration := self.landing(state, change).duration, 1.0 / rate), duration)
+        out_x, out_v, out_mode = np.zeros((3, len(times)))
+        mode, x, w, t, i = self._mode, float(state[1]), self._edge, start, 0
+        flow, work = self.flow._replace(u0=self.flow.u0 + change), new_work()
+        while i < len(times):
+            kind, mode, x, w, t, i = sample_phase(
+                flow, mode, x, w, t, start + times, i, len(times), start + duration, out_x, out_v, out_mode, work
+            )
+            if kind >= modes.FORCE_REVERSAL:
+                raise RuntimeError(modes.OUTCOMES[kind].name)
+        return times, out_x, out_v
+
+
+@cache
+def compiled_run() -> Callable[..., tuple[int, int, int, int, float, float, float]]:
+    """Return the integrator's list of events as machine code."""
+    from rig_sim.integrate.compiled import compiled
+
+    return compiled(run)
