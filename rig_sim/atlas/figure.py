@@ -20,7 +20,7 @@ class Trace:
 
     ``style``: 'line', 'thick', 'thin', 'dashed'; 'points' and 'dots' (of a diagram with many points: the smallest);
     'filled' and 'open' circles, 'cross' for single places.  ``colour``: place in the cycle of colours, None for grey,
-    -1 for black.  ``label``: for the legend; empty for none.
+    -1 for black.  ``label``: for the legend; empty for none.  ``z``: the third coordinate, in a panel that has one.
     """
 
     x: Array
@@ -28,6 +28,7 @@ class Trace:
     label: str = ""
     style: Style = "line"
     colour: int | None = 0
+    z: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,10 @@ class Label:
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes with their curves.  ``x`` and ``y`` name what the axes show, with the unit; None: as the data demand."""
+    """Axes with their curves.
+
+    ``x``, ``y`` and, in space, ``z`` name what the axes show, with the unit; ranges None: as the data demand.
+    """
 
     x: str
     y: str
@@ -51,6 +55,7 @@ class Panel:
     y_range: tuple[float, float] | None = None
     equal: bool = False
     texts: tuple[Label, ...] = ()
+    z: str = ""
 
 
 @dataclass(frozen=True)

@@ -47,12 +47,11 @@ def picture(entry: Entry, drawing: Drawing) -> bytes:
         figure = Figure(figsize=(WIDTH, height), layout=ConstrainedLayoutEngine(rect=inside))
         figure.text(0.012, 1.0 - 0.1 / height, f"Thesis figure {entry.number}: {entry.title}", va="top", weight="bold")
         figure.text(0.012, 0.07 / height, "\n".join(words), va="bottom", color="#333333", fontsize=8.5)
-        grid = figure.subplots(rows, drawing.columns, squeeze=False)
-        for place, axes in enumerate(grid.flat):
-            if place < len(drawing.panels):
-                draw(axes, drawing.panels[place])
-            else:
-                axes.set_visible(False)
+        explained: set[str] = set()  # names in the legends so far
+        for place, panel in enumerate(drawing.panels, 1):
+            draw(
+                figure.add_subplot(rows, drawing.columns, place, projection="3d" if panel.z else None), panel, explained
+            )
         full = io.BytesIO()
         figure.savefig(full, format="png")
     small = io.BytesIO()
@@ -62,14 +61,15 @@ def picture(entry: Entry, drawing: Drawing) -> bytes:
     return small.getvalue()
 
 
-def draw(axes: "Axes", panel: Panel) -> None:
-    """Draw a panel."""
+def draw(axes: "Axes", panel: Panel, explained: set[str]) -> None:
+    """Draw a panel; its legend holds the names that are not yet explained."""
     for curve in panel.curves:
         look = LOOKS[curve.style] | {"color": colour(curve)}
-        axes.plot(curve.x, curve.y, label=curve.label or None, **look)
+        places = (curve.x, curve.y) if curve.z is None else (curve.x, curve.y, curve.z)
+        axes.plot(*places, label=curve.label or None, **look)
     for text in panel.texts:
         axes.annotate(text.words, (text.x, text.y), xytext=(5, 3), textcoords="offset points", fontsize=8)
-    axes.set(xlabel=panel.x, ylabel=panel.y, title=panel.title)
+    axes.set(xlabel=panel.x, ylabel=panel.y, title=panel.title, **({"zlabel": panel.z} if panel.z else {}))
     if panel.x_range is not None:
         axes.set_xlim(panel.x_range)
     if panel.y_range is not None:
@@ -77,9 +77,10 @@ def draw(axes: "Axes", panel: Panel) -> None:
     if panel.equal:
         axes.set_aspect("equal")
     handles, labels = axes.get_legend_handles_labels()
-    if labels:
-        once = dict(zip(reversed(labels), reversed(handles), strict=True))
-        axes.legend([once[label] for label in dict.fromkeys(labels)], list(dict.fromkeys(labels)), loc="best")
+    new = {label: handle for label, handle in zip(labels, handles, strict=True) if label not in explained}
+    explained.update(new)
+    if new:
+        axes.legend(new.values(), new.keys(), loc="best")
 
 
 def colour(curve: Trace) -> str:

@@ -8,6 +8,7 @@ from PIL import Image
 
 from daq.console import application
 from rig_sim.atlas.chapters.chapter4_motion import fixed_point_table
+from rig_sim.atlas.chapters.chapter5 import special_rows
 from rig_sim.atlas.figure import compare
 from rig_sim.atlas.redraw import chosen, order, redraw
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
@@ -27,7 +28,7 @@ def figures(first, last):
     return {f"{chapter}.{place}" for place in range(begin, order(last)[1] + 1)}
 
 
-DRAWN = figures("2.6", "2.22") | figures("4.2", "4.24")
+DRAWN = figures("2.6", "2.22") | figures("4.2", "4.24") | figures("5.3", "5.12")
 
 
 def test_every_figure_is_drawn_or_listed_with_a_reason():
@@ -99,3 +100,11 @@ def test_numbers_of_the_map_are_the_published_ones():
         ("4.22", "velocity at which attractor 2 disappears", "period2_fold"),
     ):
         assert value(figure, quantity) == pytest.approx(reference[key]["value"], abs=reference[key]["tol"])
+
+
+def test_numbers_of_the_damped_mass_are_the_published_ones():
+    reference = json.loads((REFERENCE / "dynamics.json").read_text())["chapter5"]
+    hopf, fold = special_rows()
+    assert hopf.value == pytest.approx(reference["hopf_c"]["value"], abs=reference["hopf_c"]["tol"])
+    assert fold.value == pytest.approx(reference["fold_c"]["value"], abs=reference["fold_c"]["tol"])
+    assert (hopf.agrees, fold.agrees) == (True, False)

@@ -1,0 +1,459 @@
+"""Chapter 5: one mass with damping; its fixed point, stable and unstable orbits, multipliers, and where they change."""
+
+import cmath
+import math
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from rig_sim.atlas.chapters.axes import DAMPING, V, X, motion
+from rig_sim.atlas.figure import Drawing, Entry, Label, Panel, StatementCheck, Style, Trace, compare, state
+from rig_sim.dynamics.continuation import Branch, Continuation, continuation
+from rig_sim.dynamics.fixed_point import FixedPoint, fixed_point
+from rig_sim.dynamics.floquet import FloquetOrbit, floquet
+from rig_sim.dynamics.limit_cycle import Orbit, cycle
+from rig_sim.flow.flow import Flow
+from rig_sim.scenes.scene import scene
+
+SPEED = 0.6  # of the belt
+STRONGEST = 0.62  # damping drawn
+SPACE_FROM = 0.28  # the least damping of figure 5.7
+BESIDE = 1e-6  # of a special point: how close to it the branches are drawn and the fold's multiplier is taken
+MULTIPLIERS = {"a": "0.3827", "b": "0.3967", "c": "0.4837", "d": "0.5563"}
+EIGENVALUES = {"a": "0.04", "b": "0.16", "c": "0.3827", "d": "0.45"}
+PORTRAITS = {
+    "a": (0.0, (0.5, 1.6)),
+    "b": (0.1, (0.5, 1.6)),
+    "c": (0.2, (0.5, 1.6)),
+    "d": (0.4, (0.25, 0.05, 1.6)),
+    "e": (0.5, (0.2, -0.2, 1.6)),
+    "f": (0.6, (-0.3, 1.6)),
+}  # damping, and where motions drawn begin (v = 0)
+WHERE_DRAWN = "the starts of the thin motions"
+
+
+def flow_at(c: float) -> Flow:
+    """Return the damped mass."""
+    return scene("damped", **{"damper.c": c, "belt.speed": SPEED}).flow()
+
+
+@cache
+def rest(c: float) -> FixedPoint:
+    """Return the fixed point."""
+    return fixed_point(flow_at(c))
+
+
+@cache
+def stick_slip(c: float) -> Orbit:
+    """Return the stick-slip orbit, or what there is in its place."""
+    return cycle(flow_at(c))
+
+
+@cache
+def unstable(c: float) -> FloquetOrbit:
+    """Return the unstable orbit, or what there is in its place."""
+    return floquet(flow_at(c), "unstable", orbit=stick_slip(c))
+
+
+@cache
+def diagram() -> Continuation:
+    """Return the branches over the damping, drawn up to both special points."""
+    plain = np.linspace(0.0, STRONGEST, 63)
+    points = [point.value for point in continuation(flow_at, plain).points]
+    beside = [value + side * BESIDE for value in points for side in (-1.0, 1.0)]
+    near = [points[0] + step for step in (1e-4, 5e-4, 2e-3, 5e-3)]
+    return continuation(flow_at, np.unique(np.concatenate([plain, beside, near])))
+
+
+def special(kind: str) -> float:
+    """Return the damping of a special point."""
+    (found,) = [point.value for point in diagram().points if point.kind == kind]
+    return found
+
+
+def played(c: float, x: float, v: float, until: float) -> tuple[Array, Array]:
+    """Return x and v of a motion from a start."""
+    changes = (("damper.c", c), ("belt.speed", SPEED), ("start.x", x), ("start.v", v))
+    _, found, speed, _ = motion("damped", until, 100.0, changes)
+    return found, speed
+
+
+def stable_trace(c: float, label: str = "stable orbit") -> list[Trace]:
+    """Return the stick-slip orbit, nothing where there is none."""
+    found = stick_slip(c)
+    if found.x_slip is None or found.period is None:
+        return []
+    return [Trace(*played(c, found.x_slip, SPEED, found.period + 0.02), label, "thick", 0)]
+
+
+def unstable_trace(c: float) -> list[Trace]:
+    """Return the unstable orbit, nothing where there is none."""
+    found = unstable(c)
+    if found.x_min is None or found.period is None:
+        return []
+    return [Trace(*played(c, found.x_min, 0.0, found.period + 0.02), "unstable orbit", "dashed", 1)]
+
+
+def rest_trace(c: float) -> Trace:
+    """Return the fixed point: filled where it is stable."""
+    kind = ("unstable", "open") if not rest(c).stable else ("stable", "filled")
+    return Trace(
+        np.array([rest(c).x or math.nan]),
+        np.zeros(1),
+        f"{kind[0]} fixed point",
+        "filled" if rest(c).stable else "open",
+        -1,
+    )
+
+
+def portrait(c: float, starts: tuple[float, ...], until: float, title: str, with_unstable: bool) -> Panel:
+    """Return a phase portrait: motions from (x, 0), the stable and the unstable orbit, the fixed point."""
+    thin = [Trace(*played(c, x, 0.0, until), "", "thin", 2) for x in starts]
+    orbits = [*stable_trace(c), *(unstable_trace(c) if with_unstable else [])]
+    return Panel(X, V, (*thin, *orbits, rest_trace(c)), title, (-1.35, 1.75), (-1.6, 0.75))
+
+
+def undamped() -> Drawing:
+    """Figure 5.3."""
+    ends = [played(0.0, x, 0.0, 60.0) for x in (0.5, 1.6)]
+    found = stick_slip(0.0)
+    on_it = all(abs(float(x[-700:].min()) - (found.x_min or math.nan)) < 1e-3 for x, _ in ends)
+    return Drawing(
+        "Without damping motions from inside and outside end on the stick-slip orbit; the fixed point is unstable.",
+        (portrait(0.0, (0.5, 0.37, 1.6), 40.0, "", False),),
+        (
+            state("the fixed point is unstable", "yes", "no" if rest(0.0).stable else "yes", not rest(0.0).stable),
+            state("motions from inside and outside end on the limit cycle", "yes", "yes" if on_it else "no", on_it),
+        ),
+        choices=WHERE_DRAWN,
+    )
+
+
+def increasing() -> Drawing:
+    """Figure 5.4."""
+    panels = tuple(
+        portrait(c, starts, 40.0, f"({letter}) c = {c:g}", False) for letter, (c, starts) in PORTRAITS.items()
+    )
+    sizes = [(orbit.x_max or 0.0) - (orbit.x_min or 0.0) for orbit in map(stick_slip, (0.0, 0.1, 0.2, 0.4, 0.5))]
+    inner, outer = (settles(0.4, x) for x in PORTRAITS["d"][1][:2])
+    return Drawing(
+        "Phase portraits with growing damping: the stick-slip orbit shrinks, the fixed point becomes stable, and the "
+        "orbit vanishes.",
+        panels,
+        (
+            state(
+                "the limit cycle shrinks with damping",
+                "yes",
+                "widths " + ", ".join(f"{size:.4g}" for size in sizes),
+                sizes == sorted(sizes, reverse=True),
+            ),
+            state(
+                "at c = 0.4 nearby starts inside end on the fixed point or on the limit cycle",
+                "both",
+                f"from {PORTRAITS['d'][1][0]} to the {inner}, from {PORTRAITS['d'][1][1]} to the {outer}",
+                (inner, outer) == ("fixed point", "limit cycle"),
+            ),
+            state(
+                "at c = 0.6 only the fixed point is left",
+                "yes",
+                stick_slip(0.6).outcome,
+                stick_slip(0.6).outcome == "fixed point" and rest(0.6).stable is True,
+            ),
+        ),
+        columns=2,
+        choices=f"the damping of (b) and (c), and {WHERE_DRAWN}",
+    )
+
+
+def settles(c: float, x: float) -> str:
+    """Return what a motion from (x, 0) comes to: with a longest velocity below the belt's the fixed point."""
+    _, v = played(c, x, 0.0, 400.0)
+    return "limit cycle" if float(v[-1000:].max()) == SPEED else "fixed point"
+
+
+def unstable_peak(found: FloquetOrbit, c: float) -> float:
+    """Return the largest velocity on an unstable orbit."""
+    if found.x_min is None or found.period is None:
+        return math.nan
+    return float(played(c, found.x_min, 0.0, found.period)[1].max())
+
+
+def branch_traces(ordinate: str) -> tuple[Trace, ...]:
+    """Return the branches over the damping; the ordinate is the largest velocity 'v' or displacement 'x'."""
+    traces = []
+    for branch in diagram().branches:
+        c = np.array([row.value for row in branch.rows])
+        name = f"{'stable' if branch.stable else 'unstable'} {branch.kind}"
+        style: Style = "thick" if branch.stable else "dashed"
+        colour = 2 if branch.kind == "fixed point" else 0 if branch.stable else 1
+        traces.append(Trace(c, np.array(heights(branch, ordinate)), name, style, colour))
+    return tuple(traces)
+
+
+def heights(branch: Branch, ordinate: str) -> list[float]:
+    """Return the ordinate of every row of a branch."""
+    if branch.kind == "fixed point":
+        return [0.0 if ordinate == "v" else getattr(row.state, "x", math.nan) for row in branch.rows]
+    if ordinate == "x":
+        return [getattr(row.state, "x_max", math.nan) for row in branch.rows]
+    if branch.stable:
+        return [float(stick_slip(row.value).v_max or math.nan) for row in branch.rows]
+    return [unstable_peak(unstable(row.value), row.value) for row in branch.rows]
+
+
+def special_rows() -> tuple[StatementCheck, ...]:
+    """Return the comparisons of both special points."""
+    return (
+        compare("damping at H, the Hopf point", "0.3827", special("hopf")),
+        compare(
+            "damping at F, the fold",
+            "0.5563",
+            special("fold"),
+            "the unstable orbit touches the belt's velocity at 0.556168 already.  AUTO followed the smooth equations "
+            "without stick: at 0.5563 their orbit exceeds the belt's velocity, and is none of the stick-slip system",
+        ),
+    )
+
+
+def velocity_diagram() -> Drawing:
+    """Figure 5.5."""
+    H, F = special("hopf"), special("fold")
+    return Drawing(
+        "The largest velocity over the damping: stick-slip orbit, unstable orbit and fixed point.  Between H and F "
+        "both the orbit and the fixed point are stable.",
+        (
+            Panel(
+                DAMPING,
+                "largest velocity (Fs/sqrt(km))",
+                branch_traces("v"),
+                texts=(Label(H, 0.0, "H"), Label(F, SPEED, "F")),
+                y_range=(-0.05, 0.75),
+            ),
+        ),
+        special_rows(),
+    )
+
+
+def around_the_fold() -> Drawing:
+    """Figure 5.6."""
+    dampings = {"a": 0.38, "b": 0.45, "c": 0.55, "d": 0.6}
+    panels = tuple(portrait(c, (), 1.0, f"({letter}) c = {c:g}", True) for letter, c in dampings.items())
+    has = {c: unstable(c).period is not None for c in dampings.values()}
+    gap = (unstable(0.55).x_min or math.nan) - (stick_slip(0.55).x_min or math.nan)
+    return Drawing(
+        "Stick-slip orbit (thick), unstable orbit (dashed) and fixed point as the damping grows: the unstable orbit "
+        "appears at the fixed point, grows to meet the stick-slip orbit, and both are gone.",
+        panels,
+        (
+            state(
+                "an unstable orbit exists at c = 0.38, 0.45, 0.55, 0.6",
+                "no, yes, yes, no",
+                ", ".join("yes" if there else "no" for there in has.values()),
+                list(has.values()) == [False, True, True, False],
+            ),
+            state(
+                "at c = 0.55 it is very close to the limit cycle",
+                "yes",
+                f"{gap:.3g} apart at the left",
+                0.0 < gap < 0.1,
+            ),
+        ),
+        columns=2,
+    )
+
+
+def phase_space() -> Drawing:
+    """Figure 5.7."""
+    traces: list[Trace] = []
+    for c in (0.3, 0.34, 0.38, 0.42, 0.46, 0.5, 0.54):
+        for found in (*stable_trace(c), *unstable_trace(c)):
+            style: Style = "dashed" if found.style == "dashed" else "line"
+            traces.append(replace(found, x=np.full(len(found.x), c), y=found.x, z=found.y, style=style))
+    for found in branch_traces("x"):
+        if "fixed point" in found.label:
+            shown = found.x >= SPACE_FROM
+            traces.append(replace(found, x=found.x[shown], y=found.y[shown], z=np.zeros(int(shown.sum()))))
+    return Drawing(
+        "The phase space over the damping: the unstable orbit grows out of the fixed point at H (0.3827) and meets the "
+        "stick-slip orbit at F (0.5562).",
+        (Panel(DAMPING, X, tuple(traces), z=V),),
+        special_rows(),
+        choices="the values of the damping at which orbits are drawn",
+    )
+
+
+def unstable_branch() -> Drawing:
+    """Figure 5.8."""
+    H, F = special("hopf"), special("fold")
+    traces = tuple(trace for trace in branch_traces("x") if trace.label == "unstable orbit")
+    return Drawing(
+        "The unstable orbit over the damping, from its birth at H to the place where it meets the stick-slip orbit, F.",
+        (
+            Panel(
+                DAMPING,
+                "largest displacement (Fs/k)",
+                traces,
+                texts=(Label(H, float(traces[0].y[0]), "H"), Label(F, float(traces[0].y[-1]), "F")),
+            ),
+        ),
+        special_rows(),
+        choices="the ordinate, as the text does not name AUTO's",
+    )
+
+
+def circle(label: str) -> Trace:
+    """Return the unit circle."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 361)
+    return Trace(np.cos(angle), np.sin(angle), label, "thin", None)
+
+
+def complex_plane(traces: tuple[Trace, ...], title: str, x_range: tuple[float, float]) -> Panel:
+    """Return a part of the complex plane."""
+    return Panel("real part (1)", "imaginary part (1)", traces, title, x_range, (-1.6, 1.6), equal=True)
+
+
+def multipliers() -> Drawing:
+    """Figure 5.9."""
+    panels, rows = [], []
+    fold = special("fold")
+    at_fold = unstable(fold - BESIDE)
+    for letter, printed in MULTIPLIERS.items():
+        c = float(printed) if float(printed) < fold else fold - BESIDE
+        across = unstable(c).multipliers[1]
+        where = f"c = {printed}" if c == float(printed) else f"c = {fold:.6f}, at the fold"
+        marks = Trace(np.array([1.0, across]), np.zeros(2), "multipliers", "cross", 1)
+        panels.append(complex_plane((circle("unit circle"), marks), f"({letter}) {where}", (-1.6, 7.6)))
+        if letter in "abc":
+            says = {"a": "on the unit circle", "b": "one crossed it through +1", "c": "further away"}[letter]
+            holds = {"a": across - 1.0 < 1e-3, "b": 1.0 < across < 2.0, "c": across > 2.0}[letter]
+            rows.append(state(f"multipliers at c = {printed}", says, f"1 and {across:.9f}", holds))
+    rows.append(
+        state(
+            "orbit at c = 0.5563",
+            "one multiplier outside the circle",
+            f"no orbit: the fold is at {fold:.12g}",
+            unstable(0.5563).period is not None,
+            "AUTO followed the smooth equations past the belt's velocity, where stick would begin",
+        )
+    )
+    rows.append(
+        state(
+            "second multiplier at the fold",
+            "jumps from 0 to infinity",
+            f"jumps from 0 to {at_fold.multipliers[1]:.6g}",
+            math.isinf(at_fold.multipliers[1]),
+            "the unstable orbit touches the belt's velocity in one point and follows the smooth equations, whose "
+            "multiplier is finite there; it is 0 on the orbit that sticks",
+        )
+    )
+    return Drawing(
+        "The Floquet multipliers of the unstable orbit in the complex plane: 1 along the orbit, and one across it that "
+        "leaves the unit circle through +1 and stays finite up to the fold.",
+        tuple(panels),
+        tuple(rows),
+    )
+
+
+def fixed_branch() -> Drawing:
+    """Figure 5.10."""
+    traces = tuple(trace for trace in branch_traces("x") if "fixed point" in trace.label)
+    x = rest(0.45).x or math.nan
+    return Drawing(
+        "The fixed point over the damping: its place does not change, its stability does at H.",
+        (Panel(DAMPING, X, traces, texts=(Label(special("hopf"), x, "H"),), y_range=(0.0, 0.75)),),
+        (
+            special_rows()[0],
+            state(
+                "the fixed point is stable",
+                "for c above H",
+                f"stable at H + {BESIDE:g}, not at H - {BESIDE:g}",
+                (rest(special("hopf") + BESIDE).stable, rest(special("hopf") - BESIDE).stable) == (True, False),
+            ),
+        ),
+        choices="the ordinate, as the text does not name AUTO's",
+    )
+
+
+def eigenvalues() -> Drawing:
+    """Figure 5.11."""
+    panels, rows = [], []
+    for letter, printed in EIGENVALUES.items():
+        roots = rest(float(printed)).eigenvalues
+        images = [cmath.exp(root) for root in roots]
+        plain = Trace(np.array([r.real for r in roots]), np.array([r.imag for r in roots]), "lambda", "cross", 1)
+        mapped = Trace(np.array([r.real for r in images]), np.array([r.imag for r in images]), "exp(lambda)", "open", 0)
+        panels.append(complex_plane((circle("unit circle"), plain, mapped), f"({letter}) c = {printed}", (-1.6, 1.6)))
+        if letter in "ab":
+            rows.append(
+                state(
+                    f"eigenvalues at c = {printed}",
+                    "outside the unit circle",
+                    f"abs(lambda) = {abs(roots[0]):.6g}, abs(exp(lambda)) = {abs(images[0]):.6g}",
+                    abs(roots[0]) > 1.0 + 1e-9,
+                    "the eigenvalues of a fixed point are judged by their real part, here above 0; their size is "
+                    "sqrt(k/m) = 1 at every damping.  What AUTO plots around the circle is exp(lambda)",
+                )
+            )
+    strong = rest(STRONGEST).eigenvalues
+    real_from = special("hopf") + 2.0
+    rows.append(
+        state(
+            "eigenvalues for damping above H (5.13)",
+            "real and negative",
+            f"{strong[0].real:.4g} +- {abs(strong[0].imag):.4g} i at c = {STRONGEST}; real from c = {real_from:.6g}",
+            strong[0].imag == 0.0,
+            "stability needs a negative real part alone; the pair stays complex until c - gamma_lin = 2 sqrt(km)",
+        )
+    )
+    size = abs(cmath.exp(rest(special("hopf")).eigenvalues[0]))
+    rows.append(
+        state(
+            "both lie on the circle at the Hopf point",
+            "c = 0.3827",
+            f"abs(exp(lambda)) = {size:.12g} at c = {special('hopf'):.9g}",
+            abs(size - 1.0) < 1e-9,
+        )
+    )
+    return Drawing(
+        "The eigenvalues lambda of the fixed point (crosses) and exp(lambda) (circles): stable where the real part of "
+        "lambda is negative, and exp(lambda) within the unit circle.",
+        tuple(panels),
+        tuple(rows),
+        columns=2,
+        choices="the damping of (d)",
+    )
+
+
+def both_branches() -> Drawing:
+    """Figure 5.12."""
+    traces = tuple(trace for trace in branch_traces("x") if trace.label != "stable orbit")
+    H, F = special("hopf"), special("fold")
+    return Drawing(
+        "Fixed point and unstable orbit over the damping: a subcritical Hopf bifurcation at H.",
+        (
+            Panel(
+                DAMPING,
+                "largest displacement (Fs/k)",
+                traces,
+                texts=(Label(H, rest(0.45).x or math.nan, "H"), Label(F, unstable(F - BESIDE).x_max or math.nan, "F")),
+            ),
+        ),
+        special_rows(),
+        choices="the ordinate, as the text does not name AUTO's",
+    )
+
+
+FIGURES = (
+    Entry("5.3", "phase portrait without damping", undamped),
+    Entry("5.4", "phase portraits with increasing damping, Vdr = 0.6", increasing),
+    Entry("5.5", "bifurcation diagram over the damping", velocity_diagram),
+    Entry("5.6", "phase portraits with the unstable orbit, Vdr = 0.6", around_the_fold),
+    Entry("5.7", "phase space over the damping", phase_space),
+    Entry("5.8", "path of the unstable orbit", unstable_branch),
+    Entry("5.9", "Floquet multipliers around the unit circle", multipliers),
+    Entry("5.10", "path of the fixed point", fixed_branch),
+    Entry("5.11", "eigenvalues around the unit circle", eigenvalues),
+    Entry("5.12", "paths of the fixed point and the unstable orbit", both_branches),
+)
