@@ -58,19 +58,22 @@ def unstable(c: float) -> FloquetOrbit:
 
 
 @cache
-def diagram() -> Continuation:
-    """Return the branches over the damping, drawn up to both special points."""
-    plain = np.linspace(0.0, STRONGEST, 63)
-    points = [point.value for point in continuation(flow_at, plain).points]
-    beside = [value + side * BESIDE for value in points for side in (-1.0, 1.0)]
-    near = [points[0] + step for step in (1e-4, 5e-4, 2e-3, 5e-3)]
-    return continuation(flow_at, np.unique(np.concatenate([plain, beside, near])))
+def points() -> dict[str, float]:
+    """Return the damping of each special point."""
+    return {point.kind: point.value for point in continuation(flow_at, np.linspace(0.2, STRONGEST, 4)).points}
 
 
 def special(kind: str) -> float:
-    """Return the damping of a special point."""
-    (found,) = [point.value for point in diagram().points if point.kind == kind]
-    return found
+    """Return the damping of a special point: 'hopf' or 'fold'."""
+    return points()[kind]
+
+
+@cache
+def diagram() -> Continuation:
+    """Return the branches over the damping, drawn up to both special points."""
+    beside = [value + side * BESIDE for value in points().values() for side in (-1.0, 1.0)]
+    near = [special("hopf") + step for step in (1e-4, 5e-4, 2e-3, 5e-3)]
+    return continuation(flow_at, np.unique(np.concatenate([np.linspace(0.0, STRONGEST, 63), beside, near])))
 
 
 def played(c: float, x: float, v: float, until: float) -> tuple[Array, Array]:
