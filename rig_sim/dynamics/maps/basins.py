@@ -11,12 +11,12 @@ import numpy as np
 
 from daq.compute.arrays import Array, Integers
 from rig_sim.dynamics.maps.interval_map import IntervalMap
+from rig_sim.dynamics.period import period_of
 
 # Iterates of the map itself from each cycle before its attractor counts as reached: twice as many double the cost of a
 # sweep.  Near a period doubling an orbit may still be 1e-3 of the interval away after as many.
 TRANSIENT = 1000
 POINTS = 512  # kept of an attractor that is not periodic
-LONGEST_PERIOD = 64
 SAME = 1e-9  # of the interval, to which the orbit of a periodic attractor repeats
 NOWHERE = -1  # index of what has no attractor
 
@@ -30,7 +30,7 @@ class Attractor:
     points : tuple of float
         One period in the order in which they follow, from the smallest; or `POINTS` iterates where it is not periodic.
     period : int or None
-        None for a chaotic one, or one whose period is above `LONGEST_PERIOD`.
+        None for a chaotic one, or one whose period is above `rig_sim.dynamics.period.LONGEST_PERIOD`.
     share : float
         Of the cells that lead to it.
     """
@@ -134,14 +134,6 @@ def settled(f: IntervalMap, start: float) -> tuple[tuple[float, ...], int | None
         return tuple(orbit.tolist()), None
     last = orbit[-period:]
     return tuple(np.roll(last, -int(np.argmin(last))).tolist()), period
-
-
-def period_of(orbit: Array, tolerance: float) -> int | None:
-    """Return the least period with which the end of an orbit repeats; None without one."""
-    for period in range(1, min(LONGEST_PERIOD, len(orbit) // 2) + 1):
-        if np.all(np.abs(orbit[-period:] - orbit[-2 * period : -period]) <= tolerance):
-            return period
-    return None
 
 
 def merged(visited: list[set[int]]) -> list[int]:

@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig_sim.dynamics.maps.basins import SAME, TRANSIENT, period_of
+from daq.compute.arrays import Array
+from rig_sim.dynamics.maps.basins import SAME, TRANSIENT
 from rig_sim.dynamics.maps.interval_map import IntervalMap, slope
+from rig_sim.dynamics.period import period_of
 
 BLOCKS = 20  # of the orbit, whose means give the standard error; below 20 it would itself err by more than 16 %
 
@@ -49,13 +51,24 @@ def lyapunov(f: IntervalMap, start: float, events: int) -> Exponent:
     if not np.all(np.isfinite(orbit)):
         return Exponent(math.nan, math.nan, 0, None, "no attractor")
     period = period_of(orbit, SAME * (f.hi - f.lo))
-    if period is not None:
-        orbit = orbit[-period:]
     with np.errstate(divide="ignore"):  # a slope of 0: the exponent of a superstable orbit is minus infinity
-        growth = np.log(np.abs(slope(f, orbit)))
-    growth = growth[np.isfinite(growth)] if period is None else growth  # beside a jump of the map there is no slope
+        growth = np.log(np.abs(slope(f, orbit if period is None else orbit[-period:])))
+    return mean_growth(growth, period)
+
+
+def mean_growth(growth: Array, period: int | None) -> Exponent:
+    """Return the exponent of an orbit on which a deviation's logarithm grows so from passage to passage.
+
+    Parameters
+    ----------
+    growth : (n,) float64
+        Of an orbit that is not periodic: what is not finite, beside a jump of the motion, is left out.
+    period : int or None
+        Of a periodic orbit, whose last ``period`` values count.
+    """
     if period is not None:
-        return Exponent(float(np.mean(growth)), 0.0, len(orbit), period, "completed")
+        return Exponent(float(np.mean(growth[-period:])), 0.0, period, period, "completed")
+    growth = growth[np.isfinite(growth)]
     means = [float(np.mean(block)) for block in np.array_split(growth, BLOCKS)]
     return Exponent(
         float(np.mean(growth)), float(np.std(means, ddof=1)) / math.sqrt(BLOCKS), len(growth), None, "completed"

@@ -43,7 +43,9 @@ class AttractorAt:
     share : float
         Of the interval of d that leads to it.
     extent : tuple of two floats
-        Smallest and largest point.
+        Smallest and largest point; of a driven mass at phase 0 of the drive, whatever the section.
+    outcome : str
+        'completed'; else what the motion lacks, or, with the number 0 and no points, why no attractor was found.
     """
 
     value: float
@@ -52,6 +54,7 @@ class AttractorAt:
     period: int | None
     share: float
     extent: tuple[float, float]
+    outcome: str = "completed"
 
 
 def sweep(
@@ -133,9 +136,9 @@ def distinct(points: list[float], tolerance: float) -> tuple[float, ...]:
 
 def numbered(rows: list[AttractorAt], before: list[AttractorAt]) -> list[AttractorAt]:
     """Return attractors with the numbers of the closest ones at the value before; others get numbers not yet in use."""
-    if not before:
+    if not before or not rows or rows[0].attractor == 0:
         return rows
-    previous = [row for row in before if row.value == before[-1].value]
+    previous = [row for row in before if row.value == before[-1].value and row.attractor > 0]
     pairs = sorted(
         (sum(abs(a - b) for a, b in zip(row.extent, old.extent, strict=True)), i, old.attractor)
         for i, row in enumerate(rows)
