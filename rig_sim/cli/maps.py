@@ -1,4 +1,4 @@
-"""The commands of ``rig-sim`` that ask the map of two masses: map, sweep, basins, lyapunov."""
+"""The commands of ``rig-sim`` about maps and attractors: map, sweep, basins, lyapunov."""
 
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -10,10 +10,14 @@ from cyclopts import Parameter
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
 from daq.errors import InputError
+from rig_sim.cli import forced
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rig_sim.cli.parameter_range import ParameterRange
     from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
+    from rig_sim.dynamics.maps.sweep import AttractorAt
     from rig_sim.flow.two_mass import TwoMassFlow
 
 MOST_CELLS = 1_000_000
@@ -150,8 +154,11 @@ def sweep(
     *,
     over: Annotated[str, Parameter(help="section.key=START:STOP, or START:STOP:N for N values (default 41).")],
     section: Annotated[
-        Literal["poincare", "map"],
-        Parameter(help="Points: x1 where the first mass turns forwards, or d = x2 - x1 while both masses stick."),
+        Literal["poincare", "map", "slip"],
+        Parameter(
+            help="Points of two masses: x1 where the first turns forwards (poincare), or d = x2 - x1 while both stick "
+            "(map). Of a driven mass: x at phase 0 of the drive (poincare), or at break-away (slip)."
+        ),
     ] = "poincare",
     jobs: Annotated[int, Parameter(help="Processes; the results do not depend on it.")] = 1,
     scheduler: Annotated[
@@ -162,13 +169,19 @@ def sweep(
     set_: SetChanges = None,
     json: Json = False,
 ) -> Answer:
-    """Find the attractors of two masses at each value of a parameter: a bifurcation diagram.
+    """Find the attractors of two masses, or of a driven one, at each value of a parameter: a bifurcation diagram.
 
-    At every value the starts lie all over the stretches that a global stick can have. Attractor 1 has the largest basin
-    at the first value; then the numbers follow. A motion without global stick counts as one more attractor, with points
-    in the section poincare alone.
+    Attractor 1 has the largest basin at the first value; then the numbers follow.
+
+    Two masses: the starts lie all over the stretches that a global stick can have. A motion without global stick counts
+    as one more attractor, with points in the section poincare alone.
+
+    A driven mass: the scene's start, the sliding mass at rest, and eight starts in stick, all over the drive's phases
+    of break-away. period: points of the section until the motion repeats; drive_periods: drive periods.
 
     Example: rig-sim sweep two-mass --over belt.speed=0.08:0.2:400 --jobs 2 --plot bifurcations.png
+
+    Example: rig-sim sweep forced --over drive.omega=0.2:2:400 --section slip --plot bifurcations.png
 
     Parameters
     ----------
@@ -178,18 +191,32 @@ def sweep(
     from daq.compute.workers import workers
     from rig_sim.cli.parameter_range import parse
     from rig_sim.dynamics.maps.sweep import attractors_at
-    from rig_sim.dynamics.maps.sweep import sweep as find
+    from rig_sim.dynamics.maps.sweep import sweep as follow
     from rig_sim.scenes.scene import parse_changes
+    from rig_sim.scenes.scene import scene as read
 
     if jobs < 1:
         raise InputError(f"is {jobs}", "--jobs", "give 1 or more")
     span = parse(over)
-    flow_at = SweptScene(scene, parse_changes(set_), span.key)
+    changes = parse_changes(set_)
     values = span.values().tolist()
-    for end in (values[0], values[-1]):
-        _checked(flow_at(end), scene)
+    find: Callable[[float], list[AttractorAt]]
+    coupled = read(scene, **{**changes, span.key: span.start}).coupling is not None
+    if not coupled:
+        if section == "map":
+            raise InputError("is map, which is for two masses", "--section", "give poincare or slip")
+        find = forced.DrivenAttractors(scene, changes, span.key, section)
+        for end in (values[0], values[-1]):
+            forced.driven(scene, {**changes, span.key: end})
+    else:
+        if section == "slip":
+            raise InputError("is slip, which is for a driven mass", "--section", "give poincare or map")
+        flow_at = SweptScene(scene, changes, span.key)
+        find = partial(attractors_at, flow_at, section)
+        for end in (values[0], values[-1]):
+            _checked(flow_at(end), scene)
     with workers(jobs, scheduler) as spread, application.progress("sweeping", span.number) as show:
-        rows = find(partial(attractors_at, flow_at, section), values, spread=spread, progress=show)
+        rows = follow(find, values, spread=spread, progress=show)
     data: dict[str, Any] = {
         "parameter": span.key,
         "section": section,
@@ -199,7 +226,9 @@ def sweep(
                 "attractor": row.attractor,
                 "points": row.points,
                 "period": row.period,
+                "drive_periods": row.drive_periods,
                 "share": row.share,
+                "outcome": row.outcome,
             }
             for row in rows
         ],
@@ -208,11 +237,12 @@ def sweep(
     for row in rows:
         few = ", ".join(f"{point:.6g}" for point in row.points[:4]) + (" ..." if len(row.points) > 4 else "")
         period = str(row.period or "-")
-        lines.append(f"{row.value:14.8g}  {row.attractor:9}  {row.share:5.3f}  {period:>6}  {few}")
+        shown = few if row.outcome == "completed" else f"{few} ({row.outcome})".strip()
+        lines.append(f"{row.value:14.8g}  {row.attractor:9}  {row.share:5.3f}  {period:>6}  {shown}")
     if plot is not None:
         from rig_sim.dynamics.maps.plot import save, sweep_figure
 
-        save(sweep_figure(rows, span.key, section), plot, force=force)
+        save(sweep_figure(rows, span.key, section, driven=not coupled), plot, force=force)
         data["file"] = plot
         lines.append(str(plot))
     return Answer(data, "\n".join(lines))
@@ -276,21 +306,24 @@ def lyapunov(
     /,
     *,
     events: Annotated[
-        int, Parameter(help="Events, from one global stick to the next, to take the mean over.")
+        int, Parameter(help="Events to take the mean over: from one global stick to the next, or landings.")
     ] = 20_000,
     set_: SetChanges = None,
     json: Json = False,
 ) -> Answer:
-    """Find the Lyapunov exponent of two masses on the attractor that the start leads to: per event, from their map.
+    """Find the Lyapunov exponent on the attractor that the start leads to: per event of two masses, from their map.
 
-    Positive for chaos. On a periodic attractor it is exact and its standard error 0.
+    Of a driven mass per landing, by the variational equation; per drive period where the mass does not stick. Positive
+    for chaos. On a periodic attractor it is exact and its standard error 0.
 
     Example: rig-sim lyapunov two-mass --events 20000 --set belt.speed=0.08075
+
+    Example: rig-sim lyapunov forced --set drive.omega=1.1
 
     Parameters
     ----------
     scene
-        A built-in name (see rig-sim scenes) or a TOML file, with start.d or start.attractor.
+        A built-in name (see rig-sim scenes) or a TOML file; of two masses with start.d or start.attractor.
     """
     from rig_sim.dynamics.maps.lyapunov import BLOCKS
     from rig_sim.dynamics.maps.lyapunov import lyapunov as find
@@ -300,8 +333,11 @@ def lyapunov(
 
     if not BLOCKS <= events <= MOST_EVENTS:
         raise InputError(f"is {events}", "--events", f"give {BLOCKS} to {MOST_EVENTS}")
+    changes = parse_changes(set_)
+    if read(scene, **changes).coupling is None:
+        return forced.driven_lyapunov(scene, changes, events)
     f = stick_map(scene, set_)
-    start = stretch(read(scene, **parse_changes(set_)))
+    start = stretch(read(scene, **changes))
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
     found = find(f, start, events)

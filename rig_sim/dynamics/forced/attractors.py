@@ -5,7 +5,7 @@ A motion is periodic when its state at the section comes back within `SAME`, aga
 drive periods.  Starts whose motions end on the same points share an attractor.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +25,8 @@ SAME = 1e-8
 APART = 1e3
 WINDOW = 2 * LONGEST_PERIOD + REPEATS  # passages that are compared
 # Passages, or the system's own oscillations, left out before each comparison, one after the other: an orbit on which
-# deviations fall by a factor of 0.993 or less is recognised.  Twice as many at the end double the cost of what is not periodic.
+# deviations fall by a factor of 0.993 or less is recognised.  Twice as many at the end double the cost of what is not
+# periodic.
 TRANSIENTS = (64, 128, 256, 512, 1024)
 SAME_ORBIT = 1e-5  # relative to the scale: how closely two starts on one periodic orbit agree
 NEIGHBOURS = 0.05  # of the extent: median distance from a point of an attractor that is not periodic to another start's
@@ -33,6 +34,7 @@ DRAWN = 256  # passages that are drawn of an attractor that is not periodic
 GROWTH = (
     1.5  # of the size over the last transient, above which a motion counts as growing: in proportion to time it is 2
 )
+LARGE = 2.0  # of the scale: a motion that does not exceed it is not called growing; a mass in stick stays below 1
 GROWING = Outcome("growing", "the motion still grows after a long time: add damping, or move off the resonance")
 
 
@@ -57,11 +59,11 @@ class Settled:
 
 def settled(system: System) -> Settled:
     """Follow a system until its motion repeats, or for as long as `TRANSIENTS` say."""
-    size = np.inf
+    before: Array | None = None
     for transient in TRANSIENTS:
-        before = size
-        system.follow(transient * system.unit)
-        found = system.follow(WINDOW)
+        found = system.follow(transient * system.unit)
+        if found.outcome == OUTCOMES[COMPLETED]:
+            found = system.follow(WINDOW)
         if found.outcome != OUTCOMES[COMPLETED]:
             return Settled(found.states, None, found.outcome)
         scaled = found.states / system.scale
@@ -69,9 +71,14 @@ def settled(system: System) -> Settled:
         repeats = period_of(scaled, SAME)
         if repeats is not None and (repeats == period or transient == TRANSIENTS[-1]):
             return Settled(found.states[-repeats:], repeats, found.outcome)
-        size = float(np.max(np.abs(scaled)))
-    outcome = GROWING if size > GROWTH * before else OUTCOMES[COMPLETED]
-    return Settled(found.states, None, outcome)
+        grows = before is not None and is_growing(before, scaled)
+        before = scaled
+    return Settled(found.states, None, GROWING if grows else found.outcome)
+
+
+def is_growing(before: Array, after: Array) -> bool:
+    """Return whether states (n, d), relative to the system's scale, are larger than they were half as long ago."""
+    return bool(np.max(np.abs(after)) > max(GROWTH * np.max(np.abs(before)), LARGE))
 
 
 def attractors(systems: Iterable[System], value: float) -> list[AttractorAt]:
@@ -97,7 +104,7 @@ def attractors(systems: Iterable[System], value: float) -> list[AttractorAt]:
             shown.append(system.drawn(motion.period or DRAWN))
             starts.append(1)
     if not kinds:
-        return [AttractorAt(value, 0, (), None, 0.0, (np.nan, np.nan), failed[0].name)]
+        return [AttractorAt(value, 0, (), None, 0.0, (np.nan, np.nan), None, failed[0].name)]
     rows = []
     number = len(failed) + sum(starts)
     for rank, index in enumerate(sorted(range(len(kinds)), key=lambda index: -starts[index]), 1):
@@ -107,7 +114,9 @@ def attractors(systems: Iterable[System], value: float) -> list[AttractorAt]:
         points = distinct(shown[index].tolist(), tolerance)
         extent = float(first.min()), float(first.max())
         outcome = "completed" if points else "no passage"
-        rows.append(AttractorAt(value, rank, points, motion.period, starts[index] / number, extent, outcome))
+        repeats = len(shown[index]) if points and motion.period else None
+        share = starts[index] / number
+        rows.append(AttractorAt(value, rank, points, repeats, share, extent, motion.period, outcome))
     return rows
 
 
@@ -121,8 +130,3 @@ def is_same(one: Settled, other: Settled, scale: Array) -> bool:
         return bool(np.min(apart, axis=1).max() <= SAME_ORBIT)
     extent = float(np.max(np.ptp(a, axis=0)))
     return bool(np.median(np.min(apart, axis=1)) <= NEIGHBOURS * extent)
-
-
-def attractors_over(start_at: Callable[[float], Iterable[System]], value: float) -> list[AttractorAt]:
-    """Return the attractors of the systems that ``start_at`` gives for a value of a parameter: for a sweep."""
-    return attractors(start_at(value), value)

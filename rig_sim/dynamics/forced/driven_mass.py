@@ -33,11 +33,12 @@ from rig_sim.dynamics.forced.system import Passages
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import displacement, frame, mirrored, position
-from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.buffer import STEPS, STEPS_ALLOWED, new_work
 
 SECTIONS = {"poincare": STROBE, "slip": SLIP, "landing": LANDING}
-# Steps allowed of one motion, some 0.5 us each: a sweep's orbit of 1000 drive periods takes 20 000 to 100 000.
-MOST_STEPS = 2_000_000
+# Integrator steps allowed of one call, some 0.5 us each, and of every passage asked for: 3 to 30 are usual.  A drive
+# period that lasts for hundreds of stick-slip cycles takes more, and ends in the outcome 'step limit'.
+STEPS_OF_CALL, STEPS_OF_PASSAGE = 100_000, 300
 # Oscillations of the mass alone without a stick, beyond the longest stick, after which it counts as one that does not
 # stick any more: with a damping of 1 % of the critical one a transient has fallen to 1e-5 by then.
 OSCILLATIONS = 200.0
@@ -84,7 +85,7 @@ class DrivenMass:
         self.unit = max(1, math.ceil(abs(flow.omega) / fr.omega0))
         longest_stick = 2.0 * (fr.B + abs(fr.u0)) / (fr.k * fr.v) if fr.v > 0.0 else 0.0
         self._patience = (OSCILLATIONS * 2.0 * math.pi / fr.omega0 + longest_stick) / self.period + OSCILLATIONS
-        self._work = new_work(MOST_STEPS, compiled=True)
+        self._work = new_work(compiled=True)
         self._state = np.zeros(STATE)
         self._state[MODE] = mirrored(fr, initial_mode(self.flow, x, v, 0.0))
         self._state[P], self._state[W] = displacement(fr, x), fr.mirror * (v - flow.v_belt)
@@ -121,6 +122,8 @@ class DrivenMass:
 
     def _rows(self, number: int, mask: int, *, tangent: bool) -> tuple[Array, int]:
         out = np.zeros(number * COLUMNS)
+        self._work[STEPS] = 0.0
+        self._work[STEPS_ALLOWED] = STEPS_OF_CALL + STEPS_OF_PASSAGE * number
         outcome, count = compiled_passages()(
             self._frame, self.period, self._patience, mask, int(tangent), number, self._state, out, self._work
         )
@@ -152,6 +155,6 @@ def starts(flow: Flow, x: float, v: float, sticking: int = STARTS) -> list[tuple
     return found
 
 
-def driven_masses(flow: Flow, x: float, v: float, section: str, sticking: int = STARTS) -> list[DrivenMass]:
+def driven_masses(flow: Flow, x: float, v: float, draws: str, sticking: int = STARTS) -> list[DrivenMass]:
     """Return driven masses from all `starts`."""
-    return [DrivenMass(flow, *start, section) for start in starts(flow, x, v, sticking)]
+    return [DrivenMass(flow, *start, draws=draws) for start in starts(flow, x, v, sticking)]

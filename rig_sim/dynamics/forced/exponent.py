@@ -6,7 +6,8 @@ variational equation.  The rotation number is the mean time between passages: in
 
 import numpy as np
 
-from rig_sim.dynamics.forced.attractors import SAME
+from daq.compute.arrays import Array
+from rig_sim.dynamics.forced.attractors import GROWING, SAME, is_growing
 from rig_sim.dynamics.forced.system import Passages, System
 from rig_sim.dynamics.maps.lyapunov import BLOCKS, Exponent, mean_growth
 from rig_sim.dynamics.period import period_of
@@ -30,7 +31,16 @@ def exponent(system: System, events: int) -> Exponent:
         found = system.follow(events, tangent=True)
     if found.outcome != OUTCOMES[COMPLETED]:
         return Exponent(np.nan, np.nan, 0, None, found.outcome.name)
-    return mean_growth(found.growth, passages_per_period(found, system))
+    tenth = max(len(found.states) // 10, 1)
+    if is_growing(found.states[:tenth] / system.scale, found.states[-tenth:] / system.scale):
+        return Exponent(np.nan, np.nan, 0, None, GROWING.name)
+    period = passages_per_period(found, system)
+    if period is None:
+        return mean_growth(found.growth)
+    if period_of(found.growth, SAME) == period:
+        return Exponent(float(np.mean(found.growth[-period:])), 0.0, period, period, "completed")
+    # complex multipliers: the deviation turns, and its growth swings about the mean
+    return Exponent(smooth_mean(found.growth), 0.0, len(found.growth), period, "completed")
 
 
 def passages_per_period(found: Passages, system: System) -> int | None:
@@ -40,11 +50,15 @@ def passages_per_period(found: Passages, system: System) -> int | None:
 
 
 def rotation_number(found: Passages) -> float:
-    """Return the mean time from passage to passage (drive periods), by Birkhoff averages with smooth weights.
+    """Return the mean time from passage to passage (drive periods)."""
+    return smooth_mean(np.diff(found.times))
 
-    Of a quasi-periodic motion it converges faster than any power of the number of passages (Das et al. 2017).
+
+def smooth_mean(values: Array) -> float:
+    """Return the mean of a periodic or quasi-periodic sequence (n,), by weights that vanish smoothly at both ends.
+
+    It converges faster than any power of n (Das, Saiki, Sander and Yorke 2017).
     """
-    steps = np.diff(found.times)
-    place = (np.arange(len(steps)) + 1.0) / (len(steps) + 1.0)
+    place = (np.arange(len(values)) + 1.0) / (len(values) + 1.0)
     weights = np.exp(-1.0 / (place * (1.0 - place)))
-    return float(np.sum(weights * steps) / np.sum(weights))
+    return float(np.sum(weights * values) / np.sum(weights))

@@ -53,21 +53,16 @@ def lyapunov(f: IntervalMap, start: float, events: int) -> Exponent:
     period = period_of(orbit, SAME * (f.hi - f.lo))
     with np.errstate(divide="ignore"):  # a slope of 0: the exponent of a superstable orbit is minus infinity
         growth = np.log(np.abs(slope(f, orbit if period is None else orbit[-period:])))
-    return mean_growth(growth, period)
-
-
-def mean_growth(growth: Array, period: int | None) -> Exponent:
-    """Return the exponent of an orbit on which a deviation's logarithm grows so from passage to passage.
-
-    Parameters
-    ----------
-    growth : (n,) float64
-        Of an orbit that is not periodic: what is not finite, beside a jump of the motion, is left out.
-    period : int or None
-        Of a periodic orbit, whose last ``period`` values count.
-    """
     if period is not None:
-        return Exponent(float(np.mean(growth[-period:])), 0.0, period, period, "completed")
+        return Exponent(float(np.mean(growth)), 0.0, period, period, "completed")
+    return mean_growth(growth)
+
+
+def mean_growth(growth: Array) -> Exponent:
+    """Return the exponent of an orbit that is not periodic, on which a deviation's logarithm grows so, shape (n,).
+
+    What is not finite, beside a jump of the motion, is left out.
+    """
     growth = growth[np.isfinite(growth)]
     means = [float(np.mean(block)) for block in np.array_split(growth, BLOCKS)]
     return Exponent(

@@ -16,6 +16,12 @@ from rig_sim.dynamics.maps.sweep import AttractorAt
 FORMATS = (".png", ".svg", ".pdf")
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
 PLACES = 4000  # drawn of a map
+ORDINATES = {  # of a sweep, by its section and whether the mass is driven
+    ("poincare", False): "x1 where the first mass turns forwards",
+    ("map", False): "d = x2 - x1 in global stick",
+    ("poincare", True): "x at phase 0 of the drive",
+    ("slip", True): "x at break-away",
+}
 MOST_DRAWN = 5000  # points drawn as shapes; more become an image
 
 
@@ -49,19 +55,19 @@ def map_figure(f: IntervalMap, times: int = 1) -> Figure:
     return figure
 
 
-def sweep_figure(rows: Sequence[AttractorAt], parameter: str, section: str) -> Figure:
-    """Return a bifurcation diagram: the points of every attractor over the parameter."""
+def sweep_figure(rows: Sequence[AttractorAt], parameter: str, section: str, *, driven: bool = False) -> Figure:
+    """Return a bifurcation diagram: the points of every attractor, of two masses or a ``driven`` one."""
     figure = Figure(figsize=(8.6, 5.6), layout="constrained")
     axes = figure.add_subplot()
-    for number in sorted({row.attractor for row in rows}):
+    for number in sorted({row.attractor for row in rows if row.points}):
         own = [row for row in rows if row.attractor == number]
         x = np.concatenate([np.full(len(row.points), row.value) for row in own])
         y = np.concatenate([row.points for row in own])
         colour = COLOURS[(number - 1) % len(COLOURS)]
         axes.plot(x, y, ".", ms=2.4, mew=0, color=colour, rasterized=len(x) > MOST_DRAWN, label=f"attractor {number}")
-    axes.legend(markerscale=6)
-    ordinate = "x1 where the first mass turns forwards" if section == "poincare" else "d = x2 - x1 in global stick"
-    axes.set(xlabel=f"{parameter} (the scene's unit)", ylabel=f"{ordinate} (the scene's unit)")
+    if axes.lines:
+        axes.legend(markerscale=6)
+    axes.set(xlabel=f"{parameter} (the scene's unit)", ylabel=f"{ORDINATES[section, driven]} (the scene's unit)")
     axes.set_title(f"Attractors over {parameter}")
     return figure
 

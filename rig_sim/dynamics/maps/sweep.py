@@ -39,11 +39,14 @@ class AttractorAt:
     points : tuple of float
         d in global stick, or x1 on the section; m.
     period : int or None
-        Of the map's orbit; None for a chaotic one, and where there is no global stick.
+        Of the map's orbit, or of a driven mass after how many points of the section the motion repeats; None for one
+        that is not periodic, and where there is no global stick.
     share : float
         Of the interval of d that leads to it.
     extent : tuple of two floats
         Smallest and largest point; of a driven mass at phase 0 of the drive, whatever the section.
+    drive_periods : int or None
+        Of a driven mass: after how many drive periods the motion repeats.
     outcome : str
         'completed'; else what the motion lacks, or, with the number 0 and no points, why no attractor was found.
     """
@@ -54,6 +57,7 @@ class AttractorAt:
     period: int | None
     share: float
     extent: tuple[float, float]
+    drive_periods: int | None = None
     outcome: str = "completed"
 
 
