@@ -5,7 +5,7 @@ therefore compared with what the record alone shows, by the best law (`fitting.e
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from daq.runfile.rig import Measured, Rig
 from fitting.data.frame import MeasuredMotion
@@ -13,39 +13,51 @@ from fitting.estimation.covariance import without_prior
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import PER_RUN, Global
+from fitting.selection.result import LawResult
 from processing.record.finding import Finding
+from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 # Standard deviations.  At 3 one true calibration in 400 would be reported, and as many again because an interval from
 # 16 cycles is itself uncertain; at 5 a belt speed wrong by less than 5 % of its stated value would pass.
 SURE = 4.0
+UNITS = {"belt-speed": "m/s", "datum": "m", "damping": "N s/m", "stiffness": "N/m"}
 STATED_SD = 0.01  # of a value that was stated without an error: people read a speed, a mass or a spring to about 1 %
 
 
 def find_contradictions(
-    fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int = 0
-) -> list[Finding]:
-    """Return what of a run's calibration its record contradicts by more than `SURE` standard deviations.
+    fit: Fit, motions: Sequence[MeasuredMotion], rows: Sequence[LawResult], records: Sequence[Kinematics]
+) -> list[list[Finding]]:
+    """Return what of each run's calibration its record contradicts by more than `SURE` standard deviations.
 
     Parameters
     ----------
     fit : Fit
         Of the best law, all runs together.
-    motion : MeasuredMotion
-        Of the run.
-    parameters : mapping
-        Of the best law in this run (`fitting.estimation.derived`).
-    recorded : Rig
-        Calibration with which the positions were made.
-    run : int
+    motions : sequence of MeasuredMotion
+        Of each run.
+    rows : sequence of LawResult
+        The best law's of each run.
+    records : sequence of Kinematics
+        Of each run, with the calibration that its positions were made with.
 
     Returns
     -------
-    list of Finding
-        In the record's own signs, SI units.
+    list of list of Finding
+        Of each run, in the record's own signs, SI units.
     """
+    return [
+        _of_run(fit, motion, row.parameters, record.recording.rig, run)
+        for run, (motion, row, record) in enumerate(zip(motions, rows, records, strict=False))
+    ]
+
+
+def _of_run(
+    fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
+) -> list[Finding]:
     found = []
-    for code, unit, value, expected, used in _compared(fit, motion, parameters, recorded, run):
+    for code, value, expected, used in _compared(fit, motion, parameters, recorded, run):
+        unit = UNITS[code]
         spread = math.hypot(value.sd, expected.sd)
         sigmas = abs(value.value - expected.value) / spread if spread > 0 else 0.0
         if sigmas > SURE:
@@ -57,33 +69,43 @@ def find_contradictions(
     return found
 
 
+def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:
+    """Return a verdict that says which calibrations its law contradicts; of several runs, each calibration once."""
+    clauses = {}
+    for one in (one for own in contradicted for one in own):
+        unit, name = UNITS[one.code], one.code.replace("-", " ")
+        if one.code not in clauses:
+            clauses[one.code] = f"{name} (stated {one.expected:.3g} {unit}, the record shows {one.value:.3g} {unit})"
+    return f"{verdict}; it contradicts the stated {' and '.join(clauses.values())}" if clauses else verdict
+
+
 def _compared(
     fit: Fit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
-) -> Iterator[tuple[str, str, Measured, Measured, str]]:
-    """Yield code, unit, what the record shows, what was stated, and which of both the fit used."""
+) -> Iterator[tuple[str, Measured, Measured, str]]:
+    """Yield code, what the record shows, what was stated, and which of both the fit used."""
     if motion.stated_speed is not None:
         seen = _seen(fit, Global.V_DR, run)
         # Without sticks the belt's speed depends on the datum, which constant friction does not show.
         spread = parameters["v_dr"].stderr if LAWS[fit.law].curve == "constant" else 0.0
         seen = Measured(motion.sign * seen.value, math.hypot(max(seen.sd, spread), motion.length_error * seen.value))
         used = "the belt's counts" if motion.belt_measured else _used(motion.belt_prior)
-        yield "belt-speed", "m/s", seen, _with_error(motion.stated_speed), used
+        yield "belt-speed", seen, _with_error(motion.stated_speed), used
     if motion.datum_prior is not None and LAWS[fit.law].curve != "constant":  # which shows datum + Fs/k alone
         seen, stated = _seen(fit, Global.DATUM, run), motion.datum_prior
         zero = recorded.datum.value if recorded.datum is not None else 0.0  # the datum is count zero's, not the rest's
         seen, stated = (Measured(zero - motion.sign * rest.value, rest.sd) for rest in (seen, stated))
-        yield "datum", "m", seen, stated, "both" if stated.sd > 0 else "the stated one"
+        yield "datum", seen, stated, "both" if stated.sd > 0 else "the stated one"
     mass = motion.mass.value if motion.mass else motion.stiffness.value / fit.values.K if motion.stiffness else None
     if motion.damping_prior is not None and mass is not None:
         seen, stated = _seen(fit, Global.DAMPING, run), motion.damping_prior
         used = "both" if stated.sd > 0 else "the stated one"
-        yield "damping", "N s/m", Measured(mass * seen.value, mass * seen.sd), stated, used
+        yield "damping", Measured(mass * seen.value, mass * seen.sd), stated, used
     if motion.mass is not None and motion.stiffness is not None:
         known, ratio = _with_error(motion.mass), parameters["k/m"]
         value = ratio.value * known.value
         spread = value * math.hypot(ratio.stderr / ratio.value, known.sd / known.value)
         used = f"the mass of {known.value:.4g} kg and the record's k/m"
-        yield "stiffness", "N/m", Measured(value, spread), _with_error(motion.stiffness), used
+        yield "stiffness", Measured(value, spread), _with_error(motion.stiffness), used
 
 
 def _used(prior: Measured | None) -> str:

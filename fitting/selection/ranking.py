@@ -21,7 +21,7 @@ from fitting.estimation import break_aways, derived, search
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import equivalence, evidence, screening, verdict
-from fitting.selection.contradictions import find_contradictions
+from fitting.selection.contradictions import find_contradictions, name_contradictions
 from fitting.selection.evidence import FEWEST_CYCLES, Evidence, ModelSet
 from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult
@@ -144,18 +144,18 @@ def rank(
         for fit in ordered
     ]
     rows = tuple(table[-1] for table in tables)
-    measured = all(run.motion.belt_measured for run in runs)
+    contradicted = find_contradictions(ordered[0], [run.motion for run in runs], tables[0], records)
     if adequate:
+        measured = all(run.motion.belt_measured for run in runs)
         words = verdict.verdict_sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
+        words = name_contradictions(words, contradicted)
     else:
         words = verdict.no_law_sentence(rows, assessed.together)
     sides = []
     for number, (run, record) in enumerate(zip(runs, records, strict=True)):
         own = tuple(table[number] for table in tables)
         events = break_aways.find_break_aways(own[0].fit, run.motion, run.cut)
-        made_with = record.recording.rig
-        contradicted = find_contradictions(ordered[0], run.motion, own[0].parameters, made_with, number)
-        findings = (*record.findings, *contradicted)
+        findings = (*record.findings, *contradicted[number])
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, findings, sustained=sustained)
         adequacy = assessed.runs[number]
         aged = find_ageing(events, run.cut) if adequate else None

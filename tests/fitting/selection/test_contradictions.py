@@ -74,3 +74,7 @@ def test_a_wrong_calibration_is_named_with_both_numbers(ranked_with, code, chang
     assert finding.expected == pytest.approx(expected)
     assert finding.sigmas > 4
     assert f"{finding.value:.4g}" in finding.text
+    # A warning alone said so; the verdict named the law as if every calibration held.
+    if ranking.adequacy.adequate:
+        assert f"contradicts the stated {code}" in ranking.verdict
+    assert ranking.adequacy.adequate or code == "datum"
