@@ -137,7 +137,8 @@ def phase_by_phase(flow, mode, x, w, t_max, factors, wear, kick, turn, levels, o
             drawn += 1
             flow = Flow(
                 flow.m, flow.k, flow.x0, flow.c, flow.v_belt, flow.curve, flow.ramp, flow.Fs, flow.static, factor,
-                flow.G_slip, flow.gamma, flow.d, flow.u0, flow.omega, flow.phase, flow.droop,
+                flow.G_slip, flow.gamma, flow.d, flow.u0, flow.omega, flow.phase, flow.droop, flow.pieces,
+                flow.table,
             )  # fmt: skip
 
 

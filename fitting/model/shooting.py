@@ -16,6 +16,7 @@ from fitting.model.fading import remaining
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
+from rig_sim.friction.spline import NO_TABLE
 from rig_sim.integrate.buffer import STEPS, Buffer, new_work
 from rig_sim.integrate.compiled import compiled
 from rig_sim.integrate.phases import sample_phase
@@ -340,7 +341,7 @@ def integrate_window(
         factor *= hold
         # per unit mass; the curve reads the one shape parameter that it has
         law = (curve, ramp, p.F, static, factor, p.shape * p.F, p.shape, hold * p.d)
-        flow = Flow(1.0, p.K, p.datum, p.damping, p.v_dr, *law, amplitude, omega, phase, hold * droop)
+        flow = Flow(1.0, p.K, p.datum, p.damping, p.v_dr, *law, amplitude, omega, phase, hold * droop, 0, NO_TABLE)
         before = mode
         kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
         if kind >= FORCE_REVERSAL:

@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 from daq.compute.arrays import Array
 from rig_sim.flow.modes import NEGATIVE, RAMP
-from rig_sim.friction.curve import HYPERBOLIC, magnitude, slope
+from rig_sim.friction.curve import MEASURED, magnitude, slope
+from rig_sim.friction.spline import piece_of
 
-SPLINE = HYPERBOLIC + 1  # code of a curve given by knots and pieces, beside those of `rig_sim.friction.curve`
+SPLINE = MEASURED  # code of a curve given by knots and pieces
 MOST_ITERATIONS = 30  # of Newton's method on a compliant belt; it needs 3 to 5
 
 
@@ -38,22 +39,10 @@ class Contact(NamedTuple):
     pieces: Array
 
 
-def piece_of(knots: Array, s: float) -> int:
-    """Return the piece of the spline in which s lies; the first or the last beyond the ends."""
-    low, high = 0, knots.size - 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        if s < knots[middle]:
-            high = middle
-        else:
-            low = middle
-    return low
-
-
 def normal_curve(c: Contact, s: float) -> tuple[float, float]:
     """Return n(s) and its slope (s/m); a spline goes on with a constant slope beyond its last knot."""
     if c.curve == SPLINE:
-        i = piece_of(c.knots, s)
+        i = piece_of(c.knots, c.knots.size - 1, s)
         beyond = max(s - c.knots[c.knots.size - 1], 0.0)
         z = s - beyond - c.knots[i]
         rate = c.pieces[i, 1] + z * (2.0 * c.pieces[i, 2] + z * 3.0 * c.pieces[i, 3])

@@ -17,6 +17,7 @@ from rig_sim.flow.modes import NEGATIVE, RAMP, STICK
 
 KERNELS = (
     "rig_sim.friction.curve",
+    "rig_sim.friction.spline",
     "fitting.model.fading",
     "fitting.sensitivity.friction",
     "fitting.sensitivity.rates",

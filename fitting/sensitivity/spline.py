@@ -7,7 +7,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.compute.compile import compiled
-from fitting.sensitivity.friction import piece_of
+from rig_sim.friction.spline import piece_of
 
 DEGREE = 3
 
@@ -56,7 +56,7 @@ class FrictionSpline:
         polynomial goes on.
         """
         found = np.zeros((s.size, self.basis_pieces.shape[0]))
-        fill = compiled(fill_basis, ("fitting.sensitivity.friction", __name__), _nrt=False)
+        fill = compiled(fill_basis, ("rig_sim.friction.spline", __name__), _nrt=False)
         fill(self.knots, self.basis_pieces, np.ascontiguousarray(s), np.broadcast_to(factor, s.shape).copy(), found)
         return found
 
@@ -90,7 +90,7 @@ def fill_basis(knots: Array, pieces: Array, s: Array, factor: Array, out: Array)
     for row in range(s.size):
         if factor[row] == 0.0:
             continue
-        i = piece_of(knots, s[row])
+        i = piece_of(knots, knots.size - 1, s[row])
         beyond = max(s[row] - last, 0.0)
         z = s[row] - beyond - knots[i]
         for j in range(i, i + DEGREE + 1):  # the others are 0 on this piece

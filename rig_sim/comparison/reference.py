@@ -2,7 +2,8 @@
 
 Independent of the kernels, with no formula in common: states are (y, w) with y = x - x0 and
 w = x' - v_belt, every phase, stick included, is a Taylor series of its own step, and only a steep undriven ramp is
-taken as a sum of two exponentials.  A mirrored scene (belt running backwards) is mirrored first.
+taken as a sum of two exponentials.  On a measured curve a step ends where the slip speed leaves a cubic, whose
+coefficients are those of the flow.  A mirrored scene (belt running backwards) is mirrored first.
 
 Not covered: a driven ramp with a fast root (`Uncovered`); slips and touches that begin and end between two of the 32
 points at which a step is searched.
@@ -15,7 +16,7 @@ from typing import Any
 import mpmath  # type: ignore[import-untyped]
 
 from rig_sim.flow.flow import Flow
-from rig_sim.friction.curve import HYPERBOLIC, LINEAR
+from rig_sim.friction.curve import HYPERBOLIC, LINEAR, MEASURED
 
 DIGITS = 40
 ORDER = 44
@@ -56,6 +57,11 @@ class _Rig:
         self.d = mpf(flow.d) if flow.ramp else mpf(0)
         self.G = mpf(flow.G_slip) * mpf(flow.factor) if flow.curve == LINEAR else mpf(0)
         self.gamma = mpf(flow.gamma) if flow.curve == HYPERBOLIC else mpf(0)
+        self.begins: list[Number] = []  # of a measured curve's cubics, and their coefficients
+        if flow.curve == MEASURED:
+            self.begins = [mpf(s) for s in flow.table[: flow.pieces]]
+            powers = [mpf(c) for c in flow.table[flow.pieces : 5 * flow.pieces]]
+            self.cubics = [powers[4 * i : 4 * i + 4] for i in range(flow.pieces)]
         self.u0, self.omega, self.phase = self.sign * mpf(flow.u0), mpf(flow.omega), mpf(flow.phase)
         self.t = mpf(0)
         self.x0 = mpf(flow.x0)
@@ -146,6 +152,8 @@ class _Rig:
             return y, w, load
         out = 1 if self.mode == "P" else -1  # s = out w - d
         s, q = [out * self.w - self.d], [1 / (1 + self.gamma * (out * self.w - self.d))]
+        if self.begins and self.mode != "R":
+            return self.on_cubic(y, w, s, out, drive)
         for n in range(ORDER):
             if self.mode == "R":
                 force = -self.B / self.d * w[n]
@@ -159,6 +167,33 @@ class _Rig:
             s.append(out * w[n + 1])
             if self.gamma != 0:
                 q.append(-self.gamma * q[0] * mpmath.fdot(zip(s[1:], reversed(q), strict=True)))
+        return y, w, w
+
+    def on_cubic(
+        self, y: list[Number], w: list[Number], s: list[Number], out: int, drive: list[Number]
+    ) -> tuple[list[Number], list[Number], list[Number]]:
+        """Return what `expand` does, for slip on the measured curve's cubic that the slip speed is in or enters."""
+        for i in range(len(self.begins)):
+            if self.begins[i] - TOUCH > s[0]:
+                break
+            self.cubic = i
+        begin = self.begins[self.cubic]
+        if self.cubic and abs(s[0] - begin) <= TOUCH:  # on an edge: s' decides, or s'' where that is 0
+            value = self.cubics[self.cubic][0]
+            rate = (-self.c * (w[0] + self.V) - self.k * y[0] - out * self.A * value + drive[0]) * out
+            if rate < -TOUCH or (abs(rate) <= TOUCH and -out * (w[0] + self.V) < 0):
+                self.cubic -= 1
+                begin = self.begins[self.cubic]
+        z, square, cube = [s[0] - begin], [], []
+        c0, c1, c2, c3 = self.cubics[self.cubic]
+        for n in range(ORDER):
+            square.append(mpmath.fdot(zip(z, reversed(z), strict=True)))
+            cube.append(mpmath.fdot(zip(square, reversed(z), strict=True)))
+            force = -out * self.A * ((c0 if n == 0 else 0) + c1 * z[n] + c2 * square[n] + c3 * cube[n])
+            belt = self.V if n == 0 else 0
+            y.append((w[n] + belt) / (n + 1))
+            w.append((-self.c * (w[n] + belt) - self.k * y[n] + force + drive[n]) / self.m / (n + 1))
+            z.append(out * w[n + 1])
         return y, w, w
 
     def series(self, t_max: Number) -> int:
@@ -180,6 +215,15 @@ class _Rig:
                 at = crossing([side * bounded[0] - side * edge, *(side * c for c in bounded[1:])], first[1])
                 if at is not None:
                     first = (side, at)
+        if self.begins and self.mode in ("N", "P"):
+            out = 1 if self.mode == "P" else -1
+            slip = [out * bounded[0] - self.d, *(out * c for c in bounded[1:])]
+            ends = [(-1, self.begins[self.cubic])] if self.cubic else []
+            ends += [(1, self.begins[self.cubic + 1])] if self.cubic + 1 < len(self.begins) else []
+            for side, edge in ends:
+                at = crossing([side * slip[0] - side * edge, *(side * c for c in slip[1:])], first[1])
+                if at is not None and at > 0:
+                    first = (0, at)
         side, tau = first
         self.y, self.w = horner(y, tau), horner(w, tau)
         self.t += tau

@@ -5,6 +5,7 @@ multipliers are found anew, from the flow alone: the orbits of one mass are few,
 the slip point and from the fixed point, not from the neighbouring value.  Special points:
 
 hopf              the eigenvalues of the fixed point cross the imaginary axis: root of c - gamma_lin
+grazing           the stick-slip orbit touches the belt's velocity no more: beyond, the mass swings in slip alone
 border-collision  the fixed point crosses the edge of the ramp, where gamma_lin jumps and stability with it
 fold              the stable and the unstable orbit meet and vanish.  Under a jump law this is discontinuous: the
                   unstable orbit touches the belt's velocity there, and its multiplier jumps to the 0 of the orbit that
@@ -138,15 +139,23 @@ def stability_changes(flow_at: FlowAt, rows: list[BranchPoint]) -> Iterator[Spec
 
 
 def folds(flow_at: FlowAt, rows: list[BranchPoint]) -> Iterator[SpecialPoint]:
-    """Yield the points where the stable orbit ends beside a stable fixed point."""
+    """Yield the points where the stable orbit ends: beside a stable fixed point, or where it no longer sticks."""
     for before, after in pairwise(rows):
-        alone = [row.state.outcome == "fixed point" for row in (before, after)]  # of the search for an orbit
-        both = [row.state.outcome == "cycle" for row in (before, after)]
-        if not ((alone[0] and both[1]) or (both[0] and alone[1])):
+        found = {row.state.outcome for row in (before, after)}  # of the search for an orbit
+        if "cycle" not in found or not found & {"fixed point", "pure slip"}:
             continue
-        if frame(flow_at(before.value)).d == 0.0:
-            ends = bisected(lambda at: cycle(flow_at(at)).outcome == "cycle", before.value, after.value)
-            yield SpecialPoint("fold", ends)
+        if frame(flow_at(before.value)).d == 0.0 or "pure slip" in found:
+            beyond: set[str] = set()
+
+            def sticks(at: float, others: set[str] = beyond) -> bool:
+                outcome = cycle(flow_at(at)).outcome
+                if outcome != "cycle":
+                    others.clear()
+                    others.add(outcome)
+                return outcome == "cycle"
+
+            value = bisected(sticks, before.value, after.value)
+            yield SpecialPoint("fold" if beyond == {"fixed point"} else "grazing", value)
         elif (touches := smooth_fold(flow_at, before.value, after.value)) is not None:
             yield SpecialPoint("fold", touches)
 

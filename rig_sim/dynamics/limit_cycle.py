@@ -14,8 +14,7 @@ from rig_sim.dynamics.return_map import STEPS_ALLOWED_HERE, Turn, next_slip
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, force
 from rig_sim.flow.flow import Flow, validate
-from rig_sim.flow.frame import Frame, frame, linear_terms, mirrored, position
-from rig_sim.friction.curve import HYPERBOLIC
+from rig_sim.flow.frame import Frame, frame, is_curved, linear_terms, mirrored, position
 from rig_sim.integrate.buffer import Buffer, new_work
 from rig_sim.integrate.newton import EPS
 
@@ -41,7 +40,8 @@ class Orbit:
     ----------
     outcome : str
         'cycle'; 'grazing' (a circle that touches the edge of stick, stick time 0: constant friction); 'fixed point'
-        (the mass comes to rest at ``x_rest``); 'no cycle'; 'driven'; or how the motion ended ('force reversal' ...).
+        (the mass comes to rest at ``x_rest``); 'pure slip' (it swings without ever sticking); 'no cycle'; 'driven'; or
+        how the motion ended ('force reversal' ...).
     advice : str
         What to do about it; empty for an orbit.
     period, t_stick, t_slip : float or None
@@ -115,7 +115,7 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
 
 def is_grazing(fr: Frame) -> bool:
     """Return whether slip is an undamped circle about its fixed point that touches the edge of stick."""
-    if fr.curve == HYPERBOLIC or fr.B != fr.A or fr.v <= fr.d:
+    if is_curved(fr, modes.NEGATIVE) or fr.B != fr.A or fr.v <= fr.d:
         return False
     return linear_terms(fr, modes.NEGATIVE)[0] == 0.0
 

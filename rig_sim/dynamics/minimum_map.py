@@ -19,7 +19,7 @@ from functools import cache
 from rig_sim.dynamics.return_map import PHASES_PER_TURN, creeps
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, transition
-from rig_sim.flow.frame import Frame, free_acceleration, friction_slope, mode_bounds
+from rig_sim.flow.frame import Frame, free_acceleration, friction_slope, mode_bounds, steepest_slope
 from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.phases import increments, is_series, phase_exit
@@ -113,8 +113,7 @@ def creeps_to_rest(fr: Frame, mode: int, p: float, w: float) -> bool:
     if mode != modes.NEGATIVE:
         return False
     a = free_acceleration(fr, mode, p, w, 0.0)
-    least = fr.c - max(friction_slope(fr, mode, -fr.d), friction_slope(fr, mode, -fr.v))
-    return creeps(fr, w + fr.v, a, least)
+    return creeps(fr, w + fr.v, a, fr.c - steepest_slope(fr, fr.d, fr.v))
 
 
 def lost(fr: Frame, mode: int, p: float, w: float, tau: float, work: Buffer) -> float:

@@ -10,8 +10,18 @@ from dataclasses import dataclass
 
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import transition
-from rig_sim.flow.frame import Frame, acceleration, curve_deficit, linear_terms, mode_bounds, slip_speed
-from rig_sim.friction.curve import HYPERBOLIC
+from rig_sim.flow.frame import (
+    Frame,
+    acceleration,
+    curve_deficit,
+    friction_slope,
+    linear_terms,
+    mode_bounds,
+    slip_speed,
+    steepest_slope,
+)
+from rig_sim.friction.curve import HYPERBOLIC, MEASURED
+from rig_sim.friction.spline import about, piece_of
 from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.linear import first_extreme
@@ -23,6 +33,10 @@ PHASES_PER_TURN = 200
 # Size of the motion about a stable fixed point, relative to the distance to the edge and to the curve's own scale of
 # speed, below which it counts as settled: small against 1, as the curve is taken as a line there; not swept.
 SETTLED = 1e-3
+# Change of the size of a swing within slip from one turn to the next, relative, below which it is an orbit of its own.
+# With 1e-6 a spiral into a fixed point near its Hopf point would pass for one; 1e-12 is rounding.
+CLOSED = 1e-9
+PURE_SLIP = -math.inf  # duration of a phase of slip that never ends, nor comes to rest
 
 
 @dataclass(frozen=True)
@@ -49,6 +63,8 @@ def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
         p_start = p
         side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work)
         if side == 0:
+            if tau == PURE_SLIP:
+                return Turn("pure slip", "the mass swings without sticking: it stays slower than the belt", p)
             if math.isinf(tau):
                 if mode != modes.STICK and linear_terms(fr, mode)[0] < 0.0:
                     return Turn("no cycle", "damping is negative: the motion grows without end", p)
@@ -73,15 +89,19 @@ def pass_phase(
 ) -> tuple[int, float, float, float]:
     """Return (side, duration, p, w) at the end of a phase; (0, inf, p, w) when it settles, (0, tau, ...) when unclear.
 
+    The duration is `PURE_SLIP` where the mass swings for ever: a turn of a slip that ends nearer to the fixed point
+    than it began encloses all that follows (orbits in the plane do not cross), so that it never leaves slip again.
     Positions and velocities at which an extreme of the phase may lie are appended to ``p_seen`` and ``w_seen``.
     """
     lo, hi = mode_bounds(fr, mode)
     durations: list[float] = []
+    turns: list[float] = []
     while work[buffer.STEPS] < work[buffer.STEPS_ALLOWED]:
         work[buffer.STEPS] += 1.0
         side, tau = phase_exit(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
         if math.isinf(tau):
             return 0, tau, p, w
+        falling, seen = w < -fr.v, len(p_seen)
         for at in turning_times(fr, mode, p, w, tau, work):
             dp, dw = increments(fr, mode, p, w, 0.0, at, work)
             p_seen.append(p + dp)
@@ -103,7 +123,26 @@ def pass_phase(
             return side, math.fsum(durations), p, w
         if settles(fr, mode, p, w):
             return 0, math.inf, p, w
+        if mode == modes.NEGATIVE and falling and w >= -fr.v:  # the mass has turned at its least position
+            turns.append(min(p_seen[seen:], default=p))
+            if swings_on(fr, turns):
+                return 0, PURE_SLIP, p, w
     return 0, math.fsum(durations), p, w
+
+
+def swings_on(fr: Frame, turns: list[float]) -> bool:
+    """Return whether a slip that turned at these p (m, in the frame) is bound for an orbit of slip.
+
+    The swing must have become smaller, and either the fixed point be unstable, or the change become ever less: near an
+    unstable orbit it is as small, but grows.
+    """
+    if len(turns) < 2:
+        return False
+    size = fixed_point(fr, modes.NEGATIVE, turns[-1]) - turns[-1]
+    change = turns[-1] - turns[-2]
+    if change > 0.0 and not fr.c > friction_slope(fr, modes.NEGATIVE, -fr.v):
+        return True
+    return len(turns) > 2 and abs(change) < CLOSED * size and abs(change) <= abs(turns[-2] - turns[-3])
 
 
 def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Buffer) -> list[float]:
@@ -144,25 +183,32 @@ def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Bu
 def settles(fr: Frame, mode: int, p: float, w: float) -> bool:
     """Return whether a slip is so close to its stable fixed point, or so heavily damped, that it cannot leave.
 
-    Close: u^2 + omega0^2 (p - p_rest)^2 only falls; it is compared with the distance to the edge and with the curve's
-    own scale.
-    Heavily damped: see `creeps`.
+    Close: u^2 + omega0^2 (p - p_rest)^2 only falls while damping exceeds friction's slope over the whole of its swing.
+    Near the Hopf point, where that swing is tiny, its size is compared with the distance to the edge and with the
+    curve's own scale instead.  Heavily damped: see `creeps`.
     """
-    if mode != modes.NEGATIVE:
+    if mode != modes.NEGATIVE or not fr.c > friction_slope(fr, mode, -fr.v):
         return False
-    C, _ = linear_terms(fr, mode)
-    scale = fr.v - fr.d
-    slope = steepest = 0.0
-    if fr.curve == HYPERBOLIC:
-        q = 1.0 + fr.gamma * (slip_speed(fr, scale) if fr.lag != 0.0 else scale)
-        slope = fr.A * fr.gamma / (q * q - fr.lag)
-        steepest = fr.A * fr.gamma / (1.0 - fr.lag)
-        scale = min(scale, q / fr.gamma)
-    if not C > slope:
-        return False
-    if creeps(fr, w + fr.v, acceleration(fr, mode, p, w, 0.0), C - steepest):
+    u = w + fr.v
+    if creeps(fr, u, acceleration(fr, mode, p, w, 0.0), fr.c - steepest_slope(fr, fr.d, fr.v)):
         return True
-    return math.hypot(w + fr.v, fr.omega0 * (p - fixed_point(fr, mode, p))) < SETTLED * scale
+    size = math.hypot(u, fr.omega0 * (p - fixed_point(fr, mode, p)))
+    room = fr.v - fr.d
+    if size < min(room, fr.s_max - fr.v) and fr.c > steepest_slope(fr, fr.v - size, fr.v + size):
+        return True
+    return size < SETTLED * min(room, curve_scale(fr))
+
+
+def curve_scale(fr: Frame) -> float:
+    """Return the change of speed (m/s) from the belt's over which friction's slope, and the damper's, may change."""
+    s = fr.v - fr.d
+    if fr.curve == HYPERBOLIC:
+        return 1.0 / fr.gamma + (slip_speed(fr, s) if fr.lag != 0.0 else s)
+    if fr.curve == MEASURED:
+        _, slope, bend, _ = about(fr.table, fr.pieces, piece_of(fr.table, fr.pieces, s), s)
+        if bend != 0.0:
+            return (abs(slope) + fr.c / fr.A) / abs(bend)
+    return math.inf
 
 
 def creeps(fr: Frame, u: float, a: float, damping: float) -> bool:
@@ -185,6 +231,6 @@ def fixed_point(fr: Frame, mode: int, p: float) -> float:
         return p
     C, e = linear_terms(fr, mode)
     fall = 0.0
-    if fr.curve == HYPERBOLIC and mode == modes.NEGATIVE:
+    if mode == modes.NEGATIVE:
         fall = curve_deficit(fr, mode, -fr.v)
     return (C * fr.v + e + fall) / fr.k

@@ -3,7 +3,8 @@
 import math
 from typing import NamedTuple
 
-from rig_sim.friction.curve import HYPERBOLIC, LINEAR
+from rig_sim.friction.curve import HYPERBOLIC, LINEAR, MEASURED
+from rig_sim.friction.spline import NO_TABLE, Table, steepest_fall_between
 
 
 class Flow(NamedTuple):
@@ -25,6 +26,9 @@ class Flow(NamedTuple):
         Drive u0 cos(omega t + phase): N, rad/s, rad.
     droop : float
         Speed drop of the belt at the load Fs, m/s (>= 0); the drive's compliance is droop/Fs, m/s per N.
+    pieces, table : int, tuple of float
+        Of a measured curve, as `rig_sim.friction.spline.spline_table` gives them; Fs is then the curve's friction at
+        rest.  Compiled kernels take the table as an array: `rig_sim.integrate.compiled.for_kernels`.
 
     Notes
     -----
@@ -50,6 +54,8 @@ class Flow(NamedTuple):
     omega: float = 0.0
     phase: float = 0.0
     droop: float = 0.0
+    pieces: int = 0
+    table: Table = NO_TABLE
 
 
 SMALLEST, LARGEST = 1e-100, 1e100  # of any number but 0: products of three stay finite
@@ -68,6 +74,8 @@ def validate(flow: Flow) -> None:
         than the belt yields.
     """
     for name, number in flow._asdict().items():
+        if name == "table":
+            continue  # checked where it was made
         if not math.isfinite(number):
             raise ValueError(f"{name} is {number}; need a finite number")
         if abs(number) > LARGEST or (name in POSITIVE_FIELDS and 0.0 < number < SMALLEST):
@@ -79,6 +87,8 @@ def validate(flow: Flow) -> None:
     if flow.static < 1.0:
         raise ValueError(f"static is {flow.static}; friction at rest is not below friction in slip: need 1 or more")
     if flow.droop > 0.0:
+        if flow.curve == MEASURED:
+            raise ValueError("droop with a measured curve is not modelled")
         if flow.static != 1.0:
             raise ValueError(f"droop with static {flow.static} is not modelled; need static 1")
         if flow.Fs == 0.0:
@@ -95,4 +105,6 @@ def steepest_fall(flow: Flow) -> float:
     """Return the steepest fall of friction with speed, divided by Fs (s/m)."""
     if flow.curve == HYPERBOLIC:
         return flow.gamma
+    if flow.curve == MEASURED:
+        return max(0.0, steepest_fall_between(flow.table, flow.pieces, 0.0, flow.table[flow.pieces - 1]))
     return flow.G_slip / flow.Fs if flow.curve == LINEAR and flow.Fs > 0.0 else 0.0

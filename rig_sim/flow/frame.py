@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
-from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, reversal_speed
+from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, MEASURED, reversal_speed
+from rig_sim.friction.spline import Table, about, piece_of, steepest_fall_between
 
 
 class Frame(NamedTuple):
@@ -14,7 +15,8 @@ class Frame(NamedTuple):
     ``mirror`` is -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1; ``A`` and ``B``
     are the kinetic and the break-away friction level (N); ``d`` (m/s) is 0 for a jump; ``G`` (N s/m) the linear curve's
     slope with the scatter; ``s_max`` (m/s) the relative speed of force reversal; ``omega2`` = k/m = omega0^2 (1/s^2);
-    ``slip`` = x_slip - x0 (m, mirrored); ``lag`` = droop gamma on the hyperbola, else 0.
+    ``slip`` = x_slip - x0 (m, mirrored); ``lag`` = droop gamma on the hyperbola, else 0; ``pieces`` and ``table`` are a
+    measured curve's.
     """
 
     mirror: float
@@ -37,6 +39,8 @@ class Frame(NamedTuple):
     omega2: float
     omega0: float
     lag: float
+    pieces: int
+    table: Table
 
 
 def frame(flow: Flow) -> Frame:
@@ -52,6 +56,9 @@ def frame(flow: Flow) -> Frame:
         curve = CONSTANT
     elif curve == HYPERBOLIC and (A == 0.0 or flow.gamma == 0.0):
         curve = CONSTANT
+    reversal = reversal_speed(curve, A, G)
+    if curve == MEASURED:
+        reversal = flow.table[5 * flow.pieces]
     lag = 0.0
     if flow.droop > 0.0:
         d += flow.droop
@@ -73,13 +80,15 @@ def frame(flow: Flow) -> Frame:
         G,
         flow.gamma,
         d,
-        d + reversal_speed(curve, A, G),
+        d + reversal,
         mirror * flow.u0,
         flow.omega,
         flow.phase,
         flow.k / flow.m,
         math.sqrt(flow.k / flow.m),
         lag,
+        flow.pieces,
+        flow.table,
     )
 
 
@@ -130,11 +139,19 @@ def slip_speed(fr: Frame, r: float) -> float:
     return 2.0 * r / (root + linear) if linear > 0.0 else (root - linear) / (2.0 * fr.gamma)
 
 
+def is_curved(fr: Frame, mode: int) -> bool:
+    """Return whether friction is not linear in w in this mode: slip on the hyperbola or on a measured curve."""
+    return (fr.curve == HYPERBOLIC or fr.curve == MEASURED) and mode != modes.RAMP and mode != modes.STICK
+
+
 def curve_deficit(fr: Frame, mode: int, w: float) -> float:
-    """Return D (N): the hyperbola less its level at rest, with the sign of the force in slip; 0 on other curves."""
-    if fr.curve != HYPERBOLIC or mode == modes.RAMP:
+    """Return D (N): a curve that is not linear less its level at rest, with the sign of the force in slip; else 0."""
+    if not is_curved(fr, mode):
         return 0.0
     s = -w - fr.d if mode == modes.NEGATIVE else w - fr.d
+    if fr.curve == MEASURED:
+        fall = fr.A * (about(fr.table, fr.pieces, piece_of(fr.table, fr.pieces, s), s)[0] - 1.0)
+        return fall if mode == modes.NEGATIVE else -fall
     if fr.lag != 0.0:
         s = slip_speed(fr, s)
     fall = -fr.A * fr.gamma * s / (1.0 + fr.gamma * s)
@@ -144,13 +161,23 @@ def curve_deficit(fr: Frame, mode: int, w: float) -> float:
 def friction_slope(fr: Frame, mode: int, w: float) -> float:
     """Return dF/dw (N s/m) at w in a slip or ramp: above 0 where friction falls with the slip speed."""
     slope = fr.c - linear_terms(fr, mode)[0]
-    if fr.curve != HYPERBOLIC or mode == modes.RAMP:
+    if not is_curved(fr, mode):
         return slope
     s = abs(w) - fr.d
+    if fr.curve == MEASURED:
+        return slope - fr.A * about(fr.table, fr.pieces, piece_of(fr.table, fr.pieces, s), s)[1]
     if fr.lag != 0.0:
         s = slip_speed(fr, s)
     q = 1.0 + fr.gamma * s
     return slope + fr.A * fr.gamma / (q * q - fr.lag)
+
+
+def steepest_slope(fr: Frame, low: float, high: float) -> float:
+    """Return the largest dF/dw (N s/m) of slip at relative speeds from low to high (m/s, beyond the contact's edge)."""
+    if fr.curve == MEASURED:
+        return fr.A * steepest_fall_between(fr.table, fr.pieces, max(low - fr.d, 0.0), max(high - fr.d, 0.0))
+    # the hyperbola is steepest where it begins; no other curve bends
+    return friction_slope(fr, modes.NEGATIVE, -max(low, fr.d))
 
 
 def mode_bounds(fr: Frame, mode: int) -> tuple[float, float]:

@@ -15,6 +15,7 @@ import math
 from typing import NamedTuple
 
 from rig_sim.flow.flow import LARGEST, Flow, validate
+from rig_sim.friction.curve import MEASURED
 
 
 class TwoMassFlow(NamedTuple):
@@ -37,6 +38,8 @@ def validate_two_masses(flow: TwoMassFlow) -> None:
     for name, number in (("a", flow.a), ("b", flow.b)):
         if not 0.0 <= number <= LARGEST:
             raise ValueError(f"{name} is {number}; need a number from 0 to {LARGEST:g}")
+    if flow.mass.curve == MEASURED:
+        raise ValueError("two masses with a measured curve are not modelled; need law 1, 3 or 5")
     if flow.mass.ramp:
         raise ValueError("two masses with a ramp contact are not modelled; need law 1, 3 or 5")
     if flow.mass.u0 != 0.0:

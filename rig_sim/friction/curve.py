@@ -1,4 +1,4 @@
-"""The three slip curves: the magnitude of friction against slip speed s >= 0.
+"""The slip curves of the laws: the magnitude of friction against slip speed s >= 0; `spline` has the measured one.
 
 Formulas below take floats or numpy arrays alike; numpy itself is not imported.
 """
@@ -11,8 +11,9 @@ Real = TypeVar("Real")  # float, or numpy array of floats
 CONSTANT = 0
 LINEAR = 1
 HYPERBOLIC = 2
+MEASURED = 3  # given by points: see `rig_sim.friction.spline`
 
-CURVES = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC}
+CURVES = {"constant": CONSTANT, "linear": LINEAR, "hyperbolic": HYPERBOLIC, "measured": MEASURED}
 
 
 def magnitude(curve: int, s: Real, Fs: float, G_slip: float = 0.0, gamma: float = 0.0) -> Real:

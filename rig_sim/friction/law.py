@@ -24,11 +24,11 @@ class Law:
     Parameters
     ----------
     number : int
-        1 to 6.
+        1 to 6; 0 for a measured curve.
     name : str
         The law in words.
     curve : str
-        'constant', 'linear' or 'hyperbolic': see `rig_sim.friction.curve`.
+        'constant', 'linear' or 'hyperbolic': see `rig_sim.friction.curve`; 'measured': see `rig_sim.friction.spline`.
     contact : str
         'jump' (set-valued at rest) or 'ramp' (F proportional to w for abs(w) <= d): see `rig_sim.friction.contact`.
     parameters : tuple of str
@@ -63,3 +63,10 @@ LAWS = {
         Law(6, "friction falling hyperbolically, with a ramp", "hyperbolic", "ramp", ("Fs", "gamma", "d")),
     )
 }
+
+MEASURED_CURVE = Law(0, "measured curve", "measured", "jump", ("curve",))  # no law: what a scene's points say
+
+
+def law_or_curve(number: int) -> Law:
+    """Return the law of this number, or `MEASURED_CURVE` for 0."""
+    return MEASURED_CURVE if number == 0 else LAWS[number]

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 from daq.compute import compile as kernels
+from rig_sim.flow.flow import Flow
 
 KERNEL_MODULES = (
     "rig_sim.friction.curve",
+    "rig_sim.friction.spline",
     "rig_sim.integrate.newton",
     "rig_sim.flow.modes",
     "rig_sim.flow.flow",
@@ -36,3 +38,12 @@ def compiled(function: Callable[..., Any], *modules: str, inline: bool = True) -
     """
     options = {**JIT_OPTIONS, "forceinline": True} if inline else JIT_OPTIONS
     return kernels.compiled(function, (*KERNEL_MODULES, *modules), **options)
+
+
+def for_kernels(flow: Flow) -> Flow:
+    """Return the flow as compiled kernels take it: a measured curve's table is an array."""
+    if flow.pieces == 0:
+        return flow
+    import numpy
+
+    return flow._replace(table=numpy.array(flow.table))

@@ -79,14 +79,16 @@ def list_events(
     validate(flow)
     if not all(math.isfinite(number) for number in (x, v, t, t_max)):
         raise ValueError(f"x, v, t, t_max are {x}, {v}, {t}, {t_max}; need finite numbers")
+    mode = initial_mode(flow, x, v, t)
     step: Callable[..., Any] = run
     if compiled:
         from rig_sim.integrate.compiled import compiled as compile_kernel
+        from rig_sim.integrate.compiled import for_kernels
 
         step = compile_kernel(run)
+        flow = for_kernels(flow)
     work = new_work(max_steps, compiled=compiled)
     buffers = new_lists(EVENTS_PER_CALL, 4, compiled=compiled)
-    mode = initial_mode(flow, x, v, t)
     w = v - flow.v_belt
     times: list[float] = []
     places: list[float] = []

@@ -21,8 +21,17 @@ import math
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import transition
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.frame import Frame, displacement, frame, kept_inside, linear_terms, mirrored, mode_bounds, position
-from rig_sim.friction.curve import HYPERBOLIC
+from rig_sim.flow.frame import (
+    Frame,
+    displacement,
+    frame,
+    is_curved,
+    kept_inside,
+    linear_terms,
+    mirrored,
+    mode_bounds,
+    position,
+)
 from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.driven import driven_ramp, driven_stick_exit, is_steep, ramp_exit, ramp_state
@@ -35,12 +44,12 @@ RAPID_TIME = 1e-12  # x sqrt(m/k)
 
 
 def is_series(fr: Frame, mode: int) -> bool:
-    """Return whether a mode is stepped by series: hyperbolic slip; driven phases except stick and steep ramps."""
+    """Return whether a mode is stepped by series: slip on a curve; driven phases except stick and steep ramps."""
     if mode == modes.STICK:
         return False
     if fr.u0 != 0.0:
         return not is_steep(fr, mode)
-    return fr.curve == HYPERBOLIC and mode != modes.RAMP
+    return is_curved(fr, mode)
 
 
 def phase_exit(

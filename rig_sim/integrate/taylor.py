@@ -1,4 +1,4 @@
-"""Taylor series of order 28 for hyperbolic slip and for driven slip.
+"""Taylor series of order 28 for slip on the hyperbola or on a measured curve, and for driven slip.
 
 With the slip speed beyond the contact s and q = 1 + gamma s, the hyperbola A/q = A + D obeys D q = A (1 - q), which
 gives its coefficients one after another.  Time is scaled by the phase's fastest local rate, so that no coefficient
@@ -7,15 +7,19 @@ overflows whatever gamma is; the step is where the last terms fall below roundin
 Where the belt droops, s is not linear in w: q - lag D/A_ is (A_ the level as an acceleration, lag = droop gamma), which
 takes the term D_n of q_n to the left: D_n (1 - lag/q0^2) = -(sum + bend w_n level).
 
+A measured curve is one cubic in w on each of its pieces, and a step ends where w leaves the piece: each step is exact.
+Steps over pieces are short, and need fewer terms.
+
 An event is the first root of w - level on the step (`rig_sim.integrate.polynomial`).
 """
 
 import math
 
-from rig_sim.flow.frame import Frame, curve_deficit, drive, kept_inside, linear_terms, slip_speed
-from rig_sim.flow.modes import NEGATIVE, RAMP
-from rig_sim.friction.curve import HYPERBOLIC
-from rig_sim.integrate.buffer import ORDER, TIME_SCALE, Buffer, D, P, Q, U, W
+from rig_sim.flow.frame import Frame, curve_deficit, drive, is_curved, kept_inside, linear_terms, slip_speed
+from rig_sim.flow.modes import NEGATIVE
+from rig_sim.friction.curve import MEASURED
+from rig_sim.friction.spline import about, piece_of
+from rig_sim.integrate.buffer import DEGREE, ORDER, PIECE, TIME_SCALE, Buffer, D, P, Q, U, W
 from rig_sim.integrate.newton import EPS
 from rig_sim.integrate.polynomial import first_root
 
@@ -24,6 +28,12 @@ SETTLED = 64.0 * EPS  # speed and force, relative, at which a stable fixed point
 ROUNDING_SIZE = -53.0  # log2 of half an ulp
 LOG_2 = math.log(2.0)
 LARGEST_STEP_SIZE = 2.0  # log2 of the longest step in scaled time: beyond, terms far above their sum cancel
+# Terms of the series on a measured curve: few where they reach the end of the piece.  On 14 and 31 points over a fall
+# to a seventh, 8 or 12 and 20 cost up to a quarter more, 16 and 24 the same.
+FEW_TERMS, MANY_TERMS = 14, 22
+THIRD = 1.0 / 3.0
+AT_KNOT = 16.0 * EPS  # of the speeds: as near to a knot as this, a slip speed is on it
+OFF_KNOT = 1e-3  # of the scaled time: w, which turns there, changes by some 1e-6, and friction by its third power
 NO_SIZE = -1e6  # stands for log2 of 0
 
 
@@ -38,12 +48,23 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
     push = drive(fr, t) if driven else 0.0
     a = kept_inside(fr, mode, w, (-C * w - fr.k * p + e + fall + push) / fr.m)
     u = w + fr.v
-    curved = fr.curve == HYPERBOLIC and mode != RAMP
+    curved = is_curved(fr, mode)
+    measured = curved and fr.curve == MEASURED
     sign = 1.0 if mode == NEGATIVE else -1.0
     rate = fr.omega0 + abs(C) / fr.m
     q0 = 1.0
     slope = 0.0
-    if curved:
+    cubic = (0.0, 0.0, 0.0, 0.0)
+    if measured:
+        s = -sign * w - fr.d
+        i = piece_entered(fr, s, -sign * a, sign * fr.k * u)
+        cubic = about(fr.table, fr.pieces, i, s)
+        work[PIECE] = float(i)
+        slope = -fr.A * cubic[1]
+        pace = fr.A / fr.m
+        bend = abs(pace * cubic[2])
+        rate += abs(slope) / fr.m + math.sqrt(bend * abs(a)) + (abs(pace * cubic[3]) * a * a) ** THIRD
+    elif curved:
         s = max(-sign * w - fr.d, 0.0)
         if fr.lag != 0.0:
             s = slip_speed(fr, s)
@@ -76,6 +97,28 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
         work[U + 1] = -inertia * fr.u0 * math.sin(fr.omega * t + fr.phase) * turn
         for j in range(2, ORDER):
             work[U + j] = -turn * turn * work[U + j - 2] * (INVERSE[j] * INVERSE[j - 1])
+    if measured:
+        work[Q + 1] = 0.0
+        force = inertia * fr.A
+        square, cube, damping = sign * force * cubic[2], -force * cubic[3], damping - inertia * slope
+        i = int(work[PIECE])
+        room = math.inf
+        if sign * a > 0.0:
+            room = s - fr.table[i]
+        elif i + 1 < fr.pieces:
+            room = fr.table[i + 1] - s
+        expand_measured(1, FEW_TERMS, square, cube, damping, stiffness, T, driven, work)
+        step = reach(work, w, a * T, FEW_TERMS)
+        degree = FEW_TERMS
+        if abs(step * (work[W + 1] + step * work[W + 2])) < room:
+            expand_measured(FEW_TERMS, MANY_TERMS, square, cube, damping, stiffness, T, driven, work)
+            step = reach(work, w, a * T, MANY_TERMS)
+            degree = MANY_TERMS
+        work[DEGREE] = float(degree)
+        for j in range(degree + 1, ORDER + 1):
+            work[P + j] = 0.0
+            work[W + j] = 0.0
+        return step
     if curved and fr.lag != 0.0:
         expand_drooping(fr, mode, w, q0, damping, stiffness, inertia, T, driven, work)
     elif curved:
@@ -129,7 +172,7 @@ def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> 
             w_n = rest * share
             work[P + n] = p_n
             work[W + n] = w_n
-    return reach(work, w, a * T)
+    return reach(work, w, a * T, ORDER)
 
 
 def expand_drooping(
@@ -174,14 +217,74 @@ def expand_drooping(
         work[P + n + 1] = T * work[W + n] * INVERSE[n + 1]
 
 
-def reach(work: Buffer, c0: float, c1: float) -> float:
+def piece_entered(fr: Frame, s: float, rate: float, turn: float) -> int:
+    """Return the piece of a measured curve that the slip speed s (m/s) is in or, from between two, enters.
+
+    ``rate`` is s' (m/s^2), and ``turn`` has the sign of s'' where s' is 0.
+    """
+    i = piece_of(fr.table, fr.pieces, s)
+    near = AT_KNOT * (fr.v + abs(s))
+    falling = rate < 0.0 or (rate == 0.0 and turn < 0.0)
+    if falling and i > 0 and s - fr.table[i] <= near:
+        return i - 1
+    if not falling and i + 1 < fr.pieces and fr.table[i + 1] - s <= near:
+        return i + 1
+    return i
+
+
+def expand_measured(
+    done: int,
+    degree: int,
+    square: float,
+    cube: float,
+    damping: float,
+    stiffness: float,
+    T: float,
+    driven: bool,
+    work: Buffer,
+) -> None:
+    """Fill in the coefficients of slip on one piece of a measured curve, after those that are ``done``.
+
+    w' (in scaled time) is ``square`` and ``cube`` times the second and third power of w - w(0), less ``damping`` times
+    it and ``stiffness`` times p.  The square's coefficients are kept in Q.
+    """
+    w_n = work[W + done]
+    p_n = work[P + done]
+    for n in range(done, degree):
+        rest = -damping * w_n - stiffness * p_n
+        if n > 1:
+            # the powers of w - w(0): its series begins at 1, that of its square at 2
+            twice = 0.0
+            half = (n - 1) // 2
+            for j in range(1, half + 1):
+                twice += work[W + j] * work[W + n - j]
+            twice += twice
+            if n % 2 == 0:
+                twice += work[W + n // 2] * work[W + n // 2]
+            work[Q + n] = twice
+            rest += square * twice
+            if cube != 0.0:
+                total = 0.0
+                for j in range(2, n):
+                    total += work[Q + j] * work[W + n - j]
+                rest += cube * total
+        if driven:
+            rest += work[U + n]
+        share = INVERSE[n + 1]
+        p_n = T * w_n * share
+        w_n = rest * share
+        work[P + n + 1] = p_n
+        work[W + n + 1] = w_n
+
+
+def reach(work: Buffer, c0: float, c1: float, degree: int) -> float:
     """Return the scaled step at which the last two terms of w fall below rounding of the largest of its first three."""
     c2 = work[W + 2]
     size0 = math.log2(abs(c0)) if c0 != 0.0 else NO_SIZE
     size1 = math.log2(abs(c1)) if c1 != 0.0 else NO_SIZE
     size2 = math.log2(abs(c2)) if c2 != 0.0 else NO_SIZE
     shortest = LARGEST_STEP_SIZE
-    for j in range(ORDER - 1, ORDER + 1):
+    for j in range(degree - 1, degree + 1):
         last = work[W + j]
         if last != 0.0:
             edge = math.log2(abs(last)) - ROUNDING_SIZE
@@ -211,16 +314,35 @@ def series_exit(
     xi_end = min(step, tau_max / scale)
     if math.isinf(step):
         return 0, tau_max
+    degree = ORDER
+    above, below = 1, -1
+    if fr.curve == MEASURED and is_curved(fr, mode):
+        degree = int(work[DEGREE])
+        sign = 1.0 if mode == NEGATIVE else -1.0
+        i = int(work[PIECE])
+        for knot in (i, i + 1):
+            if 0 < knot < fr.pieces:
+                level = -sign * (fr.table[knot] + fr.d)
+                # a start on the knot, to rounding, is on it
+                if (knot == i) == (mode == NEGATIVE):
+                    if level < hi:
+                        hi = max(level, w)
+                        above = 0
+                elif level > lo:
+                    lo = min(level, w)
+                    below = 0
     side = 0
     end = xi_end
     if not math.isinf(hi):
-        xi = first_root(work, W, ORDER, hi, 1, end)
+        xi = first_root(work, W, degree, hi, 1, end)
         if xi >= 0.0:
-            side = 1
+            side = above
             end = xi
     if not math.isinf(lo):
-        xi = first_root(work, W, ORDER, lo, -1, end)
+        xi = first_root(work, W, degree, lo, -1, end)
         if xi >= 0.0:
-            side = -1
+            side = below
             end = xi
+    if side == 0 and end == 0.0:  # w turns on a knot: off it on this step
+        end = min(xi_end, OFF_KNOT)
     return side, min(end * scale, tau_max)

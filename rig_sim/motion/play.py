@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Any
 from daq.errors import InputError
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, initial_mode
-from rig_sim.flow.flow import Flow
+from rig_sim.flow.flow import Flow, steepest_fall
+from rig_sim.friction.curve import MEASURED
 from rig_sim.integrate import buffer
 from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.events import EventList, list_events
@@ -293,6 +294,8 @@ class ScenePlayer:
         if self.scene.encoder is None:
             return math.inf
         rate = math.sqrt(self.flow.k / self.flow.m) + (self.flow.gamma * self.flow.Fs + self.flow.G_slip) / self.flow.m
+        if self.flow.curve == MEASURED:
+            rate += steepest_fall(self.flow) * self.flow.Fs / self.flow.m
         if self._swing is not None:
             rate += self.flow.omega
         return 0.05 / rate

@@ -4,9 +4,12 @@ import math
 
 from daq.errors import InputError
 from rig_sim.flow.flow import LARGEST, SMALLEST, steepest_fall, validate
-from rig_sim.friction.law import LAWS
+from rig_sim.friction.law import law_or_curve
+from rig_sim.friction.spline import refused
 from rig_sim.scenes.model import STARTS, Scene
+from rig_sim.scenes.sections import Friction
 
+MOST_POINTS = 1000  # of a measured curve: a fit gives some 16
 TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # what two masses may have
 
 
@@ -30,7 +33,8 @@ def check_together(found: Scene, where: str) -> None:
     else:
         if friction.G_stick is not None and friction.d is not None:
             raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -static Fs/d")
-        for key in LAWS[friction.law].parameters:
+        _check_curve(friction, where)
+        for key in law_or_curve(friction.law).parameters:
             if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
                 name = "G_stick or d" if key == "d" else key
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
@@ -44,6 +48,8 @@ def check_together(found: Scene, where: str) -> None:
         if found.drive is not None:
             raise InputError("belt.ripple beside a drive", where, "drop one: the integrator supports one harmonic")
     if found.droop is not None:
+        if friction is not None and friction.law == 0:
+            raise InputError("droop with friction.law = 0 is not modelled", where, "drop droop, or take law 1 to 6")
         if found.belt is None or friction is None:
             raise InputError("droop without belt and friction", where, "add them or drop droop")
         _check_droop(found, found.droop.fraction, where)
@@ -62,6 +68,27 @@ def check_together(found: Scene, where: str) -> None:
         raise InputError("spring.k/mass.m is out of the range of numbers", where, "bring k and m closer together")
 
 
+def _check_curve(friction: Friction, where: str) -> None:
+    """Refuse points that are no friction curve, and keys of a curve beside a law."""
+    if friction.law != 0:
+        if friction.contact is not None:
+            what = f"friction.contact beside law {friction.law}, which has its own contact"
+            raise InputError(what, where, "drop it, or take law 0")
+        return
+    do = "give friction.curve = [[0, F], [s, F], ...]: slip speed in m/s from 0, friction in N"
+    if friction.curve is None:
+        raise InputError("friction.curve is missing, which law 0 needs", where, do)
+    if len(friction.curve) > MOST_POINTS:
+        raise InputError(f"friction.curve has {len(friction.curve)} points", where, f"give {MOST_POINTS} or fewer")
+    if problem := refused(friction.curve):
+        raise InputError(f"friction.curve: {problem}", where, do)
+    for number in (number for point in friction.curve for number in point):
+        if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
+            raise InputError(f"friction.curve holds {number:g}", where, "choose other units")
+    if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
+        raise InputError("friction.d is missing, which a ramp needs", where, "give d, or drop friction.contact")
+
+
 def _check_masses(found: Scene, where: str) -> None:
     """Refuse a start that belongs to another number of masses, and what two masses do not have."""
     given = sorted(found.start.model_fields_set)
@@ -76,9 +103,11 @@ def _check_masses(found: Scene, where: str) -> None:
     for key in ("start", "length", "ripple", "ripple_hz", "channel"):
         if found.belt is not None and getattr(found.belt, key):
             raise InputError(f"belt.{key} beside coupling: not modelled for two masses", where, f"drop belt.{key}")
-    if found.friction is not None and LAWS[found.friction.law].contact != "jump":
+    if found.friction is not None and law_or_curve(found.friction.law).contact != "jump":
         what = f"friction.law is {found.friction.law}, a ramp, which is not modelled for two masses"
         raise InputError(what, where, "take law 1, 3 or 5")
+    if found.friction is not None and found.friction.law == 0:
+        raise InputError("friction.law is 0, which is not modelled for two masses", where, "take law 1, 3 or 5")
     used = [way for way in STARTS if any(key in given for key in way)]
     if STARTS[0] in used:
         raise InputError("start.x or start.v beside coupling", where, "give start.x1, v1, x2, v2, or start.d")

@@ -7,7 +7,7 @@ from pydantic import Field
 from daq.errors import InputError
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
-from rig_sim.friction.law import LAWS
+from rig_sim.friction.curve import CONSTANT
 from rig_sim.scenes import sections
 from rig_sim.scenes.sections import Section
 
@@ -84,22 +84,15 @@ class Scene(Section):
 
     def _flow_of_one(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
         """Return the flow of one mass, alone."""
-        law = LAWS[self.friction.law if self.friction else 1]
-        values = self.friction.parameters() if self.friction else {}
+        none = {"curve": CONSTANT, "ramp": 0, "Fs": 0.0, "G_slip": 0.0, "gamma": 0.0, "d": 0.0}
         flow = Flow(
             m=float(self.mass.m),
             k=float(self.spring.k),
             x0=float(self.spring.x0),
             c=float(self.damper.c) if self.damper else 0.0,
             v_belt=float(self.belt.speed) if self.belt and belt_running else 0.0,
-            curve=law.curve_code,
-            ramp=law.ramp,
-            Fs=values.get("Fs", 0.0),
-            static=float(self.friction.static) if self.friction else 1.0,
             factor=factor,
-            G_slip=values.get("G_slip", 0.0),
-            gamma=values.get("gamma", 0.0),
-            d=values.get("d", 0.0),
+            **(none | self.friction.numbers() if self.friction else none),
             u0=float(self.drive.u0) if self.drive else 0.0,
             omega=float(self.drive.omega) if self.drive else 0.0,
             phase=0.0,

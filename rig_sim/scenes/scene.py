@@ -9,6 +9,7 @@ belt      speed, start = 0, length, ripple,    at rest before ``start``, then at
           ripple_hz, channel                    one turn is ``length``; channel = true: the board sends its counts too
 friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
           static = 1
+          curve, contact = "jump"               of law 0: [[slip speed, friction], ...] from speed 0; or "ramp", with d
 start     x = 0, v = 0                          the mass at t = 0
           x1 = 0, v1 = 0, x2 = 0, v2 = 0,       two masses at t = 0; or both sticking with x2 - x1 = d, at the end of
           d, attractor                          that stick; or there on attractor 1, 2 ... (1 has the largest basin)

@@ -1,11 +1,13 @@
 """The sections of a scene: one frozen model each, with the keys, units and ranges that `scene` checks."""
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
-from rig_sim.friction.law import LAWS
+from rig_sim.friction.curve import CONSTANT, LINEAR
+from rig_sim.friction.law import law_or_curve
+from rig_sim.friction.spline import spline_table
 
 if TYPE_CHECKING:
     from rig_sim.effects.ripple import SwingingBelt
@@ -18,11 +20,11 @@ Negative = Annotated[float, Field(lt=0)]
 def _no_flag(value: object) -> object:
     """Refuse true and false where a number belongs: Python takes them for 1 and 0."""
     if isinstance(value, bool):
-        raise PydanticCustomError("a_flag", "input should be 1, 2, 3, 4, 5 or 6")
+        raise PydanticCustomError("a_flag", "input should be 0, 1, 2, 3, 4, 5 or 6")
     return value
 
 
-LawNumber = Annotated[Literal[1, 2, 3, 4, 5, 6], BeforeValidator(_no_flag)]
+LawNumber = Annotated[Literal[0, 1, 2, 3, 4, 5, 6], BeforeValidator(_no_flag)]
 EventRate = Annotated[float, Field(gt=0, le=1000)]  # per second: an effect that happens now and then
 
 
@@ -67,37 +69,72 @@ class Belt(Section):
 
 
 class Friction(Section):
-    """Law 1 to 6 and every parameter the scene knows; the law takes the ones it needs.
+    """Law 1 to 6, or 0 for a measured curve, and every parameter the scene knows; the law takes the ones it needs.
 
     Attributes
     ----------
-    Fs : float
-        Largest static force, N.
+    Fs : float, optional
+        Largest static force, N; of a measured curve its first force counts.
     G_slip, gamma : float, optional
         Slope of the linear curve, N s/m; rate of the hyperbolic curve, s/m.
     G_stick, d : float, optional
         The ramp's slope (negative, N s/m), or its half-width (m/s): one of the two.
     static : float
         Break-away level over Fs; at least 1.
+    curve : list of [float, float], optional
+        Points of the measured curve: slip speed (m/s, from 0, increasing) and friction (N, above 0), joined as
+        `rig_sim.friction.spline` says.
+    contact : str, optional
+        Of the measured curve: 'jump' (default), or 'ramp' of half-width d.
     """
 
     law: LawNumber
-    Fs: NotNegative
+    Fs: NotNegative | None = None
     G_slip: NotNegative | None = None
     gamma: NotNegative | None = None
     G_stick: Negative | None = None
     d: Positive | None = None
     static: Annotated[float, Field(ge=1)] = 1.0
+    curve: list[Annotated[list[float], Field(min_length=2, max_length=2)]] | None = None
+    contact: Literal["jump", "ramp"] | None = None
 
     def ramp(self) -> float:
         """Return the ramp's half-width (m/s), at which its slope reaches static Fs; 0 when the scene names no ramp."""
         if self.d is not None:
             return self.d
-        return self.static * self.Fs / -self.G_stick if self.G_stick is not None else 0.0
+        return self.static * self.level() / -self.G_stick if self.G_stick is not None else 0.0
+
+    def level(self) -> float:
+        """Return friction where slip begins, N."""
+        if self.law == 0 and self.curve:
+            return float(self.curve[0][1])
+        return float(self.Fs or 0.0)
 
     def parameters(self) -> dict[str, float]:
-        """Return Fs and the parameters that this law needs, by name."""
-        return {key: self.ramp() if key == "d" else float(getattr(self, key)) for key in LAWS[self.law].parameters}
+        """Return Fs and the parameters that this law needs, by name; of a measured curve none."""
+        names = law_or_curve(self.law).parameters if self.law else ()
+        return {key: self.ramp() if key == "d" else float(getattr(self, key)) for key in names}
+
+    def numbers(self) -> dict[str, Any]:
+        """Return what a flow takes of friction, by the flow's names: of the law's parameters those that it needs."""
+        law = law_or_curve(self.law)
+        found: dict[str, Any] = {
+            "curve": law.curve_code,
+            "ramp": law.ramp,
+            "Fs": self.level(),
+            "static": float(self.static),
+        }
+        if self.law != 0:
+            return found | self.parameters()
+        points = tuple((float(s), float(F)) for s, F in self.curve or ())
+        if len({F for _, F in points}) == 1:  # exactly law 1 or 3: closed forms
+            found |= {"curve": CONSTANT}
+        elif len(points) == 2:
+            found |= {"curve": LINEAR, "G_slip": (points[0][1] - points[1][1]) / points[1][0]}
+        else:
+            pieces, table = spline_table(points)
+            found |= {"pieces": pieces, "table": table}
+        return found | ({"ramp": 1, "d": self.ramp()} if self.contact == "ramp" else {})
 
 
 class Start(Section):

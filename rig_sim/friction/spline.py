@@ -1,0 +1,134 @@
+"""A measured friction curve: the cubic spline through points (slip speed, friction), as the kernels read it.
+
+The spline is not-a-knot, the usual one through points alone: twice continuously differentiable, with its third
+derivative continuous at the second and at the last point but one too.  Two points give a line, three a parabola.
+Beyond the last point its slope stays as it is there.  A spline with breaks at given speeds is such a curve when one
+more point is named inside its first and its last piece each.
+
+The kernels read one flat table of ``pieces`` cubics, the last of them the line beyond the last point:
+
+    table[i]                         slip speed where piece i begins (m/s); the first begins at 0
+    table[pieces + 4 i ... + 3]      powers 0 to 3 of the distance to that speed, over the friction at rest
+    table[5 pieces]                  slip speed at which friction first is 0, beyond which it is unphysical; or infinite
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+NO_TABLE = (0.0,)  # of the other curves: never read, and typed like a table
+Table = Any  # tuple of floats (interpreted) or one-dimensional float64 array (compiled)
+
+
+def piece_of(begins: Table, pieces: int, s: float) -> int:
+    """Return the piece in which s lies, of ``pieces`` that begin at increasing speeds; the first or last beyond."""
+    low, high = 0, pieces
+    while high - low > 1:
+        middle = (low + high) // 2
+        if s < begins[middle]:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+def about(table: Table, pieces: int, i: int, s: float) -> tuple[float, float, float, float]:
+    """Return the powers 0 to 3 of piece i about the slip speed s (m/s), over the friction at rest."""
+    z = s - table[i]
+    at = pieces + 4 * i
+    c1, c2, c3 = table[at + 1], table[at + 2], table[at + 3]
+    return (
+        table[at] + z * (c1 + z * (c2 + z * c3)),
+        c1 + z * (2.0 * c2 + z * 3.0 * c3),
+        c2 + 3.0 * z * c3,
+        c3,
+    )
+
+
+def steepest_fall_between(table: Table, pieces: int, low: float, high: float) -> float:
+    """Return the largest fall of the curve per speed (s/m, over the friction at rest) from slip speed low to high."""
+    most = -math.inf
+    for i in range(piece_of(table, pieces, low), piece_of(table, pieces, high) + 1):
+        end = table[i + 1] if i + 1 < pieces else high
+        places = [max(low, table[i]), min(high, end)]
+        c2, c3 = table[pieces + 4 * i + 2], table[pieces + 4 * i + 3]
+        if c3 != 0.0:
+            turn = table[i] - c2 / (3.0 * c3)
+            if places[0] < turn < places[1]:
+                places.append(turn)
+        for s in places:
+            most = max(most, -about(table, pieces, i, s)[1])
+    return most
+
+
+@lru_cache(maxsize=64)
+def spline_table(points: tuple[tuple[float, float], ...]) -> tuple[int, tuple[float, ...]]:
+    """Return (pieces, table) of the spline through points (slip speed m/s, friction N), as the module describes it.
+
+    Raises
+    ------
+    ValueError
+        Fewer than two points; a first speed other than 0; speeds that do not increase; a friction that is not above 0,
+        or a number that is not finite.
+    """
+    problem = refused(points)
+    if problem:
+        raise ValueError(problem)
+    from scipy.interpolate import PPoly, make_interp_spline
+
+    speeds = [s for s, _ in points]
+    rest = points[0][1]
+    degree = min(3, len(points) - 1)
+    spline = make_interp_spline(speeds, [F / rest for _, F in points], k=degree)
+    whole = PPoly.from_spline((spline.t, spline.c, spline.k))
+    rows = []
+    for begin, end, powers in zip(whole.x[:-1], whole.x[1:], whole.c[::-1].T, strict=True):
+        if end > begin:
+            rows.append((float(begin), *powers.tolist(), *[0.0] * (3 - degree)))
+    rows[0] = (0.0, 1.0, *rows[0][2:])
+    last, begin = speeds[-1], rows[-1][0]
+    z, (c0, c1, c2, c3) = last - begin, rows[-1][1:]
+    value, slope = c0 + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3)
+    rows.append((last, value, slope, 0.0, 0.0))
+    table = [row[0] for row in rows] + [power for row in rows for power in row[1:]]
+    return len(rows), (*table, _first_zero(rows))
+
+
+def refused(points: Sequence[Sequence[float]]) -> str:
+    """Return what is wrong with the points of a curve; empty where nothing is."""
+    if len(points) < 2:
+        return f"the curve has {len(points)} point{'s' * (len(points) != 1)}; need two or more"
+    for s, F in points:
+        if not (math.isfinite(s) and math.isfinite(F)):
+            return f"the point [{s}, {F}] is not finite"
+        if s < 0.0:
+            return f"the point [{s:g}, {F:g}] has a slip speed below 0; the curve is that of positive speeds"
+        if not F > 0.0:
+            return f"the point [{s:g}, {F:g}] has a friction that is not above 0"
+    if points[0][0] != 0.0:
+        return f"the curve begins at s = {points[0][0]:g}; the first point must be at s = 0"
+    for (s, _), (following, _) in pairwise(points):
+        if not following - s > CLOSEST * points[-1][0]:
+            return (
+                f"s = {following!r} follows s = {s!r}: speeds must increase, by more than {CLOSEST:g} of the last one"
+            )
+    return ""
+
+
+CLOSEST = 1e-9  # of the last slip speed: points closer together leave no digits to the slope between them
+
+
+def _first_zero(rows: Sequence[tuple[float, ...]]) -> float:
+    """Return the lowest slip speed at which the pieces reach 0, or infinity."""
+    import numpy as np
+
+    ends = [row[0] for row in rows[1:]] + [math.inf]
+    for (begin, *powers), end in zip(rows, ends, strict=True):
+        zeros = np.roots(np.trim_zeros(powers[::-1], "f")) if any(powers) else np.empty(0)
+        real = [begin + zero.real for zero in zeros if abs(zero.imag) <= 1e-12 * abs(zero) and zero.real > 0.0]
+        inside = [s for s in real if s <= end]
+        if inside:
+            return float(min(inside))
+    return math.inf

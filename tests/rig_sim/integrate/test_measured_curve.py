@@ -1,0 +1,186 @@
+"""A measured friction curve (law 0): its spline, its motion against multi-precision, and every analysis on it."""
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from rig_sim.comparison import reference
+from rig_sim.dynamics.continuation import continuation
+from rig_sim.dynamics.fixed_point import fixed_point
+from rig_sim.dynamics.floquet import floquet
+from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.flow.flow import Flow
+from rig_sim.friction.spline import about, piece_of, refused, spline_table
+from rig_sim.integrate.events import list_events
+from rig_sim.motion.play import ScenePlayer, events
+from rig_sim.scenes.scene import scene
+
+SPEEDS = (0.0, 0.02, 0.05, 0.1, 0.17, 0.25, 0.35, 0.5, 0.7, 0.9, 1.2, 1.5, 1.8, 2.1)
+HYPERBOLA = [[s, 1.0 / (1.0 + 3.0 * s)] for s in SPEEDS]
+STRIBECK = [[s, 0.7 + 0.3 * math.exp(-((s / 0.2) ** 2)) + 0.05 * s] for s in SPEEDS]
+CONCAVE = [[s, 0.75 + 0.25 * math.cos(min(s, 1.5) * math.pi / 1.5)] for s in np.linspace(0.0, 2.0, 16).tolist()]
+
+
+def flow(curve: list[list[float]], **changes: float) -> Flow:
+    """Return the base scene's flow with a measured curve; changes by section__key."""
+    keys = {key.replace("__", "."): value for key, value in changes.items()}
+    return scene("base", **{"friction.law": 0, "friction.curve": curve, **keys}).flow()
+
+
+def spline_by_equations(points: list[list[float]], speeds: tuple[float, ...]) -> list[mpmath.mpf]:
+    """Not-a-knot cubic by its defining equations, in 40 digits: a system of its own for all coefficients."""
+    with mpmath.workdps(40):
+        x, y = [mpmath.mpf(p[0]) for p in points], [mpmath.mpf(p[1]) for p in points]
+        n = len(x) - 1
+        A, b, row = mpmath.zeros(4 * n), mpmath.zeros(4 * n, 1), 0
+
+        def put(entries: dict[int, mpmath.mpf], value: mpmath.mpf) -> None:
+            nonlocal row
+            for column, entry in entries.items():
+                A[row, column] = entry
+            b[row] = value
+            row += 1
+
+        for i in range(n):
+            h = x[i + 1] - x[i]
+            put({4 * i: 1}, y[i])
+            put({4 * i + j: h**j for j in range(4)}, y[i + 1])
+            if i < n - 1:
+                put({4 * i + 1: 1, 4 * i + 2: 2 * h, 4 * i + 3: 3 * h**2, 4 * i + 5: -1}, 0)
+                put({4 * i + 2: 2, 4 * i + 3: 6 * h, 4 * i + 6: -2}, 0)
+        put({3: 1, 7: -1}, 0)
+        put({4 * n - 5: 1, 4 * n - 1: -1}, 0)
+        c = mpmath.lu_solve(A, b)
+        places = [(mpmath.mpf(s), max(j for j in range(n) if x[j] <= s)) for s in speeds]
+        return [sum(c[4 * i + j] * (s - x[i]) ** j for j in range(4)) for s, i in places]
+
+
+def test_the_spline_is_the_not_a_knot_cubic_and_goes_on_with_constant_slope() -> None:
+    curve = [*STRIBECK[:4], *STRIBECK[-3:]]
+    points = tuple((s, F) for s, F in curve)
+    pieces, table = spline_table(points)
+
+    def value(s: float) -> tuple[float, float]:
+        return about(table, pieces, piece_of(table, pieces, s), s)[:2]
+
+    rest = curve[0][1]
+    places = (0.0, 0.01, 0.05, 0.3, 1.9, 2.0999)
+    for s, F in zip(places, spline_by_equations(curve, places), strict=True):
+        assert abs(rest * value(s)[0] - F) < 4e-15
+    assert value(3.0)[1] == value(2.1)[1]
+    assert value(3.0)[0] == pytest.approx(value(2.1)[0] + 0.9 * value(2.1)[1], rel=1e-15)
+    # a spline with breaks of its own is such a curve when one more point stands in its first and its last piece
+    assert pieces == len(points) - 2  # its intervals, less one at either end, and the line beyond
+
+
+@pytest.mark.parametrize(
+    ("curve", "changes", "until"),
+    [
+        (HYPERBOLA, {}, 100.0),
+        (STRIBECK, {"friction__static": 1.4, "belt__speed": -0.3, "damper__c": 0.02}, 100.0),
+        ([[0.0, 1.0], [0.5, 0.7], [1.5, 0.6]], {}, 100.0),
+        (CONCAVE, {"drive__u0": 0.2, "drive__omega": 1.3}, 15.0),
+        (STRIBECK, {"friction__contact": "ramp", "friction__d": 0.05}, 15.0),
+    ],
+)
+def test_events_are_those_of_40_digits(curve: list[list[float]], changes: dict[str, float], until: float) -> None:
+    moving = flow(curve, **changes)
+    found = list_events(moving, 0.0, 0.0, until, every_cycle=True)
+    expected = reference.events(moving, 0.0, 0.0, until)
+    assert found.outcome == "completed"
+    assert len(expected) > 3
+    assert list(found.kinds) == [kind for _, kind, _ in expected]
+    assert max(abs(float(t - at)) for t, (at, _, _) in zip(found.t, expected, strict=True)) < 1e-12
+    assert max(abs(float(x - at)) for x, (_, _, at) in zip(found.x, expected, strict=True)) < 1e-12
+
+
+@pytest.mark.slow
+def test_interpreted_and_compiled_lists_are_the_same() -> None:
+    moving = flow(STRIBECK)
+    plain = list_events(moving, 0.0, 0.0, 60.0)
+    machine = list_events(moving, 0.0, 0.0, 60.0, compiled=True)
+    assert (plain.t, plain.x, plain.kinds) == (machine.t, machine.x, machine.kinds)
+
+
+def test_two_points_and_equal_points_are_laws_3_and_1() -> None:
+    for curve, law, outcome in (
+        ([[0.0, 1.0], [2.0, 0.9]], 3, "cycle"),
+        ([[0.0, 1.0], [1.0, 1.0], [3.0, 1.0]], 1, "grazing"),
+    ):
+        found, known = cycle(flow(curve)), cycle(scene("base", **{"friction.law": law}).flow())
+        assert found.outcome == known.outcome == outcome
+        assert found.period == pytest.approx(known.period, rel=1e-14)
+
+
+def test_analyses_of_a_curve_through_the_hyperbola_come_near_those_of_law_5() -> None:
+    law = scene("damped", **{"belt.speed": 0.6}).flow()
+    curve = flow(HYPERBOLA, belt__speed=0.6, damper__c=0.45)
+    assert cycle(curve).period == pytest.approx(cycle(law).period, rel=1e-4)
+    assert fixed_point(curve).x == pytest.approx(fixed_point(law).x, rel=1e-3)
+    unstable, known = floquet(curve, "unstable"), floquet(law, "unstable")
+    assert unstable.multipliers[1] == pytest.approx(known.multipliers[1], rel=1e-2)
+
+    def over(curve_at: bool) -> list[tuple[str, float]]:
+        base = curve if curve_at else law
+        found = continuation(lambda c: base._replace(c=c), np.linspace(0.33, 0.6, 2))
+        return [(point.kind, point.value) for point in found.points]
+
+    (hopf, c_hopf), (fold, c_fold) = over(True)
+    assert (hopf, fold) == ("hopf", "fold")
+    assert [c_hopf, c_fold] == pytest.approx([value for _, value in over(False)], rel=1e-3)
+
+
+def test_stick_slip_that_ends_in_swings_without_stick_is_found_and_named() -> None:
+    """Twenty thousand steps, two seconds, were spent on each such motion, and no end of stick-slip was reported."""
+    curve = flow(CONCAVE, belt__speed=0.8, damper__c=0.45)
+    assert cycle(curve).outcome == "pure slip"
+    found = continuation(lambda c: curve._replace(c=c), np.linspace(0.2, 0.6, 5))
+    assert [point.kind for point in found.points] == ["grazing", "hopf"]
+    end = found.points[0].value
+    assert cycle(curve._replace(c=end - 1e-9)).outcome == "cycle"
+    assert cycle(curve._replace(c=end + 1e-9)).outcome == "pure slip"
+
+
+def test_a_scene_with_a_curve_plays_with_scatter_and_start_up() -> None:
+    changes = {"friction.law": 0, "friction.curve": STRIBECK, "scatter.Fs": 0.05, "belt.start": 1.0}
+    played = scene("base", **changes)
+    found = events(played, 60.0)
+    assert found.outcome == "completed"
+    assert sum(event.kind == "S>N" for event in found.events) > 5
+    t, x, v, F = ScenePlayer(scene("base", **{"friction.law": 0, "friction.curve": STRIBECK})).columns(
+        np.linspace(0.0, 20.0, 2001)
+    )
+    slipping = np.abs(v - 0.5) > 1e-6
+    balance = np.gradient(v, t) + x - F  # m x'' + k x = F, with m = k = 1
+    assert np.quantile(np.abs(balance[slipping]), 0.95) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("curve", "said"),
+    [
+        ([[0.0, 1.0]], "1 point"),
+        ([], "0 points"),
+        ([[0.0, 1.0], [0.5, 0.8], [0.3, 0.7]], "increase"),
+        ([[0.0, 1.0], [0.5, 0.8], [0.5, 0.7]], "increase"),
+        ([[-0.1, 1.0], [0.5, 0.8]], "below 0"),
+        ([[0.1, 1.0], [0.5, 0.8]], "begins at s = 0.1"),
+        ([[0.0, 1.0], [0.5, -0.8]], "not above 0"),
+        ([[0.0, 1.0], [0.5, math.nan]], "finite"),
+        ([[0.0, 1.0], [0.5]], "curve"),
+        (None, "friction.curve is missing"),
+    ],
+)
+def test_points_that_are_no_curve_are_refused(curve: list[list[float]] | None, said: str) -> None:
+    changes = {"friction.law": 0} | ({} if curve is None else {"friction.curve": curve})
+    with pytest.raises(InputError) as refusal:
+        scene("base", **changes)
+    assert said in str(refusal.value)
+
+
+def test_a_curve_that_falls_to_nothing_ends_in_force_reversal() -> None:
+    found = list_events(flow([[0.0, 1.0], [0.1, 0.5], [0.3, 0.1], [0.4, 0.01]]), 3.0, 0.0, 30.0)
+    assert found.outcome == "force reversal"
+    assert refused([(0.0, 1.0), (1.0, 0.5)]) == ""
