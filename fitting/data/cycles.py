@@ -88,6 +88,11 @@ class CycleSegmentation:
         """The cycles without a flag."""
         return tuple(cycle for cycle in self.cycles if not cycle.flag)
 
+    @property
+    def uses_start(self) -> bool:
+        """Whether the record begins at rest and its first cycle, to which the drag belongs, is used."""
+        return self.starts_at_rest and bool(self.cycles) and not self.cycles[0].flag
+
 
 def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset()) -> CycleSegmentation:
     """Cut a record into cycles.

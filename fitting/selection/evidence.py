@@ -135,7 +135,7 @@ def _judged(
         if sustained:
             own = inliers[fit.windows.run == number]
             rows = [rows for rows, good in zip(part.rows, own, strict=True) if good]
-        elif run.cut.drag != (0, 0) and not run.cut.cycles[0].flag:
+        elif run.cut.drag != (0, 0) and run.cut.uses_start:
             rows = [_drag_rows(part, run.cut.drag)]
         else:
             rows = []

@@ -217,7 +217,7 @@ def _fit(
         )
     screening.refuse_missing_frames(fits, records)
     _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
-    if not sustained and not any(run.cut.starts_at_rest for run in runs):
+    if not sustained and not any(run.cut.uses_start for run in runs):
         _refuse(screening.SINE_ALONE, records)
     return fits, sustained
 
@@ -227,7 +227,7 @@ def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
     if not fits or evidence.rules_out_constant_friction(fits, runs):
         return True
     # A record that may be a sine is refused elsewhere, and of several runs the drags of all decide.
-    alone = len(runs) == 1 and runs[0].cut.starts_at_rest
+    alone = len(runs) == 1 and runs[0].cut.uses_start
     return alone and not describes(fits, [run.motion for run in runs])
 
 

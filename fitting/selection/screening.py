@@ -69,7 +69,7 @@ def refusal(why: str, records: Sequence[Kinematics]) -> tuple[str, str, str]:
     """
     where = ", ".join(str(record.recording.source) for record in records)
     if why == SINE_ALONE:
-        do = "record again from before the belt starts: the first drag distinguishes law 1 from law 2"
+        do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
         return f"no belt stick-slip in this record: {why}", where, do
     if records[0].sticks and why == NONE_NEAR:
         why = f"{why}, and it sticks for {100 * records[0].plateau_fraction:.2g} % of the time"

@@ -130,6 +130,12 @@ def test_a_sine_without_a_start_up_may_be_constant_friction(synthetic):
         rank(kinematics)
 
 
+def test_constant_friction_without_its_start_up_drag_is_refused(synthetic):
+    # Without the first cycle nothing shows the belt's speed: it was reported as 170 or 1200 m/s, with an interval.
+    with pytest.raises(DataError, match="constant friction is possible"):
+        rank(smooth(synthetic.recording(law=2)), excluded=(1,))
+
+
 def test_too_few_cycles_are_refused_with_their_number(synthetic):
     with pytest.raises(DataError, match="2 complete stick-slip cycles; a verdict needs 4"):
         rank(smooth(synthetic.recording(law=5, duration=5.0)))
