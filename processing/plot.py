@@ -44,7 +44,7 @@ def inspection(kinematics: Kinematics) -> Figure:
     Figure
         Left: position (cm) and velocity (cm/s) against time (s), sticks shaded, from the beginning over at most
         `CYCLES` cycles.  Right: the phase portrait of the whole record.  In counts for a rig without a calibration.
-        Below, where there are at least `FEWEST_SLIPS` slips: the panels of `break_aways`.
+        Below, where there are at least `FEWEST_SLIPS` slips: the panels of `_break_aways`.
     """
     counted = from_kinematics(kinematics)
     several = counted.slips >= FEWEST_SLIPS and len(counted.events) >= FEWEST_SLIPS
@@ -64,24 +64,8 @@ def inspection(kinematics: Kinematics) -> Figure:
     return figure
 
 
-def break_aways(counted: StickSlipStatistics, unit: str) -> Figure:
-    """Return a figure of the break-away levels: their distribution, their trend, and level against stick time.
-
-    Parameters
-    ----------
-    counted : StickSlipStatistics
-        Of one record, with at least one event.
-    unit : str
-        Unit of its lengths, "m" (drawn in mm) or "count".
-    """
-    with mpl.rc_context(fname=STYLE):
-        figure = Figure(figsize=(11.0, 3.2), layout="constrained")
-        _break_aways(figure, figure.add_gridspec(1, 3, wspace=0.06), counted, unit)
-    return figure
-
-
 def _break_aways(figure: Figure, cells: "GridSpecBase", counted: StickSlipStatistics, unit: str) -> None:
-    """Draw the three panels of `break_aways` into one row of cells."""
+    """Draw the break-away levels into one row of cells: their distribution, trend, and level against stick time."""
     distribution, trend, stick = (figure.add_subplot(cells[0, column]) for column in range(3))
     factor, shown = shown_length(unit)
     time, level = counted.column("t"), factor * counted.column("break_away_m")

@@ -102,7 +102,7 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         now=datetime.now().astimezone().isoformat(timespec="minutes"),
         version=VERSION,
         digest=recording.digest,
-        verdict=ranking.verdict,
+        verdict=_pretty(ranking.verdict),
         alone=len(ranking.laws_in_set) == 1 and ranking.adequacy.adequate,
         rows=[_row(row, ranking) for row in ranking.rows],
         best=ranking.best if ranking.rows else None,
@@ -111,7 +111,7 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         ],
         confidence=f"{100 * (1 - alpha):g} %",
         events=[_event(event) for event in ranking.events],
-        warnings=ranking.warnings,
+        warnings=[_pretty(warning) for warning in ranking.warnings],
         statistics=counted.rows(kinematics.unit),
         adequacy=ranking.adequacy,
         adequacy_facts=_adequacy_facts(ranking.adequacy),
@@ -164,7 +164,7 @@ def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
     return [
         (
             form.name,
-            form.formula,
+            _pretty(form.formula),
             ", ".join(
                 f"{name} = {item.value:.4g} ± {item.stderr:.2g} {_pretty(item.unit)}"
                 for name, item in form.parameters.items()
@@ -213,7 +213,8 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
     return value, f"{item.stderr:.2g}", f"{item.lo:.{digits}f} … {item.hi:.{digits}f}", _pretty(item.unit)
 
 
-def _pretty(unit: str) -> str:
-    for plain, raised in (("^-1", "⁻¹"), ("^-2", "⁻²"), ("^2", "²")):
-        unit = unit.replace(plain, raised)
-    return unit
+def _pretty(text: str) -> str:
+    """Return words or a unit with raised exponents."""
+    for plain, raised in (("^-1", "⁻¹"), ("^-2", "⁻²"), ("^2", "²"), ("^3", "³"), (" +- ", " ± ")):
+        text = text.replace(plain, raised)
+    return text

@@ -1,198 +1,161 @@
-"""Pictures of a report, each a matplotlib Figure: portrait, friction curves, residuals, evidence, levels, cost.
+"""Pictures of a report as SVG: portrait, friction curves, residuals, evidence, levels, cost, break-aways."""
 
-The picture of the break-aways is that of `process inspect`.
-
-matplotlib is imported here and nowhere else in `fitting`; the look is that of processing's style file.
-"""
-
-import base64
-import io
-import math
-import re
-from typing import Any
-
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from daq.compute.arrays import Array
-from fitting.data.cycles import Cycle
 from fitting.report import adequacy_plot, curves
-from fitting.report.palette import COLOURS, INK, MEASURED
-from fitting.selection.result import Ranking
-from processing.plot import STYLE, break_aways
-from processing.statistics import StickSlipStatistics
+from fitting.report.chart import Axes, picture
+from fitting.report.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
+from fitting.report.scale import Scale
+from fitting.selection.result import LawResult, Ranking
+from processing.statistics import StickSlipStatistics, shown_length
 
-RESOLUTION = 220  # dots per inch of the clouds, which are pictures inside the vector drawing
-SMALL_RESOLUTION = 120  # of small multiples: at the full one they are a quarter of the page's size
-PNG = re.compile(r"(?<=data:image/png;base64,)[A-Za-z0-9+/=\s]+")
 MOST_POINTS = 12_000
+BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record
+SPREAD = 99.5  # percentile of residuals and frictions, beyond which the axes may cut some off
+ALIKE = 0.045  # of the axes: points that near are named by one label
+BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 
 
-def svg(figure: Figure, resolution: int = RESOLUTION) -> str:
-    """Return the figure as an ``<svg>`` element to stand inside a page: no prologue, no outside reference.
-
-    Its clouds have 256 colours: a page of noisy points has 0.3 MB with them, 0.7 MB in full colour.
-    """
-    text = io.StringIO()
-    figure.savefig(text, format="svg", dpi=resolution, metadata={"Date": None, "Creator": None})
-    drawn = text.getvalue()
-    return PNG.sub(_in_few_colours, drawn[drawn.index("<svg") :])
-
-
-def _in_few_colours(found: re.Match[str]) -> str:
-    from PIL import Image
-
-    packed = io.BytesIO()
-    with Image.open(io.BytesIO(base64.b64decode(found[0]))) as image:
-        few = image.convert("RGBA").quantize(256, method=Image.Quantize.FASTOCTREE)
-    few.save(packed, "png", optimize=True)
-    return base64.b64encode(packed.getvalue()).decode()
-
-
-def _figure(width: float, height: float) -> tuple[Figure, Axes]:
-    """Return an empty figure, sizes in inches, and its axes."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.add_subplot()
-
-
-def portrait(ranking: Ranking) -> Figure:
+def portrait(ranking: Ranking) -> str:
     """Draw velocity against position: the whole record, and the best law's motion in every window."""
     motion = ranking.motion
-    figure, axes = _figure(5.4, 4.4)
-    x, v = motion.sign * motion.position, motion.sign * motion.velocity
-    axes.plot(100 * x, 100 * v, color=MEASURED, lw=1.6, alpha=0.55, label="measured", rasterized=True)
-    axes.set(xlabel="position (cm)", ylabel="velocity (cm/s)")
-    if not ranking.rows:
-        return figure
-    best = ranking.best
-    fit = best.fit
-    model = fit.windows.position + fit.residual
-    for number, (_, _, first, count, *_) in enumerate(fit.windows.table):
-        part = slice(first, first + count)
-        if count < 3:
-            continue
-        speed = np.gradient(model[part], fit.windows.time[part])
-        label = f"law {best.law}, fitted" if number == 0 else None
-        orbit = 100 * motion.sign * np.stack([model[part], speed])
-        axes.plot(*orbit, color=COLOURS[best.law], lw=0.7, label=label, rasterized=True)
-    axes.axhline(100 * best.parameters["v_dr"].value, color=INK, lw=0.7, ls=(0, (4, 3)), label="belt speed")
-    axes.legend(loc="best")
-    return figure
+    x, v = 100 * motion.sign * motion.position, 100 * motion.sign * motion.velocity
+    axes = Axes(0, 0, NARROW, 350, Scale.around(x), Scale.around(v), xlabel="position (cm)", ylabel="velocity (cm/s)")
+    axes.trace([(x, v)], MEASURED, width=1.6, opacity=0.6, label="measured")
+    if ranking.rows:
+        best = ranking.best
+        axes.trace(adequacy_plot.fitted_orbits(best, motion.sign), COLOURS[best.law], label=f"law {best.law}, fitted")
+        axes.level(100 * best.parameters["v_dr"].value, INK, dash=DASH, label="belt speed")
+    return picture("portrait", NARROW, 350, [axes])
 
 
-def friction(ranking: Ranking) -> Figure:
+def friction(ranking: Ranking) -> str:
     """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest."""
     motion = ranking.motion
-    figure, axes = _figure(5.4, 4.4)
     w, force, _ = curves.points(ranking)
     thin = slice(None, None, max(1, w.size // MOST_POINTS))
-    cloud: dict[str, Any] = {"ms": 2.2, "mew": 0, "alpha": 0.35, "rasterized": True, "zorder": 4}
-    axes.plot(100 * w[thin], force[thin], ".", color=MEASURED, label="measured", **cloud)
     grid = curves.speeds(motion)
-    top = 0.0
+    drawn = {row.law: curves.curve(row, motion, grid) for row in ranking.rows}
+    top = max(float(np.nanmax(np.abs(drawn[ranking.best.law]))), float(np.percentile(np.abs(force), SPREAD)))
+    label = f"friction ({curves.unit(motion)})"
+    axes = Axes(0, 0, NARROW, 350, Scale.around(100 * grid), Scale(-1.3 * top, 1.3 * top), ylabel=label, rows=2)
+    axes.xlabel = "relative velocity: mass minus belt (cm/s)"
+    axes.level(0, INK)
+    axes.level(0, INK, upright=True)
     for row in sorted(ranking.rows, key=lambda row: (row is ranking.best, row.law)):
-        f = curves.curve(row, motion, grid)
-        f[grid == 0] = np.nan
+        values = np.where(grid == 0, np.nan, drawn[row.law])
         heavy = row is ranking.best
-        style: dict[str, Any] = {
-            "lw": 2.2 if heavy else 1.0,
-            "ls": "-" if heavy or row.in_set else (0, (5, 2)),
-            "zorder": 2 + heavy,
-        }
-        axes.plot(100 * grid, f, color=COLOURS[row.law], label=f"law {row.law}", **style)
-        if heavy:
-            top = float(np.nanmax(np.abs(f)))
-    handles, labels = axes.get_legend_handles_labels()
-    order = sorted(range(len(labels)), key=lambda i: labels[i])
-    axes.legend([handles[i] for i in order], [labels[i] for i in order], ncols=2, loc="best", markerscale=5)
-    axes.set_ylim(-1.3 * top, 1.45 * top)
-    axes.axvline(0, color=INK, lw=0.6)
-    axes.axhline(0, color=INK, lw=0.6)
-    axes.set(xlabel="relative velocity: mass minus belt (cm/s)", ylabel=f"friction ({curves.unit(motion)})")
-    return figure
+        width, dash = (2.2, "") if heavy else (1.0, "" if row.in_set else DASH)
+        axes.line(100 * grid, values, COLOURS[row.law], width=width, dash=dash, label=f"law {row.law}")
+    axes.cloud(100 * w[thin], force[thin], MEASURED, opacity=0.35, label="measured")
+    return picture("friction", NARROW, 350, [axes])
 
 
-def residuals(ranking: Ranking) -> Figure:
-    """Draw model minus measurement: the best law against time, and beside a rival against the time since break-away."""
-    motion, best = ranking.motion, ranking.best
+def residuals(ranking: Ranking) -> str:
+    """Draw model minus measurement with the band of the noise: the best law over time and phase, a rival over phase."""
+    best = ranking.best
     rival = next((row for row in ranking.rows[1:] if not row.in_set and row.rms_m > 1.2 * best.rms_m), None)
-    shown = [row for row in (rival, best) if row is not None]
-    figure = Figure(figsize=(11.0, 3.3), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
-    fit = best.fit
-    left.plot(fit.windows.time, 1e6 * fit.residual, ".", ms=1.5, mew=0, color=COLOURS[best.law], rasterized=True)
-    spread = 1e6 * float(np.percentile(np.abs(fit.residual), 99.5))
-    left.set_ylim(-1.6 * spread, 1.6 * spread)
-    left.set(xlabel="time (s)", ylabel="residual (um)", title=f"law {best.law} over the whole record")
-    for row in shown:
-        phase = _since_break_away(row.fit.windows.time, row.fit.rows, row.fit.cycles)
-        cloud: dict[str, Any] = {"ms": 1.6, "mew": 0, "alpha": 0.6, "rasterized": True}
-        right.plot(phase, 1e6 * row.fit.residual, ".", color=COLOURS[row.law], label=f"law {row.law}", **cloud)
-    if rival is not None:
-        narrow = max(2 * spread, 1e6 * motion.resolution)
-        right.set_yscale("symlog", linthresh=narrow)
-        low = math.ceil(math.log10(narrow))
-        decades = 10.0 ** np.arange(low, max(low, math.ceil(math.log10(1e6 * rival.rms_m))) + 2)
-        right.set_yticks([*-decades[::-1], 0.0, *decades])
-        right.set_yticks([], minor=True)
-        right.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        right.legend(markerscale=6)
-    title = f"all cycles, beside the next best law {rival.law}" if rival is not None else "all cycles"
-    right.set(xlabel="time since break-away (s)", ylabel="residual (um)", title=title)
-    return figure
+    panels = [(best, True), (best, False)] + ([(rival, False)] if rival is not None else [])
+    parts = np.array([1.25, *[1.0] * (len(panels) - 1)])
+    widths = WIDE * parts / parts.sum()
+    drawn = []
+    for (row, whole), left, width in zip(panels, np.cumsum(widths) - widths, widths, strict=True):
+        fit = row.fit
+        time = fit.windows.time if whole else _since_break_away(row)
+        noise = 1e6 * BAND * ranking.adequacy.noise_m
+        reach = 1.4 * max(1e6 * float(np.percentile(np.abs(fit.residual), SPREAD)), noise)
+        axes = Axes(float(left), 0, float(width), 265, Scale.around(time), Scale(-reach, reach))
+        axes.title = f"law {row.law}, {'whole record' if whole else 'all cycles'}"
+        axes.xlabel = "time (s)" if whole else "time since break-away (s)"
+        axes.ylabel = "residual (um)"
+        axes.cloud(time, 1e6 * fit.residual, COLOURS[row.law], label="model minus measurement")
+        ends, level = np.array([axes.x.low, axes.x.high]), np.full(2, noise)
+        axes.band(ends, -level, level, INK, opacity=0.16, label="noise, ±2 sd")
+        drawn.append(axes)
+    return picture("residuals", WIDE, 265, drawn)
 
 
-def evidence(ranking: Ranking) -> Figure:
+def evidence(ranking: Ranking) -> str:
     """Draw each cycle's error under each law: what the ranking is made of."""
     rows = list(reversed(ranking.rows))
-    figure, axes = _figure(5.4, 0.9 + 0.42 * len(rows))
-    for height, row in enumerate(rows):
-        errors = 1e6 * row.fit.cycle_rms
-        axes.plot(errors, np.full(errors.size, height), "|", ms=11, mew=1.1, color=COLOURS[row.law])
-        axes.plot(np.exp(np.mean(np.log(errors))), height, "o", ms=5, color=COLOURS[row.law], mec="white", mew=0.8)
-    axes.set_xscale("log")
-    axes.set_yticks(range(len(rows)), [f"law {row.law}{' *' if row.in_set else ''}" for row in rows])
-    axes.set_ylim(-0.6, len(rows) - 0.4)
-    axes.grid(visible=False, axis="y")
-    axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set(xlabel="error of each cycle (um rms); dot: their geometric mean")
-    return figure
+    errors = [1e6 * row.fit.cycle_rms for row in rows]
+    names = tuple(f"law {row.law}{' *' if row.in_set else ''}" for row in rows)
+    height = 60.0 + 30 * len(rows)
+    places = Scale(-0.6, len(rows) - 0.4, names=names)
+    axes = Axes(0, 0, NARROW, height, Scale.around(np.concatenate(errors), log=True), places, rows=0)
+    axes.xlabel = "error of each cycle (um rms); dot: their geometric mean"
+    for place, (row, own) in enumerate(zip(rows, errors, strict=True)):
+        axes.marks(own, np.full(own.size, place), COLOURS[row.law], sign="|", size=8)
+        axes.marks(np.exp([np.mean(np.log(own))]), np.array([place]), COLOURS[row.law], size=4)
+    return picture("evidence", NARROW, height, [axes])
 
 
-def cost(ranking: Ranking) -> Figure:
+def cost(ranking: Ranking) -> str:
     """Draw each law's error against the CPU time of its fit."""
-    figure, axes = _figure(5.4, 2.6)
-    for row in ranking.rows:
-        axes.plot(row.cpu_s, 1e6 * row.rms_m, "o", ms=7 if row.in_set else 5, color=COLOURS[row.law])
-        axes.annotate(str(row.law), (row.cpu_s, 1e6 * row.rms_m), (6, 3), textcoords="offset points")
-    axes.set_yscale("log")
-    axes.yaxis.set_minor_formatter(NullFormatter())
-    axes.margins(0.12, 0.2)
-    axes.set_xlim(left=0)
-    axes.set(xlabel="CPU time of the fit (s)", ylabel="error (um rms)")
-    return figure
+    time, error = np.array([row.cpu_s for row in ranking.rows]), 1e6 * np.array([row.rms_m for row in ranking.rows])
+    across = Scale(0.0, 1.12 * max(float(time.max()), 1e-3))
+    axes = Axes(0, 0, NARROW, 230, across, Scale.around(error, log=True, edge=0.12), rows=0)
+    axes.xlabel, axes.ylabel = "CPU time of the fit (s)", "error (um rms)"
+    places = np.stack([axes.x.place(time), axes.y.place(error)], axis=1)
+    named: list[list[int]] = []
+    for k, row in enumerate(ranking.rows):
+        axes.marks(time[k : k + 1], error[k : k + 1], COLOURS[row.law], size=4.0 if row.in_set else 3.0)
+        near = next((own for own in named if np.max(np.abs(places[own[0]] - places[k])) < ALIKE), None)
+        if near is None:
+            named.append([k])
+        else:
+            near.append(k)
+    for own in named:
+        laws = ", ".join(str(ranking.rows[k].law) for k in sorted(own, key=lambda k: ranking.rows[k].law))
+        axes.text(float(time[own].max()), float(error[own].max()), laws, (7.0, -4.0))
+    return picture("cost", NARROW, 230, [axes])
 
 
-def levels(ranking: Ranking) -> Figure:
+def levels(ranking: Ranking) -> str:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
     events = [event for event in ranking.events if np.isfinite(event.kinetic_scale)]
     time = np.array([event.t for event in events])
-    figure, axes = _figure(5.4, 3.4)
-    thin: dict[str, Any] = {"lw": 0.5, "ls": "-"}
-    above = [event.break_away_level for event in events]
-    axes.plot(time, above, "o", ms=5.5, mfc="none", color=COLOURS[4], label="break-away", **thin)
-    axes.plot(time, [event.kinetic_scale for event in events], "s", ms=3, color=COLOURS[2], label="sliding", **thin)
-    axes.set(xlabel="time (s)", ylabel="friction level / mean sliding level")
-    axes.legend(loc="best")
-    return figure
+    above = np.array([event.break_away_level for event in events])
+    sliding = np.array([event.kinetic_scale for event in events])
+    axes = Axes(0, 0, NARROW, 270, Scale.around(time), Scale.around(np.concatenate([above, sliding])))
+    axes.xlabel, axes.ylabel = "time (s)", "friction level / mean sliding level"
+    for values, colour, sign, label in ((above, COLOURS[4], "c", "break-away"), (sliding, COLOURS[2], "o", "sliding")):
+        axes.line(time, values, colour, width=0.5)
+        axes.marks(time, values, colour, sign=sign, label=label)
+    return picture("levels", NARROW, 270, [axes])
 
 
-def _since_break_away(time: Array, rows: tuple[slice, ...], cycles: tuple[Cycle, ...]) -> Array:
+def break_aways(counted: StickSlipStatistics, unit: str) -> str:
+    """Draw the break-away levels: their distribution, their trend, and level against stick time."""
+    factor, shown = shown_length(unit)
+    time, level, stick = counted.column("t"), factor * counted.column("break_away_m"), counted.column("stick_s")
+    label, width, height = f"break-away level ({shown})", WIDE / 3, 260.0
+    number, edges = np.histogram(level, int(np.clip(np.sqrt(level.size), *BINS)))
+    most = Scale(0.0, max(1.1 * float(number.max()), 1.5))
+    distribution = Axes(0, 0, width, height, Scale.around(edges), most, "distribution", label, "number of break-aways")
+    distribution.bars(edges[:-1], edges[1:], number.astype(float), COLOURS[2])
+    mean = float(level.mean())
+    distribution.level(mean, COLOURS[4], dash=DASH, upright=True, label=f"mean {mean:.4g} {shown}")
+    tall = Scale.around(level)
+    trend = Axes(width, 0, width, height, Scale.around(time), tall, "against time", "time (s)", label)
+    trend.marks(time, level, COLOURS[2])
+    summary = counted.summary("break_away_m")
+    if summary is not None and summary["trend_per_s"] is not None:
+        slope, ends = factor * summary["trend_per_s"], np.array([time.min(), time.max()])
+        line = mean + slope * (ends - time.mean())
+        trend.line(ends, line, COLOURS[4], label=f"trend {slope:+.2g} {shown}/s")
+    against = Axes(
+        2 * width, 0, width, height, Scale.around(stick), tall, "against stick time", "stick time (s)", label
+    )
+    against.marks(stick, level, COLOURS[2])
+    return picture("break-aways", WIDE, height, [distribution, trend, against])
+
+
+def _since_break_away(row: LawResult) -> Array:
+    time, rows = row.fit.windows.time, row.fit.rows
     phase = np.empty(time.size)
-    for part, cycle in zip(rows, cycles, strict=True):
+    for part, cycle in zip(rows, row.fit.cycles, strict=True):
         phase[part] = time[part] - cycle.break_away
     return phase
 
@@ -205,15 +168,14 @@ def draw(ranking: Ranking, counted: StickSlipStatistics) -> dict[str, str]:
 
     `break_aways` where there are statistics; of a record that no law comes near the portrait alone besides.
     """
-    with mpl.rc_context(fname=str(STYLE)):
-        shown = PICTURES if ranking.rows else (portrait,)
-        drawn = {picture.__name__: svg(picture(ranking)) for picture in shown}
-        if ranking.rows:
-            drawn["orbits"] = svg(adequacy_plot.orbits(ranking), SMALL_RESOLUTION)
-        if ranking.adequacy.curve is not None:
-            drawn["measured_curve"] = svg(adequacy_plot.measured_curve(ranking))
-        if ranking.adequacy.departures:
-            drawn["departures"] = svg(adequacy_plot.departures(ranking.adequacy))
-        if counted.rows("m"):
-            drawn["break_aways"] = svg(break_aways(counted, "m"))
+    shown = PICTURES if ranking.rows else (portrait,)
+    drawn = {one.__name__: one(ranking) for one in shown}
+    if ranking.rows:
+        drawn["orbits"] = adequacy_plot.orbits(ranking)
+    if ranking.adequacy.curve is not None:
+        drawn["measured_curve"] = adequacy_plot.measured_curve(ranking)
+    if ranking.adequacy.departures:
+        drawn["departures"] = adequacy_plot.departures(ranking.adequacy)
+    if counted.rows("m"):
+        drawn["break_aways"] = break_aways(counted, "m")
     return drawn

@@ -1,0 +1,241 @@
+"""Charts as SVG text to stand inside a page: axes with ticks, lines, bands, marks, and clouds as images.
+
+By matplotlib the ten pictures of a report took 4 s of CPU time (docs/decisions/0046).
+"""
+
+import base64
+import html
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.report.cloud import along, dots, png
+from fitting.report.scale import Scale
+
+FONT, SMALL, CHARACTER = 11.0, 10.0, 0.53  # sizes, px, and the mean width of a character over its size
+LEFT, BOTTOM, TITLE, ROW = 54.0, 38.0, 19.0, 15.0  # px beside the axes: tick labels, title, a row of the legend
+GRID, FRAME, QUIET = "#e3e3e3", "#444444", "#6b6b70"
+DENSITY, FINER = 2, 2  # image pixels per px; points drawn per image pixel, whose mean smooths the edges
+FAR = 4.0  # fields beyond the edge: there longer numbers help nobody
+MOST_TICKS, PX_PER_TICK = 6, (62.0, 34.0)  # along x and y
+
+
+@dataclass(eq=False)
+class Axes:
+    """Axes of one picture and what is drawn into them; lengths in px, x to the right and y down.
+
+    Attributes
+    ----------
+    left, top, width, height : float
+        Of all, title and labels included.
+    x, y : Scale
+    title, xlabel, ylabel : str
+    rows : int
+        Rows that the legend may take.
+    """
+
+    left: float
+    top: float
+    width: float
+    height: float
+    x: Scale
+    y: Scale
+    title: str = ""
+    xlabel: str = ""
+    ylabel: str = ""
+    rows: int = 1
+    margin: float = LEFT
+    _drawn: list[str] = field(default_factory=list)
+    _legend: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def frame(self) -> tuple[float, float, float, float]:
+        """Left, top, right and bottom of the field, px."""
+        top = self.top + (TITLE if self.title else 4.0) + ROW * self.rows
+        return self.left + self.margin, top, self.left + self.width - 8.0, self.top + self.height - BOTTOM
+
+    def _at(self, x: Array, y: Array) -> tuple[Array, Array]:
+        left, top, right, bottom = self.frame
+        far = 4.0  # fields away: longer numbers help nobody
+        px, py = (
+            np.clip(self.x.place(np.asarray(x, float)), -far, far),
+            np.clip(self.y.place(np.asarray(y, float)), -far, far),
+        )
+        return left + (right - left) * px, bottom - (bottom - top) * py
+
+    def _key(self, label: str | None, sign: str) -> None:
+        if label:
+            self._legend.append((label, sign))
+
+    def line(
+        self, x: Array, y: Array, colour: str, *, width: float = 1.2, dash: str = "", label: str | None = None
+    ) -> None:
+        """Draw a line through points (n,); it breaks where one is not finite."""
+        px, py = self._at(x, y)
+        style = f'fill="none" stroke="{colour}" stroke-width="{width:g}"' + (
+            f' stroke-dasharray="{dash}"' if dash else ""
+        )
+        self._drawn.append(f'<path {style} stroke-linejoin="round" d="{_path(px, py)}"/>')
+        self._key(label, f'<path {style} d="M0,0h18"/>')
+
+    def level(
+        self, value: float, colour: str, *, dash: str = "", upright: bool = False, label: str | None = None
+    ) -> None:
+        """Draw a line across the whole field at a value of y, or of x where ``upright``."""
+        ends = np.array([self.x.low, self.x.high] if not upright else [self.y.low, self.y.high])
+        own = np.full(2, value)
+        x, y = (own, ends) if upright else (ends, own)
+        self.line(x, y, colour, width=0.8, dash=dash, label=label)
+
+    def band(self, x: Array, low: Array, high: Array, colour: str, *, opacity: float, label: str | None = None) -> None:
+        """Fill between two curves (n,)."""
+        px, py = self._at(np.concatenate((x, x[::-1])), np.concatenate((low, high[::-1])))
+        style = f'fill="{colour}" fill-opacity="{opacity:g}"'
+        self._drawn.append(f'<path {style} d="{_path(px, py)}Z"/>')
+        self._key(label, f'<rect {style} y="-5" width="18" height="10"/>')
+
+    def marks(
+        self, x: Array, y: Array, colour: str, *, sign: str = "o", size: float = 3.0, label: str | None = None
+    ) -> None:
+        """Draw marks at points (n,): ``o`` a disc, ``c`` a circle, ``|`` a stroke."""
+        px, py = self._at(x, y)
+        if sign == "|":
+            style, shape = f'stroke="{colour}" stroke-width="1.1"', f"m0,{-size:g}v{2 * size:g}"
+        else:
+            inner = "#fff" if sign == "c" else colour
+            half = f"a{size:g},{size:g} 0 1 0 "
+            shape = f"m{-size:g},0{half}{2 * size:g},0{half}{-2 * size:g},0"
+            style = f'fill="{inner}" stroke="{colour}" stroke-width="{1.1 if sign == "c" else 0:g}"'
+        path = "".join(f"M{a:.1f},{b:.1f}{shape}" for a, b in zip(px, py, strict=True) if math.isfinite(a + b))
+        self._drawn.append(f'<path {style} d="{path}"/>')
+        self._key(label, f'<path {style} d="M9,0{shape}"/>')
+
+    def bars(self, low: Array, high: Array, size: Array, colour: str) -> None:
+        """Draw upright bars from 0 to ``size`` between ``low`` and ``high``, (n,) each."""
+        for a, b, y in zip(low, high, size, strict=True):
+            px, py = self._at(np.array([a, a, b, b]), np.array([0.0, y, y, 0.0]))
+            self._drawn.append(f'<path fill="{colour}" fill-opacity="0.55" stroke="#fff" d="{_path(px, py)}Z"/>')
+
+    def text(self, x: float, y: float, words: str, shift: tuple[float, float] = (4.0, 3.5)) -> None:
+        """Write words beside a point; ``shift`` is in px."""
+        px, py = self._at(np.array([x]), np.array([y]))
+        self._drawn.append(_text(float(px[0]) + shift[0], float(py[0]) + shift[1], words, SMALL))
+
+    def cloud(
+        self, x: Array, y: Array, colour: str, *, size: float = 1.4, opacity: float = 0.5, label: str | None = None
+    ) -> None:
+        """Draw many dots (n,) as an image; where they lie on each other it is darker."""
+        self._image(lambda shape, fine: dots(*self._fine(x, y, fine), shape, round(size * fine), opacity), colour)
+        self._key(label, f'<circle cx="9" r="3" fill="{colour}"/>')
+
+    def trace(
+        self,
+        parts: Sequence[tuple[Array, Array]],
+        colour: str,
+        *,
+        width: float = 1.0,
+        opacity: float = 1.0,
+        label: str | None = None,
+    ) -> None:
+        """Draw many lines of many points, (n,) each, as an image."""
+
+        def drawn(shape: tuple[int, int], fine: float) -> Array:
+            points = [along(*self._fine(x, y, fine)) for x, y in parts if x.size > 1]
+            px, py = (np.concatenate(one) for one in zip(*points, strict=True)) if points else np.empty((2, 0))
+            return opacity * np.minimum(dots(px, py, shape, max(round(width * fine), 1), 1.0), 1.0)
+
+        self._image(drawn, colour)
+        self._key(
+            label,
+            f'<path stroke="{colour}" stroke-width="{max(width, 1.2):g}" stroke-opacity="{opacity:g}" d="M0,0h18"/>',
+        )
+
+    def _fine(self, x: Array, y: Array, fine: float) -> tuple[Array, Array]:
+        left, top, _, _ = self.frame
+        px, py = self._at(x, y)
+        return (px - left) * fine, (py - top) * fine
+
+    def _image(self, drawn: Callable[[tuple[int, int], float], Array], colour: str) -> None:
+        left, top, right, bottom = self.frame
+        fine = DENSITY * FINER
+        rows, columns = math.ceil((bottom - top) * DENSITY), math.ceil((right - left) * DENSITY)
+        cover = drawn((rows * FINER, columns * FINER), fine).reshape(rows, FINER, columns, FINER).mean(axis=(1, 3))
+        data = base64.b64encode(png(cover, colour)).decode()
+        size = f'x="{left:.1f}" y="{top:.1f}" width="{columns / DENSITY:g}" height="{rows / DENSITY:g}"'
+        self._drawn.append(f'<image {size} preserveAspectRatio="none" href="data:image/png;base64,{data}"/>')
+
+    def svg(self, name: str) -> str:
+        """Return the axes as SVG; their ``name`` is unlike any other on the page."""
+        left, top, right, bottom = self.frame
+        lines, words = [], []
+        most = [
+            max(2, min(MOST_TICKS, int(size / px)))
+            for size, px in zip((right - left, bottom - top), PX_PER_TICK, strict=True)
+        ]
+        for value, label in self.x.ticks(most[0]):
+            at = left + (right - left) * float(self.x.place(np.array(value)))
+            lines.append(f"M{at:.1f},{top:.1f}V{bottom:.1f}")
+            words.append(_text(at, bottom + 13, label, SMALL, "middle"))
+        for value, label in self.y.ticks(most[1]):
+            at = bottom - (bottom - top) * float(self.y.place(np.array(value)))
+            if not self.y.names:
+                lines.append(f"M{left:.1f},{at:.1f}H{right:.1f}")
+            words.append(_text(left - 5, at + 3.5, label, SMALL, "end"))
+        middle = 0.5 * (top + bottom)
+        words.append(_text(0.5 * (left + right), bottom + 30, self.xlabel, FONT, "middle"))
+        turned = f' transform="rotate(-90 {self.left + 11:.1f} {middle:.1f})"'
+        words.append(_text(self.left + 11, middle, self.ylabel, FONT, "middle", turned) if self.ylabel else "")
+        words.append(_text(left, self.top + 12, self.title, FONT, more=' font-weight="600"') if self.title else "")
+        size = f'x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}" height="{bottom - top:.1f}"'
+        corner = f"M{left:.1f},{top:.1f}V{bottom:.1f}H{right:.1f}"
+        return "".join(
+            (
+                f'<clipPath id="{name}"><rect {size}/></clipPath>',
+                f'<path stroke="{GRID}" stroke-width="0.7" d="{"".join(lines)}"/>',
+                f'<g clip-path="url(#{name})">{"".join(self._drawn)}</g>',
+                f'<path stroke="{FRAME}" stroke-width="0.8" fill="none" d="{corner}"/>',
+                *words,
+                *self._legend_rows(),
+            )
+        )
+
+    def _legend_rows(self) -> list[str]:
+        """Return the legend above the field, from left to right, in as many rows as it takes."""
+        left, top, right, _ = self.frame
+        x, y, drawn = left, top - ROW * self.rows + 7.0, []
+        for label, sign in self._legend:
+            width = 30.0 + CHARACTER * SMALL * len(label)
+            if x + width > right + 12.0 and x > left:
+                x, y = left, y + ROW
+            drawn.append(f'<g transform="translate({x:.1f} {y:.1f})">{sign}{_text(22, 3.5, label, SMALL)}</g>')
+            x += width + 4.0
+        return drawn
+
+
+def picture(name: str, width: float, height: float, axes: Sequence[Axes]) -> str:
+    """Return axes as an ``<svg>`` element; ``name`` is unlike that of any other picture of the page."""
+    inner = "".join(one.svg(f"{name}-{number}") for number, one in enumerate(axes))
+    head = f'<svg viewBox="0 0 {width:g} {height:g}" role="img" font-family="sans-serif" fill="#222222"'
+    return f'{head} style="width:100%;height:auto;max-width:{1.35 * width:g}px">{inner}</svg>'
+
+
+def _text(x: float, y: float, words: str, size: float, anchor: str = "start", more: str = "") -> str:
+    place = f'x="{x:.1f}" y="{y:.1f}" font-size="{size:g}" text-anchor="{anchor}"'
+    return f"<text {place}{more}>{html.escape(words)}</text>" if words else ""
+
+
+def _path(px: Array, py: Array) -> str:
+    """Return a path through points (n,), without those that lie on the one before."""
+    parts, before, down = [], "", False
+    for a, b in zip(px.tolist(), py.tolist(), strict=True):
+        if not math.isfinite(a + b):
+            down = False
+            continue
+        point = f"{a:.1f},{b:.1f}"
+        if not down or point != before:
+            parts.append(("L" if down else "M") + point)
+        before, down = point, True
+    return "".join(parts)

@@ -1,0 +1,68 @@
+"""Scales of the axes of a picture: linear, logarithmic, or of categories, with their ticks."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.compute.arrays import Array
+
+EDGE = 0.04  # of the range, left free on both sides of the data
+
+
+@dataclass(frozen=True)
+class Scale:
+    """From numbers to a place between 0 and 1.
+
+    Attributes
+    ----------
+    low, high : float
+    log : bool
+        Both are then positive.
+    names : tuple of str
+        Of the places 0, 1, 2 ... where the scale is one of categories.
+    """
+
+    low: float
+    high: float
+    log: bool = False
+    names: tuple[str, ...] = ()
+
+    @classmethod
+    def around(cls, values: Array, *, log: bool = False, edge: float = EDGE) -> "Scale":
+        """Return a scale that holds all finite values, (n,)."""
+        good = values[np.isfinite(values) & ((values > 0) | (not log))]
+        low, high = (float(good.min()), float(good.max())) if good.size else (1.0, 1.0)
+        if log:
+            low, high = math.log10(low), math.log10(high)
+        room = edge * (high - low) or 0.1 * abs(high) or 1.0
+        low, high = low - room, high + room
+        return cls(10**low, 10**high, log) if log else cls(low, high)
+
+    def place(self, values: Array) -> Array:
+        """Return where the values lie, (n,), 0 at ``low`` and 1 at ``high``."""
+        if not self.log:
+            return np.asarray((values - self.low) / (self.high - self.low))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(np.log(values / self.low) / math.log(self.high / self.low))
+
+    def ticks(self, most: int) -> list[tuple[float, str]]:
+        """Return at most so many round values, with their labels."""
+        if self.names:
+            return [(float(place), name) for place, name in enumerate(self.names)]
+        if self.log:
+            found = self._log_ticks(most)
+        else:
+            step = 10 ** math.floor(math.log10((self.high - self.low) / most))
+            step = next(step * n for n in (1, 2, 5, 10, 20) if (self.high - self.low) / (step * n) <= most)
+            found = [step * n for n in range(math.ceil(self.low / step), math.floor(self.high / step) + 1)]
+        return [(value, f"{value:.10g}".replace("-", "\N{MINUS SIGN}")) for value in found]
+
+    def _log_ticks(self, most: int) -> list[float]:
+        decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
+        for factors in ((1, 2, 3, 5), (1, 2, 5), (1, 3), (1,)):
+            found = [n * 10.0**decade for decade in decades for n in factors]
+            found = [value for value in found if self.low <= value <= self.high]
+            if len(found) <= most:
+                return found
+        return found[:: math.ceil(len(found) / most)]
