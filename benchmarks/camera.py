@@ -80,7 +80,7 @@ def run(case: tuple[int, float, int, tuple[int, ...], Path | None]) -> dict[str,
         row["sets"].append(sorted(ranking.laws_in_set))
         if len(row["sets"]) > 1:
             continue
-        row["poor"] = any("no law fits well" in warning for warning in ranking.warnings)
+        row["none"] = not ranking.adequacy.adequate
         row["findings"] = [finding.code for finding in ranking.findings]
         mine = next((one for one in ranking.rows if one.law == law), None)
         if mine is not None:
@@ -101,7 +101,7 @@ def table(rows: list[dict[str, Any]], name: str) -> None:
     alone = [own == [row["law"]] for row, own in zip(rows, found, strict=True) if len(own) == 1]
     print(
         f"| {name} | {share([row['law'] in own for row, own in zip(rows, found, strict=True)])} | {share(alone)} "
-        f"| {share([row.get('covered', False) for row in rows])} | {share([row.get('poor', True) for row in rows])} "
+        f"| {share([row.get('covered', False) for row in rows])} | {share([row.get('none', True) for row in rows])} "
         f"| {share([all(own == row['sets'][0] for own in row['sets'][1:]) for row in rows if len(row['sets']) > 1])} |"
     )
 
@@ -131,7 +131,7 @@ def main() -> None:
             rows.append(row)
             if row["sets"][0] != [row["law"]]:
                 print(f"law {row['law']}, {row['noise_mm']:g} mm, seed {row['seed']}: {row['sets']}", file=sys.stderr)
-    print("| | truth in the set | a set of one law right | v_dr covered | no law fits well | same set in every print |")
+    print("| | truth in the set | a set of one law right | v_dr covered | no law fits | same set in every print |")
     print("|---|---|---|---|---|---|")
     for noise in dict.fromkeys(row["noise_mm"] for row in rows):
         own = [row for row in rows if row["noise_mm"] == noise]

@@ -31,6 +31,7 @@ FEWEST_AT_REST = 8  # samples of a line that shows rest
 SURE = 4.0  # standard errors of that line's slope: at 400 a second and 1 mm of noise 5.5 mm/s each in a quarter second
 WIDEST_SLACK = 0.25  # of the belt's speed: a line less certain than that shows nothing
 SCATTER_AT_REST = 2.0  # times the noise: more is motion
+SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
 STILL = 0.05  # of the slip's acceleration: less than this, the mass sticks (or crosses the top of a sine)
 
 
@@ -82,6 +83,11 @@ class CycleSegmentation:
     plateau_fraction: float
     starts_at_rest: bool
     drag: tuple[int, int]
+
+    @property
+    def sustained(self) -> bool:
+        """Whether the mass sticks in the long run."""
+        return self.plateau_fraction >= SUSTAINED
 
     @property
     def used(self) -> tuple[Cycle, ...]:

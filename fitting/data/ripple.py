@@ -13,7 +13,8 @@ Not modelled: a second harmonic, a frequency that drifts.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,17 +26,21 @@ from fitting.data.frame import MeasuredMotion
 
 LEFT = 0.45  # of the velocity's variance in stick: a ripple worth the name leaves no more than this
 SMALLEST = 2e-3  # of the belt's speed
+# Of the amplitude that the lines do not take up.  True ripples show 0.28 to 1.0 of theirs; one that ageing sticks of a
+# steady belt seemed to have, slower than a stick is long, 0.17.
+VISIBLE = 0.25
 SLOWEST_HZ, FASTEST_HZ = 0.2, 25.0  # slower than sticks are long it is no ripple; faster, smoothing has taken it away
 GRID_HZ = 100.0  # rate of the thinned record that is transformed
 FINER = 4  # times the transform's own grid of frequencies
 CANDIDATES = 5  # the gaps between sticks make false peaks beside the true one
 OUTLYING = 4.0  # robust standard deviations: corners that the cut left in
-FEWEST = 4  # sticks
+FEWEST = 4  # long sticks
 SURE_LOG = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
 NOISE_ALONE = 1.5  # times the noise of a velocity: so much a harmonic may leave where values are few
 HARMONIC = 3  # unknowns: amplitude, phase and frequency
 RAMP_LIKE = 0.9  # of the sticks have velocities that fall: on a ramp all but those that noise hides, else half
-PLACES = 41  # of the point that lines of own slopes share, over twice the travel: nearer than 5 % gains nothing
+PLACES = 41  # of the point that lines of own slopes share, over twice the travel, before it is looked for more closely
+HALVINGS = 9  # of the steps of frequency and point: the frequency is then known to 1e-3 of a turn over the record
 SETTLED_S = 0.02  # after a landing, at the least
 
 
@@ -75,27 +80,59 @@ def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None
         In the fit's frame.
     """
     sticks = _in_stick(motion, cut)
-    if sticks is None:
+    if not sticks:
         return None
-    index = np.concatenate(sticks)
-    time, x, v = motion.time[index], motion.position[index], motion.velocity[index]
-    own = np.repeat(np.arange(len(sticks)), [stick.size for stick in sticks])
-    columns = np.c_[np.ones_like(x), x - x.mean()]
-    middle = np.median(v)
-    kept = np.abs(v - middle) < 0.5 * motion.belt_speed
-    for _ in range(3):
-        rest = v - np.sum(columns * least_squares(columns[kept], v[kept])[0], axis=1)
-        kept = np.abs(rest) <= OUTLYING * 1.4826 * np.median(np.abs(rest[kept]))
-    time, x, v, own, columns, rest = time[kept], x[kept], v[kept], own[kept], columns[kept], rest[kept]
-    peaks = _peaks(time, rest)
-    slopes = OwnSlopes.fitted(x, v, own, motion)
-    if slopes.falling(v) > RAMP_LIKE:
-        level, flat = slopes.removed(np.ones_like(v))[:, None], slopes.removed(v)
-        beside = least_squares(level, flat)[1]
-        found = _harmonic(motion, cut, time, flat, level, beside, [*peaks, *_peaks(time, beside)], slopes)
+    stuck = InStick.selected(motion, sticks)
+    slopes = OwnSlopes.fitted(stuck, motion)
+    if slopes.falling(stuck.v) > RAMP_LIKE:
+        found = _harmonic(motion, stuck, slopes)
         if found is not None:
             return found
-    return _harmonic(motion, cut, time, v, columns, rest, peaks, None)
+    elif not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0]:
+        # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
+        stuck = InStick.selected(motion, [np.arange(*cut.drag), *sticks])
+    return _harmonic(motion, stuck, None)
+
+
+@dataclass(frozen=True, eq=False)
+class InStick:
+    """Samples in stick.
+
+    Attributes
+    ----------
+    time, x, v : (n,) f8
+        s, m, m/s.
+    own : (n,) i8
+        Which stick a sample is in.
+    columns : (n, 2) f8
+        Of one line for all sticks.
+    rest : (n,) f8
+        What that line leaves, m/s.
+    """
+
+    time: Array
+    x: Array
+    v: Array
+    own: NDArray[np.int64]
+    columns: Array
+    rest: Array
+
+    @classmethod
+    def selected(cls, motion: MeasuredMotion, sticks: list[NDArray[np.int64]]) -> "InStick":
+        """Return the samples of the sticks without those that lie off the others' line."""
+        index = np.concatenate(sticks)
+        x, v = motion.position[index], motion.velocity[index]
+        own = np.repeat(np.arange(len(sticks)), [stick.size for stick in sticks])
+        columns = np.c_[np.ones_like(x), x - x.mean()]
+        kept = np.abs(v - np.median(v)) < 0.5 * motion.belt_speed
+        for _ in range(3):
+            rest = v - np.sum(columns * least_squares(columns[kept], v[kept])[0], axis=1)
+            kept = np.abs(rest) <= OUTLYING * 1.4826 * np.median(np.abs(rest[kept]))
+        return cls(motion.time[index][kept], x[kept], v[kept], own[kept], columns[kept], rest[kept])
+
+    def thinned(self, thin: slice) -> "InStick":
+        """Return fewer of the samples."""
+        return InStick(*(getattr(self, field.name)[thin] for field in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,16 +151,18 @@ class OwnSlopes:
     own: NDArray[np.int64]
 
     @classmethod
-    def fitted(cls, x: Array, v: Array, own: NDArray[np.int64], motion: MeasuredMotion) -> "OwnSlopes":
-        """Return the lines whose common point, the spring's rest position or near it, leaves least of velocities v."""
-        reach = np.linspace(-1.0, 1.0, PLACES) * motion.travel
+    def fitted(cls, stuck: InStick, motion: MeasuredMotion) -> "OwnSlopes":
+        """Return the lines whose common point, near the spring's rest position, leaves least of their velocities."""
         middle = 0.5 * float(motion.position.max() + motion.position.min())
 
         def left(place: float) -> float:
-            lines = cls(x - place, own)
-            return float(np.sum(least_squares(lines.removed(np.ones_like(v))[:, None], lines.removed(v))[1] ** 2))
+            return float(np.sum(cls(stuck.x - place, stuck.own).left(stuck.v) ** 2))
 
-        return cls(x - min(middle + reach, key=left), own)
+        return cls(stuck.x - min(middle + _offsets(motion), key=left), stuck.own)
+
+    def left(self, v: Array) -> Array:
+        """Return what the lines and a common level leave of velocities v (n,)."""
+        return least_squares(self.removed(np.ones_like(v))[:, None], self.removed(v))[1]
 
     def removed(self, values: Array) -> Array:
         """Return values (n,) less, in each stick, their own multiple of the lever."""
@@ -143,106 +182,107 @@ class OwnSlopes:
         """Return the same lines of fewer samples."""
         return OwnSlopes(self.lever[thin], self.own[thin])
 
+    def moved(self, offset: float) -> "OwnSlopes":
+        """Return lines through a point that lies ``offset`` (m) further on."""
+        return OwnSlopes(self.lever - offset, self.own)
 
-def _harmonic(
-    motion: MeasuredMotion,
-    cut: CycleSegmentation,
-    time: Array,
-    v: Array,
-    columns: Array,
-    rest: Array,
-    peaks: list[float],
-    slopes: OwnSlopes | None,
-) -> Ripple | None:
-    """Return the harmonic that velocities (n,) in stick show beside their lines, if it is worth the name.
+
+def _harmonic(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) -> Ripple | None:
+    """Return the harmonic that the velocities in stick show beside their lines, if it is worth the name.
 
     Parameters
     ----------
-    motion, cut : MeasuredMotion, CycleSegmentation
-    time, v : (n,) f8
-    columns : (n, k) f8
-        Of the lines that are also fitted.
-    rest : (n,) f8
-        What the lines alone leave.
-    peaks : list of float
-        Frequencies near which to look, Hz.
+    motion : MeasuredMotion
+    stuck : InStick
     slopes : OwnSlopes or None
-        Have been taken off the velocities and the columns, and are taken off the harmonics.
+        Lines that are also fitted instead of one for all sticks.  The point that they share is looked for anew: without
+        the harmonic it is displaced to where the lines make up for most of it.
     """
+    rest, peaks = stuck.rest, _peaks(stuck.time, stuck.rest)
+    if slopes is not None:
+        rest = slopes.left(stuck.v)
+        peaks += _peaks(stuck.time, rest)
     if not peaks:
         return None
     thin = slice(None, None, max(1, int(motion.time.size / motion.span / GRID_HZ)))
-    time, columns, v, rest = time[thin], columns[thin], v[thin], rest[thin]
+    every, stuck, before = stuck, stuck.thinned(thin), float(np.mean(rest[thin] ** 2))
+    time, v = stuck.time, stuck.v
     slopes = None if slopes is None else slopes.thinned(thin)
-    before = float(np.sum(rest**2))
     origin = 0.5 * (time[0] + time[-1])  # far from it phase and frequency would trade against each other
 
-    def harmonic(hertz: float) -> tuple[float, Array]:
+    def harmonic(hertz: float, offset: float) -> tuple[float, Array]:
         omega = 2 * math.pi * hertz
         waves = (np.cos(omega * (time - origin)), np.sin(omega * (time - origin)))
-        if slopes is not None:
-            waves = (slopes.removed(waves[0]), slopes.removed(waves[1]))
-        found, left = least_squares(np.c_[columns, *waves], v)
-        return float(np.sum(left**2)), found[-2:]
+        if slopes is None:
+            found, left = least_squares(np.c_[stuck.columns, *waves], v)
+        else:
+            lines = slopes.moved(offset)
+            shapes = [lines.removed(shape) for shape in (np.ones_like(v), *waves)]
+            found, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
+        return float(np.mean(left**2)), found[-2:]
 
-    best = min(peaks, key=lambda hertz: harmonic(hertz)[0])
-    width = 0.5 / (time[-1] - time[0])
-    while width > 1e-3 / (time[-1] - time[0]):
-        best = min((best - width, best, best + width), key=lambda hertz: harmonic(hertz)[0])
-        width /= 2
-    after, (even, odd) = harmonic(best)
-    if after > LEFT * before or math.hypot(even, odd) < SMALLEST * motion.belt_speed:
+    offsets = np.zeros(1) if slopes is None else _offsets(motion)
+    best, offset = min(product(peaks, offsets), key=lambda at: harmonic(*at)[0])
+    width, step = 0.5 / (time[-1] - time[0]), motion.travel / PLACES
+    for _ in range(HALVINGS):
+        best = min((best - width, best, best + width), key=lambda hertz: harmonic(hertz, offset)[0])
+        if slopes is not None:
+            offset = min((offset - step, offset, offset + step), key=lambda place: harmonic(best, place)[0])
+        width, step = width / 2, step / 2
+    after, (even, odd) = harmonic(best, offset)
+    amplitude = math.hypot(even, odd)
+    if after > LEFT * before or amplitude < SMALLEST * motion.belt_speed:
         return None
-    lines = len(cut.cycles) if slopes is not None else 2
-    sampled_s = time.size * float(np.median(np.diff(time)))
-    if not _gains(motion, cut, sampled_s, before / v.size, after / v.size, math.hypot(even, odd), lines):
+    if 2 * (before - after) < (VISIBLE * amplitude) ** 2 or not _gains(motion, every.own, before, after, slopes):
         return None
     omega = 2 * math.pi * best
     cos, sin = math.cos(omega * origin), math.sin(omega * origin)
     return Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega)
 
 
+def _offsets(motion: MeasuredMotion) -> Array:
+    """Return how far from a place the common point of lines of own slopes is looked for, m."""
+    return np.linspace(-1.0, 1.0, PLACES) * motion.travel
+
+
 def _gains(
-    motion: MeasuredMotion,
-    cut: CycleSegmentation,
-    sampled_s: float,
-    before: float,
-    after: float,
-    amplitude: float,
-    lines: int,
+    motion: MeasuredMotion, own: NDArray[np.int64], before: float, after: float, slopes: OwnSlopes | None
 ) -> bool:
     """Return whether a harmonic explains more than the best of as many frequencies explains in noise.
 
-    Velocities are independent over a smoothing window.  Where sticks are shorter than that each gives one.
+    Velocities are independent over a smoothing window.  A stick shorter than that gives one.
 
     Parameters
     ----------
-    motion, cut : MeasuredMotion, CycleSegmentation
-    sampled_s : float
-        Time spent in the sticks that were looked at, s.
+    motion : MeasuredMotion
+    own : (n,) i8
+        Which stick a sample is in, of all samples looked at.
     before, after : float
         Mean squares of the residuals without and with the harmonic, (m/s)^2.
-    amplitude : float
-        Of the harmonic, m/s.
-    lines : int
-        Unknowns beside the harmonic.
+    slopes : OwnSlopes or None
+        Lines that are also fitted; one for all sticks without.
     """
     window = max(2 * motion.half_window, SETTLED_S)
-    sticks = zip(cut.cycles[:-1], cut.cycles[1:], strict=True)
-    usual = float(np.median([later.break_away - earlier.landing for earlier, later in sticks]))
-    independent = sampled_s / window if window < usual else float(len(cut.cycles))
+    samples = np.bincount(own)
+    lengths = samples[samples > 0] * float(np.median(np.diff(motion.time)))
+    independent = float(np.sum(np.maximum(lengths / window, 1.0)))
+    lines = 2 if slopes is None else lengths.size
     needed = 2 * (math.log((FASTEST_HZ - SLOWEST_HZ) * motion.span) + SURE_LOG)
     noise = motion.velocity_error**2
-    if independent * amplitude**2 / 2 <= needed * noise:
+    if independent * (before - after) <= needed * noise:
         return False
     if (independent - lines - HARMONIC) * math.log(before / max(after, 1e-300)) > needed:
         return True
     # Few values, but the harmonic leaves no more of them than their noise.
-    return after < NOISE_ALONE**2 * noise and independent * (before - after) > needed * noise
+    return after < NOISE_ALONE**2 * noise
 
 
-def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]] | None:
-    """Return the samples of each stick, well away from corners; None with too few sticks."""
+def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np.int64]]:
+    """Return the samples of each stick, well away from corners; none where few sticks are long.
+
+    What is over before the smoothing has forgotten its corners may be the top of a sine, which a mass reaches that
+    merely grazes the belt.
+    """
     settle = max(motion.half_window, SETTLED_S)
     parts = []
     for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
@@ -250,7 +290,8 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
         end = int(np.searchsorted(motion.time, after.break_away - BEFORE_BREAK_AWAY_S))
         if end > first:
             parts.append(np.arange(first, end))
-    return parts if len(parts) >= FEWEST else None
+    long = [part for part in parts if motion.time[part[-1]] - motion.time[part[0]] > settle]
+    return parts if len(long) >= FEWEST else []
 
 
 def _peaks(time: Array, rest: Array) -> list[float]:

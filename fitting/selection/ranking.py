@@ -10,19 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.errors import DataError, InputError
+from daq.errors import InputError
 from daq.runfile.rig import Rig
-from fitting.adequacy.assess import assess, describes
+from fitting.adequacy.assess import assess
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
-from fitting.data import cycles, frame, ripple
-from fitting.data.frame import MeasuredMotion
+from fitting.data import frame
 from fitting.departures.ageing import find_ageing
-from fitting.estimation import break_aways, derived, search
+from fitting.estimation import break_aways, derived
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
-from fitting.selection import equivalence, evidence, screening, verdict
+from fitting.selection import candidates, equivalence, evidence, screening, verdict
 from fitting.selection.contradictions import find_contradictions, name_contradictions
-from fitting.selection.evidence import FEWEST_CYCLES, Evidence, ModelSet
+from fitting.selection.evidence import Evidence, ModelSet
 from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult
 from fitting.selection.result import Ranking as Ranking
@@ -32,16 +31,7 @@ from rig_sim.friction.law import LAWS
 ALL_LAWS = (1, 2, 3, 4, 5, 6)
 
 
-class NoLawError(Exception):
-    """The record is stick-slip, but no law comes near it: caught by `rank`, which returns it as a result."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
-
-
 LEAST_ALPHA = 1e-9  # surer is no interval
-SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
 
 
 def rank(
@@ -125,10 +115,10 @@ def rank(
     runs = []
     for record, known in zip(records, rigs, strict=True):
         motion = frame.from_kinematics(record, record.recording.rig if known is None else known, belt_speed)
-        runs.append(_run(motion, frozenset(excluded)))
+        runs.append(candidates.cut_run(motion, frozenset(excluded)))
     try:
-        fits, sustained = _fit(laws, runs, records, jobs, progress, scheduler)
-    except NoLawError as refused:
+        fits, runs, sustained = candidates.fit_runs(laws, runs, records, jobs, progress, scheduler)
+    except candidates.NoLawError as refused:
         return _without_law(refused.reason, laws, runs, records, begun)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
@@ -192,45 +182,6 @@ def _revolution(records: Sequence[Kinematics]) -> float | None:
     return found.pop() if len(found) == 1 else None
 
 
-def _fit(
-    laws: Sequence[int],
-    runs: Sequence[Run],
-    records: Sequence[Kinematics],
-    jobs: int,
-    progress: Callable[[float], None] | None,
-    scheduler: str | None,
-) -> tuple[list[Fit], bool]:
-    """Fit the laws to what may be described by them; also return whether the mass sticks in the long run."""
-    sustained = _check(runs, records)
-    seen = sustained  # as the record itself shows, before any law is fitted
-    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
-    fits = search.fit_laws(laws if sustained else (1, 2), runs, jobs, progress, scheduler)
-    if not sustained and _more_than_constant(fits, runs):
-        sustained = True  # short sticks, but sticks: constant friction alone does not make this motion
-        fits = search.fit_laws(laws, runs, jobs, progress, scheduler)
-    fits = [fit for fit in fits if fit.law in laws]
-    if not sustained and not fits:
-        raise DataError(
-            "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
-            str(records[0].recording.source),
-            "add --laws 1,2",
-        )
-    screening.refuse_missing_frames(fits, records)
-    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
-    if not sustained and not any(run.cut.uses_start for run in runs):
-        _refuse(screening.SINE_ALONE, records)
-    return fits, sustained
-
-
-def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
-    """Return whether laws 1 and 2 leave more of a motion without sustained sticks than noise does."""
-    if not fits or evidence.rules_out_constant_friction(fits, runs):
-        return True
-    # A record that may be a sine is refused elsewhere, and of several runs the drags of all decide.
-    alone = len(runs) == 1 and runs[0].cut.uses_start
-    return alone and not describes(fits, [run.motion for run in runs])
-
-
 def _without_law(
     reason: str, laws: Sequence[int], runs: Sequence[Run], records: Sequence[Kinematics], begun: float
 ) -> Ranking:
@@ -286,19 +237,6 @@ def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: boo
     return fits, equivalence.with_open_ramps(chosen, fits, runs, alpha, units.samples, sustained=sustained)
 
 
-def _run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
-    """Cut a record into cycles; where the belt's speed ripples, as it would move on a steady belt."""
-    cut = cycles.segment_cycles(motion, excluded)
-    beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
-    if beyond and cut.cycles:
-        what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
-        raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
-    found = ripple.find_ripple(motion, cut)
-    if found is not None:
-        cut = cycles.segment_cycles(found.removed(motion), excluded)
-    return Run(motion, cut, found)
-
-
 def _smoothed(kinematics: Kinematics) -> Kinematics:
     """Return the record smoothed well enough to start from."""
     if kinematics.method != "fd":
@@ -320,39 +258,6 @@ def _check_together(records: Sequence[Kinematics], belt_speed: float | str | Non
         raise InputError(
             "cycles to exclude from several runs", "--exclude-cycles", "fit that run alone, or leave it out"
         )
-
-
-def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
-    """Return whether the mass sticks in the long run; raise DataError unless there are enough cycles of one kind."""
-    kinds = [run.cut.plateau_fraction >= SUSTAINED for run in runs]
-    sustained = all(kinds)
-    for run, kind, record in zip(runs, kinds, records, strict=True):
-        _refuse(screening.reject_by_cycles(run.motion, run.cut, sustained=kind), [record])
-    sources = [str(record.recording.source) for record in records]
-    if any(kinds) and not sustained:
-        grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
-        raise DataError(
-            "no sustained stick here, but in other runs there is", grazing, "fit runs of one contact, or this run alone"
-        )
-    count = sum(len(run.cut.used) for run in runs)
-    if count < FEWEST_CYCLES:
-        left = sum(len(run.cut.cycles) for run in runs) - count
-        out = f", {left} more left out" if left else ""
-        raise DataError(
-            f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
-            ", ".join(sources),
-            "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
-        )
-    return sustained
-
-
-def _refuse(why: str, records: Sequence[Kinematics]) -> None:
-    """Raise where ``why`` says why the laws cannot be ranked: `NoLawError` for stick-slip, else DataError."""
-    if not why:
-        return
-    if why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records):
-        raise NoLawError(why)
-    raise DataError(*screening.refusal(why, records))
 
 
 def _rows(

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from fitting.data import cycles, frame, ripple
+from fitting.selection import candidates
 from fitting.selection.ranking import rank
+from processing.smoothing import smooth
 
 HERTZ, AMPLITUDE = 2.3, 0.0044
 
@@ -24,15 +26,7 @@ def rippled(simulated):
     )
 
 
-PHASE = [
-    pytest.mark.slow,
-    pytest.mark.xfail(reason="law 4: the phase of the ripple errs by 0.31 of its amplitude, 0.3 asked"),
-]
-
-
-@pytest.mark.parametrize(
-    "law", [3, 6, *(pytest.param(law, marks=pytest.mark.slow) for law in (5,)), pytest.param(4, marks=PHASE)]
-)
+@pytest.mark.parametrize("law", [3, 4, 6, pytest.param(5, marks=pytest.mark.slow)])
 def test_the_sticks_show_frequency_amplitude_and_phase(rippled, law):
     ripple = found_in(rippled(law))
     assert ripple.omega == pytest.approx(2 * math.pi * HERTZ, abs=2 * math.pi * 0.005)
@@ -81,12 +75,27 @@ def test_a_ramp_on_a_belt_that_ripples_comes_back(rippled):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [4, pytest.param(0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [4, 0])
 def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
     motion = simulated(
         f"seed={100 + seed}", "friction.law=1", "belt.ripple=0.0044", "belt.ripple_hz=1.3", "scatter.Fs=0.1"
     )
-    assert 1 in rank(motion).laws_in_set
+    ranking = rank(motion)
+    assert 1 in ranking.laws_in_set
+    if seed == 0:  # with a few short sticks, among which alone a ripple of 1.95 Hz did as well: {1, 2, 6} at 64 um
+        assert ranking.laws_in_set == (1,)
+        assert ranking.best.fit.geometric_mean_rms < 2.5e-6  # the counts, 7.67 um
+        assert ranking.best.parameters["ripple_hz"].value == pytest.approx(1.3, abs=1e-3)
+
+
+def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(synthetic, monkeypatch):
+    # The smoothing took tops of a sine for sticks, among which a ripple of 5 % at 11 Hz was found: the record was
+    # refused, since its sticks had several speeds.
+    wrong = ripple.Ripple(0.011, 0.0, 2 * math.pi * 11.5)
+    monkeypatch.setattr(candidates.ripple, "find_ripple", lambda motion, cut: wrong)
+    ranking = rank(smooth(synthetic.recording(law=1, damping=0.036, delta=50e-6)))
+    assert ranking.laws_in_set == (1,)
+    assert "ripple" not in ranking.best.parameters
 
 
 @pytest.mark.slow

@@ -1,0 +1,146 @@
+"""Which laws are fitted to what: a record cut into cycles, with the belt's ripple where there is one to be found."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from daq.errors import DataError, InputError
+from fitting.adequacy.assess import describes
+from fitting.data import cycles, ripple
+from fitting.data.frame import MeasuredMotion
+from fitting.estimation import search
+from fitting.estimation.fit import Fit
+from fitting.model.problem import Run
+from fitting.selection import evidence, screening
+from fitting.selection.evidence import FEWEST_CYCLES
+from processing.record.kinematics import Kinematics
+
+
+class NoLawError(Exception):
+    """The record is stick-slip, but no law comes near it: caught by `rank`, which returns it as a result."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
+    """Cut a record into cycles; where the mass sticks often on a belt that ripples, as it would on a steady belt."""
+    cut = cycles.segment_cycles(motion, excluded)
+    beyond = sorted(excluded - {cycle.number for cycle in cut.cycles})
+    if beyond and cut.cycles:
+        what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
+        raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
+    run = Run(motion, cut)
+    return _with_ripple(run) if cut.sustained else run
+
+
+def _with_ripple(run: Run) -> Run:
+    """Return a run with the ripple that its sticks show, cut as the mass would move on a steady belt; else the run."""
+    found = ripple.find_ripple(run.motion, run.cut)
+    if found is None:
+        return run
+    excluded = frozenset(cycle.number for cycle in run.cut.cycles if cycle.flag == "excluded")
+    return Run(run.motion, cycles.segment_cycles(found.removed(run.motion), excluded), found)
+
+
+def fit_runs(
+    laws: Sequence[int],
+    runs: Sequence[Run],
+    records: Sequence[Kinematics],
+    jobs: int,
+    progress: Callable[[float], None] | None,
+    scheduler: str | None,
+) -> tuple[list[Fit], list[Run], bool]:
+    """Fit the laws to what may be described by them; also return what was fitted and whether the mass sticks often."""
+    sustained = _check(runs, records)
+    seen = sustained  # as the record itself shows, before any law is fitted
+    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
+    fit_to = partial(search.fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
+    if sustained:
+        fits = fit_to(laws, runs)
+    else:
+        fits, runs, sustained = _fit_grazing(laws, runs, fit_to)
+    fits = [fit for fit in fits if fit.law in laws]
+    if not sustained and not fits:
+        raise DataError(
+            "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
+            str(records[0].recording.source),
+            "add --laws 1,2",
+        )
+    screening.refuse_missing_frames(fits, records)
+    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
+    if not sustained and not any(run.cut.uses_start for run in runs):
+        _refuse(screening.SINE_ALONE, records)
+    return fits, list(runs), sustained
+
+
+def _fit_grazing(
+    laws: Sequence[int], steady: Sequence[Run], fit_to: Callable[[Sequence[int], Sequence[Run]], list[Fit]]
+) -> tuple[list[Fit], Sequence[Run], bool]:
+    """Fit the laws to a mass that merely grazes the belt; also return what was fitted and whether it sticks often.
+
+    Such a mass shows little of the belt, and what the smoothing takes for short sticks may be the tops of a sine.  So a
+    ripple of the belt, and laws with sticks, are tried only where constant friction on a steady belt leaves more than
+    the noise does.
+    """
+    fits = fit_to((1, 2), steady)
+    if not _more_than_constant(fits, steady):
+        return fits, steady, False
+    rippled = [_with_ripple(run) for run in steady]
+    choices = [steady]
+    if any(run.ripple is not None for run in rippled):
+        fits = fit_to((1, 2), rippled)
+        if not _more_than_constant(fits, rippled):
+            return fits, rippled, False
+        choices.append(rippled)
+    found = []
+    for choice in choices:
+        fits = fit_to(laws, choice)
+        if fits and describes(fits, [run.motion for run in choice]):
+            return fits, choice, True
+        found.append((min((fit.geometric_mean_rms for fit in fits), default=math.inf), fits, choice))
+    _, fits, runs = min(found, key=lambda one: one[0])
+    return fits, runs, True
+
+
+def _more_than_constant(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+    """Return whether laws 1 and 2 leave more of a motion without sustained sticks than noise does."""
+    if not fits or evidence.rules_out_constant_friction(fits, runs):
+        return True
+    # A record that may be a sine is refused elsewhere, and of several runs the drags of all decide.
+    alone = len(runs) == 1 and runs[0].cut.uses_start
+    return alone and not describes(fits, [run.motion for run in runs])
+
+
+def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
+    """Return whether the mass sticks in the long run; raise DataError unless there are enough cycles of one kind."""
+    kinds = [run.cut.sustained for run in runs]
+    sustained = all(kinds)
+    for run, kind, record in zip(runs, kinds, records, strict=True):
+        _refuse(screening.reject_by_cycles(run.motion, run.cut, sustained=kind), [record])
+    sources = [str(record.recording.source) for record in records]
+    if any(kinds) and not sustained:
+        grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
+        raise DataError(
+            "no sustained stick here, but in other runs there is", grazing, "fit runs of one contact, or this run alone"
+        )
+    count = sum(len(run.cut.used) for run in runs)
+    if count < FEWEST_CYCLES:
+        left = sum(len(run.cut.cycles) for run in runs) - count
+        out = f", {left} more left out" if left else ""
+        raise DataError(
+            f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
+            ", ".join(sources),
+            "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
+        )
+    return sustained
+
+
+def _refuse(why: str, records: Sequence[Kinematics]) -> None:
+    """Raise where ``why`` says why the laws cannot be ranked: `NoLawError` for stick-slip, else DataError."""
+    if not why:
+        return
+    if why != screening.SINE_ALONE and all(screening.is_stick_slip(record) for record in records):
+        raise NoLawError(why)
+    raise DataError(*screening.refusal(why, records))
