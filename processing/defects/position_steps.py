@@ -149,8 +149,10 @@ def _suspects(count: Array, limits: StepLimits) -> list[tuple[int, int]]:
             quiet = np.count_nonzero(near <= miss[own, None], axis=1)  # more than half: the median is among them
             loud.append(own[quiet > AROUND] + SIDE)
     places = np.unique(np.concatenate(loud))
-    groups = np.split(places, np.flatnonzero(np.diff(places) > BESIDE) + 1)
-    return [(int(group[0]), int(group[-1])) for group in groups if group.size]
+    if not places.size:
+        return []
+    apart = np.flatnonzero(np.diff(places) > BESIDE)
+    return list(zip(places[[0, *(apart + 1)]].tolist(), places[[*apart, -1]].tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)

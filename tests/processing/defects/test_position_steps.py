@@ -51,6 +51,24 @@ def test_a_datum_that_moves_in_a_camera_track_is_found_and_kept_out_of_the_veloc
     assert found.lost_counts == 0
 
 
+def test_steps_do_not_depend_on_how_many_suspects_are_tested_together(monkeypatch, imported):
+    # One by one they cost half the CPU time of a published record, which has 40 suspects a second.
+    rng = np.random.default_rng(3)
+    time = np.arange(20_000) / 2000.0
+    position = 1e-3 * time + rng.normal(0, 1e-6, time.size) + np.cumsum(rng.normal(0, 2e-7, time.size))
+    at = rng.choice(time.size, 400, replace=False)
+    position[at] += rng.normal(0, 8e-6, at.size)
+    for k in rng.choice(time.size, 20, replace=False):
+        position[k:] += 3e-5
+    data = series.from_recording(imported(time, position))
+    found = position_steps.position_steps(data)
+    monkeypatch.setattr(position_steps, "TOGETHER", 1)
+    alone = position_steps.position_steps(data)
+    assert len(found) > 10
+    assert [(step.first, step.last) for step in alone] == [(step.first, step.last) for step in found]
+    assert [step.size for step in alone] == pytest.approx([step.size for step in found], rel=1e-9)
+
+
 def test_slips_over_within_a_sample_are_no_steps_of_the_datum(imported):
     time = np.arange(4000) / 200.0
     saw = 0.1 * time % 0.08 + np.random.default_rng(1).normal(0, 1e-4, time.size)
