@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
-from rig_sim.cli import control, maps
+from rig_sim.cli import control, forced, maps
 from rig_sim.cli.atlas import atlas
 
 if TYPE_CHECKING:
@@ -279,6 +279,7 @@ app.command(maps.map_, name="map")
 app.command(maps.sweep)
 app.command(maps.basins)
 app.command(maps.lyapunov)
+app.command(forced.quench)
 app.command(control.shaker)
 app.command(atlas)
 app.command(control.lock)

@@ -3,8 +3,9 @@
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
-from daq.console.application import Answer
+from daq.console.application import Answer, Json, SetChanges
 from daq.errors import InputError
+from rig_sim.cli.control import Force, Plot
 
 if TYPE_CHECKING:
     from rig_sim.dynamics.forced.driven_mass import DrivenMass
@@ -89,6 +90,51 @@ def driven_lyapunov(name: str, changes: dict[str, object], events: int) -> Answe
     return Answer(data, f"{found.exponent:.8g} +- {found.stderr:.2g} per {per} ({orbit})")
 
 
+def quench(
+    scene: str,
+    /,
+    *,
+    plot: Plot = None,
+    force: Force = False,
+    set_: SetChanges = None,
+    json: Json = False,
+) -> Answer:
+    """Find whether a fast drive (dither) quenches stick-slip, and from which amplitude on: by formula and simulation.
+
+    threshold is the amplitude u0 with which the mass alone reaches the belt's speed: v_belt abs(k - m omega^2 + i c
+    omega) / omega. simulated_threshold is the least u0 with which the simulated motion, from the scene's start, loses
+    its stick-slip; quenched says so for the scene's own u0.
+
+    Example: rig-sim quench forced --set drive.omega=20 --set drive.u0=1.75
+
+    Parameters
+    ----------
+    scene
+        A built-in name (see rig-sim scenes) or a TOML file, with a drive.
+    """
+    from rig_sim.dynamics.forced.dither import quench as find
+    from rig_sim.scenes.scene import parse_changes
+
+    flow, x, v = with_period(scene, parse_changes(set_))
+    found = find(flow, x, v)
+    data: dict[str, object] = asdict(found)
+    lines = [f"{found.outcome}: u0 = {flow.u0:.6g}, threshold {found.threshold:.6g} by formula"]
+    if found.simulated_threshold is not None:
+        more = 100.0 * (found.simulated_threshold / found.threshold - 1.0)
+        lines.append(f"threshold by simulation {found.simulated_threshold:.6g} ({more:+.2f} %)")
+    lines.append(f"peak to peak of x {found.swing:.4g}; without the drive {found.free_swing:.4g}")
+    if found.linear_ripple is not None:
+        lines.append(f"of spring and mass alone under the drive {found.linear_ripple:.4g}")
+    if plot is not None:
+        from rig_sim.dynamics.forced.plot import quench_figure
+        from rig_sim.dynamics.maps.plot import save
+
+        save(quench_figure(flow, x, v), plot, force=force)
+        data["file"] = plot
+        lines.append(str(plot))
+    return Answer(data, "\n".join(lines))
+
+
 def driven_mass(name: str, changes: dict[str, object], section: str) -> "DrivenMass":
     """Return the mass of a scene, from its own start.
 
@@ -99,7 +145,13 @@ def driven_mass(name: str, changes: dict[str, object], section: str) -> "DrivenM
     """
     from rig_sim.dynamics.forced.driven_mass import DrivenMass
 
+    flow, x, v = with_period(name, changes)
+    return DrivenMass(flow, x, v, section)
+
+
+def with_period(name: str, changes: dict[str, object]) -> "tuple[Flow, float, float]":
+    """Return flow and start as `driven`, or refuse a drive without a period."""
     flow, x, v = driven(name, changes)
     if flow.omega == 0.0:
         raise InputError("drive.omega is 0: there is no drive period", f"scene {name}", "set drive.omega")
-    return DrivenMass(flow, x, v, section)
+    return flow, x, v

@@ -5,7 +5,7 @@ A motion is periodic when its state at the section comes back within `SAME`, aga
 drive periods.  Starts whose motions end on the same points share an attractor.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,10 +57,10 @@ class Settled:
     outcome: Outcome
 
 
-def settled(system: System) -> Settled:
-    """Follow a system until its motion repeats, or for as long as `TRANSIENTS` say."""
+def settled(system: System, transients: Sequence[int] = TRANSIENTS) -> Settled:
+    """Follow a system until its motion repeats, or for as long as ``transients`` say."""
     before: Array | None = None
-    for transient in TRANSIENTS:
+    for transient in transients:
         found = system.follow(transient * system.unit)
         if found.outcome == OUTCOMES[COMPLETED]:
             found = system.follow(WINDOW)
@@ -69,7 +69,7 @@ def settled(system: System) -> Settled:
         scaled = found.states / system.scale
         period = period_of(scaled, APART * SAME)
         repeats = period_of(scaled, SAME)
-        if repeats is not None and (repeats == period or transient == TRANSIENTS[-1]):
+        if repeats is not None and (repeats == period or transient == transients[-1]):
             return Settled(found.states[-repeats:], repeats, found.outcome)
         grows = before is not None and is_growing(before, scaled)
         before = scaled

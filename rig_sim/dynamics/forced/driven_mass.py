@@ -97,7 +97,7 @@ class DrivenMass:
         Parameters
         ----------
         tangent : bool
-            Whether the growth of a deviation is wanted too, for about twice the time; else it is NaN.
+            Whether the growth of a deviation is wanted too, for four times the time; else it is NaN.
         """
         rows, outcome = self._rows(number, self._section, tangent=tangent)
         growth = rows[:, FACTOR] if tangent else np.full(len(rows), np.nan)

@@ -1,0 +1,48 @@
+"""Pictures of driven masses; matplotlib is imported here and nowhere else in `rig_sim.dynamics.forced`."""
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from rig_sim.dynamics.forced.attractors import settled
+from rig_sim.dynamics.forced.dither import DECAY, linear_ripple, positions, swing, threshold
+from rig_sim.dynamics.forced.driven_mass import DrivenMass
+from rig_sim.flow.flow import Flow
+
+OSCILLATIONS = 12.0  # of the mass alone that are drawn
+SAMPLES = 40  # drawn of a drive period, or of an oscillation of the mass if that is shorter
+RATIOS = (0.5, 1.5, 41)  # amplitudes over the threshold: from, to, how many
+
+
+def quench_figure(flow: Flow, x: float, v: float) -> Figure:
+    """Return a figure of a motion with and without its drive, above, and of its swing over the amplitude, below."""
+    figure = Figure(figsize=(8.6, 7.2), layout="constrained")
+    above, below = figure.subplots(2)
+    own, period = 2.0 * math.pi * math.sqrt(flow.m / flow.k), 2.0 * math.pi / abs(flow.omega)
+    times = np.linspace(0.0, OSCILLATIONS * own, math.ceil(OSCILLATIONS * own / min(own, period) * SAMPLES))
+    for u0, name, width in ((0.0, "without the drive", 0.8), (flow.u0, f"u0 = {flow.u0:.6g}", 1.6)):
+        path = positions(flow._replace(u0=u0), x, v, times)
+        above.plot(times[: len(path)], path, lw=width, label=name)
+    above.set(xlabel="t (the scene's unit)", ylabel="x (the scene's unit)", title=f"Dither of omega = {flow.omega:.6g}")
+    above.legend(loc="lower right")
+    least = threshold(flow)
+    if least > 0.0:
+        amplitudes = least * np.linspace(*RATIOS)
+        flows = [flow._replace(u0=u0) for u0 in amplitudes.tolist()]
+        below.plot(
+            amplitudes, [swing(driven, settled(DrivenMass(driven, x, v), DECAY)) for driven in flows], ".-", ms=5
+        )
+        ripples = [linear_ripple(driven) for driven in flows]
+        below.plot(amplitudes, [math.nan if ripple is None else ripple for ripple in ripples], "--", color="0.5")
+        below.axvline(least, color="0.5", lw=0.8)
+        below.annotate(
+            "V = belt speed", (least, 0.6), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right"
+        )
+        below.set_yscale("log")
+    below.set(
+        xlabel="u0 (the scene's unit)",
+        ylabel="peak to peak of x (the scene's unit)",
+        title="Swing over the amplitude; dashed: spring and mass alone",
+    )
+    return figure
