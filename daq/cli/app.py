@@ -2,13 +2,14 @@
 
 from typing import NoReturn
 
-from daq.cli import board, files, firmware, notes, record, setup
+from daq.cli import board, files, firmware, live, notes, record, setup
 from daq.console import application
 
 app = application.application(
     "daq", "Record stick-slip runs from an encoder board or the simulated rig.", "daq record --rate 1000 -o run.h5"
 )
 record.register(app)
+live.register(app)
 board.register(app)
 files.register(app)
 notes.register(app)

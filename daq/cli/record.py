@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import cyclopts
 
 from daq.cli import sentences
+from daq.cli.live import NoBrowser, viewer
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force
@@ -34,6 +35,14 @@ Realtime = Annotated[
 ]
 
 
+Live = Annotated[
+    bool,
+    cyclopts.Parameter(
+        name="--live", negative=(), help="Show the recording in the browser; the simulated rig then runs in real time."
+    ),
+]
+
+
 def register(app: cyclopts.App) -> None:
     """Add record, recover and ports to the `daq` application."""
     app.command(record)
@@ -48,6 +57,8 @@ def record(
     scene: Scene = None,
     set_: SetChanges = None,
     realtime: Realtime = False,
+    live: Live = False,
+    no_browser: NoBrowser = False,
     board: BoardFlags = NO_FLAGS,
     notes: NoteFlags = NO_NOTES,
     force: Force = False,
@@ -71,6 +82,11 @@ def record(
     from daq.protocols.request import RecordRequest
     from daq.recorder.record import record as take
 
+    if live:
+        from daq.live import assets
+
+        assets.check_installed()
+        realtime = realtime or "port" not in resolve(board)
     if scene is not None or set_ or realtime:
         if board.port is not None:
             given = "--scene" if scene is not None else "--set" if set_ else "--realtime"
@@ -80,7 +96,8 @@ def record(
     written = notes.given()
     target = names.completed(output)
     wanted = RecordRequest(output=target, duration_s=duration, force=force, notes=written, **resolve(board))
-    with _stop_on_signal() as stop, application.progress("recording", duration, "s") as show:
+    view = viewer(wanted.part, no_browser) if live else contextlib.nullcontext()
+    with view, _stop_on_signal() as stop, application.progress("recording", duration, "s") as show:
         found = take(wanted, progress=show, say=application.note, stop=stop)
     code = EXIT_DATA if found.short or found.sparse else EXIT_DONE if found.file == target else EXIT_DEVICE
     return Answer(found.as_json(), sentences.recorded("recorded", found), code)

@@ -84,7 +84,7 @@ def run_data(
         samples = samples.take(timeline.run_index(samples, rate_hz) < header["samples"])
     if len(samples) == 0:
         raise _no_samples(recorded)
-    config, rig, warnings = _calibration(recorded, streams, ident)
+    config, rig, warnings = calibration(recorded.records, streams, ident)
     checked = check(samples, ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
     position = positions(checked.count, rig)
     zone = timezone(timedelta(seconds=header["utc_offset_s"]))
@@ -158,13 +158,11 @@ def _edge_us(edge: NDArray[np.uint16], tick_ns: int) -> NDArray[np.uint16]:
     return np.where(edge == frames.NO_EDGE, frames.NO_EDGE, us).astype(np.uint16)
 
 
-def _calibration(
-    recorded: journal.Journal, streams: Sequence[decode.Stream], ident: frames.Ident | None
+def calibration(
+    records: Sequence[journal.Record], streams: Sequence[decode.Stream], ident: frames.Ident | None
 ) -> tuple[str, Rig, list[str]]:
-    """Return the configuration's text and the rig it describes; the decoder is the one that the board reports."""
-    given = [
-        record.data.decode(errors="replace") for record in recorded.records if record.kind == journal.CONFIGURATION
-    ]
+    """Return the configuration's text, the rig it describes, and warnings; the decoder is what the board reports."""
+    given = [record.data.decode(errors="replace") for record in records if record.kind == journal.CONFIGURATION]
     sent = next((stream.configs for stream in streams if stream.configs), ())
     config = (*given, *(text for _, text in sent), "")[0]
     warnings = []

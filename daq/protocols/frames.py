@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from daq.wire.decode import Stream
 
 BAUD = 115_200
+DELIMITER = frames.DELIMITER
 RATE_HZ = 1000
 
 

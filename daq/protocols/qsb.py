@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from daq.wire.decode import Stream
 
 BAUD = 230_400
+DELIMITER = b"!"
 TICK_HZ = 512
 TICK_NS = 1_000_000_000 // TICK_HZ  # 1.953125 ms, exactly
 RECORD_BYTES = 21
@@ -107,7 +108,7 @@ class RecordParser:
 
 def reader() -> LineReader:
     """Return a reader of records."""
-    return LineReader(b"!", LONGEST_RECORD, RecordParser(), trusts_first=True)
+    return LineReader(DELIMITER, LONGEST_RECORD, RecordParser(), trusts_first=True)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":

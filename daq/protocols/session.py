@@ -214,6 +214,7 @@ class Backend(Protocol):
     """Functions that a protocol's module provides."""
 
     BAUD: int
+    DELIMITER: bytes  # what ends a frame or a line of the board
 
     def check(self, request: RecordRequest) -> None:
         """Raise InputError for a request that this protocol can never carry out; nothing has been touched then."""

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from daq.wire.decode import Stream
 
 BAUD = 115_200
+DELIMITER = b"\n"
 TICK_NS = 1000
 MILLISECOND = 1000  # ticks
 LISTEN_S = 1.0  # of good lines, by their own times, before the rate is believed
@@ -77,7 +78,7 @@ def ident(form: Columns, decoder: str | None) -> frames.Ident:
 
 def reader(form: Columns) -> LineReader:
     """Return a reader of lines.  The first line is not used: digits missing at its beginning could not be detected."""
-    return LineReader(b"\n", LONGEST_LINE, LineParser(form), trusts_first=False)
+    return LineReader(DELIMITER, LONGEST_LINE, LineParser(form), trusts_first=False)
 
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":

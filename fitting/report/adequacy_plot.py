@@ -9,7 +9,7 @@ from fitting.adequacy.result import Adequacy
 from fitting.report import curves
 from fitting.report.chart import CHARACTER, SMALL, Axes, picture
 from fitting.report.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
-from fitting.report.scale import Scale
+from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, Ranking
 from fitting.selection.verdict import format_length
 
@@ -26,8 +26,8 @@ def measured_curve(ranking: Ranking) -> str:
         seen = found.speed <= 1.02 * reach
         own = seen if seen.sum() > 2 else np.ones_like(seen)
         low, high = float(found.lo[own].min()), float(found.hi[own].max())
-        tall = Scale(low - 0.25 * (high - low), high + 0.35 * (high - low))
-        axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, Scale(0.0, 102 * reach), tall, rows=2)
+        tall = AxisScale(low - 0.25 * (high - low), high + 0.35 * (high - low))
+        axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, AxisScale(0.0, 102 * reach), tall, rows=2)
         axes.title = "low speeds" if place else "all speeds"
         axes.xlabel, axes.ylabel = "relative speed (cm/s)", f"friction ({ranking.adequacy.unit})"
         grid = np.linspace(0.0, 1.02 * reach, 400)
@@ -49,7 +49,7 @@ def orbits(ranking: Ranking) -> str:
     columns = min(len(rows), 3)
     lines = math.ceil(len(rows) / columns)
     x, v = 100 * motion.sign * motion.position, 100 * motion.sign * motion.velocity
-    both, width, height = (Scale.around(x), Scale.around(v, edge=0.1)), WIDE / 3, 225.0
+    both, width, height = (AxisScale.around(x), AxisScale.around(v, edge=0.1)), WIDE / 3, 225.0
     drawn = []
     for place, row in enumerate(rows):
         line, column = divmod(place, columns)
@@ -77,7 +77,9 @@ def departures(adequacy: Adequacy) -> str:
     names = tuple(one.name for one in found)
     sigmas = np.array([one.sigmas for one in found])
     height = 52.0 + 26 * len(found)
-    axes = Axes(0, 0, NARROW, height, Scale(0.0, 1.2 * float(sigmas.max())), Scale(-0.6, len(found) - 0.4, names=names))
+    axes = Axes(
+        0, 0, NARROW, height, AxisScale(0.0, 1.2 * float(sigmas.max())), AxisScale(-0.6, len(found) - 0.4, names=names)
+    )
     axes.rows, axes.margin = 0, 14.0 + CHARACTER * SMALL * max(map(len, names))
     axes.xlabel = "standard deviations (share of the misfit explained)"
     for place, one in enumerate(found):

@@ -13,7 +13,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.report.cloud import along, dots, png
-from fitting.report.scale import Scale
+from fitting.report.scale import AxisScale
 
 FONT, SMALL, CHARACTER = 11.0, 10.0, 0.53  # sizes, px, and the mean width of a character over its size
 LEFT, BOTTOM, TITLE, ROW = 54.0, 38.0, 19.0, 15.0  # px beside the axes: tick labels, title, a row of the legend
@@ -31,7 +31,7 @@ class Axes:
     ----------
     left, top, width, height : float
         Of all, title and labels included.
-    x, y : Scale
+    x, y : AxisScale
     title, xlabel, ylabel : str
     rows : int
         Rows that the legend may take.
@@ -41,8 +41,8 @@ class Axes:
     top: float
     width: float
     height: float
-    x: Scale
-    y: Scale
+    x: AxisScale
+    y: AxisScale
     title: str = ""
     xlabel: str = ""
     ylabel: str = ""

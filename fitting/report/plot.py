@@ -6,7 +6,7 @@ from daq.compute.arrays import Array
 from fitting.report import adequacy_plot, curves
 from fitting.report.chart import Axes, picture
 from fitting.report.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
-from fitting.report.scale import Scale
+from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, Ranking
 from processing.statistics import StickSlipStatistics, shown_length
 
@@ -21,7 +21,9 @@ def portrait(ranking: Ranking) -> str:
     """Draw velocity against position: the whole record, and the best law's motion in every window."""
     motion = ranking.motion
     x, v = 100 * motion.sign * motion.position, 100 * motion.sign * motion.velocity
-    axes = Axes(0, 0, NARROW, 350, Scale.around(x), Scale.around(v), xlabel="position (cm)", ylabel="velocity (cm/s)")
+    axes = Axes(
+        0, 0, NARROW, 350, AxisScale.around(x), AxisScale.around(v), xlabel="position (cm)", ylabel="velocity (cm/s)"
+    )
     axes.trace([(x, v)], MEASURED, width=1.6, opacity=0.6, label="measured")
     if ranking.rows:
         best = ranking.best
@@ -39,7 +41,7 @@ def friction(ranking: Ranking) -> str:
     drawn = {row.law: curves.curve(row, motion, grid) for row in ranking.rows}
     top = max(float(np.nanmax(np.abs(drawn[ranking.best.law]))), float(np.percentile(np.abs(force), SPREAD)))
     label = f"friction ({curves.unit(motion)})"
-    axes = Axes(0, 0, NARROW, 350, Scale.around(100 * grid), Scale(-1.3 * top, 1.3 * top), ylabel=label, rows=2)
+    axes = Axes(0, 0, NARROW, 350, AxisScale.around(100 * grid), AxisScale(-1.3 * top, 1.3 * top), ylabel=label, rows=2)
     axes.xlabel = "relative velocity: mass minus belt (cm/s)"
     axes.level(0, INK)
     axes.level(0, INK, upright=True)
@@ -65,7 +67,7 @@ def residuals(ranking: Ranking) -> str:
         time = fit.windows.time if whole else _since_break_away(row)
         noise = 1e6 * BAND * ranking.adequacy.noise_m
         reach = 1.4 * max(1e6 * float(np.percentile(np.abs(fit.residual), SPREAD)), noise)
-        axes = Axes(float(left), 0, float(width), 265, Scale.around(time), Scale(-reach, reach))
+        axes = Axes(float(left), 0, float(width), 265, AxisScale.around(time), AxisScale(-reach, reach))
         axes.title = f"law {row.law}, {'whole record' if whole else 'all cycles'}"
         axes.xlabel = "time (s)" if whole else "time since break-away (s)"
         axes.ylabel = "residual (um)"
@@ -82,8 +84,8 @@ def evidence(ranking: Ranking) -> str:
     errors = [1e6 * row.fit.cycle_rms for row in rows]
     names = tuple(f"law {row.law}{' *' if row.in_set else ''}" for row in rows)
     height = 60.0 + 30 * len(rows)
-    places = Scale(-0.6, len(rows) - 0.4, names=names)
-    axes = Axes(0, 0, NARROW, height, Scale.around(np.concatenate(errors), log=True), places, rows=0)
+    places = AxisScale(-0.6, len(rows) - 0.4, names=names)
+    axes = Axes(0, 0, NARROW, height, AxisScale.around(np.concatenate(errors), log=True), places, rows=0)
     axes.xlabel = "error of each cycle (um rms); dot: their geometric mean"
     for place, (row, own) in enumerate(zip(rows, errors, strict=True)):
         axes.marks(own, np.full(own.size, place), COLOURS[row.law], sign="|", size=8)
@@ -94,8 +96,8 @@ def evidence(ranking: Ranking) -> str:
 def cost(ranking: Ranking) -> str:
     """Draw each law's error against the CPU time of its fit."""
     time, error = np.array([row.cpu_s for row in ranking.rows]), 1e6 * np.array([row.rms_m for row in ranking.rows])
-    across = Scale(0.0, 1.12 * max(float(time.max()), 1e-3))
-    axes = Axes(0, 0, NARROW, 230, across, Scale.around(error, log=True, edge=0.12), rows=0)
+    across = AxisScale(0.0, 1.12 * max(float(time.max()), 1e-3))
+    axes = Axes(0, 0, NARROW, 230, across, AxisScale.around(error, log=True, edge=0.12), rows=0)
     axes.xlabel, axes.ylabel = "CPU time of the fit (s)", "error (um rms)"
     places = np.stack([axes.x.place(time), axes.y.place(error)], axis=1)
     named: list[list[int]] = []
@@ -118,7 +120,7 @@ def levels(ranking: Ranking) -> str:
     time = np.array([event.t for event in events])
     above = np.array([event.break_away_level for event in events])
     sliding = np.array([event.kinetic_scale for event in events])
-    axes = Axes(0, 0, NARROW, 270, Scale.around(time), Scale.around(np.concatenate([above, sliding])))
+    axes = Axes(0, 0, NARROW, 270, AxisScale.around(time), AxisScale.around(np.concatenate([above, sliding])))
     axes.xlabel, axes.ylabel = "time (s)", "friction level / mean sliding level"
     for values, colour, sign, label in ((above, COLOURS[4], "c", "break-away"), (sliding, COLOURS[2], "o", "sliding")):
         axes.line(time, values, colour, width=0.5)
@@ -132,13 +134,15 @@ def break_aways(counted: StickSlipStatistics, unit: str) -> str:
     time, level, stick = counted.column("t"), factor * counted.column("break_away_m"), counted.column("stick_s")
     label, width, height = f"break-away level ({shown})", WIDE / 3, 260.0
     number, edges = np.histogram(level, int(np.clip(np.sqrt(level.size), *BINS)))
-    most = Scale(0.0, max(1.1 * float(number.max()), 1.5))
-    distribution = Axes(0, 0, width, height, Scale.around(edges), most, "distribution", label, "number of break-aways")
+    most = AxisScale(0.0, max(1.1 * float(number.max()), 1.5))
+    distribution = Axes(
+        0, 0, width, height, AxisScale.around(edges), most, "distribution", label, "number of break-aways"
+    )
     distribution.bars(edges[:-1], edges[1:], number.astype(float), COLOURS[2])
     mean = float(level.mean())
     distribution.level(mean, COLOURS[4], dash=DASH, upright=True, label=f"mean {mean:.4g} {shown}")
-    tall = Scale.around(level)
-    trend = Axes(width, 0, width, height, Scale.around(time), tall, "against time", "time (s)", label)
+    tall = AxisScale.around(level)
+    trend = Axes(width, 0, width, height, AxisScale.around(time), tall, "against time", "time (s)", label)
     trend.marks(time, level, COLOURS[2])
     summary = counted.summary("break_away_m")
     if summary is not None and summary["trend_per_s"] is not None:
@@ -146,7 +150,7 @@ def break_aways(counted: StickSlipStatistics, unit: str) -> str:
         line = mean + slope * (ends - time.mean())
         trend.line(ends, line, COLOURS[4], label=f"trend {slope:+.2g} {shown}/s")
     against = Axes(
-        2 * width, 0, width, height, Scale.around(stick), tall, "against stick time", "stick time (s)", label
+        2 * width, 0, width, height, AxisScale.around(stick), tall, "against stick time", "stick time (s)", label
     )
     against.marks(stick, level, COLOURS[2])
     return picture("break-aways", WIDE, height, [distribution, trend, against])

@@ -11,7 +11,7 @@ EDGE = 0.04  # of the range, left free on both sides of the data
 
 
 @dataclass(frozen=True)
-class Scale:
+class AxisScale:
     """From numbers to a place between 0 and 1.
 
     Attributes
@@ -29,7 +29,7 @@ class Scale:
     names: tuple[str, ...] = ()
 
     @classmethod
-    def around(cls, values: Array, *, log: bool = False, edge: float = EDGE) -> "Scale":
+    def around(cls, values: Array, *, log: bool = False, edge: float = EDGE) -> "AxisScale":
         """Return a scale that holds all finite values, (n,)."""
         good = values[np.isfinite(values) & ((values > 0) | (not log))]
         low, high = (float(good.min()), float(good.max())) if good.size else (1.0, 1.0)

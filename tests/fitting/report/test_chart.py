@@ -9,17 +9,17 @@ import pytest
 from PIL import Image
 
 from fitting.report.chart import Axes, picture
-from fitting.report.scale import Scale
+from fitting.report.scale import AxisScale
 
 
 @pytest.mark.parametrize(
     ("scale", "labels"),
     [
-        (Scale(-0.31, 0.52), ["−0.2", "0", "0.2", "0.4"]),
-        (Scale(1234.0, 1236.1), ["1234", "1234.5", "1235", "1235.5", "1236"]),
-        (Scale(0.9, 1.1e4, log=True), ["1", "10", "100", "1000", "10000"]),
-        (Scale(1.7, 9.2, log=True), ["2", "3", "5"]),
-        (Scale(-0.6, 1.4, names=("law 1", "law 2")), ["law 1", "law 2"]),
+        (AxisScale(-0.31, 0.52), ["−0.2", "0", "0.2", "0.4"]),
+        (AxisScale(1234.0, 1236.1), ["1234", "1234.5", "1235", "1235.5", "1236"]),
+        (AxisScale(0.9, 1.1e4, log=True), ["1", "10", "100", "1000", "10000"]),
+        (AxisScale(1.7, 9.2, log=True), ["2", "3", "5"]),
+        (AxisScale(-0.6, 1.4, names=("law 1", "law 2")), ["law 1", "law 2"]),
     ],
 )
 def test_ticks_are_round_and_not_too_many(scale, labels):
@@ -27,14 +27,14 @@ def test_ticks_are_round_and_not_too_many(scale, labels):
 
 
 def test_a_scale_holds_all_finite_values_and_equal_ones():
-    scale = Scale.around(np.array([3.0, np.nan, 7.0]))
+    scale = AxisScale.around(np.array([3.0, np.nan, 7.0]))
     assert 0 < scale.place(np.array(3.0)) < scale.place(np.array(7.0)) < 1
-    assert Scale.around(np.array([5.0, 5.0])).place(np.array(5.0)) == pytest.approx(0.5)
-    assert Scale.around(np.array([0.0, 1.0, 100.0]), log=True).low > 0
+    assert AxisScale.around(np.array([5.0, 5.0])).place(np.array(5.0)) == pytest.approx(0.5)
+    assert AxisScale.around(np.array([0.0, 1.0, 100.0]), log=True).low > 0
 
 
 def test_a_line_breaks_where_a_value_is_missing_and_words_are_escaped():
-    axes = Axes(0, 0, 200, 150, Scale(0.0, 3.0), Scale(0.0, 1.0), title="a < b")
+    axes = Axes(0, 0, 200, 150, AxisScale(0.0, 3.0), AxisScale(0.0, 1.0), title="a < b")
     axes.line(np.arange(4.0), np.array([0.0, 1.0, np.nan, 0.5]), "#123456", label="x & y")
     drawn = picture("one", 200, 150, [axes])
     path = re.search('stroke="#123456"[^>]* d="([^"]+)"', drawn)[1]
@@ -44,7 +44,7 @@ def test_a_line_breaks_where_a_value_is_missing_and_words_are_escaped():
 
 
 def test_dots_and_traces_lie_where_their_values_are():
-    axes = Axes(0, 0, 200, 150, Scale(0.0, 1.0), Scale(0.0, 1.0))
+    axes = Axes(0, 0, 200, 150, AxisScale(0.0, 1.0), AxisScale(0.0, 1.0))
     axes.cloud(np.array([0.25, 7.0]), np.array([0.75, 0.5]), "#ff0000", opacity=1.0)
     axes.trace([(np.array([0.0, 1.0]), np.array([0.5, 0.5]))], "#0000ff", opacity=0.5)
     found = re.findall('base64,([^"]+)"', picture("one", 200, 150, [axes]))

@@ -1,0 +1,122 @@
+"""`daq watch`, and the viewer that `daq record --live` starts."""
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import cyclopts
+
+from daq.console import application
+from daq.console.application import Answer, Json
+from daq.errors import InputError
+
+NICE = 5  # the viewer gives way to the recorder on a busy computer
+APPEARS_S = 30.0  # how long the viewer of `daq record --live` waits for the journal: a board may take 5 s to answer
+LOOK_EVERY_S = 0.05
+
+NoBrowser = Annotated[
+    bool, cyclopts.Parameter(name="--no-browser", negative=(), help="Print the page's URL, open no browser.")
+]
+
+
+def register(app: cyclopts.App) -> None:
+    """Add watch to the `daq` application."""
+    app.command(watch)
+
+
+def watch(
+    journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal of a running recording.")],
+    /,
+    *,
+    wait: Annotated[float, cyclopts.Parameter(help="Seconds to wait for the journal to appear.")] = 0.0,
+    no_browser: NoBrowser = False,
+    json: Json = False,
+) -> Answer:
+    """Show a recording in the browser while it runs; the URL is the first line of the output.
+
+    The page is served on this computer alone, under a random address.  It only reads the journal: closing it, or
+    stopping this command by Ctrl-C, does not touch the recording.  The command ends with the recording.
+
+    Example: daq watch run.h5.part
+    """
+    from daq.live import assets
+
+    assets.check_installed()
+    if journal.suffix != ".part":
+        raise InputError("is not a journal", str(journal), "give the RUN.h5.part of a recording that is running")
+    _wait_for(journal, wait)
+    with contextlib.suppress(AttributeError, OSError):  # no such call on Windows
+        os.nice(NICE)
+    from daq.live.server import serve
+
+    pages: list[str] = []
+
+    def show(url: str) -> None:
+        pages.append(url)
+        if not json:
+            sys.stdout.write(url + "\n")
+            sys.stdout.flush()
+        if not no_browser:
+            open_browser(url)
+
+    ended = serve(journal, show)
+    return Answer({"url": pages[0], "ended": ended})
+
+
+def _wait_for(journal: Path, wait: float) -> None:
+    until = time.monotonic() + wait
+    while wait and not journal.exists() and time.monotonic() < until:
+        time.sleep(LOOK_EVERY_S)
+
+
+def open_browser(url: str) -> None:
+    """Open the user's browser on a page; what it prints goes nowhere."""
+    line = [sys.executable, "-m", "webbrowser", "-t", url]
+    with contextlib.suppress(OSError):
+        subprocess.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+@contextmanager
+def viewer(journal: Path, no_browser: bool) -> Iterator[None]:
+    """Run `daq watch` of a recording that is about to begin, in a process and a session of its own.
+
+    The URL of its page goes to stderr.  Nothing that happens to the viewer reaches the recording, and it ends by itself
+    soon after the recording has ended.
+    """
+    line = [sys.executable, "-m", "daq.cli.app", "watch", str(journal), "--wait", str(APPEARS_S), "--no-browser"]
+    nowhere = subprocess.DEVNULL
+    try:
+        process = subprocess.Popen(
+            line, stdin=nowhere, stdout=subprocess.PIPE, stderr=nowhere, start_new_session=True, text=True
+        )
+    except OSError as error:
+        application.note(f"the live view could not be started: {error.strerror}")
+        yield
+        return
+    threading.Thread(target=_announce, args=(process, no_browser), daemon=True).start()
+    try:
+        yield
+    except BaseException:
+        if not journal.exists():
+            process.terminate()  # it still waits for a recording that has not begun
+        raise
+
+
+def _announce(process: subprocess.Popen[str], no_browser: bool) -> None:
+    """Tell the person the URL of the page as soon as the viewer serves it."""
+    if process.stdout is None:
+        return
+    url = process.stdout.readline().strip()
+    if url.startswith("http"):
+        application.note(url)
+        if not no_browser:
+            open_browser(url)
+    elif process.wait() > 0:
+        application.note("the live view could not be started; 'daq watch' on the journal says why")

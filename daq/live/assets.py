@@ -1,0 +1,39 @@
+"""The files of the page: our own, and uPlot's, which an installed package (`uplot-python`) carries.
+
+That package is found but not imported: its own modules need IPython.
+"""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from daq.errors import InputError
+
+PAGE = Path(__file__).parent / "page"
+KINDS = {
+    "index.html": "text/html",
+    "live.css": "text/css",
+    "live.js": "text/javascript",
+    "uPlot.iife.js": "text/javascript",
+    "uPlot.min.css": "text/css",
+}
+
+
+def check_installed() -> None:
+    """Raise InputError when a package of the live view is missing."""
+    missing = [name for name in ("starlette", "uvicorn", "uplot") if find_spec(name) is None]
+    if missing:
+        what = f"the live view needs packages that are not installed: {', '.join(missing)}"
+        raise InputError(what, "command line", "install them with: pip install 'stickslip[live]'")
+
+
+def content(name: str) -> bytes:
+    """Return a file of the page, one of `KINDS`."""
+    own = PAGE / name
+    return own.read_bytes() if own.exists() else (_uplot() / name).read_bytes()
+
+
+def _uplot() -> Path:
+    spec = find_spec("uplot")
+    if spec is None or not spec.submodule_search_locations:
+        raise FileNotFoundError("uplot-python is not installed")
+    return Path(spec.submodule_search_locations[0]) / "static"

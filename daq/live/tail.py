@@ -1,0 +1,250 @@
+"""Follow a journal that is being written: the samples that came since the last look, decoded as the finaliser does.
+
+A chunk of bytes is decoded together with the last lines before it, so that its first samples have neighbours.  Of
+each chunk only the samples after the last one known are handed on; counts and times continue from there.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq import protocols
+from daq.compute.arrays import Array
+from daq.errors import InputError
+from daq.finalise import timeline
+from daq.finalise.integrity import CheckedCounts, check
+from daq.finalise.run import calibration
+from daq.runfile import journal, journal_records
+from daq.runfile.journal import Record
+from daq.runfile.recording import positions
+from daq.runfile.rig import Rig
+from daq.wire import counters, decode, frames
+
+# Lines decoded again with the next chunk.  A text line needs neighbours on both sides for its time to be judged; half
+# leaves few where several are damaged in a row, double costs 0.1 ms more a chunk.
+OVERLAP_LINES = 12
+MOST_BYTES = 1 << 22  # of a journal read at once: a viewer that starts late catches up in steps
+
+
+@dataclass(frozen=True)
+class NewSamples:
+    """Samples since the last look, k of them, in order.
+
+    Attributes
+    ----------
+    time, position : (k,) float64
+        s since the first sample of the recording, and m (counts without a calibration).
+    fresh : (k,) bool
+        True for the first sample of a segment: nothing connects it with the one before.
+    """
+
+    time: Array
+    position: Array
+    fresh: np.typing.NDArray[np.bool_]
+
+
+@dataclass
+class JournalTotals:
+    """What was counted so far; ``crc_errors`` are damaged frames or lines."""
+
+    samples: int = 0
+    lost: int = 0
+    crc_errors: int = 0
+    illegal: int = 0
+    phase_errors: int = 0
+    segments: int = 0
+
+
+@dataclass(frozen=True)
+class _Last:
+    """The last sample known."""
+
+    ticks: int
+    time: float
+    count: int
+    index: int
+
+
+class JournalTail:
+    """The samples of a journal, as they come.
+
+    Parameters
+    ----------
+    path : Path
+        The journal; it is only read.
+
+    Attributes
+    ----------
+    header : dict
+        How the recording was started.
+    rig : Rig
+        Its calibration, once the board has sent it.
+    counts : JournalTotals
+        Totals so far.
+    ended : str
+        How the recording ended, "" while it goes on (`daq.runfile.journal`).
+
+    Raises
+    ------
+    InputError
+        The file is missing, or no journal.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            with path.open("rb") as file:
+                beginning = file.read(2 * journal.HEADER_EVERY)
+        except OSError as error:
+            do = "give the RUN.h5.part of a recording that is running"
+            raise InputError(f"no such journal ({error.strerror})", str(path), do) from error
+        found = journal_records.header(beginning, list(journal_records.scan(beginning)))
+        if journal_records.wrong_in_magic(beginning) is None or found is None:
+            raise InputError("is not a journal of daq", str(path), "give the RUN.h5.part that a recording writes")
+        self.header: dict[str, Any] = json.loads(found.data)
+        self.rig = Rig()
+        self.counts = JournalTotals()
+        self.ended = ""
+        self._backend = protocols.load(self.header["protocol"], str(path))
+        self._rate_hz = float(self.header["rate_hz"])
+        self._at = len(journal.MAGIC)
+        self._reads: list[tuple[int, bytes]] = []
+        self._configuration: list[Record] = []
+        self._ident: frames.Ident | None = None
+        self._last: _Last | None = None
+        self._first_stamp: int | None = None
+        self._trailing_damage = 0
+        self._calibrated = False
+
+    @property
+    def unit(self) -> str:
+        """Of positions: "m", or "count" without a calibration."""
+        return "count" if self.rig.metres_per_count is None else "m"
+
+    def poll(self) -> list[NewSamples]:
+        """Return what came since the last call, in order; an empty list when nothing did.
+
+        Raises
+        ------
+        FileNotFoundError
+            The journal is gone: its run file is in place, or its folder was removed.
+        """
+        with self.path.open("rb") as file:
+            file.seek(self._at)
+            content = journal.MAGIC + file.read(MOST_BYTES)
+        made: list[NewSamples] = []
+        new: list[tuple[int, bytes]] = []
+        end = len(journal.MAGIC)
+        for place in journal_records.scan(content):
+            record = place.record
+            end = place.at + record.size
+            if record.kind == journal.RECEIVED:
+                new.append((record.stamp_ns, record.data))
+            elif record.kind == journal.REOPENED:
+                made += self._decoded(new)
+                new, self._reads, self._last, self._trailing_damage = [], [], None, 0
+            elif record.kind == journal.CONFIGURATION:
+                self._configuration.append(record)
+            elif record.kind == journal.END:
+                self.ended = json.loads(record.data)["reason"]
+        self._at += end - len(journal.MAGIC)
+        return made + self._decoded(new)
+
+    def _decoded(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
+        if not new:
+            return []
+        self._reads += new
+        stream = self._backend.decode(self._reads, self.header)
+        if self._ident is None or stream.ident is not None:
+            self._ident = stream.ident or self._ident
+        self._calibrate(stream)
+        self._reads = _last_lines(self._reads, self._backend.DELIMITER)
+        if not len(stream.n):
+            return []
+        tick_ns = self._ident.tick_ns if self._ident else 1000
+        samples, _ = timeline.assemble([stream], self._rate_hz, tick_ns)
+        checked = check(
+            samples, self._ident, self.rig, self._rate_hz, starts_at_phase=self.header["protocol"] == "frames"
+        )
+        known = self._known(samples)
+        own = slice(known + 1, None)
+        self._count(stream, samples, checked, known)
+        if known == len(samples) - 1:
+            return []
+        count, fresh = self._unwrapped(samples)
+        time = samples.time.copy()
+        if known >= 0 and self._last is not None:
+            count[samples.part == samples.part[known]] += self._last.count - count[known]
+            time += self._last.time - time[known]
+        else:
+            if self._first_stamp is None:
+                self._first_stamp = int(samples.stamp_ns[0])
+            time += (int(samples.stamp_ns[0]) - self._first_stamp) / 1e9
+        ticks, index = (int(column[-1]) for column in (samples.ticks, samples.index))
+        self._last = _Last(ticks, float(time[-1]), int(count[-1]), index)
+        return [NewSamples(time[own], positions(count[own], self.rig), fresh[own])]
+
+    def _unwrapped(self, samples: timeline.Samples) -> tuple[np.typing.NDArray[np.int64], np.typing.NDArray[np.bool_]]:
+        """Return the unwrapped counts, (n,), and which samples begin a part.
+
+        The finaliser also begins a segment after a gap in which the counters may have rolled over, which it judges by
+        the fastest motion of the whole run.
+        """
+        count = np.empty(len(samples), np.int64)
+        fresh = np.zeros(len(samples), np.bool_)
+        for _, here in timeline.parts_of(samples):
+            count[here] = counters.net_count(samples.up[here], samples.down[here], self.rig.counter_bits)
+            fresh[here.start] = True
+        return count, fresh
+
+    def _known(self, samples: timeline.Samples) -> int:
+        """Return the place of the last known sample, -1 where it is not there: it is found by its device time."""
+        if self._last is None:
+            return -1
+        after = (samples.ticks - self._last.ticks + (1 << 31) & 0xFFFFFFFF) - (1 << 31)
+        found = np.flatnonzero(after == 0)
+        if not found.size:  # another time was interpolated for it
+            found = np.flatnonzero((after < 0) & (samples.part == 0))
+        return int(found[-1]) if found.size else -1
+
+    def _count(self, stream: decode.Stream, samples: timeline.Samples, checked: CheckedCounts, known: int) -> None:
+        """Add what is new in a chunk to the totals."""
+        own = slice(known + 1, None)
+        damaged = int(np.count_nonzero(stream.crc_frame > (samples.frame[known] if known >= 0 else -1)))
+        self.counts.crc_errors += max(0, damaged - self._trailing_damage)
+        self._trailing_damage = int(np.count_nonzero(stream.crc_frame >= len(stream.n)))
+        starts = np.flatnonzero(np.diff(samples.part, prepend=-1))
+        lost = checked.lost.copy()
+        if known < 0 and self._last is not None:
+            lost[0] = (samples.index[0] - self._last.index & 0xFFFF) - 1
+        rise = np.zeros(len(samples), np.int64)
+        if self._ident is not None and frames.Capability.ILLEGAL in self._ident.capabilities:
+            rise[1:] = counters.increments(samples.illegal, 16)
+            rise[starts] = 0
+        self.counts.samples += len(samples) - known - 1
+        self.counts.segments += int(np.count_nonzero(starts > known))
+        self.counts.lost += int(lost[own].sum())
+        self.counts.illegal += int(rise[own].sum())
+        self.counts.phase_errors += int(np.count_nonzero(checked.flags[own] & counters.FLAG_PHASE))
+
+    def _calibrate(self, stream: decode.Stream) -> None:
+        """Read the calibration once: what was given at the start, else what the board sent."""
+        if not self._calibrated and (self._configuration or stream.configs):
+            _, self.rig, _ = calibration(self._configuration, [stream], self._ident)
+            self._calibrated = True
+        elif not self._calibrated and self._ident is not None:
+            self.rig = replace(self.rig, decoder=self._ident.decoder, counter_bits=self._ident.counter_bits)
+
+
+def _last_lines(reads: list[tuple[int, bytes]], delimiter: bytes) -> list[tuple[int, bytes]]:
+    """Return the reads from the last whole lines on: what is decoded again with the next chunk."""
+    content = b"".join(data for _, data in reads)
+    at = len(content)
+    for _ in range(OVERLAP_LINES + 1):
+        at = content.rfind(delimiter, 0, at)
+        if at < 0:
+            return reads
+    return [(reads[-1][0], content[at + len(delimiter) :])]

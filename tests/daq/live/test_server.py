@@ -1,0 +1,165 @@
+"""The live view's server: a process of its own that only reads, answers its own page alone, and ends by itself."""
+
+import http.client
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from daq.live import assets
+from daq.runfile import journal, store
+
+pytest.importorskip("starlette", reason="the extra live is not installed")
+
+
+class Viewer:
+    """`daq watch` on a journal that the test lets grow."""
+
+    def __init__(self, part: Path, content: bytes) -> None:
+        self.part, self._content = part, content
+        part.write_bytes(content[:4096])
+        line = [sys.executable, "-m", "daq.cli.app", "watch", str(part), "--no-browser"]
+        self.process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.url = self.process.stdout.readline().strip()
+        self.address = urlsplit(self.url)
+
+    def grow(self, until: float = 1.0) -> None:
+        """Write the journal up to a share of it."""
+        with self.part.open("ab") as file:
+            file.write(self._content[self.part.stat().st_size : round(until * len(self._content))])
+
+    def ask(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, bytes]:
+        link = http.client.HTTPConnection("127.0.0.1", self.address.port, timeout=10)
+        named = {name.replace("_", "-"): value for name, value in headers.items()}
+        link.request(method, path, body, named)
+        answer = link.getresponse()
+        found = answer.status, answer.read()
+        link.close()
+        return found
+
+    def events(self, after: int, most: int) -> list[tuple[int, dict]]:
+        """Return numbered events after a number, until the recording ends or ``most`` came."""
+        link = http.client.HTTPConnection("127.0.0.1", self.address.port, timeout=20)
+        link.request("GET", f"{self.address.path}events", headers={"Last-Event-ID": str(after)})
+        found: list[tuple[int, dict]] = []
+        number = 0
+        answer = link.getresponse()
+        for line in answer:
+            name, _, value = line.decode().strip().partition(": ")
+            if name == "id":
+                number = int(value)
+            elif name == "data" and number > after:
+                found.append((number, json.loads(value)))
+                if "ended" in found[-1][1] or len(found) == most:
+                    break
+        answer.close()
+        link.close()
+        return found
+
+
+@pytest.fixture
+def viewer(keep_journal: Callable[..., Path]) -> Iterator[Viewer]:
+    part = keep_journal()
+    made = Viewer(part.with_name("live.h5.part"), part.read_bytes())
+    yield made
+    made.process.kill()
+    made.process.communicate()
+
+
+def test_the_page_is_served_to_its_own_computer_and_address_alone(viewer: Viewer) -> None:
+    path, own = viewer.address.path, viewer.address.netloc
+    assert viewer.address.hostname == "127.0.0.1"
+    assert len(path.strip("/")) >= 22
+    served = {name: viewer.ask("GET", path + name) for name in ("", *assets.KINDS)}
+    assert {status for status, _ in served.values()} == {200}
+    assert sum(len(content) for name, (_, content) in served.items() if name) <= 150_000
+    refused = {
+        "/": viewer.ask("GET", "/"),
+        "wrong token": viewer.ask("GET", "/" + "x" * 24 + "/"),
+        "no such file": viewer.ask("GET", path + "secret"),
+        "outside": viewer.ask("GET", path + "../../../etc/passwd"),
+        "escaped": viewer.ask("GET", path + "..%2f..%2fserver.py"),
+    }
+    assert {name: status for name, (status, _) in refused.items()} == dict.fromkeys(refused, 404)
+    assert viewer.ask("GET", path, Host="example.org")[0] == 421
+    assert viewer.ask("GET", path, Host=f"127.0.0.1.example.org:{viewer.address.port}")[0] == 421
+    assert viewer.ask("GET", path, Host=own, Origin="http://example.org")[0] == 403
+    assert viewer.ask("GET", path, Host=own, Origin=f"http://{own}")[0] == 200
+
+
+def test_a_page_that_connects_again_misses_nothing_and_all_ends_with_the_recording(viewer: Viewer) -> None:
+    viewer.grow(0.4)
+    before = viewer.events(0, 1)
+    viewer.grow(0.7)
+    later: list[tuple[int, dict]] = []
+    reader = threading.Thread(target=lambda: later.extend(viewer.events(before[-1][0], 10_000)))
+    reader.start()
+    assert viewer.ask("POST", viewer.address.path + "marker", b" a\nhand ", Content_Type="text/plain") == (
+        200,
+        b"stored",
+    )
+    viewer.grow()
+    reader.join(20)
+    output, errors = viewer.process.communicate(timeout=20)
+    assert (viewer.process.returncode, output, errors) == (0, "", "")
+    numbers = [number for number, _ in before + later]
+    assert numbers == list(range(1, len(numbers) + 1))
+    sent = [data for _, data in before + later]
+    assert sent[-1]["ended"] == "the recording has ended: complete"
+    assert [data["marker"]["text"] for data in sent if "marker" in data] == ["a hand"]
+    x = np.concatenate([data["x"] for data in sent if "x" in data])
+    run = store.load(viewer.part.with_name("run.h5"))
+    parabola = run.position[10:-10]  # a parabola's middle is within the noise of the positions it is fitted to
+    np.testing.assert_allclose(x[: parabola.size], parabola, rtol=0, atol=3e-5)
+    assert x.size >= parabola.size
+    assert sent[-2]["counts"]["samples"] >= run.time.size
+    assert [text for _, text in journal.read_markers(journal.markers_path(viewer.part))] == ["a hand"]
+
+
+def test_markers_that_cannot_be_kept_are_refused(viewer: Viewer) -> None:
+    path = viewer.address.path + "marker"
+    assert viewer.ask("POST", path, b"x", Content_Type="application/x-www-form-urlencoded")[0] == 415
+    assert viewer.ask("POST", path, b"x" * 2000, Content_Type="text/plain")[0] == 413
+    assert viewer.ask("GET", path)[0] in (404, 405)
+    assert not journal.markers_path(viewer.part).exists()
+
+
+def test_a_viewer_of_no_recording_says_so(tmp_path: Path) -> None:
+    for name, what in (("run.h5.part", "no such journal"), ("run.h5", "is not a journal")):
+        line = [sys.executable, "-m", "daq.cli.app", "watch", str(tmp_path / name), "--no-browser"]
+        done = subprocess.run(line, capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert what in done.stderr
+
+
+@pytest.mark.slow  # it records in real time
+def test_a_viewer_that_is_killed_leaves_the_recording_alone(tmp_path: Path) -> None:
+    line = [sys.executable, "-m", "daq.cli.app", "record", "--live", "--no-browser", "--duration", "6", "--json"]
+    with subprocess.Popen(line, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        lines = iter(process.stderr.readline, "")
+        url = urlsplit(next(text.strip() for text in lines if text.startswith("http")))
+        subprocess.run(["pkill", "-KILL", "-f", "watch run.h5.part"], check=True)
+        assert url.port is not None
+        while is_listening(url.port):  # as long as the kill takes
+            time.sleep(0.01)
+        output, _ = process.communicate(timeout=60)
+    found = json.loads(output)
+    assert (process.returncode, found["samples"], found["lost"], found["ended"]) == (0, 6000, 0, "complete")
+
+
+def is_listening(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port), timeout=5).close()
+    except ConnectionRefusedError:
+        return False
+    return True

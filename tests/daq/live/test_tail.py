@@ -1,0 +1,140 @@
+"""The tail of a journal gives, piece by piece, the samples that the finaliser puts into the run file."""
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from daq.finalise.run import run_data
+from daq.live.tail import JournalTail
+from daq.runfile import journal, journal_records
+from daq.runfile.recording import Recording
+
+RATE_HZ = 1000
+
+
+def followed(part: Path, step: int) -> tuple[JournalTail, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the tail of a journal that grows by ``step`` bytes between two looks, and its samples joined."""
+    content = part.read_bytes()
+    growing = part.with_name("growing.h5.part")
+    growing.write_bytes(content[:4096])
+    tail = JournalTail(growing)
+    new = tail.poll()
+    for at in range(4096, len(content), step):
+        with growing.open("ab") as file:
+            file.write(content[at : at + step])
+        new += tail.poll()
+    columns = (np.concatenate([getattr(piece, name) for piece in new]) for name in ("time", "position", "fresh"))
+    return tail, *columns
+
+
+def finalised(part: Path) -> tuple[Recording, dict[str, int]]:
+    run, found = run_data(journal.read(part))
+    names = {"samples", "lost", "crc_errors", "illegal", "phase_errors", "segments"}
+    return run, {name: value for name, value in found.as_json().items() if name in names}
+
+
+def damaged(part: Path, share: float) -> None:
+    """Flip one bit in this share of the bytes that the board sent; the journal's own records stay whole."""
+    draw = random.Random(5)
+    made = bytearray(journal.MAGIC)
+    for place in journal_records.scan(part.read_bytes()):
+        data = bytearray(place.record.data)
+        if place.record.kind == journal.RECEIVED:
+            for at in range(200 if len(data) > 400 else len(data), len(data)):
+                if draw.random() < share:
+                    data[at] ^= 1 << draw.randrange(8)
+        for piece in journal_records.packed(place.record.kind, place.record.stamp_ns, bytes(data)):
+            made += piece
+    part.write_bytes(made)
+
+
+@pytest.mark.parametrize("step", [97, 1500, 1 << 20])
+@pytest.mark.parametrize("share", [0.0, 0.002])
+def test_the_samples_and_totals_are_those_of_the_run_file(
+    keep_journal: Callable[..., Path], step: int, share: float
+) -> None:
+    part = keep_journal("scatter.Fs=0.1")
+    damaged(part, share)
+    run, totals = finalised(part)
+    assert (totals["crc_errors"] > 3) == (share > 0)
+    tail, time, position, fresh = followed(part, step)
+    n = run.time.size
+    np.testing.assert_array_equal(position[:n], run.position)
+    np.testing.assert_allclose(time[:n], run.time, rtol=0, atol=1e-9)
+    assert np.flatnonzero(fresh).tolist() == [0]
+    assert tail.ended == journal.COMPLETE
+    if len(position) == n:  # the board sends on until it is stopped; the finaliser leaves those samples out
+        assert vars(tail.counts) == totals
+
+
+def test_gaps_are_counted(keep_journal: Callable[..., Path]) -> None:
+    part = keep_journal("gaps.rate=2", "gaps.duration=0.05")
+    _, totals = finalised(part)
+    assert totals["lost"] > 50
+    tail, *_ = followed(part, 700)
+    assert tail.counts.lost >= totals["lost"]
+    assert tail.counts.samples + tail.counts.lost >= 4000
+
+
+def text_journal(part: Path, *, reopen_at: int | None = None, n: int = 3000) -> None:
+    """Write the journal of a sketch that prints time and count; its port is lost once, and its clock starts again."""
+    header = {
+        "protocol": "text",
+        "columns": "t_us,count",
+        "decoder": None,
+        "port": "/dev/ttyACM0",
+        "baud": 115200,
+        "rate_hz": RATE_HZ,
+        "samples": None,
+        "title": "a sketch",
+        "operator": "",
+        "wall_ns": 1_700_000_000_000_000_000,
+        "monotonic_ns": 0,
+        "utc_offset_s": 0,
+        "warnings": [],
+        "provenance": {},
+    }
+    writer = journal.Writer(part, header)
+    began = 0
+    for k in range(0, n, 20):
+        if k == reopen_at:
+            writer.append(journal.LOST, k * 1_000_000, b"unplugged")
+            writer.append(journal.REOPENED, k * 1_000_000 + 500_000_000, b"/dev/ttyACM0")
+            began = k
+        late = 500_000_000 if began else 0
+        lines = [b"%d,%d\n" % (1000 * (i - began) + 7, round(4000 * np.sin(i / 200))) for i in range(k, k + 20)]
+        writer.append(journal.RECEIVED, (k + 20) * 1_000_000 + late, b"".join(lines))
+    writer.append(journal.END, n * 1_000_000, b'{"reason": "stopped"}')
+    writer.close()
+
+
+@pytest.mark.parametrize("reopen_at", [None, 1500])
+def test_text_lines_are_followed_across_a_lost_port(tmp_path: Path, reopen_at: int | None) -> None:
+    part = tmp_path / "text.h5.part"
+    text_journal(part, reopen_at=reopen_at)
+    run, totals = finalised(part)
+    tail, time, position, fresh = followed(part, 300)
+    np.testing.assert_array_equal(position, run.position)
+    assert tail.counts.samples == totals["samples"]
+    assert tail.counts.segments == totals["segments"] == int(fresh.sum())
+    assert np.all(np.diff(time) > 0)
+    np.testing.assert_allclose(time, run.time, rtol=0, atol=0.05)  # placed by the host's clock, late by one read
+
+
+def test_a_journal_that_is_gone_and_what_is_no_journal(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such journal"):
+        JournalTail(tmp_path / "run.h5.part")
+    other = tmp_path / "other.h5.part"
+    other.write_bytes(b"something else" * 100)
+    with pytest.raises(InputError, match="is not a journal"):
+        JournalTail(other)
+    part = tmp_path / "text.h5.part"
+    text_journal(part)
+    tail = JournalTail(part)
+    part.unlink()
+    with pytest.raises(FileNotFoundError):
+        tail.poll()
