@@ -28,7 +28,8 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.compute.distributions import chi_square_quantile, normal_quantile
 from fitting.curve.result import FormFit
-from fitting.curve.spline_fit import SplineFit, project
+from fitting.curve.spline_fit import SplineFit
+from fitting.curve.starts import project
 from fitting.estimation.covariance import scaled_inverse
 from fitting.estimation.levenberg_marquardt import eigen
 from fitting.estimation.linearised import LinearisedFit

@@ -5,6 +5,7 @@ each cycle's own six.  Positions come from `fitting.sensitivity`, with their exa
 """
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,9 +13,8 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.curve.coordinates import CurveCoordinates
-from fitting.curve.weak_form import LOWEST_LEVEL, weak_form
+from fitting.curve.starts import BESIDE_BELT, CurveStart, own_start, weak_starts
 from fitting.estimation import levenberg_marquardt, trajectory
-from fitting.estimation.covariance import scaled_inverse
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem, Solution
 from fitting.estimation.linearised import LinearisedFit
@@ -26,15 +26,11 @@ from fitting.sensitivity import flow
 from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, follow, spline_curve, with_coefficients
 from fitting.sensitivity.spline import FrictionSpline
-from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
 
 PIECES, KNOT_POWER = 13, 1.6  # knots s_max u^1.6: denser at low speed, where friction falls; 22 pieces widen the band
 FASTEST = 0.998  # quantile of the slip speeds of a cycle at which the last knot lies
-LOW_SPEED = 0.06  # of the last knot: the weak form sees little below, and one start goes on straight from there
-STEEPEST_START = 0.3  # of the friction there, from one coefficient to the next
 START_SPEED_SD = 0.03  # of the belt's speed: how well smoothing knows the velocity where a slip window starts
-BESIDE_BELT = 0.9995  # of the belt's speed: a start that the law put beyond it begins at the smoothed motion again
 REACHED = 1.03  # times the noise: no other start can be much better
 # From one start on the thinned record: times the noise, most steps, the gain at which it stops, and the first damping.
 SEARCH = ((30.0, 8, 1e-2, 1e-4), (4.0, 8, 1e-2, 1e-6), (1.0, 15, 1e-3, 1e-6))
@@ -108,13 +104,6 @@ class SplineFit:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Start:
-    u: Array
-    coefficients: Array
-    local: Array
-
-
 def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     """Fit a spline on the contact (jump or ramp) of a law's fit; None where its flow cannot be followed.
 
@@ -129,38 +118,28 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     places = tuple(place for place in fit.active if place % PER_RUN not in (Global.LOG_F, Global.SHAPE))
     knots = _knots(fit)
     curve = spline_curve(FrictionSpline.over(knots), bool(law.ramp))
-    starts = _starts(fit, curve)
+    own = own_start(fit, curve)
     datums = np.array([place % PER_RUN == Global.DATUM for place in places])
     offset = np.where(datums, -fit.values.K / fit.runs, 0.0)
-    basis = CurveCoordinates.around(starts[-1].coefficients, offset, fit.u[list(places)])
+    basis = CurveCoordinates.around(own.coefficients, offset, fit.u[list(places)])
     thinned = trajectory.fitted_windows(problem, thinned=True)
-    ranked: list[tuple[float, LeastSquaresProblem, _Start, Array]] = []
-    for start in starts:
-        task = _task(fit, thinned, places, curve, basis, start, noise, SEARCH_STEP)
-        u = basis.unknowns(start.u[list(places)], start.coefficients)
-        found = task.evaluate(u, start.local, False)
-        if found is not None:
-            value = levenberg_marquardt.cost(_noisier(task, SEARCH[0][0]), u, start.local, found[0])
-            ranked.append((value, task, start, u))
-    lowest = min((row[0] for row in ranked), default=0.0)
-    best: tuple[float, LeastSquaresProblem, Solution] | None = None
-    for value, task, start, u in ranked:
-        if value > HOPELESS * lowest:
-            continue
-        solution = _descend(task, u, start.local)
-        if solution is None:
-            continue
-        if best is None or solution.cost < best[0]:
-            best = solution.cost, task, solution
-        if solution.outcome == "converged" and _usual_chi(task, solution) < REACHED:
-            break
+
+    def task_from(start: CurveStart) -> LeastSquaresProblem:
+        return _task(fit, thinned, places, curve, basis, start, noise, SEARCH_STEP)
+
+    best = None
+    if fit.geometric_mean_rms < REACHED * math.exp(float(np.mean(np.log(noise[fit.windows.run])))):
+        # the law leaves nothing but noise: its own curve is next to the minimum
+        best = _best_end([own], places, basis, task_from, SEARCH[-1:])
+    if best is None or not _reached(*best):
+        best = _best_end([*weak_starts(fit, curve), own], places, basis, task_from, SEARCH)
     if best is None:
         return None
-    _, task, solution = best
+    task, solution = best
     task = _reweighted(fit, task, solution)
     moved = levenberg_marquardt.minimise(task, solution.u, solution.local, **WEIGHTED)
     solution = solution if moved is None else moved
-    start = _Start(fit.u, starts[-1].coefficients, solution.local)
+    start = CurveStart(fit.u, own.coefficients, solution.local)
     full = _task(fit, fit.windows, places, curve, basis, start, noise, flow.LONGEST_STEP)
     full = replace(
         full,
@@ -180,10 +159,47 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     return SplineFit(fit, places, basis, path, full, last, jacobian[1], chi)
 
 
-def _descend(task: LeastSquaresProblem, u: Array, local: Array) -> Solution | None:
+def _best_end(
+    starts: Sequence[CurveStart],
+    places: tuple[int, ...],
+    basis: CurveCoordinates,
+    task_from: Callable[[CurveStart], LeastSquaresProblem],
+    search: Sequence[tuple[float, int, float, float]],
+) -> tuple[LeastSquaresProblem, Solution] | None:
+    """Return the first end of the search that reaches the noise, else the best; None where none can be followed."""
+    ranked: list[tuple[float, LeastSquaresProblem, CurveStart, Array]] = []
+    for start in starts:
+        task = task_from(start)
+        u = basis.unknowns(start.u[list(places)], start.coefficients)
+        found = task.evaluate(u, start.local, False)
+        if found is not None:
+            value = levenberg_marquardt.cost(_noisier(task, SEARCH[0][0]), u, start.local, found[0])
+            ranked.append((value, task, start, u))
+    lowest = min((row[0] for row in ranked), default=0.0)
+    best: tuple[LeastSquaresProblem, Solution] | None = None
+    for value, task, start, u in ranked:
+        if value > HOPELESS * lowest:
+            continue
+        solution = _descend(task, u, start.local, search)
+        if solution is None:
+            continue
+        if best is None or solution.cost < best[1].cost:
+            best = task, solution
+        if _reached(task, solution):
+            break
+    return best
+
+
+def _reached(task: LeastSquaresProblem, solution: Solution) -> bool:
+    return solution.outcome == "converged" and _usual_chi(task, solution) < REACHED
+
+
+def _descend(
+    task: LeastSquaresProblem, u: Array, local: Array, search: Sequence[tuple[float, int, float, float]]
+) -> Solution | None:
     """Minimise on the thinned record, at first as if the noise were larger: priors then hold what is far off."""
     solution: Solution | None = None
-    for factor, max_steps, tolerance, damping in SEARCH:
+    for factor, max_steps, tolerance, damping in search:
         own = _noisier(task, factor)
         solution = levenberg_marquardt.minimise(
             own, u, local, max_steps=max_steps, tolerance=tolerance, damping=damping
@@ -214,48 +230,6 @@ def _knots(fit: Fit) -> Array:
     return np.asarray(fastest * np.linspace(0.0, 1.0, PIECES + 1) ** KNOT_POWER)
 
 
-def _starts(fit: Fit, curve: Curve) -> list[_Start]:
-    """Return starts by the weak form, at first made straight at low speed, and the law's own curve, which is last."""
-    spline = curve.spline
-    if spline is None:
-        raise RuntimeError("no spline to start")
-    problem, law = fit.problem, LAWS[fit.law]
-    p = fit.values
-    s = np.linspace(0.0, spline.knots[-1], 20 * PIECES)
-    target = magnitude(law.curve_code, s, p.F, p.shape * p.F, p.shape)
-    smoothed = fit.windows.starting_values(problem.motions)
-    local = fit.local.copy()
-    belt = fit.u.reshape(-1, PER_RUN)[fit.windows.run, Global.V_DR]
-    if not law.ramp:
-        beyond = local[:, PerCycle.V_SLIP] > BESIDE_BELT * belt
-        local[beyond, : PerCycle.LEVEL] = smoothed[beyond, : PerCycle.LEVEL]
-    found = [_Start(fit.u, np.einsum("ik,k->i", project(spline, s), np.asarray(target)), local)]
-    seen = None if law.ramp else weak_form(problem, fit.u, spline)
-    if seen is None:
-        return found
-    K, coefficients, level = seen
-    if not (K > 0 and np.median(coefficients) > 0):
-        return found
-    u = fit.u.copy()
-    u[Global.K :: PER_RUN] = K
-    level = np.log(np.maximum(level, LOWEST_LEVEL))
-    own = smoothed.copy()
-    own[:, PerCycle.LEVEL], own[:, PerCycle.NEXT_LEVEL] = level, np.append(level[1:], 0.0)
-    straight = coefficients.copy()
-    low = max(3, int(np.sum(spline.knots < LOW_SPEED * spline.knots[-1])) + 1)
-    fall = np.clip(straight[low] - straight[low + 1], 0.0, STEEPEST_START * abs(straight[low]))
-    straight[:low] = straight[low] + np.arange(low, 0, -1) * fall
-    return [_Start(u, straight, own), _Start(u, coefficients, own), *found]
-
-
-def project(spline: FrictionSpline, s: Array) -> Array:
-    """Return the matrix (coefficients, k) from values at speeds s (k,) to the coefficients of the nearest spline."""
-    basis = spline.basis(s)
-    square = np.einsum("ki,kj->ij", basis, basis)
-    scale, inverse = scaled_inverse(square, np.diag(square))
-    return np.asarray(np.einsum("ij,kj->ik", inverse * scale[:, None] * scale, basis))
-
-
 def _path(
     fit: Fit,
     windows: ShootingWindows,
@@ -278,7 +252,7 @@ def _task(
     places: tuple[int, ...],
     curve: Curve,
     basis: CurveCoordinates,
-    start: _Start,
+    start: CurveStart,
     noise: Array,
     longest_step: float,
 ) -> LeastSquaresProblem:

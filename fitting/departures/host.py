@@ -6,7 +6,8 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.curve.coordinates import CurveCoordinates
-from fitting.curve.spline_fit import BESIDE_BELT, SplineFit
+from fitting.curve.spline_fit import SplineFit
+from fitting.curve.starts import BESIDE_BELT
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.trajectory import least_squares
