@@ -31,9 +31,8 @@ TRANSIENTS = (64, 128, 256, 512, 1024)
 SAME_ORBIT = 1e-5  # relative to the scale: how closely two starts on one periodic orbit agree
 NEIGHBOURS = 0.05  # of the extent: median distance from a point of an attractor that is not periodic to another start's
 DRAWN = 256  # passages that are drawn of an attractor that is not periodic
-GROWTH = (
-    1.5  # of the size over the last transient, above which a motion counts as growing: in proportion to time it is 2
-)
+# Of the size over the last transient, above which a motion counts as growing; one in proportion to time doubles.
+GROWTH = 1.5
 LARGE = 2.0  # of the scale: a motion that does not exceed it is not called growing; a mass in stick stays below 1
 GROWING = Outcome("growing", "the motion still grows after a long time: add damping, or move off the resonance")
 

@@ -80,7 +80,7 @@ class DrivenMass:
         self._section, self._drawn = SECTIONS[section], SECTIONS[draws]
         self._frame = fr = frame(self.flow)
         self.period = 2.0 * math.pi / abs(flow.omega)
-        size = (fr.B + abs(fr.u0)) / fr.k + fr.v / fr.omega0
+        size = (fr.B + abs(fr.u0)) / fr.k + fr.v / fr.omega0 or 1.0  # where nothing moves the mass any size does
         self.scale = np.array([size, fr.omega0 * size])
         self.unit = max(1, math.ceil(abs(flow.omega) / fr.omega0))
         longest_stick = 2.0 * (fr.B + abs(fr.u0)) / (fr.k * fr.v) if fr.v > 0.0 else 0.0

@@ -37,7 +37,9 @@ def exponent(system: System, events: int) -> Exponent:
     period = passages_per_period(found, system)
     if period is None:
         return mean_growth(found.growth)
-    if period_of(found.growth, SAME) == period:
+    with np.errstate(invalid="ignore"):  # minus infinity, where a deviation vanishes, repeats nothing
+        repeats = period_of(found.growth, SAME)
+    if repeats == period:
         return Exponent(float(np.mean(found.growth[-period:])), 0.0, period, period, "completed")
     # complex multipliers: the deviation turns, and its growth swings about the mean
     return Exponent(smooth_mean(found.growth), 0.0, len(found.growth), period, "completed")

@@ -205,6 +205,7 @@ def test_a_sweep_over_the_belt_draws_its_diagram(capsys, tmp_path):
         (thesis(v_belt=0.0), {"no passage"}),
         (thesis(gamma=1e4), {"completed"}),
         (thesis(Fs=0.0), {"no passage"}),
+        (thesis(u0=0.0, Fs=0.0, v_belt=0.0), {"no passage"}),  # nothing moves the mass: its scale used to be 0
         (thesis(0.0005), {"step limit"}),
         (thesis(ramp=1, d=1e-12), {"completed"}),
         (thesis(c=50.0), {"no passage"}),
