@@ -183,7 +183,7 @@ def test_break_away_lies_where_spring_and_drive_balance_the_level(capsys):
 
 @pytest.mark.slow
 def test_processes_change_no_bit_of_a_sweep(capsys):
-    words = ["sweep", "forced", "--over", "drive.u0=0:0.4:24", "--section", "slip"]
+    words = ["sweep", "forced", "--over", "drive.u0=0:0.4:16", "--section", "slip"]
     assert answer(capsys, *words) == answer(capsys, *words, "--jobs", "2")
 
 
