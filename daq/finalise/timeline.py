@@ -21,6 +21,7 @@ from daq.wire import frames as wire
 # Seconds on either side of a gap in which the least delay is searched.  Half finds fewer undelayed reads; double lets
 # the drift of the clocks (100 ppm) add 0.2 ms more to the placement.  Not swept.
 PLACE_S = 2.0
+COUNTER_BITS, TICK_NS = 16, 1000  # of the project's firmware, where a journal's identification cannot be true
 # A board's clock that moved on across a jump as the host's did, to within so much, has not been reset.  Half refuses it
 # on a busy computer; double believes a clock that was reset to within as much more.  Not swept.
 SAME_CLOCK_S = 0.1
@@ -245,5 +246,11 @@ def _joined_truth(truths: list[TruthRows]) -> TruthRows:
 
 
 def first_ident(streams: list[decode.Stream]) -> wire.Ident | None:
-    """Return the board's first identification."""
-    return next((connection.ident for connection in streams if connection.ident is not None), None)
+    """Return the board's first identification; one that cannot be true with the firmware's own counters and tick.
+
+    A recorder refuses such a board; a journal that holds one is read all the same.
+    """
+    ident = next((connection.ident for connection in streams if connection.ident is not None), None)
+    if ident is not None and ident.implausible:
+        return replace(ident, counter_bits=COUNTER_BITS, tick_ns=TICK_NS)
+    return ident

@@ -1,13 +1,20 @@
 """An output file: refused where one stands, written beside its place, and put there whole."""
 
+import contextlib
+import glob
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from daq.errors import InputError
 from daq.output import disk
+
+# A temporary file that was not written to for so long belongs to no running command: a file of an hour at 5 kHz is
+# written in 30 s.  Half is still ten times that; double keeps a dead file twice as long.
+ABANDONED_S = 600.0
 
 
 def refuse_existing(
@@ -52,16 +59,30 @@ def refuse_existing(
 def replacing(target: Path, force: bool) -> Iterator[Path]:
     """Yield a temporary file beside ``target``; when the block succeeds it is synced and takes the target's name.
 
+    Where ``target`` is a symbolic link, the file that it leads to is replaced.  Temporary files that a killed command
+    left for this target are removed.
+
     Raises
     ------
     RefusedError
         The disk refuses (`daq.output.disk`); nothing is left behind, and what stood there before still does.
     """
     with disk.writing(target):
+        target = Path(os.path.realpath(target)) if target.is_symlink() else target
+        _remove_abandoned(target)
         handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=target.absolute().parent)
         os.close(handle)
         with _taking_its_place(Path(name), target, force) as temporary:
             yield temporary
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove the temporary files of commands that were killed while they wrote this target."""
+    old = time.time() - ABANDONED_S
+    for left in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
+        with contextlib.suppress(OSError):  # another command may remove it at the same time
+            if left.lstat().st_mtime < old:
+                left.unlink()
 
 
 @contextmanager

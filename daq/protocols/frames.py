@@ -122,6 +122,9 @@ class Frames(Session):
                 if isinstance(frame, frames.Notice):
                     raise DeviceError(f"the board refuses: {frame.text}", self.url, "ask for what it can do")
                 if isinstance(frame, frames.Ident):
+                    if frame.implausible:
+                        what = f"the board's identification cannot be true: {frame.implausible}"
+                        raise DeviceError(what, self.url, "correct its firmware (docs/wire.md), or check the cable")
                     ident = frame
                     self._begin_with(ident)
                 if isinstance(frame, frames.Config) and ident is not None:

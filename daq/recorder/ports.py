@@ -18,6 +18,9 @@ from daq.errors import DeviceError, InputError
 from daq.protocols.session import Port
 
 SIMULATED_RIG = "rig://rig"
+# The schemes that are opened.  pyserial knows more: spy:// writes to a file that the URL names, and the URL may come
+# from somebody else's rig.toml.
+SCHEMES = ("rig", "socket", "rfc2217", "loop")
 REMOTE_LINE = "rfc2217://"
 BAUD = 115_200
 READ_TIMEOUT_S = 0.1
@@ -57,6 +60,10 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     """
     import serial
 
+    do = "give a device ('daq ports' lists them), rig://SCENE, socket://HOST:PORT, rfc2217://HOST:PORT or loop://"
+    scheme, address, _ = url.partition("://")
+    if address and scheme.lower() not in SCHEMES:
+        raise InputError(f"{scheme}:// is no kind of port", url, do)
     if "rig_sim" not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append("rig_sim")
     # Two readers of one device would each get a part of the bytes.
@@ -65,8 +72,7 @@ def open_port(url: str, baud: int = BAUD) -> Port:
         opened = partial(opened, write_timeout=WRITE_TIMEOUT_S)
     try:
         port = opened()
-    except ValueError as error:  # raised by pyserial for an unknown URL scheme or setting
-        do = "give a device ('daq ports' lists them), rig://SCENE, socket://HOST:PORT, rfc2217://HOST:PORT or loop://"
+    except (ValueError, LookupError) as error:  # raised by pyserial for an unknown setting in the URL
         raise InputError(f"cannot open such a port: {error}", url, do) from error
     except OSError as error:  # SerialException is a subclass
         raise DeviceError(*explain(url, error)) from error

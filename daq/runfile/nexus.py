@@ -208,6 +208,14 @@ def read_text(entry: h5py.Group, name: str, where: Path) -> str:
     return text(item[()])
 
 
+def read_text_or_whole(parent: h5py.Group, name: str, where: Path) -> str | int:
+    """Return a single text or whole number."""
+    item = read_dataset(parent, name, where)
+    if item.shape == () and item.dtype.kind in "iu":
+        return int(item[()])
+    return read_text(parent, name, where)
+
+
 def read_texts(entry: h5py.Group, name: str, where: Path) -> tuple[str, ...]:
     """Return a column of texts."""
     item = read_dataset(entry, name, where)

@@ -352,8 +352,8 @@ def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
         case "text[e]":
             return nexus.read_texts(entry, row.path, where)
         case "text or i8":
-            values = {name: item[()] for name, item in entry[parent(row)].items() if name != "sha256_raw"}
-            return {name: int(it) if isinstance(it, np.integer) else nexus.text(it) for name, it in values.items()}
+            group = nexus.read_group(entry, parent(row), where)
+            return {name: nexus.read_text_or_whole(group, name, where) for name in group if name != "sha256_raw"}
         case "enum[e]":
             codes = nexus.read_array(entry, row.path, np.uint8, where)
             return tuple(EVENT_NAMES.get(int(code), f"kind {code}") for code in codes)

@@ -21,7 +21,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.errors import InputError
 from daq.output import atomic, disk
-from daq.runfile import nexus, schema
+from daq.runfile import nexus, schema, trust
 from daq.runfile.recording import Raw, Recording, Truth
 from daq.runfile.rig import Rig
 
@@ -302,6 +302,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
             raise InputError(what, where, "install a newer stickslip")
         if found < schema.SCHEMA:
             raise InputError(what, where, "make it again: daq recover on its journal, or daq import on its CSV")
+        with _damage(path):
+            trust.check(file, path)
         yield file
 
 

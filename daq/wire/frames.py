@@ -26,6 +26,8 @@ DELIMITER = b"\x00"
 CRC_SEED = 0xFFFF
 LONGEST_LINE = 16_384  # bytes between two delimiters; a longer run cannot be a frame
 SHORTEST_BODY = 4  # bytes: kind, version, CRC
+WIDEST_COUNTER = 32  # bits; frames carry 16, the text protocols 32
+LONGEST_TICK_NS = 1000
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")  # index = code on the wire
 
 IDENT, SAMPLES, CONFIG, TRUTH, NOTICE = b"ISCTX"  # the kinds, as byte values
@@ -61,7 +63,7 @@ class Ident:
     counter_bits : int
         Width of the counters, the belt's too.
     tick_ns : int
-        Unit of the device time, ns; at most 1000.
+        Unit of the device time, ns; at most `LONGEST_TICK_NS`.
     block_size : int
         Samples per SAMPLES frame as now set.
     max_rate_hz, max_edge_rate_hz : int
@@ -77,6 +79,17 @@ class Ident:
     max_rate_hz: int
     max_edge_rate_hz: int
     name: str
+
+    @property
+    def implausible(self) -> str:
+        """What of the identification cannot be true, in words; "" when all of it can."""
+        if not 2 <= self.counter_bits <= WIDEST_COUNTER:
+            return f"its counters have {self.counter_bits} bits"
+        if not 1 <= self.tick_ns <= LONGEST_TICK_NS:
+            return f"its clock's tick is {self.tick_ns} ns"
+        if self.block_size < 1 or self.max_rate_hz < 1:
+            return f"it sends {self.block_size} samples per frame at up to {self.max_rate_hz} Hz"
+        return ""
 
 
 class SampleBlock(NamedTuple):

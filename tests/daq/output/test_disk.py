@@ -1,8 +1,10 @@
 """A disk that is full: the file's name, exit code 3, nothing half-written, no crash, in whatever is written."""
 
 import io
+import os
 import signal
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -196,3 +198,26 @@ def test_machine_code_that_does_not_fit_costs_no_result(full, tmp_path, capsys):
     with full(100):
         assert quick(21.0) == 42.0
         assert f"machine code is not kept: {tmp_path}: File too large" in capsys.readouterr().err
+
+
+def test_a_symbolic_link_stays_and_the_file_behind_it_is_replaced(tmp_path):
+    real, link = tmp_path / "real.txt", tmp_path / "link.txt"
+    real.write_text("old")
+    link.symlink_to(real)
+    with atomic.replacing(link, force=True) as temporary:  # the link itself was replaced
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert real.read_text() == "new"
+
+
+def test_what_a_killed_command_left_is_removed_by_the_next(tmp_path):
+    target = tmp_path / "run[1].h5"
+    left, running, other = (tmp_path / f".{name}.abc.partial" for name in ("run[1].h5", "run[1].h5.x", "run1.h5"))
+    for path in (left, running, other):
+        path.write_text("half")
+    hour_ago = time.time() - 3600
+    for path in (left, other):
+        os.utime(path, (hour_ago, hour_ago))
+    with atomic.replacing(target, force=True) as temporary:
+        temporary.write_text("whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([target.name, running.name, other.name])

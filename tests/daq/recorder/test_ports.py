@@ -38,6 +38,20 @@ def test_an_unknown_kind_of_url_is_bad_input():
         ports.open_port("morse://7")
 
 
+def test_a_url_writes_to_no_file(tmp_path):
+    other = tmp_path / "thesis.txt"
+    other.write_text("three years of work")
+    for url in (f"spy:///dev/ttyNONE7?file={other}", f"SPY://loop://?file={other}", f"alt://x?class={other}"):
+        with pytest.raises(InputError, match="is no kind of port"):  # spy:// emptied the file
+            ports.open_port(url)
+    assert other.read_text() == "three years of work"
+
+
+def test_an_unknown_setting_in_a_url_is_bad_input():
+    with pytest.raises(InputError, match="cannot open such a port"):  # a KeyError was a traceback
+        ports.open_port("loop://?logging=x")
+
+
 def test_a_wrong_scene_reaches_the_user_as_its_own_error():
     with pytest.raises(InputError, match="friction"):
         ports.open_port("rig://rig?set=friction.lew%3D3")

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -21,7 +22,7 @@ from daq.protocols import session
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports, reader
 from daq.recorder.record import RecordingInterruptedError, record
-from daq.runfile import journal, store
+from daq.runfile import journal, journal_records, store
 from daq.wire import frames
 from daq.wire.frames import Capability
 from daq.wire.quadrature import levels_of
@@ -199,6 +200,35 @@ def test_a_board_without_the_decoder_is_no_board_for_this_run(tmp_path, attach):
     with pytest.raises(DeviceError, match="M jk: no such decoder"):
         record(request(tmp_path, decoder="jk"))
     assert board.closed
+
+
+@pytest.mark.parametrize(
+    ("wrong", "what"),
+    [({"counter_bits": 0}, "0 bits"), ({"counter_bits": 255}, "255 bits"), ({"tick_ns": 0}, "tick is 0 ns")],
+)
+def test_an_identification_that_cannot_be_true_is_refused_and_a_journal_with_one_is_read(tmp_path, attach, wrong, what):
+    sound = frames.Ident((1, 2, 3), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 8, 5000, 10**8, "fake")
+    board = FakeBoard(capabilities=sound.capabilities)
+    board.ident = lambda: frames.encode_ident(replace(sound, **wrong))
+    attach(board)
+    with pytest.raises(DeviceError, match=what):
+        record(request(tmp_path))
+    assert not list(tmp_path.iterdir())
+    # An earlier version recorded from such a board, and then recover ended in a traceback.
+    attach(FakeBoard(capabilities=sound.capabilities))
+    with pytest.raises(RecordingInterruptedError):
+        record(request(tmp_path), progress=interrupt)
+    part = tmp_path / "run.h5.part"
+    spoilt = bytearray(journal.MAGIC)
+    for place in journal_records.scan(part.read_bytes()):
+        kind, stamp, data = place.record.kind, place.record.stamp_ns, place.record.data
+        sent = data.replace(frames.encode_ident(sound), frames.encode_ident(replace(sound, **wrong)))
+        spoilt += b"".join(journal_records.packed(kind, stamp, sent))
+    assert bytes(spoilt) != part.read_bytes()
+    part.write_bytes(spoilt)
+    found = finalise.finalise(part, tmp_path / "run.h5", finished_by="daq recover")
+    assert found.samples > 0
+    assert found.illegal == found.lost == 0
 
 
 def test_the_last_block_is_cut_to_the_samples_asked_for(tmp_path, attach):
