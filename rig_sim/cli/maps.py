@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
+STEPS_PER_EVENT = 1000  # of lyapunov, whose slopes take four events more; the thesis's take 30 each
+MANY_EVENTS = 500  # interpreted some seconds; above, compiled code is faster with its compilation
 
 Plot = Annotated[Path | None, Parameter(help="Draw the result into this file (.png, .svg, .pdf).")]
 Force = Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")]
@@ -68,7 +70,8 @@ def map_(
     lines = []
     if d is not None:
         stretches, several = _numbers(d)
-        chains = [_chain(found, stretch, iterate) for stretch in stretches]
+        many = len(stretches) * iterate > MANY_EVENTS
+        chains = [_chain(found, stretch, iterate, compiled=many) for stretch in stretches]
         data = {
             "d": stretches,
             "f": [chain[-1].d for chain in chains],
@@ -336,7 +339,7 @@ def lyapunov(
     changes = parse_changes(set_)
     if read(scene, **changes).coupling is None:
         return forced.driven_lyapunov(scene, changes, events)
-    f = stick_map(scene, set_)
+    f = stick_map(scene, set_, events)
     start = stretch(read(scene, **changes))
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
@@ -348,8 +351,8 @@ def lyapunov(
     return Answer(data, f"{found.exponent:.8g} +- {found.stderr:.2g} per event ({orbit})")
 
 
-def stick_map(name: str, changes: list[str] | None) -> "StickMap":
-    """Return the map of a scene of two masses.
+def stick_map(name: str, changes: list[str] | None, events: int = 0) -> "StickMap":
+    """Return the map of a scene of two masses, with integrator steps for an analysis or, if more, for ``events``.
 
     Raises
     ------
@@ -358,10 +361,10 @@ def stick_map(name: str, changes: list[str] | None) -> "StickMap":
     """
     from rig_sim.scenes.scene import parse_changes, scene
 
-    return _checked(scene(name, **parse_changes(changes)).two_mass_flow(), name)
+    return _checked(scene(name, **parse_changes(changes)).two_mass_flow(), name, events)
 
 
-def _checked(flow: "TwoMassFlow", name: str) -> "StickMap":
+def _checked(flow: "TwoMassFlow", name: str, events: int = 0) -> "StickMap":
     """Return the map of two masses.
 
     Raises
@@ -369,19 +372,19 @@ def _checked(flow: "TwoMassFlow", name: str) -> "StickMap":
     InputError
         They are not physical, or their belt is at rest.
     """
-    from rig_sim.dynamics.maps.stick_map import StickMap
+    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL, StickMap
 
     try:
-        return StickMap(flow)
+        return StickMap(flow, steps=max(STEPS_IN_ALL, STEPS_PER_EVENT * events))
     except ValueError as error:
         raise InputError(str(error), f"scene {name}", "change that value with --set") from None
 
 
-def _chain(found: "StickMap", d: float, times: int) -> "list[StickEvent]":
+def _chain(found: "StickMap", d: float, times: int, *, compiled: bool) -> "list[StickEvent]":
     """Return the events that follow a global stick, up to ``times``."""
     chain: list[StickEvent] = []
     for _ in range(times):
-        chain.append(found.event(d))
+        chain.append(found.event(d, compiled=compiled))
         if chain[-1].outcome != "completed":
             break
         d = chain[-1].d

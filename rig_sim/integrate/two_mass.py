@@ -27,9 +27,9 @@ SERIES = ORDER + 2
 # first coefficients of W1 ... Y2 are the state
 W1, W2, Y1, Y2, F1, F2, Q1, Q2, LOAD = range(0, 9 * SERIES, SERIES)
 # Single numbers: the modes, the time, steps taken and allowed, events in a row without time passing, the unit of time
-# of the last step and, where the section's crossings are wanted, 1
-MODE1, MODE2, TIME, STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, SECTION = range(9 * SERIES, 9 * SERIES + 8)
-PAIR = 9 * SERIES + 8
+# of the last step, where the section's crossings are wanted 1, and steps that a caller may still take in all
+MODE1, MODE2, TIME, STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, SECTION, STEPS_LEFT = range(9 * SERIES, 9 * SERIES + 9)
+PAIR = 9 * SERIES + 9
 
 # Events besides the end of the time allowed: which mass, times the side its velocity or load leaves by
 FIRST, SECOND, CROSSING = 1, 2, 3  # CROSSING: the first mass's velocity over ground passes 0

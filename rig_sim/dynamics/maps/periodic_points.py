@@ -10,6 +10,7 @@ from rig_sim.dynamics.maps.interval_map import IntervalMap, slope
 # Places at which f^n(x) - x is compared with 0.  Two periodic points between neighbouring places are not seen: twice as
 # many halve the distance at which they are.
 PLACES = 2000
+FEW = 200  # places that decide whether the map is defined anywhere: a motion that never sticks takes the most steps
 SAME = 1e-9  # of the interval: roots closer than this are one point; also how well f^n(x) = x holds at a root
 
 
@@ -52,6 +53,8 @@ def periodic_points(
     if period < 1:
         raise ValueError(f"period is {period}; need 1 or more")
     lo, hi = within or (f.lo, f.hi)
+    if within is None and np.all(np.isnan(f(np.linspace(f.lo, f.hi, FEW)))):
+        return ()
     x = np.linspace(max(lo, f.lo), min(hi, f.hi), places)
     gain = f(x, period) - x
     found: list[PeriodicPoint] = []

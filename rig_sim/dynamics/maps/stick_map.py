@@ -13,16 +13,32 @@ from functools import cache
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.errors import InputError
 from rig_sim.flow.frame import Frame, frame
-from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STICK, Outcome
+from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
 from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
 from rig_sim.integrate.buffer import ORDER, Buffer
-from rig_sim.integrate.two_mass import MODE1, MODE2, STEPS, STEPS_ALLOWED, TIME, Y1, Y2, new_pair, pair_event, place
+from rig_sim.integrate.two_mass import (
+    MODE1,
+    MODE2,
+    STEPS,
+    STEPS_ALLOWED,
+    STEPS_LEFT,
+    TIME,
+    Y1,
+    Y2,
+    new_pair,
+    pair_event,
+    place,
+)
 
 # Steps allowed for one event: so many, and so many more for each unit of the fastest frequency, sqrt(1 + 2 a), up to a
 # limit.  The thesis's events take 20 to 60 steps, 0.3 us each; a motion that has not stuck after these does not count
 # as one that sticks.  Twice as many double the time that a sweep spends on motions that never stick.
 STEPS_OF_EVENT, STEPS_PER_FREQUENCY, MOST_STEPS = 2_000, 100.0, 200_000
+# Steps of all events together, 40 s.  A basin of the thesis takes 10^6; a coupling of 10^6 takes 50 000 for an
+# event, and without a limit its basins would take days.
+STEPS_IN_ALL = 100_000_000
 INTERPRETED_STEPS = 200  # of an event, about 0.3 s; a longer one starts again in compiled code
 WORD = 64  # letters of a word that are kept
 NO_STICK = 30
@@ -96,16 +112,24 @@ def events_from(
             if math.isnan(d):
                 outcome = NOT_FINITE
                 break
+            if work[STEPS_LEFT] <= 0.0:
+                outcome = STEP_LIMIT
+                break
             first = (fr.B - fr.c * fr.v) / fr.k + a * d
             second = (b * fr.B - fr.c * fr.v) / fr.k - (1.0 + a) * d
             y1 = min(first, second)
             outcome, d, duration, letters = next_stick(fr, a, b, y1, y1 + d, degree, tolerance, work, word)
+            work[STEPS_LEFT] -= work[STEPS]
             if outcome != 0:
                 break
         results[i] = d
         durations[i] = duration
         outcomes[i] = float(outcome)
     return letters
+
+
+class StepLimitError(InputError):
+    """The analysis of a map has taken more integrator steps than it may."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +164,8 @@ class StickMap:
         The masses.
     precision : tuple of int and float
         Degree and tolerance of the series: `EXACT`, `FINE` or `COARSE`.
+    steps : float, optional
+        Integrator steps over the life of the map, after which it raises `StepLimitError`; default `STEPS_IN_ALL`.
 
     Attributes
     ----------
@@ -152,7 +178,7 @@ class StickMap:
         The masses are not physical or not modelled; the belt is at rest.
     """
 
-    def __init__(self, flow: TwoMassFlow, precision: tuple[int, float] = EXACT) -> None:
+    def __init__(self, flow: TwoMassFlow, precision: tuple[int, float] = EXACT, *, steps: float | None = None) -> None:
         validate_two_masses(flow)
         if flow.mass.v_belt == 0.0:
             raise ValueError("the belt is at rest: no stick ends; need a belt speed")
@@ -161,6 +187,7 @@ class StickMap:
         self.lo = -self.hi
         self._frame = frame(flow.mass)
         self._precision = precision
+        self._steps = self._steps_left = STEPS_IN_ALL if steps is None else steps
 
     def __call__(self, x: Array, times: int = 1) -> Array:
         """Return f(x), or the ``times``-th iterate, shape (n,): NaN where x is outside or no global stick follows.
@@ -175,13 +202,13 @@ class StickMap:
         results: Array = self._follow(np.full(number, start), 1, compiled=True, chained=1)[0]
         return results
 
-    def event(self, d: float) -> StickEvent:
+    def event(self, d: float, *, compiled: bool = False) -> StickEvent:
         """Return the event that follows the global stick with stretch ``d`` (m); a long one uses compiled code."""
         if not abs(d) <= self.hi:
             advice = f"both masses can stick with abs(d) up to {self.hi:.6g}"
             return StickEvent(math.nan, "", math.nan, "outside", advice)
-        results, durations, outcomes, word = self._follow(np.array([d]), 1, compiled=False)
-        if outcomes[0] == NO_STICK:
+        results, durations, outcomes, word = self._follow(np.array([d]), 1, compiled=compiled)
+        if outcomes[0] == NO_STICK and not compiled:
             results, durations, outcomes, word = self._follow(np.array([d]), 1, compiled=True)
         outcome = ENDS[int(outcomes[0])]
         return StickEvent(float(results[0]), word, float(durations[0]), outcome.name, outcome.advice)
@@ -193,12 +220,17 @@ class StickMap:
         fr, (degree, tolerance) = self._frame, self._precision
         allowed = min(STEPS_OF_EVENT + int(STEPS_PER_FREQUENCY * math.sqrt(1.0 + 2.0 * self.flow.a)), MOST_STEPS)
         work = new_pair(allowed if compiled else INTERPRETED_STEPS, compiled=compiled)
+        work[STEPS_LEFT] = self._steps_left
         starts = np.where(np.abs(starts) <= self.hi, fr.mirror * starts, np.nan)
         word = np.zeros(WORD)
         results, durations, outcomes = np.zeros((3, len(starts)))
         kernel = compiled_events() if compiled else events_from
         a, b = self.flow.a, self.flow.b
         letters = kernel(fr, a, b, starts, times, chained, degree, tolerance, work, word, results, durations, outcomes)
+        self._steps_left = work[STEPS_LEFT]
+        if np.any(outcomes == STEP_LIMIT):
+            do = "take a smaller coupling.a, or fewer cells, values or events"
+            raise StepLimitError(f"step limit: more than {self._steps:.0e} integrator steps", "map of two masses", do)
         shown = "".join(str(int(letter)) for letter in word[: min(letters, WORD)]) + "..." * (letters > WORD)
         return fr.mirror * results, durations, outcomes, shown
 

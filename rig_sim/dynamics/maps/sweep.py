@@ -5,6 +5,7 @@ can be shared out over processes: of two masses from starts all over the interva
 Attractors of neighbouring values are then numbered alike where they lie closest.
 """
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,7 +15,8 @@ import numpy as np
 
 from rig_sim.dynamics.maps.basins import NOWHERE, basins
 from rig_sim.dynamics.maps.section import section_points
-from rig_sim.dynamics.maps.stick_map import StickMap
+from rig_sim.dynamics.maps.stick_map import StepLimitError, StickMap
+from rig_sim.flow.modes import OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow
 
 CELLS = 600  # of the cell mapping at each value; a basin narrower than a few cells may be missed: more cells find it
@@ -111,7 +113,10 @@ def attractors_at(flow_at: Callable[[float], TwoMassFlow], section: str, value: 
     """
     flow = flow_at(value)
     f = StickMap(flow)
-    found = basins(f, CELLS)
+    try:
+        found = basins(f, CELLS)
+    except StepLimitError:
+        return [AttractorAt(value, 0, (), None, math.nan, (math.nan, math.nan), outcome=OUTCOMES[STEP_LIMIT].name)]
     rows = []
     for attractor in found.attractors:
         points = attractor.points

@@ -12,6 +12,7 @@ from daq.errors import InputError
 from rig_sim.cli import app as cli
 from rig_sim.comparison.two_masses import next_stick
 from rig_sim.dynamics.fixed_point import two_mass_fixed_point
+from rig_sim.dynamics.maps import stick_map
 from rig_sim.dynamics.maps.periodic_points import periodic_points
 from rig_sim.dynamics.maps.stick_map import COARSE, FINE, StickMap
 from rig_sim.flow.flow import Flow
@@ -150,6 +151,30 @@ def test_every_event_ends_in_a_named_outcome(flow, d, outcome):
     found = StickMap(flow).event(d)
     assert found.outcome == outcome
     assert math.isnan(found.d) == (outcome != "completed")
+
+
+def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
+    # Basins at coupling.a = 1e6 used to take days: 50 000 steps an event, hundreds of attractors.
+    monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 2000)
+    command = ["basins", "two-mass", "--cells", "300", "--json"]
+    assert application.run(cli.app, command) == 2
+    assert "step limit" in json.loads(capsys.readouterr().out)["error"]["what"]
+    swept = answer(capsys, "sweep", "two-mass", "--over", "coupling.a=1:1.2:2")["rows"]
+    assert [(row["attractor"], row["points"], row["outcome"]) for row in swept] == [(0, [], "step limit")] * 2
+
+
+def test_many_iterates_are_compiled_and_the_same(capsys):
+    # A thousand events used to be interpreted one by one: 100 000 took a quarter of an hour.
+    few = answer(capsys, "map", "two-mass", "--d", "0.05", "--iterate", "9")
+    many = answer(capsys, "map", "two-mass", "--d", "0.05", "--iterate", "1009")
+    assert many["word"].split()[:9] == few["word"].split()
+    assert len(many["word"].split()) == 1009
+
+
+def test_a_map_that_is_nowhere_defined_has_no_orbit_and_says_so_soon():
+    f = StickMap(thesis(c=100.0))
+    assert periodic_points(f, 2) == ()
+    assert f._steps - f._steps_left <= 200 * 2200  # 2000 places used to take ten times as long
 
 
 def test_a_belt_at_rest_has_no_map():
