@@ -1,11 +1,19 @@
 """Which figures of the thesis the atlas has: those redrawn, by number, and those that are not, with the reason."""
 
-from rig_sim.atlas.chapters import chapter2, chapter3, chapter4_map, chapter4_motion, chapter5
+from rig_sim.atlas.chapters import (
+    chapter2,
+    chapter3,
+    chapter4_map,
+    chapter4_motion,
+    chapter5,
+    chapter6,
+    chapter6_control,
+)
 from rig_sim.atlas.figure import Entry
 
 ENTRIES: dict[str, Entry] = {
     entry.number: entry
-    for chapter in (chapter2, chapter3, chapter4_motion, chapter4_map, chapter5)
+    for chapter in (chapter2, chapter3, chapter4_motion, chapter4_map, chapter5, chapter6, chapter6_control)
     for entry in chapter.FIGURES
 }
 CAMERA = (
@@ -17,4 +25,5 @@ NOT_REDRAWN = {
     "3.5": f"velocity by camera: {CAMERA}",
     "3.6": f"phase portrait by camera: {CAMERA}",
     "4.13": "the thesis's text neither mentions it nor has its caption",
+    "6.9": "the sketch of an apparatus (transducer, filter, phase shifter, amplifier, shaker): it shows no data",
 }

@@ -29,7 +29,7 @@ def figures(first, last):
 
 
 CHAPTER_3 = figures("3.4", "3.6") | figures("3.15", "3.17") | figures("3.19", "3.22")
-DRAWN = figures("2.6", "2.22") | CHAPTER_3 | figures("4.2", "4.24") | figures("5.3", "5.12")
+DRAWN = figures("2.6", "2.22") | CHAPTER_3 | figures("4.2", "4.24") | figures("5.3", "5.12") | figures("6.2", "6.17")
 
 
 def test_every_figure_is_drawn_or_listed_with_a_reason():
@@ -116,3 +116,24 @@ def test_a_run_through_the_whole_pipe_keeps_its_extremes_under_smoothing():
     rows = [row for figure in ("3.20", "3.22") for row in ENTRIES[figure].draw().table]
     assert len(rows) == 3
     assert all(row.agrees for row in rows)
+
+
+def test_numbers_of_the_shaker_are_the_published_ones():
+    reference = json.loads((REFERENCE / "dynamics.json").read_text())["chapter6"]["phase_shift_control"]
+    least, optimum = (
+        value("6.10", name) for name in ("least amplification at phi = pi", "optimum phase (pi), at a = 0.5")
+    )
+    assert least == pytest.approx(reference["phi_pi"]["S=0.3 delta=0"], abs=reference["tol"])
+    assert optimum == pytest.approx(reference["optimum_phi_over_pi"]["a=0.5"], abs=5e-5)
+
+
+@pytest.mark.slow
+def test_driven_motions_and_their_locks_are_those_that_the_tables_say():
+    tables = {figure: ENTRIES[figure].draw().table for figure in ("6.3", "6.4", "6.5", "6.7", "6.13", "6.16")}
+    assert tables["6.3"][0].value == 1.0
+    assert tables["6.4"][0].value == 2.0
+    assert "quasi-periodic" in tables["6.5"][0].computed
+    assert not tables["6.5"][0].agrees
+    assert all(row.agrees for row in tables["6.7"])
+    for figure in ("6.13", "6.16"):
+        assert [row.agrees for row in tables[figure]] == [True, True, False, True]
