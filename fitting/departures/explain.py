@@ -65,7 +65,7 @@ def explain_misfit(
         lists.append(_list(free, records, noise, curve))
     lists = sorted((one for one in lists if one.tested), key=lambda one: -one.found[0].explained)
     for one in lists:
-        refit = confirm(one.tested[0], fits, records, noise, revolution)
+        refit = confirm(one.tested[0], fits, records, noise, revolution, law)
         if refit is None and one.curve is not None:
             refit = confirm_on_curve(one.tested[0], one.base, one.curve, noise)
         if refit is not None:
@@ -100,8 +100,12 @@ def confirm(
     records: Sequence[MeasuredMotion],
     noise: float,
     revolution: float | None = None,
+    first: Base | None = None,
 ) -> Refit | None:
-    """Fit a departure with the best laws in turn; return the first fit that reaches the noise, None without one."""
+    """Fit a departure with the best laws in turn; return the first fit that reaches the noise, None without one.
+
+    ``first`` is the base of the best law, where it has been made.
+    """
     curves: set[int] = set()
     for fit in fits:
         if fit.problem.curve in curves:
@@ -109,7 +113,7 @@ def confirm(
         if len(curves) == MOST_LAWS:
             break
         curves.add(fit.problem.curve)
-        base = base_of(fit, records, revolution)
+        base = first if first is not None and fit is fits[0] else base_of(fit, records, revolution)
         found = None if base is None else refit_with(Host.of_law(fit), base, *tested.at, noise)
         if _reached(found, noise) is not None:
             return found

@@ -13,7 +13,9 @@ from functools import lru_cache
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
+from fitting.departures.definition import oscillator
 from fitting.departures.definition.departure import Departure, Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion
 
@@ -60,11 +62,10 @@ def _pull(acceleration: Array, step: float, omega: float) -> Array:
 
     ``acceleration`` (n,) of the base holds for ``step`` s each.  In the complex plane the oscillator is one pole.
     """
-    from scipy.signal import lfilter
-
     rate = omega * complex(-DAMPING, math.sqrt(1 - DAMPING**2))
     turn = cmath.exp(rate * step)
-    state = lfilter([0.0, (turn - 1) / rate], [1.0, -turn], -acceleration)
+    state = np.empty(acceleration.size, np.complex128)
+    compiled(oscillator.follow_pole, (oscillator.__name__,))(-acceleration, turn, (turn - 1) / rate, state)
     return np.asarray(omega * np.c_[state.imag, state.real])
 
 
