@@ -60,7 +60,7 @@ def inspection(kinematics: Kinematics) -> Figure:
             _break_aways(figure, parts[1].subgridspec(1, 3, wspace=0.06), counted, kinematics.unit)
         _against_time(above, below, kinematics, factor, unit)
         _portrait(right, kinematics, factor, unit)
-        figure.suptitle(_caption(kinematics), x=0.01, ha="left", fontsize=11.5)
+        figure.suptitle(_caption(kinematics), parse_math=False, x=0.01, ha="left", fontsize=11.5)
     return figure
 
 

@@ -24,9 +24,10 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from daq import toml
 from daq.console.application import Whole
 from daq.errors import InputError, check_known
-from daq.runfile.rig import check_keys, quoted, read_toml
+from daq.runfile.rig import check_keys, quoted
 
 KEYS: dict[str, type] = {"port": str, "protocol": str, "columns": str, "baud": int, "rate": int, "decoder": str}
 FIELDS = {"rate": "rate_hz"}  # where a field of the request has another name than the key
@@ -90,7 +91,7 @@ def resolve(flags: BoardFlags) -> dict[str, Any]:
 
 def board_section(text: str, where: str) -> dict[str, Any]:
     """Return the section [board] of a TOML text; empty when there is none."""
-    return _checked(read_toml(text, where).get("board", {}), where)
+    return _checked(toml.parsed(text, where).get("board", {}), where)
 
 
 def board_toml(known: Mapping[str, Any]) -> str:
@@ -114,7 +115,7 @@ def _user() -> dict[str, Any]:
     except OSError:  # a home directory without read permission
         return {}
     where = str(path)
-    content = read_toml(_read(path, where), where)
+    content = toml.parsed(_read(path, where), where)
     for section in content:
         check_known(section, ["board", "rig"], "key", where)
     found = _checked(content.get("board", {}), where)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError, nearest
 
+MOST_METADATA = 1 << 20  # bytes; a capture of 16 channels has 500
 PIECE = 1 << 18  # bytes read at a time; what is made of larger pieces is given back to the system each time
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*([kKmMgG]?)\s*(?:[hH][zZ])?")
 _PREFIX = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
@@ -116,6 +117,8 @@ def read(path: Path) -> Capture:
         names = archive.namelist()
         if "metadata" not in names:
             raise InputError("is a zip without 'metadata', not a sigrok capture", where, "give a .sr file")
+        if archive.getinfo("metadata").file_size > MOST_METADATA:
+            raise InputError(f"has over {MOST_METADATA} bytes of metadata", where, "copy the capture again")
         device = _device(archive.read("metadata"), where)
         base = device.get("capturefile", "logic-1")
         entries = _entries(names, base, where)
@@ -170,18 +173,18 @@ def _device(text: bytes, where: str) -> dict[str, str]:
 def _entries(names: list[str], base: str, where: str) -> tuple[str, ...]:
     if base in names:
         return (base,)
-    numbers = sorted(int(n[len(base) + 1 :]) for n in names if re.fullmatch(re.escape(base) + r"-\d+", n))
+    numbers = sorted({int(n[len(base) + 1 :]) for n in names if re.fullmatch(re.escape(base) + r"-[1-9]\d{0,8}", n)})
     if not numbers:
         raise InputError(f"has no logic samples (no {base} in the zip)", where, "capture digital channels")
-    missing = sorted(set(range(1, numbers[-1] + 1)) - set(numbers))
-    if missing:
-        what = f"lacks {base}-{missing[0]} of {base}-1 to {base}-{numbers[-1]}"
+    missing = next((place for place, number in enumerate(numbers, start=1) if number != place), None)
+    if missing is not None:
+        what = f"lacks {base}-{missing} of {base}-1 to {base}-{numbers[-1]}"
         raise InputError(what, where, "copy the capture again from its source")
     return tuple(f"{base}-{number}" for number in numbers)
 
 
 def _probes(device: dict[str, str], where: str) -> dict[int, str]:
-    probes = {int(key[5:]) - 1: name for key, name in device.items() if re.fullmatch(r"probe[1-9]\d*", key)}
+    probes = {int(key[5:]) - 1: name for key, name in device.items() if re.fullmatch(r"probe[1-9]\d{0,3}", key)}
     if not probes:
         raise InputError("names no probes in its metadata", where, "capture digital channels")
     return dict(sorted(probes.items()))
@@ -190,7 +193,7 @@ def _probes(device: dict[str, str], where: str) -> dict[int, str]:
 def _whole(device: dict[str, str], key: str, where: str) -> int | None:
     if key not in device:
         return None
-    if not device[key].isdecimal() or int(device[key]) == 0:
+    if not re.fullmatch(r"0*[1-9]\d{0,3}", device[key]):
         raise InputError(f"has {key} = {device[key]!r} in its metadata", where, "copy the capture again")
     return int(device[key])
 

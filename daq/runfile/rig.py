@@ -17,10 +17,10 @@ A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` 
 """
 
 import math
-import tomllib
 from dataclasses import dataclass
 from typing import Any
 
+from daq import toml
 from daq.errors import InputError, nearest
 
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")
@@ -92,7 +92,7 @@ class Rig:
             For invalid TOML, an unknown section or key (naming its nearest neighbour), or an impossible value.
         """
         found: dict[str, Any] = {}
-        for section, content in read_toml(text, where).items():
+        for section, content in toml.parsed(text, where).items():
             if section == "board":
                 continue  # how to reach the board: `daq.console.settings`
             if section not in SECTIONS:
@@ -160,14 +160,6 @@ def _section(section: str, content: Any, where: str) -> dict[str, Any]:
         elif key in content:
             found[key] = _setting(key, content[key], section, where)
     return found
-
-
-def read_toml(text: str, where: str) -> dict[str, Any]:
-    """Parse TOML; InputError with the line where it is broken."""
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"invalid TOML: {error}", where, "correct that line") from error
 
 
 def check_keys(section: str, content: Any, known: list[str], where: str) -> dict[str, Any]:

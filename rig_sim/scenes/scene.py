@@ -110,7 +110,9 @@ def _value(text: str) -> object:
 
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except RecursionError:
+        raise InputError(f"{text[:20]}... is nested too deeply", "--set", "write section.key=value") from None
+    except ValueError:  # not TOML, or a number of thousands of digits
         pass
     try:
         return float(text)
@@ -119,7 +121,7 @@ def _value(text: str) -> object:
 
 
 def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
-    import tomllib
+    from daq import toml
 
     name = str(name_or_path)
     path = BUILTIN_FOLDER / f"{name}.toml"
@@ -139,13 +141,11 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
             held = file.read(LARGEST_FILE + 1)
         if len(held) > LARGEST_FILE:
             raise InputError(f"is larger than any scene: over {LARGEST_FILE} bytes", where, "give a scene's TOML file")
-        content = tomllib.loads(held.decode())
+        content = toml.parsed(held.decode(), where)
     except FileNotFoundError:
         raise InputError("no such file", where, f"check the path, or take a built-in scene: {_listed()}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read as text ({error})", where, "give the path of a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not TOML: {error}", where, "mend that line") from None
     content.setdefault("name", path.stem)
     return where, {OLD_NAMES.get(section, section): keys for section, keys in content.items()}
 

@@ -240,3 +240,25 @@ def test_an_indented_key_is_no_part_of_a_probe_name(path: Path, write_capture: A
     # 13 of 1015 public captures have such metadata; the keys used to be part of the name above them.
     write_capture(path, [0, 1, 3], {0: 'A "upper"\n\tinverted=no', 1: "B\n    samples=3"})
     assert sigrok.read(path).probes == {0: 'A "upper"', 1: "B"}
+
+
+METADATA = "[device 1]\ncapturefile=logic-1\nsamplerate=1 MHz\nunitsize=1\nprobe1=A\nprobe2=B\n"
+
+
+@pytest.mark.parametrize(
+    ("metadata", "entry", "what"),
+    [
+        (METADATA, "logic-1-3000000000", "no logic samples"),  # took 4.5 GB
+        (METADATA, "logic-1-300000000", "lacks logic-1-1 of"),
+        (METADATA, "logic-1-01", "no logic samples"),  # a KeyError
+        (METADATA.replace("unitsize=1", f"unitsize={'9' * 5000}"), "logic-1", "unitsize"),  # a ValueError
+        (METADATA + f"probe{'9' * 5000}=C\n" + ";" * 2_000_000, "logic-1", "of metadata"),
+    ],
+)
+def test_small_files_that_claim_much_are_refused_at_once(path: Path, metadata: str, entry: str, what: str) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("version", "2")
+        archive.writestr("metadata", metadata)
+        archive.writestr(entry, bytes(1000))
+    with pytest.raises(InputError, match=what):
+        sigrok.read(path)

@@ -63,6 +63,8 @@ def test_absent_quantities_stay_unknown() -> None:
         ("[encoder]\ncounter_bits = 17", ["17", "8, 16, 24, 32"]),
         ("[encoder]\ncounts_per_revolution = 1.5", ["1.5", "whole"]),
         ("[rig]\nname = 5", ["rig.name", "quotes"]),
+        ("a = " + "[" * 5000, ["nested too deeply"]),  # these two were tracebacks
+        ("[rig]\nmass = " + "9" * 5000, ["too many digits"]),
         ("[rig\n", ["invalid TOML", "line 1"]),
     ],
 )

@@ -159,8 +159,14 @@ def test_a_file_that_is_no_scene_is_refused(tmp_path: Path) -> None:
         scene(tmp_path / "none.toml")
     broken = tmp_path / "broken.toml"
     broken.write_text("[mass\nm = 1\n")
-    with pytest.raises(InputError, match=r"broken\.toml: is not TOML"):
+    with pytest.raises(InputError, match=r"broken\.toml: invalid TOML"):
         scene(broken)
+    broken.write_text("a = " + "[" * 5000)
+    with pytest.raises(InputError, match="nested too deeply"):  # a RecursionError
+        scene(broken)
+    for value in ("[" * 5000, "9" * 5000):  # a RecursionError and a ValueError
+        with pytest.raises(InputError):
+            scene("rig", **parse_changes([f"mass.m={value}"]))
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match=r"binary\.toml: cannot be read"):
