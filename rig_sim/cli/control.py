@@ -161,7 +161,10 @@ def lock(
 
             save(lock_figure(f, found.lock, period, budget), plot, force=force)
             data["file"] = plot
-    return Answer(data, _lock_lines(data))
+    lines = _lock_lines(data)
+    if plot is not None:
+        lines.append(str(data.get("file", "nothing drawn: there is no motion under control")))
+    return Answer(data, "\n".join(lines))
 
 
 def _locked(f: "LandingMap", found: "Locking") -> dict[str, Any]:
@@ -206,7 +209,7 @@ def _searched(f: "LandingMap", start: "Array", period: int, budget: float) -> di
     return data | ({"outcome": "locked"} if found.stays else {"outcome": "locked while changed", "advice": advice})
 
 
-def _lock_lines(data: dict[str, Any]) -> str:
+def _lock_lines(data: dict[str, Any]) -> list[str]:
     """Return what a lock has found, in words."""
     lines = [f"outcome        {data['outcome']}" + (f" ({data['advice']})" if data["advice"] else "")]
     if data["regular_period"] is not None:
@@ -221,7 +224,7 @@ def _lock_lines(data: dict[str, Any]) -> str:
     if data["events_to_lock"] is not None:
         lines.append(f"events to lock {data['events_to_lock']}")
     lines.append(f"largest change {data['du_max']:.6g} of {data['du_limit']:.6g} allowed, last {data['du_final']:.3g}")
-    return "\n".join([*lines, str(data["file"])] if "file" in data else lines)
+    return lines
 
 
 def _shown(number: complex) -> str:
