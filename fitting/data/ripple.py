@@ -46,11 +46,16 @@ SETTLED_S = 0.02  # after a landing, at the least
 
 @dataclass(frozen=True)
 class Ripple:
-    """The belt's speed ripples by ``cosine`` cos(omega t) + ``sine`` sin(omega t); m/s, m/s, rad/s, t as recorded."""
+    """The belt's speed ripples by ``cosine`` cos(omega t) + ``sine`` sin(omega t); m/s, m/s, rad/s, t as recorded.
+
+    ``seen_s`` is the time from the first to the last sample that shows it, s: its frequency is known the better the
+    longer that is.  inf where it is given.
+    """
 
     cosine: float
     sine: float
     omega: float
+    seen_s: float = math.inf
 
     @property
     def amplitude(self) -> float:
@@ -72,7 +77,7 @@ class Ripple:
 
 
 def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None:
-    """Return the ripple that the sticks show; None where they are few or show none to speak of.
+    """Return the ripple that the sticks show, or the start-up drag of a mass that grazes the belt; None without one.
 
     Parameters
     ----------
@@ -80,17 +85,18 @@ def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None
         In the fit's frame.
     """
     sticks = _in_stick(motion, cut)
+    drag = [np.arange(*cut.drag)] if not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0] else []
     if not sticks:
-        return None
+        return _harmonic(motion, InStick.selected(motion, drag), None) if drag else None
     stuck = InStick.selected(motion, sticks)
     slopes = OwnSlopes.fitted(stuck, motion)
     if slopes.falling(stuck.v) > RAMP_LIKE:
         found = _harmonic(motion, stuck, slopes)
         if found is not None:
             return found
-    elif not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0]:
+    elif drag:
         # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
-        stuck = InStick.selected(motion, [np.arange(*cut.drag), *sticks])
+        stuck = InStick.selected(motion, [*drag, *sticks])
     return _harmonic(motion, stuck, None)
 
 
@@ -237,7 +243,7 @@ def _harmonic(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) 
         return None
     omega = 2 * math.pi * best
     cos, sin = math.cos(omega * origin), math.sin(omega * origin)
-    return Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega)
+    return Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, float(time[-1] - time[0]))
 
 
 def _offsets(motion: MeasuredMotion) -> Array:

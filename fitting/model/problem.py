@@ -18,7 +18,7 @@ from rig_sim.friction.law import LAWS
 DEFAULT_DAMPING_SD = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
 LEAST_LINEAR_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
 RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
-RIPPLE_FREQUENCY_SD = 0.1  # of a turn over the whole record: further off lie other minima
+RIPPLE_FREQUENCY_SD = 0.1  # of a turn over the time in which it was seen: further off lie other minima
 LARGEST_LOG_DROP = 30.0  # log: so far below its first value friction is none, and its exponential still a number
 LARGEST_STATIC = 5.0  # break-away level over Fs: dry contacts have 1 to 2
 # Of the levels' own scatter, without a datum: their prior would otherwise pull at the datum, as the larger Fs is, the
@@ -95,7 +95,7 @@ class EstimationProblem:
                 begin = begin._replace(cosine=ripple.cosine, sine=ripple.sine, omega=ripple.omega)
                 spread = (RIPPLE_AMPLITUDE_SD * ripple.amplitude) ** -2
                 known[Global.COSINE], known[Global.SINE] = (ripple.cosine, spread), (ripple.sine, spread)
-                known[Global.OMEGA] = ripple.omega, (RIPPLE_FREQUENCY_SD * 2 * math.pi / motion.span) ** -2
+                known[Global.OMEGA] = ripple.omega, (RIPPLE_FREQUENCY_SD * 2 * math.pi / ripple.seen_s) ** -2
             for slot, (value, weight) in known.items():
                 prior[r, slot], precision[r, slot] = value, weight
             start[r] = parameters.to_array(begin)

@@ -168,6 +168,19 @@ def rules_out_constant_friction(fits: Sequence[Fit], runs: Sequence[Run]) -> boo
     return all(fit.geometric_mean_rms > limit for fit in fits)
 
 
+def drag_error(fits: Sequence[Fit], runs: Sequence[Run]) -> float:
+    """Return the rms error in the start-up drags by the law that errs least there, m; inf where none is used."""
+    used = [number for number, run in enumerate(runs) if run.cut.drag != (0, 0) and run.cut.uses_start]
+    errors = []
+    for fit in fits if used else ():
+        parts = [fit.for_run(number) for number in used]
+        rows = [
+            part.residual[_drag_rows(part, runs[number].cut.drag)] for part, number in zip(parts, used, strict=True)
+        ]
+        errors.append(math.sqrt(float(np.mean(np.concatenate(rows) ** 2))))
+    return min(errors, default=math.inf)
+
+
 def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
     """Return the residuals of the start-up drag: the sine after it is the same under laws 1 and 2."""
     _, stick, first, count, *_ = fit.windows.table[0]

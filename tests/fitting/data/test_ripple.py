@@ -77,21 +77,33 @@ def test_a_ramp_on_a_belt_that_ripples_comes_back(rippled):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 0])
 def test_a_swing_in_the_start_up_drag_is_not_taken_for_a_ramp(simulated, seed):
+    # Seed 0 has a few short sticks, among which alone a ripple of 1.95 Hz did as well: {1, 2, 6} at 64 um.  Seed 4 has
+    # none, and laws 1 and 2 were not distinguished.
     motion = simulated(
         f"seed={100 + seed}", "friction.law=1", "belt.ripple=0.0044", "belt.ripple_hz=1.3", "scatter.Fs=0.1"
     )
     ranking = rank(motion)
-    assert 1 in ranking.laws_in_set
-    if seed == 0:  # with a few short sticks, among which alone a ripple of 1.95 Hz did as well: {1, 2, 6} at 64 um
-        assert ranking.laws_in_set == (1,)
-        assert ranking.best.fit.geometric_mean_rms < 2.5e-6  # the counts, 7.67 um
-        assert ranking.best.parameters["ripple_hz"].value == pytest.approx(1.3, abs=1e-3)
+    assert ranking.laws_in_set == (1,)
+    assert ranking.best.fit.geometric_mean_rms < 2.5e-6  # the counts, 7.67 um
+    assert ranking.best.parameters["ripple_hz"].value == pytest.approx(1.3, abs=0.01)
+
+
+@pytest.mark.slow
+def test_a_ramp_of_constant_friction_keeps_its_width_on_a_belt_that_ripples(simulated):
+    # The ripple was not fitted: v_dr was 0.2239 +- 0.0012 and d 0.040 +- 0.002, of 0.22 and 0.03.
+    changes = ("belt.ripple=0.0044", "belt.ripple_hz=1.8", "scatter.Fs=0.12", "jitter.rms=2e-4")
+    ranking = rank(simulated("friction.law=2", *changes))
+    assert ranking.laws_in_set == (2,)
+    for name, truth, error in (("v_dr", 0.22, 0.002), ("d", 0.03, 0.002)):
+        found = ranking.best.parameters[name]
+        assert found.lo <= truth <= found.hi
+        assert found.hi - found.lo < 2 * error
 
 
 def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(synthetic, monkeypatch):
     # The smoothing took tops of a sine for sticks, among which a ripple of 5 % at 11 Hz was found: the record was
     # refused, since its sticks had several speeds.
-    wrong = ripple.Ripple(0.011, 0.0, 2 * math.pi * 11.5)
+    wrong = ripple.Ripple(0.011, 0.0, 2 * math.pi * 11.5, 10.0)
     monkeypatch.setattr(candidates.ripple, "find_ripple", lambda motion, cut: wrong)
     ranking = rank(smooth(synthetic.recording(law=1, damping=0.036, delta=50e-6)))
     assert ranking.laws_in_set == (1,)
