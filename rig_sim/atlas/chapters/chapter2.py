@@ -334,8 +334,8 @@ def curve(law: int) -> Drawing:
             state(
                 "friction reverses where the slip section meets the axis",
                 "unphysical there",
-                f"at v = {v_reversal:.6g}, 20 below the belt: never reached",
-                True,
+                f"at v = {v_reversal:.6g}, the motion is never slower than {number(orbit(3).v_min):.4g}",
+                number(orbit(3).v_min) > v_reversal,
             ),
         )
     shape = (

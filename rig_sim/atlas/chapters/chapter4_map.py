@@ -314,10 +314,12 @@ def exponents() -> Drawing:
     count = np.arange(1.0, ITERATIONS + 1)
     runs = {speed: running(speed) for speed in EXPONENT_SPEEDS}
     rows: list[StatementCheck] = []
+    found_exponents = []
     for speed, expected in zip(
         EXPONENT_SPEEDS, ("chaotic: above 0", "periodic: below 0", "periodic: below 0"), strict=True
     ):
         found = lyapunov(map_at(speed), attractors(speed)[-1].points[0], LONG)
+        found_exponents.append(found.exponent)
         rows.append(
             state(
                 f"Lyapunov exponent at V = {speed}",
@@ -332,7 +334,7 @@ def exponents() -> Drawing:
             "axis from -0.2 to -0.7 of (a)",
             "Lyapunov exponent (text on 4.24)",
             f"X1p of attractor 2 lies from {min(extent):.3g} to {max(extent):.3g}",
-            False,
+            all(-0.7 <= exponent <= -0.2 for exponent in found_exponents),
             "(a) shows attractor 2 and (b) the exponents, as the caption says; the text places the exponents in (a)",
         )
     )
