@@ -6,6 +6,7 @@ from rig_sim.atlas.chapters import (
     chapter4_map,
     chapter4_motion,
     chapter5,
+    chapter5_branches,
     chapter6,
     chapter6_control,
 )
@@ -13,7 +14,16 @@ from rig_sim.atlas.figure import Entry
 
 ENTRIES: dict[str, Entry] = {
     entry.number: entry
-    for chapter in (chapter2, chapter3, chapter4_motion, chapter4_map, chapter5, chapter6, chapter6_control)
+    for chapter in (
+        chapter2,
+        chapter3,
+        chapter4_motion,
+        chapter4_map,
+        chapter5,
+        chapter5_branches,
+        chapter6,
+        chapter6_control,
+    )
     for entry in chapter.FIGURES
 }
 CAMERA = (

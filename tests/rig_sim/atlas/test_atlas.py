@@ -8,7 +8,7 @@ from PIL import Image
 
 from daq.console import application
 from rig_sim.atlas.chapters.chapter4_motion import fixed_point_table
-from rig_sim.atlas.chapters.chapter5 import special_rows
+from rig_sim.atlas.chapters.chapter5_branches import special_rows
 from rig_sim.atlas.figure import compare
 from rig_sim.atlas.redraw import chosen, order, redraw
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
