@@ -30,7 +30,7 @@ WINDOW = 2 * LONGEST_PERIOD + REPEATS  # passages that are compared
 TRANSIENTS = (64, 128, 256, 512, 1024)
 SAME_ORBIT = 1e-5  # relative to the scale: how closely two starts on one periodic orbit agree
 NEIGHBOURS = 0.05  # of the extent: median distance from a point of an attractor that is not periodic to another start's
-DRAWN = 256  # passages that are drawn of an attractor that is not periodic
+DRAWN = 512  # passages that are drawn of an attractor that is not periodic
 # Of the size over the last transient, above which a motion counts as growing; one in proportion to time doubles.
 GROWTH = 1.5
 LARGE = 2.0  # of the scale: a motion that does not exceed it is not called growing; a mass in stick stays below 1
