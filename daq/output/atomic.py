@@ -96,11 +96,6 @@ def _taking_its_place(temporary: Path, target: Path, force: bool) -> Iterator[Pa
             os.fsync(stream.fileno())
         refuse_existing(target, force)
         temporary.replace(target)
-        if hasattr(os, "O_DIRECTORY"):
-            folder = os.open(target.absolute().parent, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
+        disk.sync_folder(target)
     finally:
         temporary.unlink(missing_ok=True)

@@ -19,6 +19,16 @@ if TYPE_CHECKING:
     import h5py
 
 
+def sync_folder(path: Path) -> None:
+    """Put the name of a new file on the disk: the entry in its folder.  Where folders cannot be synced, do nothing."""
+    if hasattr(os, "O_DIRECTORY"):
+        folder = os.open(path.absolute().parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
 class RefusedError(DeviceError):
     """The disk refuses a file."""
 

@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from daq.errors import InputError
+from daq.output import disk
 from daq.output.lock import FileLock
 from daq.runfile import journal_records
 from daq.runfile.journal_records import (
@@ -99,6 +100,7 @@ class Writer:
         for _ in range(2):
             self._append_header()
         self.sync()
+        disk.sync_folder(path)
 
     @property
     def locked(self) -> bool:

@@ -1,6 +1,8 @@
 """The journal: whatever the tail looks like after a crash, the records before it come back."""
 
+import os
 import shutil
+import stat
 import time
 from pathlib import Path
 
@@ -184,3 +186,17 @@ def test_a_journal_is_locked_while_it_is_written_and_free_when_its_writer_is_gon
         assert journal.is_locked(path)
         remove()
     assert not path.exists()
+
+
+def test_the_name_of_a_new_journal_is_on_the_disk(tmp_path, monkeypatch):
+    # Without this a power cut in the first seconds left a file that no folder named.
+    synced = []
+    real = os.fsync
+
+    def fsync(handle):
+        synced.append(stat.S_ISDIR(os.fstat(handle).st_mode))
+        real(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    journal.Writer(tmp_path / "run.h5.part", {}).close()
+    assert True in synced

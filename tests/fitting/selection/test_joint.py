@@ -117,7 +117,8 @@ def test_narrow_ramps_are_told_from_belts_that_give_by_a_share_of_their_speed(tm
     assert rank(runs, laws=(5, 6)).laws_in_set == (5,)
 
 
-@pytest.mark.parametrize("law", [2, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [1, 2])
 def test_constant_friction_is_told_by_the_drags_of_all_runs(runs_of, law):
     assert rank(runs_of(law, 3, kick=0.0)).laws_in_set == (law,)
 
