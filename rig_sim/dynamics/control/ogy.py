@@ -19,10 +19,10 @@ from daq.compute.arrays import Array
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference
 from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit
 
-# Of r_i, within which control begins: rounding and the map's curvature take the rest.  0.8 takes 1.1 times as long.
+# Of r_i, within which control begins: rounding and the map's curvature take the rest.  0.8 takes 1.5 times as long.
 CERTAIN = 0.95
 # Of the scales: farther from every point of the orbit the map counts as no line.  Within a budget of 2.35 % of the
-# thesis's drive the control acts up to 0.002 away across the stable manifold; 0.02 to 0.5 lock after the same times.
+# thesis's drive r_i is below 0.01; values of 0.02 to 0.5 lock after the same times.
 REACH = 0.1
 # Controls in a row that make a lock, at least, and turns of the orbit: a motion that only passes by needs a change
 # beyond the budget after 1 to 3.
