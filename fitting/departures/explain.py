@@ -102,11 +102,12 @@ def confirm(
     revolution: float | None = None,
     first: Base | None = None,
 ) -> Refit | None:
-    """Fit a departure with the best laws in turn; return the first fit that reaches the noise, None without one.
+    """Fit a departure with the best laws; return the fit that leaves least where it reaches the noise, else None.
 
     ``first`` is the base of the best law, where it has been made.
     """
     curves: set[int] = set()
+    best: Refit | None = None
     for fit in fits:
         if fit.problem.curve in curves:
             continue
@@ -115,9 +116,9 @@ def confirm(
         curves.add(fit.problem.curve)
         base = first if first is not None and fit is fits[0] else base_of(fit, records, revolution)
         found = None if base is None else refit_with(Host.of_law(fit), base, *tested.at, noise)
-        if _reached(found, noise) is not None:
-            return found
-    return None
+        if found is not None and (best is None or found.usual_rms < best.usual_rms):
+            best = found
+    return _reached(best, noise)
 
 
 def confirm_on_curve(tested: Tested, base: Base, curve: MeasuredCurve, noise: float) -> Refit | None:

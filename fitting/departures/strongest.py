@@ -39,9 +39,9 @@ class Tested:
     sigmas: float
 
     @property
-    def at(self) -> tuple[Departure, float]:
-        """The departure and its scale."""
-        return self.departure, self.scale
+    def at(self) -> tuple[Departure, float, Array]:
+        """The departure, its scale and its coefficients."""
+        return self.departure, self.scale, self.score.coefficients
 
     @property
     def parameters(self) -> int:

@@ -1,6 +1,7 @@
 """A law fitted with the departure that was put in describes the contact, and finds its size."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
@@ -54,6 +55,21 @@ def test_the_law_is_found_together_with_the_departure(fitted):
     first = explained(wrong, right=right)[0]
     assert (first.name, first.law) == ("spring-nonlinear", 3)
     assert first.value == pytest.approx(0.05 * K / 0.195**2 / 0.3, rel=0.02)
+
+
+def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeypatch):
+    """The first was named: law 5, at 1.005 times the noise, hid law 3 at 0.97 and a spring 11 % harder."""
+    from fitting.departures import explain
+
+    fits = [SimpleNamespace(problem=SimpleNamespace(curve=law), law=law) for law in (5, 3)]
+    left = {5: 1.005 * NOISE, 3: 0.97 * NOISE}
+    monkeypatch.setattr(explain, "base_of", lambda fit, records, revolution: fit)
+    monkeypatch.setattr(explain.Host, "of_law", lambda fit: fit)
+    monkeypatch.setattr(explain, "refit_with", lambda fit, *_: SimpleNamespace(law=fit.law, usual_rms=left[fit.law]))
+    tested = SimpleNamespace(at=())
+    assert confirm(tested, fits, [], NOISE).law == 3
+    left[3] = 1.2 * NOISE
+    assert confirm(tested, fits, [], NOISE).law == 5
 
 
 def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
