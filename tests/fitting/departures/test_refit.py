@@ -47,7 +47,9 @@ def test_the_size_after_the_refit_is_within_a_few_percent(fitted, name, changes,
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="the refit of a hard spring with law 3 stops before it reaches the noise")
+@pytest.mark.xfail(
+    reason="without a datum law 3 alone ends 0.28 m off, and the refit from there stays far from the noise"
+)
 def test_the_law_is_found_together_with_the_departure(fitted):
     """Law 3 on a hard spring: law 5 fits better as long as the spring is taken for linear."""
     changes = {"curve": "linear", "k3": 0.05 * K / 0.195**2, "scatter": 0.03}
