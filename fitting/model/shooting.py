@@ -29,8 +29,7 @@ FADE_STEP_S = 0.05  # how often the level is lowered; what that leaves out is le
 SPOILT = 1.5
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
 # Slots and columns as plain integers, for the kernels.
-LOG_F, V_DR, DATUM = int(Global.LOG_F), int(Global.V_DR), int(Global.DATUM)
-COMPLIANCE, OMEGA = int(Global.COMPLIANCE), int(Global.OMEGA)
+V_DR, COMPLIANCE, OMEGA = int(Global.V_DR), int(Global.COMPLIANCE), int(Global.OMEGA)
 X_SLIP, V_SLIP, LEVEL, NEXT_LEVEL, X_STICK, V_STICK = (int(column) for column in PerCycle)
 
 
@@ -219,7 +218,7 @@ def window_positions(
 
     ``u`` (runs, 13) and ``local`` (cycles, 6) are the unknowns, ``room`` (3, N) is scratch space.  Compiled as it
     stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.  ``jacobian`` of
-    no rows: positions only; else filled with 0.  Returns 0, or the outcome that ended the flow.
+    no rows: positions only.  Returns 0, or the outcome that ended the flow.
     """
     p = steps.columns.shape[1]
     for row in range(windows.table.shape[0]):
@@ -234,13 +233,8 @@ def window_positions(
         if bad != 0:
             return bad
         # A jump's stick is a straight line: it knows its start and the belt's speed, nothing else.
-        stiff = own[COMPLIANCE] == 0.0
-        line = stick == 1 and ramp == 0 and stiff and own[OMEGA] == 0.0
-        # A jump that has landed stays, unless it overtakes the belt: the next level then does nothing.
-        stays = ramp == 0 and stiff and windows.table[row, 4] == 0
-        x = p + (X_STICK if stick == 1 else X_SLIP)
-        for k in range(p + PER_CYCLE if jacobian.shape[0] > 0 else 0):
-            j = (k + p) % (p + PER_CYCLE)  # the cycle's own first: two of the shared ones follow from them
+        line = stick == 1 and ramp == 0 and own[COMPLIANCE] == 0.0 and own[OMEGA] == 0.0
+        for j in range(p + PER_CYCLE if jacobian.shape[0] > 0 else 0):
             if j < p:
                 vector, slot, h = own, steps.columns[run, j], steps.shared[j]
                 used = slot >= 0 and (not line or slot == V_DR)
@@ -249,16 +243,8 @@ def window_positions(
                 if stick == 1:
                     used = slot == X_STICK or (not line and (slot == V_STICK or slot == LEVEL))
                 else:
-                    used = slot < NEXT_LEVEL or (slot == NEXT_LEVEL and not stays)
+                    used = slot <= NEXT_LEVEL
             if not used:
-                continue
-            if j < p and slot == DATUM:  # moved together with the start, it moves the whole motion
-                for m in range(first, end):
-                    jacobian[m, j] = 1.0 - jacobian[m, x]
-                continue
-            if j < p and slot == LOG_F and stiff:  # only its product with the levels acts
-                for m in range(first, end):
-                    jacobian[m, j] = jacobian[m, p + LEVEL] + jacobian[m, p + NEXT_LEVEL]
                 continue
             kept = vector[slot]
             vector[slot] += h
