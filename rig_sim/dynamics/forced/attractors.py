@@ -29,6 +29,9 @@ WINDOW = 2 * LONGEST_PERIOD + REPEATS  # passages that are compared
 # periodic.
 TRANSIENTS = (64, 128, 256, 512, 1024)
 SAME_ORBIT = 1e-5  # relative to the scale: how closely two starts on one periodic orbit agree
+# The same of motions with different periods: beside a bifurcation one start may come close enough to be recognised, and
+# another one, on the same orbit, not yet.
+CLOSE_ORBIT = 1e-3
 NEIGHBOURS = 0.05  # of the extent: median distance from a point of an attractor that is not periodic to another start's
 DRAWN = 512  # passages that are drawn of an attractor that is not periodic
 # Of the size over the last transient, above which a motion counts as growing; one in proportion to time doubles.
@@ -97,6 +100,8 @@ def attractors(systems: Iterable[System], value: float) -> list[AttractorAt]:
         for index, other in enumerate(kinds):
             if is_same(motion, other, system.scale):
                 starts[index] += 1
+                if motion.period and (other.period is None or motion.period < other.period):
+                    kinds[index], shown[index] = motion, system.drawn(motion.period)
                 break
         else:
             kinds.append(motion)
@@ -121,11 +126,10 @@ def attractors(systems: Iterable[System], value: float) -> list[AttractorAt]:
 
 def is_same(one: Settled, other: Settled, scale: Array) -> bool:
     """Return whether two motions have settled on the same attractor."""
-    if one.period != other.period:
-        return False
     a, b = one.states / scale, other.states / scale
     apart = np.max(np.abs(a[:, None, :] - b[None, :, :]), axis=2)
-    if one.period is not None:
-        return bool(np.min(apart, axis=1).max() <= SAME_ORBIT)
-    extent = float(np.max(np.ptp(a, axis=0)))
-    return bool(np.median(np.min(apart, axis=1)) <= NEIGHBOURS * extent)
+    if one.period is None and other.period is None:
+        extent = float(np.max(np.ptp(a, axis=0)))
+        return bool(np.median(np.min(apart, axis=1)) <= NEIGHBOURS * extent)
+    farthest = max(np.min(apart, axis=1).max(), np.min(apart, axis=0).max())
+    return bool(farthest <= (SAME_ORBIT if one.period == other.period else CLOSE_ORBIT))
