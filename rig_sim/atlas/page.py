@@ -43,5 +43,7 @@ def differences(drawn: Iterable[tuple[Entry, Drawing, str]]) -> str:
 def table(rows: Iterable[StatementCheck]) -> str:
     """Return a table of comparisons."""
     lines = ["| quantity | thesis says | computed | why they differ |", "| --- | --- | --- | --- |"]
-    lines += [f"| {row.quantity} | {row.thesis} | {row.computed} | {row.why or 'they agree'} |" for row in rows]
+    for row in rows:
+        why = "they agree" if row.agrees else row.why or "not explained"
+        lines.append(f"| {row.quantity} | {row.thesis} | {row.computed} | {why} |")
     return "\n".join(lines) + "\n"

@@ -10,6 +10,7 @@ from daq.console import application
 from rig_sim.atlas.chapters.chapter4_motion import fixed_point_table
 from rig_sim.atlas.chapters.chapter5_branches import special_rows
 from rig_sim.atlas.figure import compare
+from rig_sim.atlas.page import table
 from rig_sim.atlas.redraw import chosen, order, redraw
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN
 from rig_sim.cli.app import app
@@ -49,6 +50,7 @@ def test_a_printed_number_agrees_within_one_unit_of_its_last_digit():
     missed = compare("", "0.9475", 0.94796, "rounded")
     assert not missed.agrees
     assert missed.why == "rounded"
+    assert "they agree" not in table([compare("velocity", "0.5", 0.7)])
 
 
 def test_a_figure_is_a_picture_and_a_page_with_its_table(tmp_path):
