@@ -71,6 +71,10 @@ def fit(
         Path | None,
         Parameter(help="Also write the measured friction curve with its band: relative speed, friction, lo, hi."),
     ] = None,
+    save_scene: Annotated[
+        Path | None,
+        Parameter(help="Also write the fitted rig as a scene (.toml) for rig-sim: the law, or the measured curve."),
+    ] = None,
     each: Annotated[bool, Parameter(negative=(), help="Fit every run by itself: a batch.")] = False,
     jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1,
     scheduler: Annotated[str | None, Parameter(help="Fit on the workers of a dask scheduler: tcp://host:8786.")] = None,
@@ -98,12 +102,15 @@ def fit(
 
     Example: fit-friction run.h5 --from 5 --to "1.5 min" --no-report
 
+    Example: fit-friction run.h5 --save-scene rig.toml, then rig-sim continue rig.toml --over damper.c=0:0.5 --draws 200
+
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
     from daq.console.units import measured, quantity, time_or_none
     from fitting import batch, job
     from fitting.report import page as pages
     from fitting.report import table
+    from fitting.rig_scene import fitted_scene, scene_file
     from processing.statistics import pooled
 
     files = [file, *more]
@@ -122,6 +129,12 @@ def fit(
         table.refuse_foreign_file(curve_csv, files, table.CURVE, force=force)
         if curve_csv.resolve() in {place.resolve() for place in (*places, *([] if csv is None else [csv]))}:
             raise InputError("is also the name of another output", str(curve_csv), "give another name")
+    if save_scene is not None:
+        if each:
+            raise InputError("--save-scene with --each", "command line", "fit the runs one at a time")
+        scene_file.refuse_existing(save_scene, files, force=force)
+        if save_scene.resolve() in {place.resolve() for place in (*places, csv, curve_csv) if place is not None}:
+            raise InputError("is also the name of another output", str(save_scene), "give another name")
     if mass is not None and stiffness is not None:
         raise InputError("--mass and --stiffness together", "command line", "give one: the fit finds the other")
     options = job.FitOptions(
@@ -161,6 +174,9 @@ def fit(
         if measured_curve is None:
             raise DataError("no friction curve could be measured", str(file), "leave out --curve-csv")
         table.write_curve(curve_csv, measured_curve, ranking.adequacy.unit)
+    if save_scene is not None:
+        rig = fitted_scene.of_ranking(ranking, done.statistics[0])
+        scene_file.write(save_scene, scene_file.text(rig, ranking, file))
     counted = pooled(done.statistics)
     data = done.as_json() | {"report": places[0] if places else None}
     if ranking.runs:

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
-from rig_sim.cli import control, forced, maps
+from rig_sim.cli import continuation, control, forced, maps
 from rig_sim.cli.atlas import atlas
 
 if TYPE_CHECKING:
@@ -102,60 +102,6 @@ def floquet(
 
     data = asdict(find(_scene(scene, set_).flow(), orbit))
     return Answer(data, _lines(data))
-
-
-@app.command(name="continue")
-def continue_(
-    scene: str,
-    /,
-    *,
-    over: Annotated[str, Parameter(help="section.key=START:STOP, or START:STOP:N for N values (default 41).")],
-    set_: SetChanges = None,
-    json: Json = False,
-) -> Answer:
-    """Follow fixed points and periodic orbits over a parameter; find where they appear, vanish or change stability.
-
-    Example: rig-sim continue damped --over damper.c=0.3:0.6
-
-    Special points: hopf, fold (the stable and the unstable orbit meet), border-collision (the fixed point crosses the
-    edge of a ramp). Of two masses, orbits of periods 1 and 2 of their map, with the points period-doubling, fold and
-    crisis (a chaotic attractor meets the unstable orbit that bounds its basin). Start and the random sections are
-    ignored.
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
-    """
-    from rig_sim.cli.parameter_range import parse
-    from rig_sim.dynamics.continuation import continuation
-    from rig_sim.scenes.scene import parse_changes
-    from rig_sim.scenes.scene import scene as read
-
-    span = parse(over)
-    changes = parse_changes(set_)
-    if read(scene, **{**changes, span.key: span.start}).coupling is not None:
-        return maps.continue_map(maps.SweptScene(scene, changes, span.key), span)
-    with application.progress("following", span.number) as show:
-        found = continuation(
-            lambda value: read(scene, **{**changes, span.key: value}).flow(), span.values(), progress=show
-        )
-    branches = [
-        {
-            "kind": branch.kind,
-            "stable": branch.stable,
-            "rows": [{"value": row.value, **asdict(row.state)} for row in branch.rows],
-        }
-        for branch in found.branches
-    ]
-    points = [{"kind": point.kind, "parameter": span.key, "value": point.value} for point in found.points]
-    lines = [
-        f"{'stable' if branch.stable else 'unstable':8} {branch.kind:11} {span.key} from {branch.rows[0].value:.6g} "
-        f"to {branch.rows[-1].value:.6g}, {len(branch.rows)} values"
-        for branch in found.branches
-    ]
-    lines += [f"{point.kind}: {span.key} = {point.value:.12g}" for point in found.points] or ["no special point"]
-    return Answer({"parameter": span.key, "branches": branches, "points": points}, "\n".join(lines))
 
 
 @app.command
@@ -275,6 +221,7 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
     )
 
 
+app.command(continuation.continue_, name="continue")
 app.command(maps.map_, name="map")
 app.command(maps.sweep)
 app.command(maps.basins)

@@ -192,10 +192,10 @@ def least_gain(flow: Flow) -> float:
     return float(found.fun)
 
 
-def bisected(holds: Callable[[float], bool], first: float, last: float) -> float:
-    """Return where a property that holds at one of two values, and not at the other, changes; to rounding."""
+def bisected(holds: Callable[[float], bool], first: float, last: float, halvings: int = HALVINGS) -> float:
+    """Return where a property that holds at one of two values, and not at the other, changes: to rounding."""
     at_first = holds(first)
-    for _ in range(HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (first + last)
         if holds(middle) == at_first:
             first = middle

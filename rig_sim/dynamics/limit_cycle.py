@@ -113,6 +113,17 @@ def cycle(scene: HasFlow | Flow) -> Orbit:
     return Orbit(turn.end, turn.advice, x_rest=resting)
 
 
+def sticks(flow: Flow) -> bool:
+    """Return whether `cycle` finds an orbit that sticks; under a jump law without following what ends elsewhere."""
+    fr = frame(flow)
+    if fr.d > 0.0 or fr.u0 != 0.0 or is_grazing(fr):
+        return cycle(flow).outcome == "cycle"
+    validate(flow)
+    work = new_work(STEPS_ALLOWED_HERE)
+    turn = next_slip(fr, modes.STICK, 0.0, 0.0, work)
+    return turn.end == "" and next_slip(fr, modes.NEGATIVE, turn.p, 0.0, work, to_the_end=False).end == ""
+
+
 def is_grazing(fr: Frame) -> bool:
     """Return whether slip is an undamped circle about its fixed point that touches the edge of stick."""
     if is_curved(fr, modes.NEGATIVE) or fr.B != fr.A or fr.v <= fr.d:

@@ -51,17 +51,18 @@ class Turn:
     mode: int = modes.STICK  # in which the mass rests
 
 
-def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
+def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer, *, to_the_end: bool = True) -> Turn:
     """Follow the motion to the next beginning of (backward) slip out of stick or ramp, and record its extremes.
 
-    A start in stick or ramp leads to the end of that stick.
+    A start in stick or ramp leads to the end of that stick.  A motion that will not stick any more is followed to where
+    it settles, unless ``to_the_end`` is False: it is then called pure slip as soon as that is known.
     """
     phases: list[tuple[int, float, float]] = []
     p_seen = [p]
     w_seen = [w]
     for _i in range(PHASES_PER_TURN):
         p_start = p
-        side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work)
+        side, tau, p, w = pass_phase(fr, mode, p, w, p_seen, w_seen, work, to_the_end=to_the_end)
         if side == 0:
             if tau == PURE_SLIP:
                 return Turn("pure slip", "the mass swings without sticking: it stays slower than the belt", p)
@@ -85,7 +86,15 @@ def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer) -> Turn:
 
 
 def pass_phase(
-    fr: Frame, mode: int, p: float, w: float, p_seen: list[float], w_seen: list[float], work: Buffer
+    fr: Frame,
+    mode: int,
+    p: float,
+    w: float,
+    p_seen: list[float],
+    w_seen: list[float],
+    work: Buffer,
+    *,
+    to_the_end: bool = True,
 ) -> tuple[int, float, float, float]:
     """Return (side, duration, p, w) at the end of a phase; (0, inf, p, w) when it settles, (0, tau, ...) when unclear.
 
@@ -125,7 +134,7 @@ def pass_phase(
             return 0, math.inf, p, w
         if mode == modes.NEGATIVE and falling and w >= -fr.v:  # the mass has turned at its least position
             turns.append(min(p_seen[seen:], default=p))
-            if swings_on(fr, turns):
+            if (len(turns) > 1 and not to_the_end and turns[-1] > turns[-2]) or swings_on(fr, turns):
                 return 0, PURE_SLIP, p, w
     return 0, math.fsum(durations), p, w
 

@@ -41,6 +41,7 @@ class Scene(Section):
     encoder: sections.Encoder | None = None
     jitter: sections.Jitter | None = None
     output: sections.Output | None = None
+    fit: sections.FitSection | None = None
 
     def terms(self) -> list[str]:
         """Return the names of the sections the scene has, in the order of the table above."""

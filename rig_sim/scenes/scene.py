@@ -29,6 +29,8 @@ encoder   lines_per_rev, circumference,         vibration is added to the encode
           decoder = "x4", vibration,
           vibration_hz = 50
 jitter    rms                                   of the sampling instants, s
+fit       parameters, values, covariance,       what a fit knows of the keys above: `rig_sim.scenes.draws` draws from it
+          cycles, verdict, mass_assumed
 output    truth                                 the board also sends the exact motion; older name: tell
 ========= ===================================== ========================================================================
 
@@ -37,6 +39,7 @@ naming one of the two in a change removes the other; so does naming another way 
 """
 
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -121,8 +124,6 @@ def _value(text: str) -> object:
 
 
 def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
-    from daq import toml
-
     name = str(name_or_path)
     path = BUILTIN_FOLDER / f"{name}.toml"
     where = f"scene {name}"
@@ -141,13 +142,20 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
             held = file.read(LARGEST_FILE + 1)
         if len(held) > LARGEST_FILE:
             raise InputError(f"is larger than any scene: over {LARGEST_FILE} bytes", where, "give a scene's TOML file")
-        content = toml.parsed(held.decode(), where)
+        content = {name: dict(keys) if isinstance(keys, dict) else keys for name, keys in _parsed(held, where).items()}
     except FileNotFoundError:
         raise InputError("no such file", where, f"check the path, or take a built-in scene: {_listed()}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read as text ({error})", where, "give the path of a TOML file") from None
     content.setdefault("name", path.stem)
     return where, {OLD_NAMES.get(section, section): keys for section, keys in content.items()}
+
+
+@lru_cache(maxsize=4)  # an analysis reads a scene again for each value of a parameter, and each draw
+def _parsed(held: bytes, where: str) -> dict[str, Any]:
+    from daq import toml
+
+    return toml.parsed(held.decode(), where)
 
 
 def _listed() -> str:

@@ -246,6 +246,21 @@ class Droop(Section):
     fraction: Annotated[float, Field(ge=0, lt=1)]
 
 
+class FitSection(Section):
+    """What a fit knows of the scene's numbers: ``covariance`` of the keys in ``parameters`` about their ``values``.
+
+    Keys are written ``section.key``; ``friction.curve.3`` is the friction of the fourth point.  ``cycles`` is how many
+    were fitted; ``verdict`` and ``mass_assumed`` are for the reader.
+    """
+
+    parameters: list[str]
+    values: list[float]
+    covariance: list[list[float]]
+    cycles: Annotated[int, Field(ge=2)] = 1_000_000
+    verdict: str = ""
+    mass_assumed: bool = False
+
+
 class SlipLoss(Section):
     """The cog slips ``rate`` times per second: ``counts`` x4 counts missed over ``samples`` sampling periods."""
 

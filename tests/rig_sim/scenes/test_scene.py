@@ -187,7 +187,7 @@ def test_both_ramp_parameters_in_one_file_are_refused(tmp_path: Path) -> None:
 def test_a_scene_is_frozen_and_its_sections_are_the_documented_ones() -> None:
     with pytest.raises(ValueError, match="frozen"):
         scene("base").mass.m = 2.0
-    assert set(SECTIONS) == set(Scene.model_fields) - {"name", "title", "seed"}
+    assert set(SECTIONS) == set(Scene.model_fields) - {"name", "title", "seed", "fit"}
     assert math.isfinite(scene("base").flow().m)
 
 

@@ -1,0 +1,1 @@
+"""The fitted rig as a scene of the simulator: its numbers, and the file."""

@@ -1,0 +1,346 @@
+"""The numbers of the scene that a fitted rig is: its keys, values and covariance.
+
+Without a mass or a stiffness a record shows forces per unit mass alone.  The scene then has a mass of 1 kg, and its
+newtons are per kilogram: times, positions and speeds are those of the rig all the same, and dampings those per kg.
+
+Without a datum the record shows a free curve, and a linear one, but for a constant that moves together with the
+spring's rest, and leaves the motion as it is.  The rest is then the default that the fit starts from, or, where
+friction would fall below `LEAST_FRICTION`, the one that keeps it there; and it is held in the covariance.
+
+The section ``fit`` names the keys of the scene that were fitted, with their values and covariance in the scene's
+units; ``friction.curve.3`` is the friction of the fourth point of a measured curve.  The belt's ripple is left out:
+predictions are for a steady belt.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from daq.errors import DataError
+from daq.runfile.rig import Measured
+from fitting.curve.band import covariances
+from fitting.curve.result import MeasuredCurve
+from fitting.curve.spline_fit import SplineFit
+from fitting.data.frame import MeasuredMotion
+from fitting.estimation.covariance import covariance
+from fitting.estimation.fit import Fit
+from fitting.estimation.levenberg_marquardt import eigen
+from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
+from fitting.model.problem import datum_calibration
+from fitting.selection.result import Ranking
+from processing.statistics import StickSlipStatistics
+from rig_sim.friction.law import LAWS
+
+STEP = 1e-6  # of the derivatives, of an unknown or, where that is larger, of its error: they err by 1e-9
+# A break-away level above that of slip is written where it exceeds it by this many standard errors, and by this share.
+# With 2 errors one in 40 contacts without such a level would be given one; 8 would hide a level twice as high.
+STATIC_ERRORS, LEAST_STATIC = 4.0, 0.005
+FEWEST_LEVELS = 4  # a line through fewer leaves next to nothing of their scatter
+BLUR = 0.5  # of the smoothing's half-window: how far it moves a break-away found without a law
+LEAST_FRICTION = 0.1  # of a curve's fall: it must not reach 0, and how far it stays above changes no motion
+LEAST_SCATTER = 2.0  # times what the noise makes of the levels, below which the scene has no scatter
+
+
+class Calibration(NamedTuple):
+    """What turns the fit's units into those of a scene: mass (kg) or stiffness (N/m), and the error of a metre."""
+
+    mass: Measured | None
+    stiffness: Measured | None
+    length_error: float
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """Standard deviations of the mass or stiffness, relative, and of lengths."""
+        known = self.mass or self.stiffness
+        return (known.sd / known.value if known else 0.0), self.length_error
+
+    def mass_for(self, K: float, factor: float) -> float:
+        """Return the mass (kg) for k/m = K, with ``factor`` on what is known; 1 where nothing is."""
+        if self.mass is not None:
+            return self.mass.value * factor
+        return self.stiffness.value * factor / K if self.stiffness is not None else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class FittedScene:
+    """What the file holds: keys ``section.key`` in order with their values (n,) and covariance (n, n), and the rest.
+
+    ``points`` are the slip speeds (m/s) of a measured curve, whose frictions are the last keys; ``ramp`` whether its
+    contact is one; ``scatter`` the standard deviation of the levels, of Fs; ``cycles`` how many were fitted.
+    """
+
+    law: int
+    keys: tuple[str, ...]
+    values: Array
+    covariance: Array
+    cycles: int
+    points: Array
+    ramp: bool
+    scatter: float
+
+
+def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene:
+    """Return the scene of a ranking: its best law, or the measured curve where no law describes the record.
+
+    ``statistics`` are those of the first run.
+
+    Raises
+    ------
+    DataError
+        Neither describes the record.
+    """
+    adequacy = ranking.adequacy
+    if adequacy.adequate and ranking.rows:
+        return of_law(ranking)
+    if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
+        raise DataError(
+            f"no scene: {adequacy.verdict}, and no friction curve describes the record",
+            "--save-scene",
+            "leave it out; departures in the report may say what is missing",
+        )
+    return of_curve(ranking, adequacy.curve, statistics)
+
+
+def of_law(ranking: Ranking) -> FittedScene:
+    """Return the scene of the best law."""
+    fit, motion = ranking.best.fit, ranking.motion
+    law = LAWS[fit.law]
+    slots = columns(fit.active, fit.runs)[0]
+    known = slots >= 0
+    spread = covariance(fit, fit.precision)[np.ix_(known, known)]
+    own = fit.u[:PER_RUN]
+    static = None if law.ramp else _static(ranking)
+    names = ["spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs"]
+    names += {"hyperbolic": ["friction.gamma"], "linear": ["friction.G_slip"], "constant": []}[law.curve]
+    names += ["friction.d"] if law.ramp else []
+    names += ["friction.static"] if static or Global.STATIC in fit.active else []
+    names += ["droop.fraction"] if Global.COMPLIANCE in fit.active else []
+
+    def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
+        u = own.copy()
+        u[slots[known]] = unknowns
+        p = values(u)
+        m = calibration.mass_for(p.K, factor)
+        return _rig_of(p, m, motion.sign, length) | {
+            "friction.Fs": p.F * m * length,
+            "friction.gamma": p.shape / length,
+            "friction.G_slip": p.shape * p.F * m,
+            "friction.d": p.d * length,
+            "friction.static": static.value if static else p.static,
+            "droop.fraction": p.compliance * p.F / p.K / p.v_dr,
+        }
+
+    if motion.datum_prior is None and law.curve != "hyperbolic":
+        spread = _held(spread, slots[known].tolist().index(Global.DATUM))
+    found = _propagated(scene_of, own[slots[known]], spread, motion, names)
+    return _built(ranking, fit.law, found, static, np.empty(0), ramp=False)
+
+
+def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatistics) -> FittedScene:
+    """Return the scene of the measured curve.
+
+    Slips hardly show friction at rest.  The break-aways do: unless they are significantly above the curve, the curve
+    passes through them, and what the record knows of it is combined with what they say.
+    """
+    spline_fit, motion = curve.spline_fit, ranking.motion
+    spline, basis = spline_fit.spline, spline_fit.basis
+    knots = spline.knots
+    # one more point in the first and in the last piece: a spline through points has no break at those next to its ends
+    points = np.sort(np.concatenate((knots, [0.5 * (knots[0] + knots[1]), 0.5 * (knots[-2] + knots[-1])])))
+    matrix = spline.basis(points)
+    places = list(spline_fit.places)
+    unknowns = spline_fit.solution.u.copy()
+    datums = [i for i, place in enumerate(places) if place % PER_RUN == Global.DATUM]
+    if motion.datum_prior is None:
+        unknowns[datums] += _other_rest(spline_fit, unknowns, datums[0], datum_calibration(motion).value)
+    slots = columns(tuple(places), ranking.best.fit.runs)[0]
+
+    def values_at(unknowns: Array) -> Values:
+        u = spline_fit.u[:PER_RUN].copy()
+        u[slots[slots >= 0]] = unknowns[: len(places)][slots >= 0]
+        return values(u)
+
+    noise, scattered = covariances(spline_fit.linearised())
+    wider = np.sqrt(np.maximum(np.diag(noise) / np.maximum(np.diag(scattered), 1e-300), 1.0))
+    spread = scattered * wider[:, None] * wider
+    if motion.datum_prior is None:
+        spread = _held(spread, datums[0])
+
+    static = None
+    broken = None if curve.ramp else _break_away_position(statistics, motion)
+    if broken is not None:
+        place = broken.value
+
+        def above(unknowns: Array) -> float:
+            """Return the load at the break-aways less the curve at rest, m/s^2."""
+            p = values_at(unknowns)
+            return p.K * (place - p.datum) + p.damping * p.v_dr - float(basis.coefficients(unknowns)[0])
+
+        gap, slopes = above(unknowns), _slopes(above, unknowns, spread)
+        along = np.einsum("ij,j->i", spread, slopes)
+        own = (spline_fit.fit.values.K * broken.sd) ** 2
+        variance = float(np.sum(along * slopes)) + own
+        rest = float(basis.coefficients(unknowns)[0])
+        if gap > max(STATIC_ERRORS * math.sqrt(variance), LEAST_STATIC * rest):
+            static = Measured(1 + gap / rest, math.sqrt(own) / rest)
+        else:
+            unknowns = unknowns - along * gap / variance
+            spread = spread - np.outer(along, along) / variance
+    names = ["spring.k", "spring.x0", "belt.speed", "damper.c"]
+    names += ["friction.d"] if curve.ramp else []
+    names += ["friction.static"] if static else []
+    names += [f"friction.curve.{i}" for i in range(points.size)]
+
+    def scene_of(unknowns: Array, calibration: Calibration, factor: float, length: float) -> dict[str, float]:
+        p = values_at(unknowns)
+        m = calibration.mass_for(p.K, factor)
+        friction = m * np.einsum("ij,j->i", matrix, basis.coefficients(unknowns))
+        # speeds of the points are exact in the scene: a length's error is that of the belt's speed against them
+        return (
+            _rig_of(p, m, motion.sign, length)
+            | {"friction.d": p.d, "friction.static": static.value if static else 1.0}
+            | {f"friction.curve.{i}": float(F) for i, F in enumerate(friction)}
+        )
+
+    found = _propagated(scene_of, unknowns, spread, motion, names)
+    return _built(ranking, 0, found, static, points, ramp=bool(curve.ramp))
+
+
+def _held(spread: Array, place: int) -> Array:
+    """Return a covariance (p, p) where the unknown at ``place`` is known."""
+    if not spread[place, place] > 0:
+        return spread
+    return np.asarray(spread - np.outer(spread[place], spread[place]) / spread[place, place])
+
+
+def _other_rest(fit: SplineFit, unknowns: Array, place: int, default: float) -> float:
+    """Return by how much to move the spring's rest (m), and the curve with it: see the module's text."""
+    moved = unknowns.copy()
+    moved[place] = default
+    lowest = fit.spline.with_coefficients(fit.basis.coefficients(moved))
+    friction = lowest(np.linspace(0.0, fit.spline.knots[-1], 20 * fit.spline.knots.size))
+    fall = float(np.ptp(friction))
+    missing = max(0.0, LEAST_FRICTION * fall - float(friction.min()))
+    return default - float(unknowns[place]) - missing / fit.fit.values.K
+
+
+def _rig_of(p: Values, m: float, sign: float, length: float) -> dict[str, float]:
+    """Return the keys that every scene has."""
+    return {
+        "mass.m": m,
+        "spring.k": p.K * m,
+        "spring.x0": sign * p.datum * length,
+        "belt.speed": sign * p.v_dr * length,
+        "damper.c": p.damping * m,
+    }
+
+
+def _propagated(
+    scene_of: Callable[[Array, Calibration, float, float], dict[str, float]],
+    unknowns: Array,
+    spread: Array,
+    motion: MeasuredMotion,
+    names: list[str],
+) -> tuple[list[str], Array, Array]:
+    """Return names, values and covariance of the scene's keys, the calibrations' errors included."""
+    calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
+    names = ["mass.m", *names] if not motion.per_mass else names
+    n = unknowns.size
+    start = np.concatenate((unknowns, [1.0, 1.0]))
+    whole = np.zeros((n + 2, n + 2))
+    whole[:n, :n] = spread
+    whole[n, n], whole[n + 1, n + 1] = (error**2 for error in calibration.errors)
+
+    def row(u: Array) -> Array:
+        found = scene_of(u[:n], calibration, float(u[n]), float(u[n + 1]))
+        return np.array([found[name] for name in names])
+
+    slopes = _slopes(row, start, whole)
+    return names, row(start), np.asarray(np.einsum("ik,kl,jl->ij", slopes, whole, slopes))
+
+
+def _slopes(function: Callable[[Array], Array | float], u: Array, spread: Array) -> Array:
+    """Return the derivatives of a function of unknowns u (n,), the last axis theirs, by central differences."""
+    columns_of = []
+    for j in range(u.size):
+        step = np.zeros(u.size)
+        step[j] = STEP * (max(abs(float(u[j])), math.sqrt(max(float(spread[j, j]), 0.0))) or 1.0)
+        columns_of.append((np.asarray(function(u + step)) - np.asarray(function(u - step))) / (2 * step[j]))
+    return np.stack(columns_of, axis=-1)
+
+
+def _built(
+    ranking: Ranking,
+    law: int,
+    found: tuple[list[str], Array, Array],
+    static: Measured | None,
+    points: Array,
+    *,
+    ramp: bool,
+) -> FittedScene:
+    names, numbers, spread = found
+    if static:
+        place = names.index("friction.static")
+        spread[place, place] = static.sd**2
+    fit = ranking.best.fit
+    return FittedScene(
+        law=law,
+        keys=tuple(names),
+        values=numbers,
+        covariance=_positive(spread),
+        cycles=len(fit.rows),
+        points=points,
+        ramp=ramp,
+        scatter=_scatter(fit),
+    )
+
+
+def _positive(spread: Array) -> Array:
+    """Return a covariance without what rounding makes of directions that have next to no variance."""
+    scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    size, axes = eigen(0.5 * (spread + spread.T) / scale[:, None] / scale)
+    root = scale[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
+    found = np.asarray(np.einsum("ik,jk->ij", root, root))
+    return np.asarray(0.5 * (found + found.T))
+
+
+def _static(ranking: Ranking) -> Measured | None:
+    """Return the break-away level over Fs where the record shows that it is above 1."""
+    ratio = np.array([e.break_away_level for e in ranking.events if e.flag == "" and math.isfinite(e.break_away_level)])
+    if ratio.size < FEWEST_LEVELS:
+        return None
+    mean, error = float(np.mean(ratio)), float(np.std(ratio, ddof=1) / math.sqrt(ratio.size))
+    return Measured(mean, error) if mean - 1 > max(STATIC_ERRORS * error, LEAST_STATIC) else None
+
+
+def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion) -> Measured | None:
+    """Return where the mass breaks away in the fit's frame, m, found without a law; None where too few do."""
+    seen = statistics.column("break_away_m")
+    seen = seen[np.isfinite(seen)]
+    if seen.size < FEWEST_LEVELS:
+        return None
+    rest = motion.datum_prior.value if motion.datum_prior is not None else 0.0
+    error = 1.4826 * float(np.median(np.abs(seen - np.median(seen)))) / math.sqrt(seen.size)
+    return Measured(float(np.median(seen)) + rest, math.hypot(error, BLUR * motion.half_window * motion.belt_speed))
+
+
+def _scatter(fit: Fit) -> float:
+    """Return the standard deviation of the cycles' levels about their trend, of Fs, less what noise makes of it.
+
+    0 where no more than noise is seen.
+    """
+    own = fit.for_run(0)
+    table = own.windows.table
+    slips = (table[:, 1] == 0) & own.inlier_cycles[table[:, 0]]
+    time, level = own.windows.level_epoch[slips], np.exp(own.local[table[slips, 0], PerCycle.LEVEL])
+    if level.size <= FEWEST_LEVELS:
+        return 0.0
+    centred = time - time.mean()
+    left = level - level.mean() - centred * float(np.sum(centred * level) / np.sum(centred**2))
+    square = float(np.sum(left**2)) / (level.size - 2)
+    noise = float(np.median(np.linalg.inv(fit.solution.blocks.Hl)[:, PerCycle.LEVEL, PerCycle.LEVEL]))
+    return math.sqrt(square - noise) if square > LEAST_SCATTER**2 * noise else 0.0

@@ -1,0 +1,93 @@
+"""Parameters drawn from what a fit knows of them: the section ``fit`` of a scene, as changes for `scene`."""
+
+from typing import TYPE_CHECKING
+
+from daq.errors import InputError
+from rig_sim.scenes.model import Scene
+from rig_sim.scenes.sections import FitSection
+
+if TYPE_CHECKING:
+    from daq.compute.arrays import Array
+
+# Lower limits that are values themselves: what a draw puts below is at the limit.  A draw that breaks another limit is
+# no rig, and refused by the scene.
+LOWEST = {"damper.c": 0.0, "droop.fraction": 0.0, "friction.static": 1.0}
+ROUNDING = 1e-6  # relative: asymmetry, or a variance below 0, that rounding may make
+CURVE = "friction.curve."
+
+
+def drawn_changes(found: Scene, number: int, where: str) -> list[dict[str, object]]:
+    """Return ``number`` sets of changes, the same for the same seed of the scene.
+
+    The errors are normal over the root of a chi square of ``cycles - 1`` degrees of freedom, as those of Student's t:
+    with few cycles the covariance itself is uncertain.
+
+    Parameters
+    ----------
+    found : Scene
+    number : int
+    where : str
+        The scene's name or file, for messages.
+
+    Raises
+    ------
+    InputError
+        The scene has no section ``fit``, or one whose parts do not belong together.
+    """
+    import numpy as np
+
+    fit = found.fit
+    if fit is None:
+        raise InputError(
+            "has no section fit, which --draws needs", where, "write the scene with fit-friction --save-scene"
+        )
+    names, centre, spread = fit.parameters, np.array(fit.values), _matrix(fit, where)
+    points = len(found.friction.curve or ()) if found.friction is not None else 0
+    curve = {f"{CURVE}{i}" for i in range(points)}
+    for name in names:
+        if name.startswith(CURVE) and name not in curve:
+            raise InputError(f"fit.parameters names {name}, which the curve does not have", where, "correct the name")
+    scale = np.sqrt(np.diag(spread))
+    unit = np.where(scale > 0.0, scale, 1.0)
+    size, axes = np.linalg.eigh(spread / unit[:, None] / unit)
+    if size[0] < -ROUNDING * max(float(size[-1]), 1.0) * len(names):
+        raise InputError("fit.covariance is no covariance: a variance below 0", where, "write the scene anew")
+    root = unit[:, None] * axes * np.sqrt(np.maximum(size, 0.0))
+    rng = np.random.default_rng(found.seed)
+    normal = rng.standard_normal((number, len(names)))
+    wider = np.sqrt((fit.cycles - 1) / rng.chisquare(fit.cycles - 1, number))
+    drawn = centre + wider[:, None] * np.einsum("nk,pk->np", normal, root)
+    return [_changes(found, names, row.tolist()) for row in drawn]
+
+
+def _matrix(fit: FitSection, where: str) -> "Array":
+    """Return the covariance (n, n), checked against the names and values."""
+    import numpy as np
+
+    n = len(fit.parameters)
+    rows = fit.covariance
+    if len(fit.values) != n or len(rows) != n or any(len(row) != n for row in rows) or n == 0:
+        what = f"fit has {n} parameters, {len(fit.values)} values and {len(rows)} rows of covariance"
+        raise InputError(what, where, "give as many of each, the covariance square")
+    matrix = np.array(rows)
+    error = np.sqrt(np.abs(np.diag(matrix)))
+    if np.any(np.diag(matrix) < 0) or np.any(np.abs(matrix - matrix.T) > ROUNDING * np.outer(error, error)):
+        raise InputError("fit.covariance is not symmetric, or has a variance below 0", where, "write the scene anew")
+    return matrix
+
+
+def _changes(found: Scene, names: list[str], numbers: list[float]) -> dict[str, object]:
+    """Return one draw as changes: dotted keys, and the curve as a whole."""
+    changes: dict[str, object] = {
+        name: max(number, LOWEST.get(name, -float("inf")))
+        for name, number in zip(names, numbers, strict=True)
+        if not name.startswith(CURVE)
+    }
+    friction = found.friction
+    if friction is not None and friction.curve is not None:
+        points = [list(point) for point in friction.curve]
+        for name, number in zip(names, numbers, strict=True):
+            if name.startswith(CURVE):
+                points[int(name[len(CURVE) :])][1] = number
+        changes["friction.curve"] = points
+    return changes

@@ -1,0 +1,150 @@
+"""A fitted rig saved as a scene: it plays back as its record does, and what it predicts covers the truth."""
+
+import numpy as np
+import pytest
+
+from daq.errors import InputError
+from fitting import cli
+from rig_sim.cli.continuation import continue_
+from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.scenes.draws import drawn_changes
+from rig_sim.scenes.scene import scene
+
+pytestmark = pytest.mark.usefixtures("undrawn_reports")
+CALIBRATED = ("mass.m", "spring.k", "spring.x0", "belt.speed", "damper.c", "friction.Fs", "friction.gamma")
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory, synthetic):
+    """Give the scene that the fit of a record of law 5 without scatter is saved as, and the fit's answer."""
+    folder = tmp_path_factory.mktemp("saved")
+    run = synthetic.written(folder / "run.h5", synthetic.recording(law=5, scatter=0.0, damping=1.0, duration=12.0))
+    answer = cli.fit(run, laws="5", mass="0.3", no_report=True, save_scene=folder / "rig.toml")
+    return folder / "rig.toml", answer
+
+
+def test_the_scene_holds_the_fitted_law_and_its_covariance(fitted):
+    path, answer = fitted
+    found, values = scene(path), answer.data["ranking"][0]["parameters"]
+    assert found.friction.law == 5
+    assert found.mass.m == 0.3
+    assert found.spring.k == pytest.approx(values["k"]["value"], rel=1e-12)
+    assert found.friction.Fs == pytest.approx(values["Fs"]["value"], rel=1e-12)
+    assert found.damper.c == pytest.approx(values["c"]["value"], rel=1e-12)
+    assert found.scatter is None
+    assert tuple(found.fit.parameters) == CALIBRATED
+    error = dict(zip(CALIBRATED, np.sqrt(np.diag(found.fit.covariance)), strict=True))
+    for key, name in {"spring.k": "k", "friction.Fs": "Fs", "friction.gamma": "gamma", "belt.speed": "v_dr"}.items():
+        assert error[key] == pytest.approx(values[name]["stderr"], rel=1e-6)
+
+
+def test_a_scene_that_exists_is_replaced_by_force_alone(fitted, tmp_path):
+    path, _ = fitted
+    other = tmp_path / "mine.toml"
+    other.write_text("# my notes\n")
+    run = path.with_name("run.h5")
+    with pytest.raises(InputError, match="exists"):
+        cli.fit(run, laws="5", no_report=True, save_scene=other)
+    with pytest.raises(InputError, match="source"):
+        cli.fit(run, laws="5", no_report=True, save_scene=run, force=True)
+    assert other.read_text() == "# my notes\n"
+
+
+def test_the_saved_scene_plays_back_with_period_and_extremes_of_the_true_rig(fitted, synthetic):
+    path, _ = fitted
+    true = synthetic.Scene()
+    changes = {"scatter": {"Fs": 0.0}, "damper.c": 1.0 * true.m, "spring.k": true.K * true.m}
+    changes |= {"friction.Fs": true.Fs_over_k * true.K * true.m}
+    truth = cycle(scene("rig", **changes))
+    drawn = [cycle(scene(path, **one)) for one in drawn_changes(scene(path), 60, str(path))]
+    for name in ("period", "t_stick", "t_slip", "x_slip", "x_stick", "x_min", "x_max", "v_min"):
+        lo, hi = np.quantile([getattr(one, name) for one in drawn], (0.0, 1.0))
+        assert lo <= getattr(truth, name) <= hi, name
+        assert hi - lo < 0.05 * abs(getattr(truth, name)), name
+
+
+def test_draws_say_where_stick_slip_ends(fitted):
+    path, _ = fitted
+    found = continue_(str(path), over="damper.c=0.3:3.3:4", draws=12).data
+    points = {point["kind"]: point for point in found["points"]}
+    assert set(points) == {"hopf", "fold"}
+    gamma, Fs, v = 9.618, 0.13068 * 35.184 * 0.3, 0.22
+    assert points["hopf"]["lo"] < Fs * gamma / (1 + gamma * v) ** 2 < points["hopf"]["hi"]
+    for point in points.values():
+        assert point["lo"] < point["value"] < point["hi"]
+        assert (point["draws"], point["below"], point["above"]) == (12, 0, 0)
+    assert found["refused"] == 0
+    assert drawn_changes(scene(path), 3, "") == drawn_changes(scene(path), 3, "")  # the same seed
+    # at a fixed damping above every end there is no stick-slip, and no point to draw
+    assert continue_(str(path), over="belt.speed=0.1:0.5:3", draws=5, set_=["damper.c=5"]).data["points"] == []
+
+
+@pytest.mark.slow
+def test_draws_that_put_the_point_beyond_the_values_are_counted(fitted, tmp_path):
+    path, _ = fitted
+    text = path.read_text()
+    wide = tmp_path / "wide.toml"
+    spread = [[0.0] * 7 for _ in range(7)]
+    spread[6][6] = 4.0**2  # gamma 9.6 +- 4
+    wide.write_text(text[: text.index("covariance = [")] + f"covariance = {spread!r}\n")
+    found = continue_(str(wide), over="damper.c=1.2:2:3", draws=60).data
+    hopf = next(point for point in found["points"] if point["kind"] == "hopf")
+    assert hopf["draws"] + hopf["below"] + hopf["above"] + found["refused"] == 60
+    assert hopf["below"] + hopf["above"] > 3
+    assert hopf["lo"] is None or hopf["hi"] is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "no section fit"),
+        ({"fit": {"parameters": ["spring.k"], "values": [1.0], "covariance": [[1.0, 0.0]]}}, "rows of covariance"),
+        ({"fit": {"parameters": ["spring.k"], "values": [1.0], "covariance": [[-1.0]]}}, "variance below 0"),
+        ({"fit": {"parameters": ["friction.curve.9"], "values": [1.0], "covariance": [[1.0]]}}, "friction.curve.9"),
+    ],
+)
+def test_scenes_without_a_usable_section_fit_are_refused(changes, said):
+    with pytest.raises(InputError, match=said):
+        drawn_changes(scene("base", **changes), 5, "base")
+
+
+@pytest.mark.slow
+def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(contacts, synthetic, tmp_path):
+    contact = contacts.Contact(curve="stribeck", Fc=0.6, v_s=0.15, power=2.0, Fv=0.15, c=0.02, duration=20.0)
+    time, position = contacts.recorded(contact)
+    run = synthetic.written(tmp_path / "run.h5", synthetic.imported(tmp_path / "run.csv", time, position, decimals=8))
+    answer = cli.fit(run, mass="0.3", datum="0", datum_sd="1e-6", no_report=True, save_scene=tmp_path / "rig.toml")
+    assert answer.exit_code == 6
+    found = scene(tmp_path / "rig.toml")
+    assert found.friction.law == 0
+    speeds, friction = np.array(found.friction.curve).T
+    true = np.array([contacts.curve(contact, s) for s in speeds])
+    seen = speeds > 0.03 * speeds[-1]
+    np.testing.assert_allclose(friction[seen], true[seen], rtol=0.03)
+    points = [[s, contacts.curve(contact, s)] for s in np.linspace(0.0, 0.9, 60).tolist()]
+    changes = {"friction.law": 0, "friction.curve": points, "scatter.Fs": 0.0, "damper.c": contact.c}
+    truth = cycle(scene("rig", **changes, **{"spring.k": contact.k, "mass.m": contact.m}))
+    played = cycle(found)
+    # the level at rest, which slips hardly show, was 12 % off, and so was the break-away: 0.158 m, not 0.130
+    assert played.period == pytest.approx(truth.period, rel=5e-3)
+    assert played.x_slip == pytest.approx(truth.x_slip, rel=5e-3)
+    assert (played.x_min, played.x_max) == pytest.approx((truth.x_min, truth.x_max), abs=1e-3)
+    ended = continue_(str(tmp_path / "rig.toml"), over="belt.speed=0.1:0.6:6", draws=20).data["points"]
+    assert any(point["kind"] == "hopf" and point["lo"] is not None for point in ended)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [3, 4])
+def test_a_linear_or_ramp_law_is_saved_too(synthetic, tmp_path, law):
+    recording = synthetic.recording(law=law, duration=12.0)
+    run = synthetic.written(tmp_path / "run.h5", recording)
+    cli.fit(run, laws=str(law), no_report=True, save_scene=tmp_path / "rig.toml")
+    found = scene(tmp_path / "rig.toml")
+    assert found.friction.law == law
+    assert found.mass.m == pytest.approx(0.3, rel=0.01)
+    assert found.fit.mass_assumed is False
+    assert 0.02 < found.scatter.Fs < 0.045
+    played = cycle(found)
+    truth = cycle(scene("rig", **{"friction.law": law, "scatter.Fs": 0.0}))
+    assert played.outcome == "cycle"
+    assert played.period == pytest.approx(truth.period, rel=0.05)
