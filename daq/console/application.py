@@ -73,7 +73,7 @@ def application(name: str, summary: str, example: str) -> cyclopts.App:
     """Return a cyclopts application with the settings common to all four commands; `main` runs it."""
     from daq.version import VERSION
 
-    return cyclopts.App(
+    made = cyclopts.App(
         name=name,
         help=f"{summary}\n\nExample: {example}",
         version=f"{name} {VERSION} (stickslip)",
@@ -81,6 +81,8 @@ def application(name: str, summary: str, example: str) -> cyclopts.App:
         result_action="return_value",
         suppress_keyboard_interrupt=False,
     )
+    made.register_install_completion_command(help="Install completion of this command's words in your shell, and exit.")
+    return made
 
 
 def plain(value: Any) -> Any:

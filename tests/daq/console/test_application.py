@@ -1,6 +1,12 @@
 """The terminal: whatever goes wrong in a command is one document under --json."""
 
 import json
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
 
 from daq.console import application
 from daq.errors import EXIT_DEVICE
@@ -39,3 +45,17 @@ def test_the_doctor_advises_only_what_is_needed_and_names_it(capsys):
     assert all(check["do"] == "" for check in found["checks"] if check["ok"])
     assert setup._needs().do == ""
     assert all("uninstall ;" not in check.do for check in setup._packages())
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
+def test_completion_is_installed_and_completes_commands(tmp_path):
+    home = {**os.environ, "HOME": str(tmp_path), "SHELL": shutil.which("bash"), "XDG_DATA_HOME": str(tmp_path / "data")}
+    line = [sys.executable, "-m", "daq.cli.app", "--install-completion"]
+    done = subprocess.run(line, env=home, capture_output=True, text=True, check=True)
+    script = next(path for path in tmp_path.rglob("daq") if path.is_file())
+    assert str(script) in done.stdout
+    complete = f". {script}; COMP_WORDS=(daq reco); COMP_CWORD=1; $(complete -p daq | sed 's/.*-F //; s/ .*//'); "
+    shown = subprocess.run(
+        ["bash", "-c", complete + 'echo "${COMPREPLY[@]}"'], env=home, capture_output=True, text=True
+    )
+    assert set(shown.stdout.split()) == {"record", "recover"}, shown.stderr
