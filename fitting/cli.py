@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 from cyclopts import Parameter
 
-from daq.console import application
+from daq.console import application, flags
 from daq.console.application import Answer, Json
 from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
 
@@ -41,8 +41,12 @@ def fit(
         Parameter(help="Position of count zero relative to the spring's rest, m.", allow_leading_hyphen=True),
     ] = None,
     datum_sd: Annotated[str | None, Parameter(help="Standard deviation of --datum, m.")] = None,
-    damping: Annotated[float | None, Parameter(help="Viscous damping from a ring-down, N s/m.")] = None,
-    damping_sd: Annotated[float | None, Parameter(help="Standard deviation of --damping, N s/m.")] = None,
+    damping: Annotated[
+        float | None, flags.quantity("--damping", "damping", "Viscous damping from a ring-down, N s/m.")
+    ] = None,
+    damping_sd: Annotated[
+        float | None, flags.quantity("--damping-sd", "damping", "Standard deviation of --damping, N s/m.")
+    ] = None,
     belt_speed: Annotated[
         str | None,
         Parameter(

@@ -49,7 +49,9 @@ def smooth(
         str,
         Parameter(help="Steps of the position (lost counts, a datum that moved): off (no search), flag or fix them."),
     ] = "flag",
-    belt_speed: Annotated[str, Parameter(help="auto (from belt counts, else from plateaus), or m/s, signed.")] = "auto",
+    belt_speed: Annotated[
+        str, Parameter(help="auto (from belt counts, else from plateaus), or a speed with its sign.")
+    ] = "auto",
     begin: From = None,
     end: To = None,
     json: Json = False,
@@ -62,11 +64,12 @@ def smooth(
 
     Example: process smooth run.h5 --from 5 --to 1.5min
     """
-    from daq.console.units import time_or_none
+    from daq.console.units import quantity, time_or_none
     from daq.runfile import store
     from processing import smoothing, stage, summary
 
-    asked = (method, window, order, times, belt_speed, repair_counts)
+    speed = belt_speed if belt_speed == "auto" else quantity(belt_speed, "speed", "--belt-speed")
+    asked = (method, window, order, times, speed, repair_counts)
     motion: Kinematics | SmoothingSummary
     own = store.between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
     with store.reading(file, own) as run:

@@ -43,9 +43,11 @@ def register(app: cyclopts.App) -> None:
 
 def check(
     *,
-    parked: Annotated[float | None, Parameter(help="Seconds during which the mass is not touched; default 5.")] = None,
+    parked: Annotated[
+        float | None, flags.quantity("--parked", "time", "Time during which the mass is not touched; default 5 s.")
+    ] = None,
     move: Annotated[
-        float | None, Parameter(help="Seconds during which the mass is moved towards +x; default 5.")
+        float | None, flags.quantity("--move", "time", "Time during which the mass is moved towards +x; default 5 s.")
     ] = None,
     board: BoardFlags = NO_FLAGS,
     yes: Yes = False,
@@ -113,8 +115,10 @@ def calibrate(
     mass: Annotated[
         Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
     ] = None,
-    duration: Annotated[float, Parameter(help="Seconds of the ring-down.")] = RING_DOWN_S,
-    move: Annotated[float, Parameter(help="Seconds during which the mass is moved by the distance.")] = DISTANCE_S,
+    duration: Annotated[float, flags.quantity("--duration", "time", "Time of the ring-down.")] = RING_DOWN_S,
+    move: Annotated[
+        float, flags.quantity("--move", "time", "Time during which the mass is moved by the distance.")
+    ] = DISTANCE_S,
     board: BoardFlags = NO_FLAGS,
     yes: Yes = False,
     force: Force = False,

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import cyclopts
 
-from daq.console import application
+from daq.console import application, flags
 from daq.console.application import Answer, Json
 from daq.errors import InputError
 
@@ -35,7 +35,7 @@ def watch(
     journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal of a running recording.")],
     /,
     *,
-    wait: Annotated[float, cyclopts.Parameter(help="Seconds to wait for the journal to appear.")] = 0.0,
+    wait: Annotated[float, flags.quantity("--wait", "time", "Time to wait for the journal to appear.")] = 0.0,
     no_browser: NoBrowser = False,
     json: Json = False,
 ) -> Answer:

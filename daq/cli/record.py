@@ -12,7 +12,7 @@ import cyclopts
 
 from daq.cli import sentences
 from daq.cli.live import NoBrowser, viewer
-from daq.console import application
+from daq.console import application, flags
 from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force
 from daq.console.notes import NO_NOTES, NoteFlags
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 DEFAULT_SCENE = "rig"
 
-Duration = Annotated[float, cyclopts.Parameter(name="--duration", help="Seconds to record.")]
+Duration = Annotated[float, flags.quantity("--duration", "time", "Time to record: '20', '20 s', '5 min'.")]
 Output = Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="The run file; run-{n:03}.h5 is numbered.")]
 Scene = Annotated[
     str | None, cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file.")

@@ -27,6 +27,17 @@ def measured(name: str, dimension: str, text: str, key: str = "") -> Parameter:
     return Parameter(name=name, converter=convert, accepts_keys=False, n_tokens=1, help=text)
 
 
+def quantity(name: str, dimension: str, text: str) -> Parameter:
+    """Return the flag ``name`` for a number with a unit of that dimension, or a bare SI number: '20 s', '1.5 min'."""
+
+    def convert(type_: Any, tokens: Sequence[cyclopts.Token]) -> float:
+        from daq.console import units
+
+        return units.quantity(tokens[0].value, dimension, name)
+
+    return Parameter(name=name, converter=convert, help=text)
+
+
 def rate(name: str, text: str) -> Parameter:
     """Return the flag ``name`` for a positive rate in Hz: '400 fps', '1 kHz'."""
 

@@ -21,11 +21,13 @@ UNITS: dict[str, dict[str, float]] = {
     | {"m/min": 1 / 60, "mm/min": 1e-3 / 60, "km/h": 1 / 3.6, "in/s": 0.0254},
     "stiffness": {"N/m": 1.0, "N/cm": 100.0, "N/mm": 1e3, "kN/m": 1e3, "mN/m": 1e-3, "mN/mm": 1.0, "kg/s^2": 1.0}
     | {"lbf/in": 175.12683524647636},
+    "damping": {"N s/m": 1.0, "N*s/m": 1.0, "Ns/m": 1.0, "kg/s": 1.0, "mN s/m": 1e-3, "N s/mm": 1e3},
     "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3, "uN": 1e-6, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
 }
 EXAMPLES = {"length": "12 cm", "time": "20 ms", "mass": "300 g", "rate": "400 fps"} | {
     "speed": "22 cm/s",
     "stiffness": "10.5 N/m",
+    "damping": "0.02 N s/m",
     "force": "0.5 N",
 }
 
