@@ -237,10 +237,13 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
 
 
 def _text(ranking: "Ranking", statistics: list[str], places: list[Path], alpha: float) -> list[Any]:
+    from fitting.report.symbols import MOTION, formula
+
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
-        lines += [_laws(ranking), _parameters(ranking, alpha), *_adequacy(ranking.adequacy)]
+        law = f"law {ranking.best.law}: {formula(ranking.best.law)}; {MOTION}"
+        lines += [_laws(ranking), _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += statistics
     reports = f"; report: {', '.join(map(str, places))}" if places else ""

@@ -12,6 +12,7 @@ from daq.output import atomic
 from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
 from fitting.estimation.result import Parameter
+from fitting.report import symbols
 from fitting.report.palette import COLOURS
 from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_length, format_probability
@@ -109,6 +110,9 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         parameters=[
             (name, *format_interval(item)) for row in ranking.rows[:1] for name, item in row.parameters.items()
         ],
+        motion=symbols.MOTION,
+        formulas=[(row.law, row.name, symbols.formula(row.law)) for row in ranking.rows],
+        symbols=symbols.symbols({name for row in ranking.rows for name in row.parameters}),
         confidence=f"{100 * (1 - alpha):g} %",
         events=[_event(event) for event in ranking.events],
         warnings=[_pretty(warning) for warning in ranking.warnings],

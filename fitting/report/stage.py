@@ -19,13 +19,8 @@ import numpy as np
 
 from daq.runfile import nexus, store
 from fitting.report.curves import curve, speeds, unit
+from fitting.report.symbols import formula
 from fitting.selection.result import LawResult, Ranking
-
-FORMULAS = {
-    "constant": "Fs",
-    "linear": "Fs - G_slip s",
-    "hyperbolic": "Fs/(1 + gamma s)",
-}
 
 
 def save(ranking: Ranking, path: Path) -> None:
@@ -92,7 +87,7 @@ def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
     group = nexus.process(entry, f"fit_law{row.law}", "fit-friction", 2, "friction_curve")
     parameters = nexus.group(group, "parameters", "NXparameters")
     nexus.field(parameters, "law_name", row.name)
-    nexus.field(parameters, "formula", _formula(row.law))
+    nexus.field(parameters, "formula", formula(row.law))
     for name, item in row.parameters.items():
         key = name.replace("/", "_over_")
         nexus.field(parameters, key, np.float64(item.value), item.unit)
@@ -106,12 +101,3 @@ def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
         signal="friction",
         title=f"law {row.law}: {row.name}",
     )
-
-
-def _formula(law: int) -> str:
-    from rig_sim.friction.law import LAWS
-
-    kind = LAWS[law]
-    if kind.ramp:
-        return f"F = -Fs w/d for |w| <= d, else -sign(w) ({FORMULAS[kind.curve]}) with s = |w| - d"
-    return f"F = -sign(w) ({FORMULAS[kind.curve]}) with s = |w|"
