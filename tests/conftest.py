@@ -1,6 +1,7 @@
 """What tests of every package share."""
 
 import os
+import signal
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,6 +14,10 @@ import pytest
 # A shared machine may stall any example; on CI the examples are the same each time.
 hypothesis.settings.register_profile("stickslip", deadline=None, derandomize="CI" in os.environ)
 hypothesis.settings.load_profile("stickslip")
+
+# A shell ignores SIGINT for what it runs in the background, and the commands under test would inherit that.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
