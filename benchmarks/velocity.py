@@ -27,6 +27,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 import rig_sim
+from daq.compute.arrays import pieces
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
@@ -94,7 +95,7 @@ class Bench:
         steps = np.diff(time)
         return series.Series(
             time=time - time[0], position=(count - count[0]) * self.pitch, origin=0.0, pitch=self.pitch,
-            interval=float(np.median(steps)), pieces=series.pieces(time, np.zeros(time.size, np.int64), 1e-3),
+            interval=float(np.median(steps)), pieces=pieces(time, np.zeros(time.size, np.int64), 1e-3),
             count=count - count[0],
         )  # fmt: skip
 

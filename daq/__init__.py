@@ -6,11 +6,17 @@ if TYPE_CHECKING:
     from daq.runfile.recording import Recording as Recording
     from daq.runfile.store import load as load
 
-__all__ = ["Recording", "load"]
+    __version__: str
+
+__all__ = ["Recording", "__version__", "load"]
 
 
 def __getattr__(name: str) -> Any:
     """Import the run-file reader when it is first asked for: ``import daq`` alone loads nothing."""
+    if name == "__version__":
+        from daq.version import VERSION
+
+        return VERSION
     if name in __all__:
         from daq.runfile import store
 

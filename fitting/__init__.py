@@ -6,11 +6,17 @@ if TYPE_CHECKING:
     from fitting.selection.ranking import Ranking as Ranking
     from fitting.selection.ranking import rank as rank
 
-__all__ = ["Ranking", "rank"]
+    __version__: str
+
+__all__ = ["Ranking", "__version__", "rank"]
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is first asked for: ``import fitting`` alone loads nothing."""
+    if name == "__version__":
+        from daq.version import VERSION
+
+        return VERSION
     if name in __all__:
         from fitting.selection import ranking
 

@@ -6,13 +6,19 @@ if TYPE_CHECKING:
     from processing.record.kinematics import Kinematics as Kinematics
     from processing.smoothing import smooth as smooth
 
-__all__ = ["Kinematics", "smooth"]
+    __version__: str
+
+__all__ = ["Kinematics", "__version__", "smooth"]
 
 _HOME = {"Kinematics": "processing.record.kinematics", "smooth": "processing.smoothing"}
 
 
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is first asked for: ``import processing`` alone loads nothing."""
+    if name == "__version__":
+        from daq.version import VERSION
+
+        return VERSION
     if name in _HOME:
         from importlib import import_module
 

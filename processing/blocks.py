@@ -23,9 +23,8 @@ from processing.kalman import white_jerk
 from processing.kalman.bridge import across_faults
 from processing.methods import registry
 from processing.record.estimates import RecordEstimates
-from processing.record.faults import Fault
 from processing.record.finding import Finding
-from processing.record.motion import BeltMotion, Motion, Phase, PhaseSegmentation, VelocityStep
+from processing.record.motion import BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
 from processing.record.position_steps import PositionStep, step_offsets, without_steps
 from processing.record.series import Series
 from processing.record.setting import Setting

@@ -123,14 +123,15 @@ def inspect(
     Example: process inspect run.h5 --plot portrait.png
     """
     from daq.output import atomic
-    from processing import plot as drawing
+    from daq.output.plot import save
     from processing import statistics, summary
+    from processing.plot import inspection
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
     if plot is not None:
         atomic.refuse_existing(plot, force, file)
     motion, now = _motion(file)
-    drawing.save(drawing.inspection(motion), target)
+    save(inspection(motion), target)
     counted = statistics.from_kinematics(motion)
     data = summary.run_as_json(motion) | {"statistics": counted.as_json(), "smoothed_in_memory": now, "plot": target}
     lines = summary.run_sentences(motion, file) + counted.sentences(motion.unit)

@@ -33,10 +33,9 @@ from daq.errors import InputError
 from daq.runfile import nexus, store
 from daq.runfile.recording import Recording
 from processing.record import series
-from processing.record.faults import Fault
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics, SmoothingSummary
-from processing.record.motion import Phase, VelocityStep
+from processing.record.motion import Fault, Phase, VelocityStep
 from processing.record.noise import position_noise
 from processing.record.position_steps import PositionStep, step_offsets
 from processing.statistics import SlipEvent, StickSlipStatistics, from_kinematics, statistics

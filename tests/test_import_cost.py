@@ -3,9 +3,13 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+from daq.version import VERSION
+
+ROOT = str(Path(__file__).resolve().parent.parent)
 MODULES = {
     "daq": "daq.cli.app",
     "process": "processing.cli",
@@ -70,9 +74,17 @@ def test_smoothing_loads_no_linear_algebra_of_scipy(tmp_path):
 
 
 @pytest.mark.parametrize("package", ["daq", "processing", "fitting", "rig_sim"])
-def test_importing_a_package_loads_nothing_else(package):
-    source = f"import sys, json, {package}; print(json.dumps(sorted(sys.modules)))"
+def test_importing_a_package_or_asking_its_version_loads_nothing_else(package):
+    seen = "json.dumps(sorted(sys.modules))"
+    here = f"import sys; sys.path.insert(0, {ROOT!r})"
+    source = f"{here}; import json, {package}; print({seen}); print({package}.__version__); print({seen})"
     done = subprocess.run([sys.executable, "-I", "-c", source], capture_output=True, text=True, check=True)
-    names = set(json.loads(done.stdout))
-    assert {name for name in names if name.split(".")[0] in ("daq", "processing", "fitting", "rig_sim")} == {package}
+    first, version, last = done.stdout.splitlines()
+    assert version == VERSION
+    names = set(json.loads(last))
+    ours = [
+        {name for name in json.loads(loaded) if name.split(".")[0] in ("daq", "processing", "fitting", "rig_sim")}
+        for loaded in (first, last)
+    ]
+    assert ours == [{package}, {package, "daq", "daq.version"}]
     assert not names & {"numpy", "h5py", "scipy", "numba", "pydantic", "serial", "cyclopts"}

@@ -1,10 +1,11 @@
-"""Array types by their element, runs of a mask, and the integrated autocorrelation time.
+"""Array types by their element, runs of a mask, stretches without a gap, and the integrated autocorrelation time.
 
 Source of the autocorrelation time: A. Sokal, Monte Carlo Methods in Statistical Mechanics (1997), section 3; the sum is
 cut at the first negative estimate.
 """
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,23 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or two, shorter than a lost frame of eight
+
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
     """Return the half-open index ranges over which ``mask``, shape (n,), is true, in order."""
     edges = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
     return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
+
+
+def pieces(time: Array, segment: NDArray[np.integer], interval: float) -> tuple[slice, ...]:
+    """Return the stretches between segment changes and holes longer than `HOLE` intervals."""
+    steps = np.diff(time)
+    # Nine in ten intervals are no longer than this: the nominal one, or its like where samples come at random.
+    usual = max(interval, float(np.percentile(steps, 90)))
+    cut = (np.diff(segment.astype(np.int64)) != 0) | (steps > HOLE * usual)
+    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), time.size]
+    return tuple(slice(first, last) for first, last in pairwise(edges))
 
 
 def autocorrelation_time(pieces: Iterable[Array]) -> float:

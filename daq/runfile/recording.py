@@ -13,6 +13,8 @@ from daq.runfile.rig import Rig
 if TYPE_CHECKING:
     import pandas as pd
 
+    from daq.output.plot import PngFigure
+
 # What can happen to a run, with the code its event is stored under.
 EVENTS = {
     "gap": 1,  # samples are missing before this one
@@ -170,6 +172,11 @@ class Recording:
         """Of `position`: "m", or "count" for counts of a rig whose metres per count nobody measured."""
         return "count" if self.count is not None and self.rig.metres_per_count is None else "m"
 
+    @property
+    def name(self) -> str:
+        """Name of its file; "a run in memory" when it was not loaded from one."""
+        return self.source.name or "a run in memory"
+
     def remarks(self) -> dict[str, str]:
         """Return what people wrote about the run, by name: operator, sample, note, then the tags."""
         written = {"operator": self.operator, "sample": self.sample_name, "note": self.note} | dict(self.tags)
@@ -196,6 +203,48 @@ class Recording:
                 if values is not None:
                     columns[units.get(name, name)] = values
         return pd.DataFrame(columns)
+
+    def plot(self) -> "PngFigure":
+        """Draw position against time, with the markers that a person set.
+
+        Returns
+        -------
+        matplotlib Figure
+            ``figure.savefig(path)`` writes it, a notebook shows it.
+        """
+        from daq.runfile import plot
+
+        return plot.position(self)
+
+    def facts(self) -> dict[str, str]:
+        """Return what a person wants to see first, in words, by name; notes included."""
+        span = float(self.time[-1] - self.time[0]) if self.time.size else 0.0
+        segments = len(set(self.segment.tolist()))
+        found = {
+            "samples": str(self.time.size),
+            "duration": f"{span:.4g} s",
+            "rate": f"{self.rate_hz:g} Hz",
+            "segments": str(segments) if segments > 1 else "",
+            "samples lost": "" if self.raw is None else str(lost_samples(self.raw.sample, self.segment)),
+            "position": f"{self.position.min():.4g} to {self.position.max():.4g} {self.unit}" if self.time.size else "",
+            "belt": "with an encoder of its own" if self.belt_velocity is not None else "",
+            "events": ", ".join(f"{self.event_kind.count(kind)} {kind}" for kind in sorted(set(self.event_kind))),
+            "started": self.started,
+        }
+        return {name: text for name, text in found.items() if text} | self.remarks()
+
+    def __repr__(self) -> str:
+        facts = self.facts()
+        lost = f", {facts['samples lost']} samples lost" if facts.get("samples lost", "0") != "0" else ""
+        return (
+            f"<Recording {self.name}: {self.title!r}\n"
+            f" {facts['samples']} samples, {facts['duration']} at {facts['rate']}{lost}>"
+        )
+
+    def _repr_html_(self) -> str:
+        from daq.output import notebook
+
+        return notebook.table(f"Recording {self.name}: {self.title}", self.facts().items())
 
 
 def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.uint16]) -> int:

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import HOLE, Array
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Measured, Rig
 from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
-from processing.record.series import HOLE, LONG
+from processing.record.series import LONG
 
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
 FEWEST_STICKS = 4

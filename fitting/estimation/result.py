@@ -1,5 +1,6 @@
 """Values that a fit returns: a parameter with its interval, and one break-away."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,17 @@ class Parameter:
     hi: float
     unit: str
     trusted: bool = True
+
+    @property
+    def decimals(self) -> int:
+        """Digits after the point that the error deserves: two of the error, and 12 at most."""
+        return min(max(0, 1 - math.floor(math.log10(self.stderr))), 12) if self.stderr > 0 else 6
+
+    def __str__(self) -> str:
+        if not self.trusted:
+            return f"{self.value:.4g} {self.unit} (interval withheld)".replace("  ", " ")
+        digits = self.decimals
+        return f"{self.value:.{digits}f} [{self.lo:.{digits}f}, {self.hi:.{digits}f}] {self.unit}".rstrip()
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form; null for what is withheld."""

@@ -6,9 +6,9 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.adequacy.result import Adequacy
-from fitting.report import curves
+from fitting.drawing import curves
+from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
 from fitting.report.chart import CHARACTER, SMALL, Axes, picture
-from fitting.report.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, Ranking
 from fitting.selection.verdict import format_length
@@ -32,7 +32,7 @@ def measured_curve(ranking: Ranking) -> str:
         axes.xlabel, axes.ylabel = "relative speed (cm/s)", f"friction ({ranking.adequacy.unit})"
         grid = np.linspace(0.0, 1.02 * reach, 400)
         for row in sorted(ranking.rows, key=lambda row: row.law):
-            force = np.abs(curves.curve(row, ranking.motion, -grid))
+            force = np.abs(curves.curve(row.fit, ranking.motion, -grid))
             style = "" if row.in_set else DASH
             axes.line(100 * grid, force, COLOURS[row.law], width=1.0, dash=style, label=f"law {row.law}")
         band = f"{100 * found.confidence:g} % band"

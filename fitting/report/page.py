@@ -11,9 +11,9 @@ from daq.errors import InputError
 from daq.output import atomic
 from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
+from fitting.drawing.palette import COLOURS
 from fitting.estimation.result import Parameter
 from fitting.report import symbols
-from fitting.report.palette import COLOURS
 from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_length, format_probability
 from processing.record.kinematics import Kinematics
@@ -211,8 +211,7 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
     """
     if not item.trusted:
         return f"{item.value:.4g}", "–", "withheld", _pretty(item.unit)
-    digits = max(0, 1 - math.floor(math.log10(item.stderr))) if item.stderr > 0 else 6
-    digits = min(digits, 12)
+    digits = item.decimals
     value = f"{item.value:.{digits}f}"
     return value, f"{item.stderr:.2g}", f"{item.lo:.{digits}f} … {item.hi:.{digits}f}", _pretty(item.unit)
 

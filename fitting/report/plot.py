@@ -3,9 +3,10 @@
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.report import adequacy_plot, curves
+from fitting.drawing import curves
+from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
+from fitting.report import adequacy_plot
 from fitting.report.chart import Axes, picture
-from fitting.report.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, Ranking
 from processing.statistics import StickSlipStatistics, shown_length
@@ -35,10 +36,10 @@ def portrait(ranking: Ranking) -> str:
 def friction(ranking: Ranking) -> str:
     """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest."""
     motion = ranking.motion
-    w, force, _ = curves.points(ranking)
+    w, force, _ = curves.points(ranking.best.fit, motion)
     thin = slice(None, None, max(1, w.size // MOST_POINTS))
     grid = curves.speeds(motion)
-    drawn = {row.law: curves.curve(row, motion, grid) for row in ranking.rows}
+    drawn = {row.law: curves.curve(row.fit, motion, grid) for row in ranking.rows}
     top = max(float(np.nanmax(np.abs(drawn[ranking.best.law]))), float(np.percentile(np.abs(force), SPREAD)))
     label = f"friction ({curves.unit(motion)})"
     axes = Axes(0, 0, NARROW, 350, AxisScale.around(100 * grid), AxisScale(-1.3 * top, 1.3 * top), ylabel=label, rows=2)

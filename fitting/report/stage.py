@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 
 from daq.runfile import nexus, store
-from fitting.report.curves import curve, speeds, unit
+from fitting.drawing.curves import curve, speeds, unit
 from fitting.report.symbols import formula
 from fitting.selection.result import LawResult, Ranking
 
@@ -96,7 +96,7 @@ def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
     nexus.table(
         group,
         "friction_curve",
-        {"relative_velocity": (w, "m/s"), "friction": (curve(row, ranking.motion, w), unit(ranking.motion))},
+        {"relative_velocity": (w, "m/s"), "friction": (curve(row.fit, ranking.motion, w), unit(ranking.motion))},
         axis="relative_velocity",
         signal="friction",
         title=f"law {row.law}: {row.name}",

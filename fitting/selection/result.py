@@ -1,8 +1,9 @@
 """The ranking: one row per law, the break-aways, and the verdict with its warnings."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from daq.errors import DataError
 from fitting.adequacy.result import Adequacy
 from fitting.curve.result import BandExit
 from fitting.data.cycles import CycleSegmentation
@@ -10,6 +11,13 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway, Parameter
 from processing.record.finding import Finding
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from daq.output.plot import PngFigure
+
+CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
 
 @dataclass(frozen=True)
@@ -150,3 +158,70 @@ class Ranking:
             "adequacy": self.adequacy.as_json(),
             "rms_by_law": {str(row.law): row.rms_m for row in self.rows},
         }
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the laws as a pandas table, one row a law, best first.
+
+        Columns: what `as_json` says of a law, but for ``outside_band``; then of each parameter its value under its
+        name, and "NAME stderr", "NAME lo" and "NAME hi": missing where the law has no such parameter, or the interval
+        is withheld.  ``attrs["units"]`` has the unit of each parameter.
+        """
+        import pandas as pd
+
+        table, units = [], {}
+        for row in self.rows:
+            flat = row.as_json()
+            del flat["outside_band"]
+            for name, item in flat.pop("parameters").items():
+                units[name] = item["unit"]
+                flat[name] = item["value"]
+                flat |= {f"{name} {part}": item[part] for part in ("stderr", "lo", "hi")}
+            table.append(flat)
+        frame = pd.DataFrame(table)
+        frame.attrs["units"] = units
+        return frame
+
+    def plot(self) -> "PngFigure":
+        """Draw friction against relative speed: the measured curve with its band, and the laws of the set over it.
+
+        Where no curve was measured, the force balance of the best law at each sample is drawn instead.
+
+        Returns
+        -------
+        matplotlib Figure
+            Two axes: all speeds, and the low ones.  ``figure.savefig(path)`` writes it, a notebook shows it.
+
+        Raises
+        ------
+        DataError
+            For a ranking without laws: nothing is known of the friction.
+        """
+        if not self.rows:
+            raise DataError("no law came near this record", "ranking", "plot the kinematics instead")
+        from fitting.drawing import plot
+
+        fits = [row.fit for row in self.rows if row.in_set] or [self.best.fit]
+        return plot.friction(fits, self.motion, self.adequacy.curve, self.verdict)
+
+    def __repr__(self) -> str:
+        if not self.rows:
+            return f"<Ranking: {self.verdict}>"
+        best = self.best
+        shown = (f"{name} = {item}" for name, item in best.parameters.items() if name.split(" (")[0] in CURVE)
+        return f"<Ranking: {self.verdict}\n law {best.law}: {', '.join(shown)}>"
+
+    def _repr_html_(self) -> str:
+        from daq.output import notebook
+
+        about = [("verdict", self.verdict), *(("warning", text) for text in self.warnings)]
+        parts = [notebook.table("Ranking", about)]
+        if self.rows:
+            header = ("law", "", "rms (um)", "weight", "in the set")
+            laws = (
+                (str(row.law), row.name, f"{1e6 * row.rms_m:.4g}", f"{row.weight:.2f}", "yes" if row.in_set else "no")
+                for row in self.rows
+            )
+            parts.append(notebook.table("Laws, best first", laws, header))
+            values = ((name, str(item)) for name, item in self.best.parameters.items())
+            parts.append(notebook.table(f"Parameters of law {self.best.law}", values))
+        return "\n".join(parts)

@@ -6,8 +6,8 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from processing.defects.frames import FrameCount
-from processing.record.faults import Fault
 from processing.record.finding import Finding
+from processing.record.motion import Fault
 from processing.record.position_steps import PositionStep
 
 

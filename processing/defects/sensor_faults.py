@@ -17,14 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask, runs
+from daq.compute.arrays import HOLE, Array, Integers, Mask, runs
 from daq.compute.compile import compiled
 from processing.defects import fault_kernel
 from processing.record.estimates import RecordEstimates
-from processing.record.faults import Fault
-from processing.record.motion import mask_of
+from processing.record.motion import Fault, mask_of
 from processing.record.noise import position_noise, smallest_step
-from processing.record.series import HOLE, LONG, Series
+from processing.record.series import LONG, Series
 
 KERNELS = ("processing.defects.fault_kernel",)
 

@@ -7,19 +7,24 @@ made is a `SmoothingHeader`; a record too long for memory yields a `SmoothingSum
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from daq.compute.arrays import Array, Mask
 from processing.polynomial.even_grid import is_even
-from processing.record.faults import Fault
 from processing.record.finding import Finding
-from processing.record.motion import Phase, VelocityStep, mask_of
+from processing.record.motion import Fault, Phase, VelocityStep, mask_of
 from processing.record.position_steps import PositionStep, step_offsets
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from daq.output.plot import PngFigure
     from daq.runfile.recording import Recording
+
+DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -220,3 +225,80 @@ class Kinematics(SmoothingHeader):
     def plateau_fraction(self) -> float:
         """Share of the samples in sticks, 0 to 1."""
         return float(self.stick.mean()) if self.stick.size else 0.0
+
+    @cached_property
+    def cycles(self) -> tuple[slice, ...]:
+        """Samples of each complete cycle, from one onset of slip after a stick to the next."""
+        onsets = [
+            after.first
+            for before, after in pairwise(self.phases)
+            if before.kind == "stick" and after.kind == "slip" and after.first == before.last + 1
+        ]
+        segment = self.recording.segment
+        return tuple(slice(first, last) for first, last in pairwise(onsets) if segment[first] == segment[last])
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the motion as a pandas table, one row a sample, units in the column names.
+
+        Columns: ``time_s``; position, velocity and acceleration, then their standard errors; the belt's velocity and
+        its error where it has an encoder; ``phase``, which is "stick", "slip" or "rest"; ``segment``.
+        """
+        import pandas as pd
+
+        columns: dict[str, np.ndarray] = {"time_s": self.time}
+        for name, per in DERIVATIVES.items():
+            columns[f"{name}_{self.unit}{per}"] = getattr(self, name)
+        for name, per in DERIVATIVES.items():
+            columns[f"{name}_error_{self.unit}{per}"] = getattr(self, f"{name}_errors")
+        if self.belt_velocity is not None and self.belt_velocity_errors is not None:
+            columns[f"belt_velocity_{self.unit}_per_s"] = self.belt_velocity
+            columns[f"belt_velocity_error_{self.unit}_per_s"] = self.belt_velocity_errors
+        phase = np.full(self.samples, "rest", dtype="U5")
+        for found in self.phases:
+            phase[found.first : found.last + 1] = found.kind
+        return pd.DataFrame(columns | {"phase": phase, "segment": self.recording.segment})
+
+    def plot(self) -> "PngFigure":
+        """Draw position and velocity against time, over the first cycles, and the phase portrait of the whole record.
+
+        Returns
+        -------
+        matplotlib Figure
+            Three axes; sticks are shaded.  ``figure.savefig(path)`` writes it, a notebook shows it.
+        """
+        from processing.record import plot
+
+        return plot.motion(self)
+
+    def facts(self) -> dict[str, str]:
+        """Return what a person wants to see first, in words, by name."""
+        belt = f"{self.belt_speed:.5g} {self.unit}/s" if math.isfinite(self.belt_speed) else "unknown"
+        window = "" if self.method == "fd" else f", window {self.window}, order {self.order}"
+        found = {
+            "samples": str(self.samples),
+            "duration": f"{self.span:.4g} s",
+            "method": f"{self.method}{window}, {self.times} times",
+            "phases": f"{len(self.sticks)} sticks, {len(self.slips)} slips",
+            "belt speed": belt + (", from its own encoder" if self.belt_counted else ""),
+            "stuck for": f"{100 * self.plateau_fraction:.0f} % of the record",
+            "error of one position": f"{self.noise:.2g} {self.unit}",
+            "counts lost": f"{self.lost_counts} times" if self.lost_counts else "",
+            "velocity steps": str(len(self.kicks)) if self.kicks else "",
+            "samples left out": str(int(self.missing.sum())) if self.faults else "",
+            "findings": "; ".join(finding.text for finding in self.findings),
+        }
+        return {name: text for name, text in found.items() if text}
+
+    def __repr__(self) -> str:
+        facts = self.facts()
+        findings = f"; {len(self.findings)} findings" if self.findings else ""
+        length = f"{facts['samples']} samples, {facts['duration']}"
+        return (
+            f"<Kinematics of {self.recording.name}: {facts['method']}\n"
+            f" {length}; {facts['phases']}, belt speed {facts['belt speed']}{findings}>"
+        )
+
+    def _repr_html_(self) -> str:
+        from daq.output import notebook
+
+        return notebook.table(f"Kinematics of {self.recording.name}", self.facts().items())

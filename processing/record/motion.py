@@ -121,6 +121,23 @@ class SampleRange(Protocol):
         """The last one."""
 
 
+@dataclass(frozen=True)
+class Fault:
+    """Samples ``first`` to ``last`` (both included) that a sensor got wrong, left out of the smoothing.
+
+    ``kind`` is "spike" (out of line with the samples on either side) or "frozen" (one value held while the mass moved).
+    """
+
+    first: int
+    last: int
+    kind: Literal["spike", "frozen"]
+
+    @property
+    def samples(self) -> int:
+        """How many samples there are."""
+        return self.last - self.first + 1
+
+
 def mask_of(ranges: Iterable[SampleRange], n: int) -> Mask:
     """Return a mask of n samples, True inside the ranges (phases, faults)."""
     mask = np.zeros(n, bool)

@@ -1,7 +1,8 @@
 """A record made ready for smoothing: positions from the first sample on, the time axis asked for, cut at its gaps.
 
 Rules: counts are subtracted as whole numbers before they become metres, so an offset of 2^60 costs no digit; a hole
-of more than `HOLE` sample intervals ends a piece, and so does a new segment; nothing is ever smoothed across a cut.
+of more than `HOLE` (`daq.compute.arrays`) sample intervals ends a piece, and so does a new segment; nothing is ever
+smoothed across a cut.
 A shorter hole (a lost sample or two) stays inside its piece: the recorded times say where the neighbours lie.
 """
 
@@ -13,9 +14,8 @@ from typing import TYPE_CHECKING, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, Integers
+from daq.compute.arrays import Array, Integers, pieces
 from daq.errors import InputError
 from processing.polynomial.even_grid import even_grid
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
 
-HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or two, shorter than a lost frame of eight
 LONG = 0.03  # s: a hole left by faults, as long as the shortest stick, may hide one: nothing is smoothed across it
 LEAST = 5  # samples: a local parabola and its error need as many
 TIMES = ("recorded", "nominal")
@@ -160,16 +159,6 @@ def check(time: Array, position: Array, where: str) -> None:
             where,
             "times must increase: remove that sample, or use --times nominal when only the clock is bad",
         )
-
-
-def pieces(time: Array, segment: NDArray[np.integer], interval: float) -> tuple[slice, ...]:
-    """Return the stretches between segment changes and holes longer than `HOLE` intervals."""
-    steps = np.diff(time)
-    # Nine in ten intervals are no longer than this: the nominal one, or its like where samples come at random.
-    usual = max(interval, float(np.percentile(steps, 90)))
-    cut = (np.diff(segment.astype(np.int64)) != 0) | (steps > HOLE * usual)
-    edges = [0, *(np.flatnonzero(cut) + 1).tolist(), time.size]
-    return tuple(slice(first, last) for first, last in pairwise(edges))
 
 
 def nominal(recording: "Recording", anchor: "tuple[float, int] | None" = None) -> Array:

@@ -7,8 +7,8 @@ import pytest
 
 from daq.errors import InputError
 from fitting.data import belt_line
+from fitting.drawing.curves import points
 from fitting.model.parameters import Global
-from fitting.report.curves import points
 from fitting.selection.ranking import rank
 
 FS_OVER_K = 1.379353536 / 10.5552
@@ -103,10 +103,10 @@ def test_a_belt_that_swings_is_told(simulated):
 
 def test_measured_points_of_a_stick_lie_at_rest_on_the_compliant_belt(simulated):
     ranking = rank(simulated("belt.channel=true", "droop.fraction=0.02", "friction.law=5"), laws=(5,))
-    w, _, stick = points(ranking)
+    w, _, stick = points(ranking.best.fit, ranking.motion)
     assert abs(np.median(w[stick])) < 1e-4
     u = ranking.best.fit.u.copy()
     u[Global.COMPLIANCE] = 0.0
     rigid = replace(ranking.best.fit, u=u)
-    unbent, _, _ = points(replace(ranking, rows=(replace(ranking.best, fit=rigid),)))
+    unbent, _, _ = points(rigid, ranking.motion)
     assert np.std(unbent[stick]) > 5 * np.std(w[stick])

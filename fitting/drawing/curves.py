@@ -14,7 +14,6 @@ from daq.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
 from fitting.model.parameters import PerCycle
-from fitting.selection.result import LawResult, Ranking
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 
@@ -40,19 +39,19 @@ def speeds(motion: MeasuredMotion, number: int = 401) -> Array:
     return np.sort(motion.sign * np.r_[low * half[1:], high * half])
 
 
-def curve(row: LawResult, motion: MeasuredMotion, w: Array) -> Array:
+def curve(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:
     """Return a law's friction at relative velocities w (n,), m/s in the record's own sign; in `unit`."""
-    p = row.fit.values
-    Fs = p.F * mass(motion, row.fit)
-    return np.asarray(force(LAWS[row.law], w, Fs=Fs, G_slip=p.shape * Fs, gamma=p.shape, d=p.d or 1.0, static=p.static))
+    p = fit.values
+    Fs = p.F * mass(motion, fit)
+    return np.asarray(force(LAWS[fit.law], w, Fs=Fs, G_slip=p.shape * Fs, gamma=p.shape, d=p.d or 1.0, static=p.static))
 
 
-def points(ranking: Ranking) -> tuple[Array, Array, NDArray[np.bool_]]:
+def points(fit: Fit, motion: MeasuredMotion) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return relative velocity (m/s), friction (in `unit`) and whether it is a stick, of every slip and stick sample.
 
+    The fit, usually of the best law, gives the force balance and the level of each cycle.
     Samples within half a smoothing window of a landing are left out: smoothing rounds the corner off there.
     """
-    motion, fit = ranking.motion, ranking.best.fit
     p = fit.values
     w_parts, f_parts, stick_parts = [], [], []
     for k, cycle in enumerate(fit.cycles):

@@ -1,0 +1,1 @@
+"""Friction curves as pictures: of each law, of the measured points and the measured curve."""

@@ -1,0 +1,73 @@
+"""The picture of a ranking: friction against relative speed as measured without a law, and the curves of the laws."""
+
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+
+from daq.output.plot import STYLE, PngFigure, figure
+from fitting.curve.result import MeasuredCurve
+from fitting.data.frame import MeasuredMotion
+from fitting.drawing import curves
+from fitting.drawing.palette import COLOURS, INK, MEASURED
+from fitting.estimation.fit import Fit
+from rig_sim.friction.law import LAWS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
+COLUMNS = 140  # of a line of the title
+MOST_POINTS = 12_000
+
+
+def friction(fits: Sequence[Fit], motion: MeasuredMotion, measured: MeasuredCurve | None, title: str) -> PngFigure:
+    """Return friction against relative speed (cm/s), all speeds and the low ones.
+
+    Parameters
+    ----------
+    fits : sequence of Fit
+        The laws to draw, best first; at least one.
+    motion : MeasuredMotion
+        Gives mass or stiffness, and where ``measured`` is None the points.
+    measured : MeasuredCurve or None
+        The curve without a law, with its band, in the unit of `curves.unit`.  None: the force balance of the first
+        law at each sample is drawn as points.
+    title : str
+    """
+    with mpl.rc_context(fname=STYLE):
+        drawn = figure(11.5, 4.6)
+        whole, low = drawn.subplots(1, 2)
+        top = float(measured.speed[-1]) if measured is not None else float(np.abs(curves.speeds(motion)).max())
+        for axes, reach in ((whole, top), (low, ZOOM * top)):
+            _curves(axes, fits, motion, 1.02 * reach)
+            if measured is None:
+                w, force, _ = curves.points(fits[0], motion)
+                thin = slice(None, None, max(1, w.size // MOST_POINTS))
+                shown = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
+                axes.plot(-100 * motion.sign * w[thin], motion.sign * force[thin], ".", label="measured", **shown)
+            else:
+                band = f"{100 * measured.confidence:g} % band"
+                speed = 100 * measured.speed
+                axes.fill_between(speed, measured.lo, measured.hi, color=INK, alpha=0.2, lw=0, zorder=1, label=band)
+                axes.plot(speed, measured.friction, color=INK, lw=2.2, zorder=1, label="measured, without a law")
+            axes.set(xlim=(0, 102 * reach), xlabel="relative speed (cm/s)")
+        whole.set(title="all speeds", ylabel=f"friction ({curves.unit(motion)})")
+        low.set(title="low speeds")
+        for axes in (whole, low):
+            axes.set_ylim(0, None)
+        whole.legend()
+        drawn.suptitle(textwrap.fill(title, COLUMNS), parse_math=False, x=0.01, ha="left", fontsize=10.5)
+    return drawn
+
+
+def _curves(axes: "Axes", fits: Sequence[Fit], motion: MeasuredMotion, reach: float) -> None:
+    """Draw each law from just above 0, where a jump has no value, to a relative speed, m/s."""
+    speed = reach * np.linspace(0, 1, 401)[1:] ** 2  # densest near 0, where a ramp bends
+    for fit in fits:
+        force = motion.sign * curves.curve(fit, motion, -motion.sign * speed)
+        style = "-" if fit is fits[0] else (0, (5, 3))
+        name = f"law {fit.law} ({LAWS[fit.law].name})"
+        axes.plot(100 * speed, force, color=COLOURS[fit.law], lw=1.6, ls=style, zorder=3, label=name)

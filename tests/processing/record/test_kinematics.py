@@ -1,0 +1,53 @@
+"""What a motion shows of itself in Python: a short text, tables, and a picture."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import daq
+import processing
+from processing.record.finding import Finding
+
+SAMPLES = Path(__file__).resolve().parents[3] / "data_samples"
+
+
+@pytest.fixture(scope="module")
+def kinematics():
+    return processing.smooth(daq.load(SAMPLES / "law5.h5"))
+
+
+def test_the_text_names_file_method_phases_and_belt_speed(kinematics):
+    """It used to be 6000 characters of arrays."""
+    text = repr(kinematics)
+    assert len(text.splitlines()) <= 3
+    assert len(text) < 200
+    for part in ("law5.h5", "segment", "6000 samples", "7 sticks, 7 slips", f"{kinematics.belt_speed:.5g} m/s"):
+        assert part in text
+    assert "unknown" in repr(replace(kinematics, belt_speed=np.nan, phases=()))
+
+
+def test_what_a_file_says_is_escaped_in_the_table(kinematics):
+    found = Finding("belt-speed", "0.2 < 0.3 <script>")
+    recording = replace(kinematics.recording, source=Path("<script>.h5"))
+    table = replace(kinematics, recording=recording, findings=(found,))._repr_html_()
+    assert "<script" not in table
+    assert "0.2 &lt; 0.3" in table
+
+
+def test_the_data_frame_has_a_row_a_sample_with_errors_and_phase(kinematics):
+    rows = kinematics.to_dataframe()
+    assert len(rows) == kinematics.samples
+    np.testing.assert_array_equal(rows["velocity_m_per_s"], kinematics.velocity)
+    np.testing.assert_array_equal(rows["position_error_m"], kinematics.position_errors)
+    np.testing.assert_array_equal(rows["phase"] == "stick", kinematics.stick)
+
+
+def test_the_picture_shows_position_velocity_and_the_phase_portrait(kinematics):
+    above, below, portrait = kinematics.plot().axes
+    np.testing.assert_array_equal(above.lines[0].get_ydata(), 100 * kinematics.position)
+    np.testing.assert_array_equal(below.lines[0].get_xydata(), np.c_[kinematics.time, 100 * kinematics.velocity])
+    np.testing.assert_array_equal(portrait.lines[0].get_xdata(), 100 * kinematics.position)
+    np.testing.assert_array_equal(portrait.lines[0].get_ydata(), 100 * kinematics.velocity)
+    assert portrait.get_title(loc="left") == "phase portrait, 5 complete cycles"
