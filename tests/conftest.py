@@ -1,7 +1,11 @@
 """What tests of every package share."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
+import time
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -99,3 +103,63 @@ def _capture(
             for name, piece in sorted(numbered):  # by name: 1, 10, 11, 2 ...
                 archive.writestr(name, piece)
     return path
+
+
+@pytest.fixture(scope="session")
+def cluster() -> Iterator[str]:
+    """Start a scheduler and two workers of one thread, in processes of their own; give the address."""
+    pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    script = (
+        "from distributed import LocalCluster\n"
+        "if __name__ == '__main__':\n"
+        "    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:\n"
+        "        print(cluster.scheduler_address, flush=True)\n"
+        "        input()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as run:
+        yield run.stdout.readline().strip()
+        run.stdin.write("\n")
+
+
+@pytest.fixture
+def own_scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """Start a scheduler that a test may kill; give the process and the address."""
+    pytest.importorskip("distributed", reason="dask.distributed is not installed")
+    contact = tmp_path / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
+    with subprocess.Popen([*command, "--scheduler-file", str(contact)], stderr=subprocess.DEVNULL) as run:
+        deadline = time.monotonic() + 600
+        while not (contact.exists() and contact.read_text().endswith("}")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        yield run, json.loads(contact.read_text())["address"]
+        run.kill()
+
+
+@pytest.fixture
+def worker(tmp_path: Path) -> Iterator[Callable[..., None]]:
+    """Give what starts a worker of a scheduler, with other folders before its import path."""
+    started: list[subprocess.Popen[bytes]] = []
+
+    def start(address: str, *path: str) -> None:
+        command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny"]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([*path, os.environ.get("PYTHONPATH", "")])}
+        started.append(
+            subprocess.Popen(
+                [*command, "--no-dashboard"],
+                env=environment,
+                cwd=tmp_path,  # which comes before PYTHONPATH
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+        )
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()

@@ -1,4 +1,4 @@
-"""Where the fitting is done: in this process, in several on this machine, or by the workers of a dask scheduler.
+"""Where work is done: in this process, in several on this machine, or by the workers of a dask scheduler.
 
 Each gives a ``map``: results in the order of the items, a few items ahead of the one asked for, the same to the last
 bit wherever they were made.
@@ -73,7 +73,7 @@ def _processes(number: int) -> Iterator[Map]:
             child.terminate()
         if isinstance(error, BrokenProcessPool):
             do = "a machine short of memory does that: use fewer --jobs"
-            raise DeviceError("a fitting process was killed", "--jobs", do) from None
+            raise DeviceError("a process of this command was killed", "--jobs", do) from None
         raise
     pool.shutdown()
 
@@ -150,7 +150,7 @@ def _cluster_errors(address: str) -> Iterator[None]:
         raise DeviceError("a dask worker died during this work", where, do) from None
     except (CancelledError, OSError, TimeoutError):
         what = "the connection to the dask scheduler was lost during this work"
-        raise DeviceError(what, where, "start it and its workers again, then fit what is missing") from None
+        raise DeviceError(what, where, "start it and its workers again, then do what is missing") from None
     except Exception as error:
         what = f"a dask worker failed: {type(error).__name__}: {error}".splitlines()[0]
         raise DeviceError(what, where, f"check that every worker can import stickslip {VERSION}") from error
@@ -203,7 +203,7 @@ def _check_workers(client: Any, address: str, function: Callable[[Any], Any]) ->
     with _cluster_errors(address):
         failures = client.run(_load_error, pickle.dumps(function)).values()
     if lacks := next(filter(None, failures), ""):
-        raise InputError(f"the workers cannot load the fit: {lacks}", where, do)
+        raise InputError(f"the workers cannot load the work: {lacks}", where, do)
 
 
 def _version() -> str:

@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
-from rig_sim.cli import continuation, control, forced, maps
+from rig_sim.cli import continuation, control, forced, maps, sweep
 from rig_sim.cli.atlas import atlas
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
 
 app.command(continuation.continue_, name="continue")
 app.command(maps.map_, name="map")
-app.command(maps.sweep)
+app.command(sweep.sweep)
 app.command(maps.basins)
 app.command(maps.lyapunov)
 app.command(forced.quench)

@@ -65,7 +65,7 @@ def continue_(
     if first.coupling is not None:
         if draws is not None:
             raise InputError("--draws with two masses", "--draws", "leave it out")
-        return maps.continue_map(maps.SweptScene(scene, changes, span.key), span)
+        return maps.continue_map(maps.SweptScene(first, span.key), scene, span)
     if draws is not None:
         from rig_sim.scenes.draws import drawn_changes
 

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rig_sim.dynamics.forced.driven_mass import DrivenMass
     from rig_sim.dynamics.maps.sweep import AttractorAt
     from rig_sim.flow.flow import Flow
+    from rig_sim.scenes.model import Scene
 
 ROTATIONS = 2000  # landings over which the mean time between two is taken
 
@@ -21,14 +22,14 @@ class DrivenAttractors:
 
     Attributes
     ----------
-    name, changes, key
-        The scene, its changes, and the key left open.
+    scene : Scene
+    key : str
+        Its key that is left open.
     draws : str
         The section whose points are drawn, 'poincare' or 'slip'.
     """
 
-    name: str
-    changes: dict[str, object]
+    scene: "Scene"
     key: str
     draws: str
 
@@ -37,8 +38,9 @@ class DrivenAttractors:
         from rig_sim.dynamics.forced.attractors import attractors
         from rig_sim.dynamics.forced.driven_mass import driven_masses
         from rig_sim.dynamics.maps.sweep import AttractorAt
+        from rig_sim.scenes.scene import scene
 
-        flow, x, v = driven(self.name, {**self.changes, self.key: value})
+        flow, x, v = driven(scene(self.scene, **{self.key: value}), self.scene.name)
         if flow.omega == 0.0:
             return [AttractorAt(value, 0, (), None, 0.0, (float("nan"), float("nan")), None, "no drive period")]
         rows = attractors(driven_masses(flow, x, v, self.draws), value)
@@ -47,8 +49,8 @@ class DrivenAttractors:
         return rows
 
 
-def driven(name: str, changes: dict[str, object]) -> "tuple[Flow, float, float]":
-    """Return the flow and the start (x, v) of a scene of one driven mass.
+def driven(found: "Scene", name: str) -> "tuple[Flow, float, float]":
+    """Return the flow and the start (x, v) of a scene of one driven mass; ``name`` is for messages.
 
     Raises
     ------
@@ -56,9 +58,7 @@ def driven(name: str, changes: dict[str, object]) -> "tuple[Flow, float, float]"
         Two masses, no drive, or numbers that are not physical.
     """
     from rig_sim.flow.flow import validate
-    from rig_sim.scenes.scene import scene
 
-    found = scene(name, **changes)
     if found.drive is None:
         do = "set drive.u0 and drive.omega, or take the scene forced"
         raise InputError("has no drive, and this is for a driven mass", f"scene {name}", do)
@@ -151,7 +151,9 @@ def driven_mass(name: str, changes: dict[str, object], section: str) -> "DrivenM
 
 def with_period(name: str, changes: dict[str, object]) -> "tuple[Flow, float, float]":
     """Return flow and start as `driven`, or refuse a drive without a period."""
-    flow, x, v = driven(name, changes)
+    from rig_sim.scenes.scene import scene
+
+    flow, x, v = driven(scene(name, **changes), name)
     if flow.omega == 0.0:
         raise InputError("drive.omega is 0: there is no drive period", f"scene {name}", "set drive.omega")
     return flow, x, v

@@ -1,9 +1,8 @@
-"""The commands of ``rig-sim`` about maps and attractors: map, sweep, basins, lyapunov."""
+"""The commands of ``rig-sim`` about maps of two masses: map, basins, lyapunov; and what continue answers for them."""
 
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -13,12 +12,10 @@ from daq.errors import InputError
 from rig_sim.cli import forced
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from rig_sim.cli.parameter_range import ParameterRange
     from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
-    from rig_sim.dynamics.maps.sweep import AttractorAt
     from rig_sim.flow.two_mass import TwoMassFlow
+    from rig_sim.scenes.model import Scene
 
 MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
@@ -107,26 +104,25 @@ def map_(
 
 @dataclass(frozen=True)
 class SweptScene:
-    """A scene with one key left open, as a process is handed it."""
+    """A scene with one key left open, whole, as a process is handed it: a worker elsewhere may not have its file."""
 
-    name: str
-    changes: dict[str, object]
+    scene: "Scene"
     key: str
 
     def __call__(self, value: float) -> "TwoMassFlow":
         """Return the masses of the scene whose key has this value."""
         from rig_sim.scenes.scene import scene
 
-        return scene(self.name, **{**self.changes, self.key: value}).two_mass_flow()
+        return scene(self.scene, **{self.key: value}).two_mass_flow()
 
 
-def continue_map(flow_at: SweptScene, span: "ParameterRange") -> Answer:
+def continue_map(flow_at: SweptScene, name: str, span: "ParameterRange") -> Answer:
     """Return the answer of ``rig-sim continue`` for two masses."""
     from rig_sim.dynamics.maps.map_continuation import map_continuation
 
     with application.progress("following", span.number) as show:
         branches, points = map_continuation(
-            lambda value: _checked(flow_at(value), flow_at.name), span.values().tolist(), progress=show
+            lambda value: checked(flow_at(value), name), span.values().tolist(), progress=show
         )
     data = {
         "parameter": span.key,
@@ -148,106 +144,6 @@ def continue_map(flow_at: SweptScene, span: "ParameterRange") -> Answer:
         for branch in branches
     ]
     lines += [f"{point.kind}: {span.key} = {point.value:.12g}" for point in points] or ["no special point"]
-    return Answer(data, "\n".join(lines))
-
-
-def sweep(
-    scene: str,
-    /,
-    *,
-    over: Annotated[str, Parameter(help="section.key=START:STOP, or START:STOP:N for N values (default 41).")],
-    section: Annotated[
-        Literal["poincare", "map", "slip"],
-        Parameter(
-            help="Points of two masses: x1 where the first turns forwards (poincare), or d = x2 - x1 while both stick "
-            "(map). Of a driven mass: x at phase 0 of the drive (poincare), or at break-away (slip)."
-        ),
-    ] = "poincare",
-    jobs: Annotated[int, Parameter(help="Processes; the results do not depend on it.")] = 1,
-    scheduler: Annotated[
-        str | None, Parameter(help="Address of a running dask scheduler whose workers do it; needs stickslip[cluster].")
-    ] = None,
-    plot: Plot = None,
-    force: Force = False,
-    set_: SetChanges = None,
-    json: Json = False,
-) -> Answer:
-    """Find the attractors of two masses, or of a driven one, at each value of a parameter: a bifurcation diagram.
-
-    Attractor 1 has the largest basin at the first value; then the numbers follow.
-
-    Two masses: the starts lie all over the stretches that a global stick can have. A motion without global stick counts
-    as one more attractor, with points in the section poincare alone.
-
-    A driven mass: the scene's start, the sliding mass at rest, and eight starts in stick, all over the drive's phases
-    of break-away. period: points of the section until the motion repeats; drive_periods: drive periods.
-
-    Example: rig-sim sweep two-mass --over belt.speed=0.08:0.2:400 --jobs 2 --plot bifurcations.png
-
-    Example: rig-sim sweep forced --over drive.omega=0.2:2:400 --section slip --plot bifurcations.png
-
-    Parameters
-    ----------
-    scene
-        A built-in name (see rig-sim scenes) or a TOML file.
-    """
-    from daq.compute.workers import workers
-    from rig_sim.cli.parameter_range import parse
-    from rig_sim.dynamics.maps.sweep import attractors_at
-    from rig_sim.dynamics.maps.sweep import sweep as follow
-    from rig_sim.scenes.scene import parse_changes
-    from rig_sim.scenes.scene import scene as read
-
-    if jobs < 1:
-        raise InputError(f"is {jobs}", "--jobs", "give 1 or more")
-    span = parse(over)
-    changes = parse_changes(set_)
-    values = span.values().tolist()
-    find: Callable[[float], list[AttractorAt]]
-    coupled = read(scene, **{**changes, span.key: span.start}).coupling is not None
-    if not coupled:
-        if section == "map":
-            raise InputError("is map, which is for two masses", "--section", "give poincare or slip")
-        find = forced.DrivenAttractors(scene, changes, span.key, section)
-        for end in (values[0], values[-1]):
-            forced.driven(scene, {**changes, span.key: end})
-    else:
-        if section == "slip":
-            raise InputError("is slip, which is for a driven mass", "--section", "give poincare or map")
-        flow_at = SweptScene(scene, changes, span.key)
-        find = partial(attractors_at, flow_at, section)
-        for end in (values[0], values[-1]):
-            _checked(flow_at(end), scene)
-    with workers(jobs, scheduler) as spread, application.progress("sweeping", span.number) as show:
-        rows = follow(find, values, spread=spread, progress=show)
-    data: dict[str, Any] = {
-        "parameter": span.key,
-        "section": section,
-        "rows": [
-            {
-                "parameter": row.value,
-                "attractor": row.attractor,
-                "points": row.points,
-                "period": row.period,
-                "drive_periods": row.drive_periods,
-                "share": row.share,
-                "outcome": row.outcome,
-            }
-            for row in rows
-        ],
-    }
-    lines = [f"{span.key:>14}  attractor  share  period  points"]
-    for row in rows:
-        few = ", ".join(f"{point:.6g}" for point in row.points[:4]) + (" ..." if len(row.points) > 4 else "")
-        period = str(row.period or "-")
-        shown = few if row.outcome == "completed" else f"{few} ({row.outcome})".strip()
-        lines.append(f"{row.value:14.8g}  {row.attractor:9}  {row.share:5.3f}  {period:>6}  {shown}")
-    if plot is not None:
-        from rig_sim.dynamics.maps.plot import save, sweep_figure
-
-        save(sweep_figure(rows, span.key, section, driven=not coupled), plot, force=force)
-        data["file"] = plot
-        lines.append(str(plot))
     return Answer(data, "\n".join(lines))
 
 
@@ -361,10 +257,10 @@ def stick_map(name: str, changes: list[str] | None, events: int = 0) -> "StickMa
     """
     from rig_sim.scenes.scene import parse_changes, scene
 
-    return _checked(scene(name, **parse_changes(changes)).two_mass_flow(), name, events)
+    return checked(scene(name, **parse_changes(changes)).two_mass_flow(), name, events)
 
 
-def _checked(flow: "TwoMassFlow", name: str, events: int = 0) -> "StickMap":
+def checked(flow: "TwoMassFlow", name: str, events: int = 0) -> "StickMap":
     """Return the map of two masses.
 
     Raises

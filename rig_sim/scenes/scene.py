@@ -60,13 +60,13 @@ def builtin_names() -> list[str]:
     return sorted(path.stem for path in BUILTIN_FOLDER.glob("*.toml"))
 
 
-def scene(name_or_path: "str | Path", **changes: object) -> Scene:
+def scene(source: "str | Path | Scene", **changes: object) -> Scene:
     """Return a scene, built in or read from a TOML file, with some keys changed.
 
     Parameters
     ----------
-    name_or_path : str or Path
-        A built-in name (`builtin_names`), or the path of a TOML file.
+    source : str, Path or Scene
+        A built-in name (`builtin_names`), the path of a TOML file, or a scene to change, which stays as it is.
     **changes
         Either dotted keys, ``scene("rig", **{"friction.law": 3})``, or whole or partial sections,
         ``scene("rig", friction={"law": 3}, seed=7)``.  A section that is absent is created; naming ``G_stick`` removes
@@ -79,7 +79,10 @@ def scene(name_or_path: "str | Path", **changes: object) -> Scene:
         no finite number or out of its range (of any number: 0, or from 1e-100 to 1e100 in size): each names the
         file and the key.
     """
-    where, content = _read(name_or_path)
+    if isinstance(source, Scene):
+        where, content = f"scene {source.name}", source.model_dump(exclude_unset=True)
+    else:
+        where, content = _read(source)
     for key, value in changes.items():
         if isinstance(value, Mapping):
             for inner, item in value.items():

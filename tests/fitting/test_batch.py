@@ -198,27 +198,6 @@ def test_an_address_where_nothing_listens_is_refused_at_once(folder):
         cli.fit(folder / "five.h5", each=True, scheduler=f"127.0.0.1:{port}")
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    """Start a scheduler and two workers of one thread, in processes of their own; give the address."""
-    script = (
-        "from distributed import LocalCluster\n"
-        "if __name__ == '__main__':\n"
-        "    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:\n"
-        "        print(cluster.scheduler_address, flush=True)\n"
-        "        input()\n"
-    )
-    with subprocess.Popen(
-        [sys.executable, "-c", script],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as run:
-        yield run.stdout.readline().strip()
-        run.stdin.write("\n")
-
-
 @pytest.mark.slow
 @needs_dask
 def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
@@ -239,43 +218,6 @@ def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
     here, there = rank(runs, laws=(3, 5)), rank(runs, laws=(3, 5), scheduler=cluster)
     assert there.laws_in_set == here.laws_in_set
     assert [row.parameters for row in there.rows] == [row.parameters for row in here.rows]
-
-
-@pytest.fixture
-def own_scheduler(tmp_path):
-    """Start a scheduler that a test may kill; give the process and the address."""
-    contact = tmp_path / "scheduler.json"
-    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
-    with subprocess.Popen([*command, "--scheduler-file", str(contact)], stderr=subprocess.DEVNULL) as run:
-        deadline = time.monotonic() + 600
-        while not (contact.exists() and contact.read_text().endswith("}")) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        yield run, json.loads(contact.read_text())["address"]
-        run.kill()
-
-
-@pytest.fixture
-def worker(tmp_path):
-    """Give what starts a worker of a scheduler, with other folders before its import path."""
-    started = []
-
-    def start(address, *path):
-        command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny"]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join([*path, os.environ.get("PYTHONPATH", "")])}
-        started.append(
-            subprocess.Popen(
-                [*command, "--no-dashboard"],
-                env=environment,
-                cwd=tmp_path,  # which comes before PYTHONPATH
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-            )
-        )
-
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
 
 
 @needs_dask
@@ -311,7 +253,7 @@ def test_workers_that_cannot_import_the_fit_are_named(folder, capsys, own_schedu
     worker(own_scheduler[1], str(tmp_path / "other"))
     code, document = documents(capsys, "--each", folder / "five.h5", "--laws", "5", "--scheduler", own_scheduler[1])
     assert code == 2
-    assert "cannot load the fit: ModuleNotFoundError: No module named 'fitting." in document["error"]["what"]
+    assert "cannot load the work: ModuleNotFoundError: No module named 'fitting." in document["error"]["what"]
 
 
 def test_processes_lost_in_the_middle_leave_the_finished_runs(folder, monkeypatch):

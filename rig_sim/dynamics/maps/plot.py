@@ -90,6 +90,13 @@ def basins_figure(found: Basins) -> Figure:
     return figure
 
 
+def check_place(path: Path, *, force: bool = False) -> None:
+    """Raise InputError where `save` would, so that nothing is computed in vain."""
+    if path.suffix not in FORMATS:
+        raise InputError(f"ending {path.suffix!r}", str(path), f"name the file {', '.join(FORMATS)}")
+    atomic.refuse_existing(path, force)
+
+
 def save(figure: Figure, path: Path, *, force: bool = False) -> None:
     """Write a figure; it appears whole or not at all.
 
@@ -98,8 +105,6 @@ def save(figure: Figure, path: Path, *, force: bool = False) -> None:
     InputError
         Another ending than `FORMATS`, or a file that exists.
     """
-    if path.suffix not in FORMATS:
-        raise InputError(f"ending {path.suffix!r}", str(path), f"name the file {', '.join(FORMATS)}")
-    atomic.refuse_existing(path, force)
+    check_place(path, force=force)
     with atomic.replacing(path, force) as temporary:
         figure.savefig(temporary, format=path.suffix[1:], dpi=150)

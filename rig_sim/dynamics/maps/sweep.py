@@ -6,7 +6,8 @@ Attractors of neighbouring values are then numbered alike where they lie closest
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -23,7 +24,12 @@ CELLS = 600  # of the cell mapping at each value; a basin narrower than a few ce
 CROSSINGS = 256  # points of the section on an attractor
 LEFT_OUT = 200  # first crossings of a motion without global stick
 SAME_POINT = 1e-7  # of the interval: points of the section closer than this are drawn as one
-CHUNK = 8  # values that a process takes at a time, some 0.1 s each
+# A task, which a process takes at a time, takes so long, s: to send it and its results takes 1 ms by processes, some
+# 10 ms by dask.  Half costs dask 5 % more; double leaves more processes idle at the end, and more undone when killed.
+TASK_S = 0.2
+MOST_GROWTH = (
+    2  # of the number of values in a task: neighbours of a value that is done at once may take 1000 times longer
+)
 
 Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -69,6 +75,8 @@ def sweep(
     *,
     spread: Spread = map,
     progress: Callable[[float], None] = lambda _: None,
+    finished: Mapping[float, list[AttractorAt]] | None = None,
+    keep: Callable[[float, list[AttractorAt]], None] = lambda *_: None,
 ) -> list[AttractorAt]:
     """Return the attractors at every value, in order.
 
@@ -79,24 +87,59 @@ def sweep(
     values : sequence of float
         Of the parameter.
     spread : callable
-        The ``map`` that shares out the work; results do not depend on it.
+        The ``map`` that shares out the work, and takes items as it needs them; results do not depend on it.
     progress : callable
         Called with the number of values done.
+    finished : mapping
+        What ``keep`` was given before an interruption; these values are not computed again.
+    keep : callable
+        Called with a value and what ``find`` returned for it, as soon as it is known.
     """
-    chunks = [tuple(values[first : first + CHUNK]) for first in range(0, len(values), CHUNK)]
-    found: list[AttractorAt] = []
-    done = 0
-    for chunk, results in zip(chunks, spread(partial(attractors_of, find), chunks), strict=True):
-        for rows in results:
-            found += numbered(rows, found)
-        done += len(chunk)
+    known = dict(finished or {})
+    missing = [value for value in values if value not in known]
+    done = len(values) - len(missing)
+    progress(done)
+    for value, rows in each_value(find, missing, spread):
+        keep(value, rows)
+        known[value] = rows
+        done += 1
         progress(done)
+    found: list[AttractorAt] = []
+    last: list[AttractorAt] = []
+    for value in values:
+        last = numbered(known[value], last) or last
+        found += last if known[value] else []
     return found
 
 
-def attractors_of(find: Callable[[float], list[AttractorAt]], values: Sequence[float]) -> list[list[AttractorAt]]:
-    """Return the attractors at some values."""
-    return [find(value) for value in values]
+def each_value(
+    find: Callable[[float], list[AttractorAt]], values: Sequence[float], spread: Spread
+) -> Iterator[tuple[float, list[AttractorAt]]]:
+    """Yield each value with its attractors, in order; the values are computed in tasks of about `TASK_S`.
+
+    How many values a task takes follows from how long the last task took that came back.
+    """
+    size = 1
+
+    def tasks() -> Iterator[Sequence[float]]:
+        first = 0
+        while first < len(values):
+            task = values[first : first + size]
+            first += len(task)
+            yield task
+
+    for results, seconds in spread(partial(timed, find), tasks()):
+        fitting = len(results) * TASK_S / max(seconds, 1e-9)
+        size = max(1, min(round(fitting), MOST_GROWTH * len(results)))
+        yield from results
+
+
+def timed(
+    find: Callable[[float], list[AttractorAt]], values: Sequence[float]
+) -> tuple[list[tuple[float, list[AttractorAt]]], float]:
+    """Return each value with its attractors, and the time that all took, s."""
+    begun = time.perf_counter()
+    return [(value, find(value)) for value in values], time.perf_counter() - begun
 
 
 def attractors_at(flow_at: Callable[[float], TwoMassFlow], section: str, value: float) -> list[AttractorAt]:

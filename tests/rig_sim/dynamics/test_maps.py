@@ -166,12 +166,6 @@ def test_a_sweep_draws_both_attractors(capsys, tmp_path):
     assert numbers == [[1, 2], [1]]  # attractor 2 ends at the fold, 0.1697
 
 
-@pytest.mark.slow
-def test_processes_change_no_bit_of_a_sweep(capsys):
-    words = ["sweep", "two-mass", "--over", "belt.speed=0.09:0.12:24"]
-    assert answer(capsys, *words) == answer(capsys, *words, "--jobs", "2")
-
-
 def test_the_period_doubling_of_the_logistic_map_and_no_other_point():
     branches, points = map_continuation(logistic, np.linspace(2.82, 3.12, 4).tolist())
     assert [(point.kind, point.value) for point in points] == [("period-doubling", pytest.approx(3.0, abs=1e-8))]

@@ -181,12 +181,6 @@ def test_break_away_lies_where_spring_and_drive_balance_the_level(capsys):
         assert 1.0 < max(row["points"]) <= highest + 1e-9
 
 
-@pytest.mark.slow
-def test_processes_change_no_bit_of_a_sweep(capsys):
-    words = ["sweep", "forced", "--over", "drive.u0=0:0.4:16", "--section", "slip"]
-    assert answer(capsys, *words) == answer(capsys, *words, "--jobs", "2")
-
-
 def test_a_sweep_over_the_belt_draws_its_diagram(capsys, tmp_path):
     path = tmp_path / "sweep.png"
     words = ["sweep", "forced", "--over", "belt.speed=0.25:0.5:2", "--section", "slip", "--plot", str(path)]
