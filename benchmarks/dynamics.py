@@ -1,13 +1,15 @@
 """Speed of the map of two masses against general tools, in one run.
 
-``python benchmarks/dynamics.py [EVENTS]`` (default 200 of the slow peers): CPU time per event and error against the
-exact map, on the thesis's two masses at V = 0.1 with starts all over the interval of d, of
+``python benchmarks/dynamics.py [EVENTS]`` (default 200 of the slow peers; ``sweep`` instead: the diagram alone): CPU time
+per event and error against the exact map, on the thesis's two masses at V = 0.1 with starts all over the interval of d, of
 
     exact, fine, coarse     rig_sim.dynamics.maps.stick_map, compiled
     scipy                   rig_sim.comparison.two_masses: DOP853 between located events, rtol 1e-6
     pynamicalsys            RK45 of the equations with sign(w) replaced by tanh(w/width), compiled by numba
 
-then the time of a bifurcation diagram with one and with two processes.  pynamicalsys knows neither stick nor events:
+then the time of a diagram of both attractors at 400 velocities: in this process, in two, and by a dask cluster of two
+workers on this machine.  Other work on the machine lengthens these times; the CPU times of all processes, their imports
+among them, and the load are stated too.  pynamicalsys knows neither stick nor events:
 its error is that of x2 - x1 at the instant of the next global stick.  Errors are quantiles: beside a jump of the map
 any method may fall on the other side.
 """
@@ -18,7 +20,9 @@ import os
 import platform
 import sys
 import time
+from contextlib import contextmanager, nullcontext
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +34,7 @@ from rig_sim.dynamics.maps.stick_map import COARSE, EXACT, FINE, StickMap
 from rig_sim.dynamics.maps.sweep import attractors_at, sweep
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
+from rig_sim.scenes.scene import scene
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FLOW = TwoMassFlow(Flow(v_belt=0.1))
@@ -39,7 +44,19 @@ WIDTH = 1e-3  # of tanh(w/width): the smallest with which the peer is not slower
 VALUES = np.linspace(0.08, 0.2, 400).tolist()
 
 
-def main(events: int) -> None:
+def main(argument: str) -> None:
+    result = {"cpus": os.cpu_count(), "machine": platform.processor() or platform.machine()}
+    name = "dynamics_sweep.json"
+    if argument != "sweep":
+        result |= map_speed(int(argument))
+        name = "dynamics.json"
+    result["sweep"] = sweep_speed()
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / name).write_text(json.dumps(result, indent=1))
+
+
+def map_speed(events):
+    """Print and return what an event costs by each method."""
     rows = []
     exact = StickMap(FLOW)
     expected = exact(STARTS)
@@ -68,29 +85,56 @@ def main(events: int) -> None:
     ratios = {peer: fast["fine"] / fast[peer] for peer in ("scipy", "pynamicalsys") if peer in fast}
     for peer, ratio in ratios.items():
         print(f"fine is {ratio:.0f} times as fast as {peer}, coarse {fast['coarse'] / fast[peer]:.0f} times")
-    find = partial(attractors_at, SweptScene("two-mass", {}, "belt.speed"), "poincare")
-    times = {}
-    diagrams = {}
-    for jobs in (1, 2):
-        begun = time.perf_counter()
-        with workers(jobs) as spread:
-            diagrams[jobs] = sweep(find, VALUES, spread=spread)
-        times[jobs] = time.perf_counter() - begun
-    same = diagrams[1] == diagrams[2]
-    print(
-        f"{len(VALUES)} velocities: {times[1]:.1f} s in one process, {times[2]:.1f} s in two "
-        f"({times[1] / times[2]:.2f} times as fast), {'the same to the last bit' if same else 'DIFFERENT'}"
-    )
-    RESULTS.mkdir(exist_ok=True)
-    result = {
-        "rows": rows,
-        "ratios": ratios,
-        "sweep_s": times,
-        "sweep_same": same,
-        "cpus": os.cpu_count(),
-        "machine": platform.processor() or platform.machine(),
-    }
-    (RESULTS / "dynamics.json").write_text(json.dumps(result, indent=1))
+    return {"rows": rows, "ratios": ratios}
+
+
+def sweep_speed():
+    """Print and return the times of the diagram by who computes it."""
+    find = partial(attractors_at, SweptScene(scene("two-mass"), "belt.speed"), "poincare")
+    ways = {"one process": (1, False), "two processes": (2, False), "two dask workers": (1, True)}
+    if find_spec("distributed") is None:
+        print("dask.distributed is not installed: pip install 'stickslip[cluster]'")
+        del ways["two dask workers"]
+    find(VALUES[0])  # compiles
+    found, first = {}, None
+    for name, (jobs, dask) in ways.items():
+        load, before = os.getloadavg()[0], cpu_of_all()
+        with dask_cluster() if dask else nullcontext() as address:
+            with workers(jobs, address) as spread:
+                begun = time.perf_counter()
+                rows = sweep(find, VALUES, spread=spread)
+                wall = time.perf_counter() - begun
+        first = first or rows
+        serial = found["one process"]["wall_s"] if found else wall
+        same = rows == first
+        cpu, outcome = cpu_of_all() - before, "the same to the last bit" if same else "DIFFERENT"
+        found[name] = {
+            "wall_s": wall,
+            "cpu_s": cpu,
+            "load": load,
+            "speedup": serial / wall,
+            "same": same,
+        }
+        print(
+            f"{len(VALUES)} velocities, {name:16} {wall:6.1f} s ({serial / wall:.2f} times as fast), "
+            f"CPU {cpu:6.1f} s, load before {load:.1f}, {outcome}"
+        )
+    return found
+
+
+@contextmanager
+def dask_cluster():
+    """Start a dask scheduler and two workers of one thread on this machine; yield the address."""
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        yield cluster.scheduler_address
+
+
+def cpu_of_all():
+    """Return the CPU time of this process and of those of its children that have ended, s."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 def cpu_of(work):
@@ -141,4 +185,4 @@ def smoothed():
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)
+    main(sys.argv[1] if len(sys.argv) > 1 else "200")

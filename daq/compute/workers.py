@@ -5,16 +5,18 @@ bit wherever they were made.
 """
 
 import logging
+import os
 import pickle
 import signal
 import socket
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -60,7 +62,7 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Map]:
 def _processes(number: int) -> Iterator[Map]:
     """Give ``map`` in fresh processes, which are ended, not waited for, when the block is left by an exception."""
     others = set(active_children())
-    pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_deaf)
+    pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_follow_parent)
 
     def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
         return _ordered(lambda item: pool.submit(function, item), lambda done: done.result(), items, AHEAD * number)
@@ -78,9 +80,17 @@ def _processes(number: int) -> Iterator[Map]:
     pool.shutdown()
 
 
-def _deaf() -> None:
-    """Leave Ctrl-C to the process that started this one."""
+def _follow_parent() -> None:
+    """Leave Ctrl-C to the process that started this one, and end when it ends, however it does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 @contextmanager

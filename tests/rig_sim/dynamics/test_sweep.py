@@ -145,7 +145,7 @@ def test_a_scheduler_killed_in_the_middle_leaves_the_finished_values(
     plain = application.plain
 
     def then_kill(row):
-        if "value" in row:
+        if isinstance(row, dict) and "value" in row:
             process.kill()
             process.wait()
         return plain(row)
