@@ -1,7 +1,8 @@
 """Speed of the map of two masses against general tools, in one run.
 
-``python benchmarks/dynamics.py [EVENTS]`` (default 200 of the slow peers; ``sweep`` instead: the diagram alone): CPU time
-per event and error against the exact map, on the thesis's two masses at V = 0.1 with starts all over the interval of d, of
+``python benchmarks/dynamics.py [EVENTS]`` (default 200 of the slow peers; ``sweep`` instead: the diagram alone): CPU
+time per event and error against the exact map, on the thesis's two masses at V = 0.1 with starts all over the interval
+of d, of
 
     exact, fine, coarse     rig_sim.dynamics.maps.stick_map, compiled
     scipy                   rig_sim.comparison.two_masses: DOP853 between located events, rtol 1e-6
