@@ -26,7 +26,10 @@ def position(recording: "Recording") -> PngFigure:
             if kind == "marker" and sample < time.size:
                 axes.axvline(time[sample], color=MARKER, lw=1.0, ls=(0, (5, 3)))
                 at = axes.get_xaxis_transform()
-                axes.text(time[sample], 0.97, f" {note}", transform=at, va="top", color=MARKER, parse_math=False)
+                box = {"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0}
+                axes.text(
+                    time[sample], 0.97, f" {note}", transform=at, va="top", color=MARKER, bbox=box, parse_math=False
+                )
         axes.set(xlabel="time (s)", ylabel=f"position ({unit})")
         axes.set_title(f"{recording.name}: {recording.title}", parse_math=False)
         axes.margins(x=0.01)

@@ -1,6 +1,6 @@
 """What a measurement of the friction curve gives: values, no computation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from daq.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
@@ -74,15 +74,15 @@ class MeasuredCurve:
     cpu_s : float
     """
 
-    speed: Array
-    friction: Array
-    lo: Array
-    hi: Array
+    speed: Array = field(repr=False)
+    friction: Array = field(repr=False)
+    lo: Array = field(repr=False)
+    hi: Array = field(repr=False)
     k_over_m: Parameter
     chi: float
     ramp: float
-    forms: tuple[FormFit, ...]
-    spline_fit: SplineFit
-    linear: LinearisedFit
+    forms: tuple[FormFit, ...] = field(repr=False)
+    spline_fit: SplineFit = field(repr=False)
+    linear: LinearisedFit = field(repr=False)
     confidence: float
     cpu_s: float

@@ -57,7 +57,7 @@ def friction(fits: Sequence[Fit], motion: MeasuredMotion, measured: MeasuredCurv
         whole.set(title="all speeds", ylabel=f"friction ({curves.unit(motion)})")
         low.set(title="low speeds")
         for axes in (whole, low):
-            axes.set_ylim(0, None)
+            axes.set_ylim(0, 1.06 * axes.dataLim.y1)
         whole.legend()
         drawn.suptitle(textwrap.fill(title, COLUMNS), parse_math=False, x=0.01, ha="left", fontsize=10.5)
     return drawn
