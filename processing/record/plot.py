@@ -114,6 +114,7 @@ def _portrait(axes: "Axes", kinematics: "Kinematics", factor: float, unit: str) 
         axes.axhline(speed, color=BELT, lw=1.0, ls=(0, (5, 3)), zorder=1, label=f"belt {speed:.4g} {unit}/s")
     cycles = len(kinematics.cycles)
     counted = f", {cycles} complete cycle{'s' if cycles != 1 else ''}" if cycles else ""
+    axes.locator_params(axis="x", nbins=7)  # counts of five digits touched each other
     axes.set_title(f"phase portrait{counted}")
     axes.set_xlabel(f"x ({unit})")
     axes.set_ylabel(f"v ({unit}/s)")
