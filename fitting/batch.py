@@ -118,7 +118,7 @@ def _read(
         try:
             run = job.load_run(file, options)
             for place in places:
-                page.refuse_foreign_file(place, run.recording.digest, force=force)
+                page.refuse_foreign_file(place, [run.recording.digest], force=force)
             yield run
         except Exception as error:
             yield _failure(error, file)
@@ -139,7 +139,7 @@ def _saved(file: Path, places: Sequence[Path], found: FitOutput | Failure, force
     if isinstance(found, Failure):
         return BatchRow(file, {}, found)
     try:
-        found.save([file], places, force=force)
+        found.save(next(iter(places), None), force=force)
     except Exception as error:
         return BatchRow(file, {}, _failure(error, file))
     return BatchRow(file, found.as_json() | {"report": next(iter(places), None)})

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -65,7 +64,9 @@ def fit(
     alpha: Annotated[float, Parameter(help="1 - confidence level of the intervals and the set.")] = 0.05,
     report: Annotated[
         Path | None,
-        Parameter(help="Report to write; default RUN.report.html; with several runs one each, numbered."),
+        Parameter(
+            help="Report to write; default RUN.report.html, of a joint fit RUN+N.report.html; with --each numbered."
+        ),
     ] = None,
     no_report: Annotated[bool, Parameter(negative=(), help="Write no report.")] = False,
     csv: Annotated[
@@ -83,7 +84,7 @@ def fit(
     jobs: Annotated[int, Parameter(help="Processes to fit in; a joint fit uses at most three.")] = 1,
     scheduler: Annotated[str | None, Parameter(help="Fit on the workers of a dask scheduler: tcp://host:8786.")] = None,
     force: Annotated[
-        bool, Parameter(negative=(), help="Replace a report or table that is not this run's own.")
+        bool, Parameter(negative=(), help="Replace a report, table or joint fit that is not of these runs.")
     ] = False,
     json: Json = False,
 ) -> Answer:
@@ -96,6 +97,8 @@ def fit(
 
     Several runs are fitted together, as one contact: the law's parameters, spring and damping are one for all, belt
     speed, rest position and wear are each run's own. Runs at other belt speeds distinguish laws that one run cannot.
+    Their fit is written into a file of its own beside the first run, named after it and the number of further runs:
+    run1+2.fit.h5 for three runs, with the report run1+2.report.html. The run files stay as they are.
     With --each every run is fitted by itself: a failed one stops no other, its error stands in its row; exit code 0
     when all are decided, 5 when one is undecided, 6 when no law describes one, else that of the worst error.
 
@@ -111,6 +114,7 @@ def fit(
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
     from daq.console.units import measured, quantity, time_or_none
+    from daq.runfile import joint
     from fitting import batch, job
     from fitting.report import page as pages
     from fitting.report import table
@@ -122,23 +126,22 @@ def fit(
         raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
     if no_report and report is not None:
         raise InputError("--report and --no-report together", "command line", "give one")
-    places: list[Path] = [] if no_report else pages.report_paths(files, report)
+    joint_file = joint.beside(files) if len(files) > 1 and not each else None
+    places: list[Path] = []
+    if not no_report:
+        beside = None if joint_file is None else joint.beside(files, pages.SUFFIX)
+        places = pages.report_paths(files, report) if beside is None else [report or beside]
+    _refuse_same([*places, joint_file, csv, curve_csv, save_scene])
     if csv is not None:
         table.refuse_foreign_file(csv, files, force=force)
-        if csv.resolve() in {place.resolve() for place in places}:
-            raise InputError("is also the name of the report", str(csv), "give another name with --csv or --report")
     if curve_csv is not None:
         if each:
             raise InputError("--curve-csv with --each", "command line", "fit the runs one at a time")
         table.refuse_foreign_file(curve_csv, files, table.CURVE, force=force)
-        if curve_csv.resolve() in {place.resolve() for place in (*places, *([] if csv is None else [csv]))}:
-            raise InputError("is also the name of another output", str(curve_csv), "give another name")
     if save_scene is not None:
         if each:
             raise InputError("--save-scene with --each", "command line", "fit the runs one at a time")
         scene_file.refuse_existing(save_scene, files, force=force)
-        if save_scene.resolve() in {place.resolve() for place in (*places, csv, curve_csv) if place is not None}:
-            raise InputError("is also the name of another output", str(save_scene), "give another name")
     if mass is not None and stiffness is not None:
         raise InputError("--mass and --stiffness together", "command line", "give one: the fit finds the other")
     options = job.FitOptions(
@@ -164,14 +167,16 @@ def fit(
         data = {"runs": [row.as_json() for row in rows]}
         return Answer(data, _batch(rows), batch.exit_code(rows))
     runs = [job.load_run(path, options) for path in files]
-    for place, run in zip(places, runs, strict=False):
-        pages.refuse_foreign_file(place, run.recording.digest, force=force)
+    place = places[0] if places else None
+    if place is not None:
+        pages.refuse_foreign_file(place, [run.recording.digest for run in runs], force=force)
+    if joint_file is not None:
+        joint.refuse_foreign_file(joint_file, [run.named for run in runs], force=force)
     with application.progress("fitting", float(len(options.laws)), "laws") as progress:
         done = job.fit_runs(runs, options, jobs, scheduler, progress)
-    done.save(files, places, force=force)
+    done.save(place, force=force)
     if csv is not None:
-        sides = done.ranking.runs or (done.ranking,)
-        table.write(csv, [(path, side.as_json()) for path, side in zip(files, sides, strict=True)])
+        table.write(csv, [(path, side.as_json()) for path, side in zip(files, done.ranking.sides, strict=True)])
     ranking = done.ranking
     if curve_csv is not None:
         measured_curve = ranking.adequacy.curve
@@ -182,13 +187,24 @@ def fit(
         rig = fitted_scene.of_ranking(ranking, done.statistics[0])
         scene_file.write(save_scene, scene_file.text(rig, ranking, file))
     counted = pooled(done.statistics)
-    data = done.as_json() | {"report": places[0] if places else None}
-    if ranking.runs:
-        data["runs"] = [
-            {"file": path, "report": page} | side
-            for path, page, side in zip(files, places or repeat(None), data["runs"], strict=False)
+    document = done.as_json() | {"report": place}
+    if joint_file is not None:
+        document["joint_file"] = joint_file
+        document["runs"] = [
+            {"file": path, "report": place} | run for path, run in zip(files, document["runs"], strict=True)
         ]
-    return Answer(data, _text(ranking, counted.sentences("m"), places, alpha), job.exit_code(data))
+    text = _text(ranking, counted.sentences("m"), [joint_file, place], alpha)
+    return Answer(document, text, job.exit_code(document))
+
+
+def _refuse_same(outputs: "Sequence[Path | None]") -> None:
+    """Raise InputError when two of the outputs are one file."""
+    seen: set[Path] = set()
+    for output in outputs:
+        if output is not None and output.resolve() in seen:
+            raise InputError("is the name of two outputs", str(output), "give each output a name of its own")
+        if output is not None:
+            seen.add(output.resolve())
 
 
 def numbers(text: str, flag: str) -> list[int]:
@@ -236,7 +252,7 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
     return lines
 
 
-def _text(ranking: "Ranking", statistics: list[str], places: list[Path], alpha: float) -> list[Any]:
+def _text(ranking: "Ranking", statistics: list[str], written: "Sequence[Path | None]", alpha: float) -> list[Any]:
     from fitting.report.symbols import MOTION, formula
 
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
@@ -246,9 +262,9 @@ def _text(ranking: "Ranking", statistics: list[str], places: list[Path], alpha: 
         lines += [_laws(ranking), _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += statistics
-    reports = f"; report: {', '.join(map(str, places))}" if places else ""
+    named = [f"; {kind}: {path}" for kind, path in zip(("joint fit", "report"), written, strict=True) if path]
     cycles = f"{ranking.best.cycles} cycles, " if ranking.rows else ""
-    lines.append(f"{cycles}{ranking.cpu_s:.1f} s of CPU time{reports}")
+    lines.append(f"{cycles}{ranking.cpu_s:.1f} s of CPU time{''.join(named)}")
     lines.append(f"verdict: {ranking.verdict}")
     return lines
 

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
+from daq.runfile import joint
 from daq.runfile import store as runfile
+from daq.runfile.joint import FittedRun
 from daq.runfile.nexus import EVERY
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
@@ -52,15 +54,21 @@ class LoadedRun:
     kinematics: Kinematics | None
     rig: Rig
 
+    @property
+    def named(self) -> FittedRun:
+        """Which run it is."""
+        own = self.recording
+        return FittedRun(own.source, own.digest, own.title, own.started)
+
 
 @dataclass(frozen=True, eq=False)
 class FitOutput:
-    """A ranking, the statistics of each run's stick-slip, its raw data's digest, and its page, where one is wanted."""
+    """A ranking, the statistics of each run's stick-slip, which runs they are, and the page, where one is wanted."""
 
     ranking: Ranking
     statistics: tuple[StickSlipStatistics, ...]
-    digests: tuple[str, ...]
-    pages: tuple[str, ...]
+    runs: tuple[FittedRun, ...]
+    page: str | None
 
     def as_json(self) -> dict[str, Any]:
         """Return the document of the ranking, with the statistics of stick-slip of all runs together and of each."""
@@ -72,13 +80,15 @@ class FitOutput:
             ]
         return document
 
-    def save(self, files: Sequence[Path], places: Sequence[Path], *, force: bool = False) -> None:
-        """Write results into the run files, and the reports to their places; there are none without a report."""
-        for path, side in zip(files, self.ranking.runs or (self.ranking,), strict=True):
-            store.save(side, path)
-        if places:
-            for place, page, digest in zip(places, self.pages, self.digests, strict=True):
-                report.write(page, place, digest, force=force)
+    def save(self, place: Path | None, *, force: bool = False) -> None:
+        """Write the results into the run file, of several runs into one beside the first; the report to ``place``."""
+        files = [run.file for run in self.runs]
+        if len(files) > 1:
+            store.save_joint(self.ranking, self.runs, joint.beside(files), force=force)
+        else:
+            store.save(self.ranking, *files)
+        if place is not None and self.page is not None:
+            report.write(self.page, place, [run.digest for run in self.runs], force=force)
 
 
 def exit_code(document: Mapping[str, Any]) -> int:
@@ -109,7 +119,7 @@ def fit_runs(
     scheduler: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FitOutput:
-    """Smooth what is not yet smoothed, rank the laws, and write the pages.
+    """Smooth what is not yet smoothed, rank the laws, and make the page of all runs.
 
     Raises
     ------
@@ -137,11 +147,8 @@ def fit_runs(
         document = {"statistics": together.as_json(), "findings": findings}
         error.add_result(document, together.sentences(motions[0].unit))
         raise
-    pages: tuple[str, ...] = ()
-    if options.report:
-        sides = ranking.runs or (ranking,)
-        pages = tuple(report.render(side, own, options.alpha) for side, own in zip(sides, motions, strict=True))
-    return FitOutput(ranking, counted, tuple(motion.recording.digest for motion in motions), pages)
+    page = report.render(ranking, motions, counted, options.alpha) if options.report else None
+    return FitOutput(ranking, counted, tuple(run.named for run in runs), page)
 
 
 def _rig(rig: Rig, options: FitOptions) -> Rig:

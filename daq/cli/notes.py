@@ -97,6 +97,8 @@ def list_runs(
 ) -> Answer:
     """List the runs in folders, oldest first: title, date, duration, rate, lost samples, sticks and verdict.
 
+    A joint fit stands among them with its date, its runs and its verdict.
+
     Example: daq list measurements
     """
     from daq.runfile import listing
@@ -117,6 +119,7 @@ def _lines(row: "RunRow") -> list[str]:
         (row.rate, f"{row.rate:.5g} Hz" if row.rate is not None else ""),
         (row.lost, f"{row.lost} lost"),
         (row.sticks, f"{row.sticks} sticks"),
+        (row.runs, f"{row.runs} runs fitted jointly"),
     ]
     lines = [
         ", ".join(text for known, text in facts if known is not None),

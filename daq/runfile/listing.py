@@ -1,4 +1,4 @@
-"""The runs in a folder, a row each, read without loading their samples."""
+"""The runs and joint fits in a folder, a row each, read without loading their samples."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,23 +8,25 @@ import h5py
 import numpy as np
 
 from daq.errors import InputError
-from daq.runfile import nexus, schema, store
+from daq.runfile import joint, nexus, schema, store
 from daq.runfile.recording import lost_samples
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
 UNFINISHED = "a journal: still recording, or left by one that was killed (daq recover)"
+VERDICT = "fit/parameters/verdict"
 
 
 @dataclass(frozen=True)
 class RunRow:
-    """One run; None where the file does not say.
+    """One run, or the joint fit of several; None where the file does not say.
 
     Attributes
     ----------
     file : Path
-        The run file, or the journal of a recording that has not ended.
+        The run file, the journal of a recording that has not ended, or the file of a joint fit.
     title, date, operator, sample : str or None
-        Title, time of the first sample (ISO 8601 with zone), who recorded, what was measured.
+        Title, time of the first sample (ISO 8601 with zone; of a joint fit, of its first run), who recorded, what was
+        measured.
     duration : float or None
         s.
     rate : float or None
@@ -37,6 +39,8 @@ class RunRow:
         None before ``fit-friction``.
     tags : dict
         Named values.
+    runs : int or None
+        How many were fitted jointly; None for a run.
     problem : str or None
         Why nothing else is known: not a run, damaged, not finished.
     """
@@ -52,11 +56,14 @@ class RunRow:
     operator: str | None = None
     sample: str | None = None
     tags: dict[str, str] = field(default_factory=dict)
+    runs: int | None = None
     problem: str | None = None
 
 
 def runs(folders: Sequence[Path]) -> list[RunRow]:
     """Return the runs and unfinished recordings in folders, oldest first; those without a date last.
+
+    A joint fit comes after its first run.
 
     Raises
     ------
@@ -71,17 +78,30 @@ def runs(folders: Sequence[Path]) -> list[RunRow]:
             what = "is a file" if folder.is_file() else f"cannot be listed: {error.strerror}"
             raise InputError(what, str(folder), "give a folder of runs") from error
         found += [RunRow(file, problem=UNFINISHED) if file.suffix == ".part" else _run(file) for file in files]
-    return sorted(found, key=lambda row: (row.date is None, row.date or "", str(row.file)))
+    return sorted(found, key=lambda row: (row.date is None, row.date or "", row.runs or 0, str(row.file)))
 
 
 def _run(file: Path) -> RunRow:
     try:
+        if file.name.endswith(joint.SUFFIX) and joint.recognised(file):
+            with joint.opened(file) as entry:
+                return _joint_row(entry, file)
         with store.opened(file) as opened:
             return _row(nexus.read_group(opened, "entry", file), file)
     except InputError as error:
         return RunRow(file, problem=error.what)
     except (OSError, RuntimeError, KeyError, ValueError) as error:  # damage, found inside the HDF5 library
         return RunRow(file, problem=f"is damaged: {str(error).splitlines()[0]}")
+
+
+def _joint_row(entry: h5py.Group, file: Path) -> RunRow:
+    return RunRow(
+        file=file,
+        title=nexus.read_text(entry, "title", file),
+        date=nexus.read_text(entry, "start_time", file),
+        verdict=nexus.read_text(entry, VERDICT, file),
+        runs=len(nexus.read_texts(entry, "runs/sha256_raw", file)),
+    )
 
 
 def _row(entry: h5py.Group, file: Path) -> RunRow:
@@ -92,7 +112,7 @@ def _row(entry: h5py.Group, file: Path) -> RunRow:
     if "raw" in entry:
         sample = nexus.read_array(entry, "raw/sample", np.uint32, file)
         lost = lost_samples(sample, nexus.read_array(entry, "raw/segment", np.uint16, file))
-    sticks, verdict = "smooth/statistics/sticks", "fit/parameters/verdict"
+    sticks = "smooth/statistics/sticks"
     return RunRow(
         file=file,
         title=known["title"],
@@ -101,7 +121,7 @@ def _row(entry: h5py.Group, file: Path) -> RunRow:
         rate=known["rate_hz"],
         lost=lost,
         sticks=int(nexus.read_number(entry, sticks, file)) if sticks in entry else None,
-        verdict=nexus.read_text(entry, verdict, file) if verdict in entry else None,
+        verdict=nexus.read_text(entry, VERDICT, file) if VERDICT in entry else None,
         operator=known.get("operator"),
         sample=known.get("sample_name"),
         tags=known.get("tags", {}),

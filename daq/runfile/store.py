@@ -21,7 +21,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.errors import InputError
 from daq.output import atomic, disk
-from daq.runfile import nexus, schema, trust
+from daq.runfile import joint, nexus, schema, trust
 from daq.runfile.recording import Raw, Recording, Truth
 from daq.runfile.rig import Rig
 
@@ -289,6 +289,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise _unopened(path, error) from error
     with file:
         found = _schema(file)
+        if found is None and joint.recognised(path):
+            raise InputError("is the file of a joint fit, not of a run", where, "give the runs that were fitted")
         if found is None:
             raise InputError(
                 "is HDF5 but not a run file (it has no @stickslip_schema)",

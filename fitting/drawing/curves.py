@@ -6,6 +6,7 @@ kilogram.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,16 @@ def speeds(motion: MeasuredMotion, number: int = 401) -> Array:
     # densest around 0, where the laws differ
     half = np.linspace(0, 1, number // 2 + 1) ** 2
     return np.sort(motion.sign * np.r_[low * half[1:], high * half])
+
+
+def speeds_of_all(motions: Sequence[MeasuredMotion]) -> Array:
+    """Return relative velocities (m/s) that span the motions of all runs: `speeds` of the widest in each direction."""
+    widest: dict[float, Array] = {}
+    for motion in motions:
+        own = speeds(motion)
+        if motion.sign not in widest or np.ptp(own) > np.ptp(widest[motion.sign]):
+            widest[motion.sign] = own
+    return np.unique(np.concatenate(list(widest.values())))
 
 
 def curve(fit: Fit, motion: MeasuredMotion, w: Array) -> Array:

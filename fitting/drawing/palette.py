@@ -5,3 +5,10 @@ MEASURED = "#9a9a9a"
 INK = "#222222"
 DASH = "5 3"
 WIDE, NARROW = 930.0, 455.0  # px: of the page, and of half of it
+# Of runs fitted jointly: none is the colour of a law.  From the tenth run on they repeat.
+RUNS = ("#6A4FC0", "#C8325A", "#5E9C1F", "#B89B1E", "#2AA0A0", "#8C4A1F", "#666666", "#9DB4E8", "#D080B0")
+
+
+def run_colour(number: int) -> str:
+    """Return the colour of a run, counted from 1."""
+    return RUNS[(number - 1) % len(RUNS)]

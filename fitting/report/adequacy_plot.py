@@ -44,11 +44,11 @@ def measured_curve(ranking: Ranking) -> str:
 
 def orbits(ranking: Ranking) -> str:
     """Draw the orbit of every law over the measured one, on the same axes, with the law's error."""
-    motion = ranking.motion
     rows = sorted(ranking.rows, key=lambda row: row.law)
     columns = min(len(rows), 3)
     lines = math.ceil(len(rows) / columns)
-    x, v = 100 * motion.sign * motion.position, 100 * motion.sign * motion.velocity
+    measured = [measured_orbit(side) for side in ranking.sides]
+    x, v = (np.concatenate(own) for own in zip(*measured, strict=True))
     both, width, height = (AxisScale.around(x), AxisScale.around(v, edge=0.1)), WIDE / 3, 225.0
     drawn = []
     for place, row in enumerate(rows):
@@ -57,10 +57,17 @@ def orbits(ranking: Ranking) -> str:
         axes.title = f"law {row.law}{' *' if row.in_set else ''}: {format_length(row.rms_m)}"
         axes.xlabel = "position (cm)" if place + columns >= len(rows) else ""
         axes.ylabel = "velocity (cm/s)" if column == 0 else ""
-        axes.trace([(x, v)], MEASURED, width=2.2, opacity=0.5)
-        axes.trace(fitted_orbits(row, motion.sign), COLOURS[row.law], width=0.7)
+        axes.trace(measured, MEASURED, width=2.2, opacity=0.5)
+        fitted = [part for side in ranking.sides for part in fitted_orbits(side.row(row.law), side.motion.sign)]
+        axes.trace(fitted, COLOURS[row.law], width=0.7)
         drawn.append(axes)
     return picture("orbits", WIDE, lines * height, drawn)
+
+
+def measured_orbit(side: Ranking) -> tuple[Array, Array]:
+    """Return position (cm) and velocity (cm/s) of a run as recorded."""
+    motion = side.motion
+    return 100 * motion.sign * motion.position, 100 * motion.sign * motion.velocity
 
 
 def fitted_orbits(row: LawResult, sign: float) -> list[tuple[Array, Array]]:

@@ -16,7 +16,8 @@ from fitting.report.cloud import along, dots, png
 from fitting.report.scale import AxisScale
 
 FONT, SMALL, CHARACTER = 11.0, 10.0, 0.53  # sizes, px, and the mean width of a character over its size
-LEFT, BOTTOM, TITLE, ROW = 54.0, 38.0, 19.0, 15.0  # px beside the axes: tick labels, title, a row of the legend
+LEFT, RIGHT, BOTTOM = 54.0, 8.0, 38.0  # px beside the axes: tick labels
+TITLE, ROW = 19.0, 15.0  # px above them: title, a row of the legend
 GRID, FRAME, QUIET = "#e3e3e3", "#444444", "#6b6b70"
 DENSITY, FINER = 2, 2  # image pixels per px; points drawn per image pixel, whose mean smooths the edges
 FAR = 4.0  # fields beyond the edge: there longer numbers help nobody
@@ -55,7 +56,7 @@ class Axes:
     def frame(self) -> tuple[float, float, float, float]:
         """Left, top, right and bottom of the field, px."""
         top = self.top + (TITLE if self.title else 4.0) + ROW * self.rows
-        return self.left + self.margin, top, self.left + self.width - 8.0, self.top + self.height - BOTTOM
+        return self.left + self.margin, top, self.left + self.width - RIGHT, self.top + self.height - BOTTOM
 
     def _at(self, x: Array, y: Array) -> tuple[Array, Array]:
         left, top, right, bottom = self.frame
@@ -205,14 +206,29 @@ class Axes:
     def _legend_rows(self) -> list[str]:
         """Return the legend above the field, from left to right, in as many rows as it takes."""
         left, top, right, _ = self.frame
-        x, y, drawn = left, top - ROW * self.rows + 7.0, []
-        for label, sign in self._legend:
-            width = 30.0 + CHARACTER * SMALL * len(label)
-            if x + width > right + 12.0 and x > left:
-                x, y = left, y + ROW
-            drawn.append(f'<g transform="translate({x:.1f} {y:.1f})">{sign}{_text(22, 3.5, label, SMALL)}</g>')
-            x += width + 4.0
+        first, drawn = top - ROW * self.rows + 7.0, []
+        places = _legend_places([label for label, _ in self._legend], right - left)
+        for (label, sign), (x, row) in zip(self._legend, places, strict=True):
+            at = f"{left + x:.1f} {first + ROW * row:.1f}"
+            drawn.append(f'<g transform="translate({at})">{sign}{_text(22, 3.5, label, SMALL)}</g>')
         return drawn
+
+
+def legend_rows(labels: Sequence[str], width: float) -> int:
+    """Return the rows that a legend takes above axes of this ``width``, px."""
+    return 1 + max((row for _, row in _legend_places(labels, width - LEFT - RIGHT)), default=0)
+
+
+def _legend_places(labels: Sequence[str], width: float) -> list[tuple[float, int]]:
+    """Return where each label of a legend begins, px from the left, and in which row; ``width`` is the field's."""
+    x, row, places = 0.0, 0, []
+    for label in labels:
+        own = 30.0 + CHARACTER * SMALL * len(label)
+        if x + own > width + 12.0 and x > 0:
+            x, row = 0.0, row + 1
+        places.append((x, row))
+        x += own + 4.0
+    return places
 
 
 def picture(name: str, width: float, height: float, axes: Sequence[Axes]) -> str:

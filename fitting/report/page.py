@@ -2,6 +2,7 @@
 
 import html
 import math
+import re
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -11,21 +12,23 @@ from daq.errors import InputError
 from daq.output import atomic
 from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
-from fitting.drawing.palette import COLOURS
+from fitting.drawing.palette import COLOURS, run_colour
 from fitting.estimation.result import Parameter
 from fitting.report import symbols
 from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_length, format_probability
 from processing.record.kinematics import Kinematics
-from processing.statistics import from_kinematics
+from processing.statistics import StickSlipStatistics, pooled
 
+SUFFIX = ".report.html"
+NAMED = re.compile("sha256 of the raw record ([0-9a-f]{64})")
 TEMPLATES = Path(__file__).with_name("templates")
 MARK = '<meta name="generator" content="stickslip fit-friction'
 
 
 def default_path(run: Path) -> Path:
     """Return where the report of a run goes: RUN.report.html beside it."""
-    return run.with_name(run.stem + ".report.html")
+    return run.with_name(run.stem + SUFFIX)
 
 
 def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
@@ -45,18 +48,21 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
     return found
 
 
-def refuse_foreign_file(path: Path, digest: str, *, force: bool = False) -> None:
-    """Raise InputError when ``path`` cannot be written, or without ``force`` holds no report of the run of this digest.
+def refuse_foreign_file(path: Path, digests: Sequence[str], *, force: bool = False) -> None:
+    """Raise InputError when ``path`` cannot be written, or without ``force`` holds no report of just these runs.
 
-    A report of any release contains the sha256 of the raw record that it was made from.
+    A report of any release contains the sha256 of each raw record that it was made from.
     """
     atomic.refuse_existing(path, force, own=MARK, kind="report", flag="--report")
-    if path.exists() and not force and digest not in path.read_text(encoding="utf-8", errors="replace"):
+    if not path.exists() or force:
+        return
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if any(digest not in text for digest in digests) or set(NAMED.findall(text)) - set(digests):
         do = "give another name (--report), or --force to replace it"
         raise InputError("exists and is the report of another run", str(path), do)
 
 
-def write(page: str, path: Path, digest: str, *, force: bool = False) -> None:
+def write(page: str, path: Path, digests: Sequence[str], *, force: bool = False) -> None:
     """Write a report that `render` made.
 
     Parameters
@@ -64,9 +70,9 @@ def write(page: str, path: Path, digest: str, *, force: bool = False) -> None:
     page : str
         The HTML that `render` returned.
     path : Path
-        An older report of the same run there is replaced, any other file only by ``force``.
-    digest : str
-        Of the run's raw data.
+        An older report of the same runs there is replaced, any other file only by ``force``.
+    digests : sequence of str
+        Of the raw data of each run.
     force : bool
 
     Raises
@@ -76,13 +82,24 @@ def write(page: str, path: Path, digest: str, *, force: bool = False) -> None:
     RefusedError
         The disk refuses; an older report still stands.
     """
-    refuse_foreign_file(path, digest, force=force)
+    refuse_foreign_file(path, digests, force=force)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
-    """Return the report as HTML."""
+def render(
+    ranking: Ranking, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
+) -> str:
+    """Return the report as HTML.
+
+    Parameters
+    ----------
+    ranking : Ranking
+    motions, statistics : sequence
+        Of each run: its smoothed motion, and the statistics of its stick-slip.
+    alpha : float
+        1 - confidence level of the intervals.
+    """
     import jinja2
     from markupsafe import Markup
 
@@ -91,18 +108,20 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    recording = kinematics.recording
-    cut, motion = ranking.cut, ranking.motion
-    counted = from_kinematics(kinematics)
+    first = motions[0].recording
+    title = first.title or first.source.name
+    if ranking.runs:
+        title = ", ".join(motion.recording.source.name for motion in motions)
     return environment.get_template("report.html").render(
         mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
-        title=recording.title or recording.source.name,
-        file=recording.source.name,
-        started=recording.started,
-        remarks=recording.remarks(),
+        title=title,
+        joint=bool(ranking.runs),
+        runs=[
+            _run(number, side, motion)
+            for number, (side, motion) in enumerate(zip(ranking.sides, motions, strict=True), start=1)
+        ],
         now=datetime.now().astimezone().isoformat(timespec="minutes"),
         version=VERSION,
-        digest=recording.digest,
         verdict=_pretty(ranking.verdict),
         alone=len(ranking.laws_in_set) == 1 and ranking.adequacy.adequate,
         rows=[_row(row, ranking) for row in ranking.rows],
@@ -112,16 +131,35 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
         ],
         motion=symbols.MOTION,
         formulas=[(row.law, row.name, symbols.formula(row.law)) for row in ranking.rows],
-        symbols=symbols.symbols({name for row in ranking.rows for name in row.parameters}),
+        symbols=symbols.symbols({name for side in ranking.sides for row in side.rows for name in row.parameters}),
         confidence=f"{100 * (1 - alpha):g} %",
-        events=[_event(event) for event in ranking.events],
         warnings=[_pretty(warning) for warning in ranking.warnings],
-        statistics=counted.rows(kinematics.unit),
+        statistics=pooled(statistics).rows(motions[0].unit),
         adequacy=ranking.adequacy,
         adequacy_facts=_adequacy_facts(ranking.adequacy),
         forms=_forms(ranking.adequacy),
-        pictures={name: Markup(text) for name, text in plot.draw(ranking, counted).items()},
-        facts=[
+        pictures={name: Markup(text) for name, text in plot.draw(ranking, statistics).items()},
+        cpu=f"{ranking.cpu_s:.2f} s for {len(ranking.rows)} laws",
+    )
+
+
+def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
+    """Return what the page says of one run: where it comes from, what was fitted, and how well."""
+    recording, cut, motion = kinematics.recording, side.cut, side.motion
+    best = side.best if side.rows else None
+    return {
+        "number": number,
+        "file": recording.source.name,
+        "started": recording.started,
+        "remarks": recording.remarks(),
+        "digest": recording.digest,
+        "colour": run_colour(number),
+        "adequacy": side.adequacy.verdict,
+        "rms": format_length(best.rms_m) if best else "",
+        "cycles": best.cycles if best else "",
+        "speed": " ± ".join(format_interval(best.parameters["v_dr"])[:2]) if best else "",
+        "events": [_event(event) for event in side.events],
+        "facts": [
             (
                 "record",
                 f"{motion.span:.4g} s at {recording.rate_hz:g} Hz, {motion.time.size} samples, from "
@@ -134,9 +172,8 @@ def render(ranking: Ranking, kinematics: Kinematics, alpha: float) -> str:
                 "smoothing",
                 f"{kinematics.method}, window {kinematics.window}, order {kinematics.order} (starting values only)",
             ),
-            ("CPU time", f"{ranking.cpu_s:.2f} s for {len(ranking.rows)} laws"),
         ],
-    )
+    }
 
 
 def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:

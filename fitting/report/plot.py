@@ -1,49 +1,88 @@
-"""Pictures of a report as SVG: portrait, friction curves, residuals, evidence, levels, cost, break-aways."""
+"""Pictures of a report as SVG: portrait, friction curves, residuals, evidence, levels, cost, break-aways.
+
+Each holds all runs of a joint fit, told apart by the colour of the run.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.drawing import curves
-from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
+from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, run_colour
 from fitting.report import adequacy_plot
-from fitting.report.chart import Axes, picture
+from fitting.report.chart import Axes, legend_rows, picture
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, Ranking
-from processing.statistics import StickSlipStatistics, shown_length
+from processing.statistics import StickSlipStatistics, pooled, shown_length
 
 MOST_POINTS = 12_000
 BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record
 SPREAD = 99.5  # percentile of residuals and frictions, beyond which the axes may cut some off
 ALIKE = 0.045  # of the axes: points that near are named by one label
+RESIDUAL, NOISE = "model minus measurement", "noise, ±2 sd"
+GAP = 0.01  # between runs that are drawn one after another, of the time of all
 BINS = (4, 30)  # of the distribution: fewest and most; between them the square root of the number of break-aways
 
 
 def portrait(ranking: Ranking) -> str:
-    """Draw velocity against position: the whole record, and the best law's motion in every window."""
-    motion = ranking.motion
-    x, v = 100 * motion.sign * motion.position, 100 * motion.sign * motion.velocity
-    axes = Axes(
-        0, 0, NARROW, 350, AxisScale.around(x), AxisScale.around(v), xlabel="position (cm)", ylabel="velocity (cm/s)"
-    )
-    axes.trace([(x, v)], MEASURED, width=1.6, opacity=0.6, label="measured")
+    """Draw velocity against position: the whole record, or all, and the best law's motion in every window."""
+    runs = [adequacy_plot.measured_orbit(side) for side in ranking.sides]
+    x, v = (np.concatenate(own) for own in zip(*runs, strict=True))
+    legend, fitted = _legend(ranking, MEASURED, "measured"), [f"law {row.law}, fitted" for row in ranking.rows[:1]]
+    rows = legend_rows([label for _, label in legend] + (fitted and [*fitted, "belt speed"]), NARROW)
+    axes = Axes(0, 0, NARROW, 350, AxisScale.around(x), AxisScale.around(v), rows=rows)
+    axes.xlabel, axes.ylabel = "position (cm)", "velocity (cm/s)"
+    width, opacity = (3.6, 0.8) if ranking.runs else (1.6, 0.6)  # several: seen beside the fitted line
+    for orbit, (colour, label) in zip(runs, legend, strict=True):
+        axes.trace([orbit], colour, width=width, opacity=opacity, label=label)
     if ranking.rows:
         best = ranking.best
-        axes.trace(adequacy_plot.fitted_orbits(best, motion.sign), COLOURS[best.law], label=f"law {best.law}, fitted")
-        axes.level(100 * best.parameters["v_dr"].value, INK, dash=DASH, label="belt speed")
+        parts = [part for side in ranking.sides for part in adequacy_plot.fitted_orbits(side.best, side.motion.sign)]
+        colour, width = (INK, 0.7) if ranking.runs else (COLOURS[best.law], 1.0)
+        axes.trace(parts, colour, width=width, label=fitted[0])
+        named = "belt speed"
+        for side, (colour, _) in zip(ranking.sides, _legend(ranking, INK, ""), strict=True):
+            axes.level(100 * side.best.parameters["v_dr"].value, colour, dash=DASH, label=named)
+            named = ""
     return picture("portrait", NARROW, 350, [axes])
+
+
+def _legend(ranking: Ranking, colour: str, label: str) -> list[tuple[str, str]]:
+    """Return colour and label of each run: those given of a single run, and of several those of the run's number."""
+    if not ranking.runs:
+        return [(colour, label)]
+    return [(run_colour(number), f"run {number}") for number in range(1, len(ranking.runs) + 1)]
+
+
+def _begins(ranking: Ranking) -> list[float]:
+    """Return what is added to the times of each run so that they follow one another, s; 0 for a single run."""
+    if not ranking.runs:
+        return [0.0]
+    spans = np.array([side.motion.span for side in ranking.runs])
+    firsts = np.array([side.motion.time[0] for side in ranking.runs])
+    gap = GAP * float(spans.sum())
+    return list(np.cumsum(spans + gap) - spans - gap - firsts)
+
+
+def _time_label(ranking: Ranking) -> str:
+    return "time, one run after another (s)" if ranking.runs else "time (s)"
 
 
 def friction(ranking: Ranking) -> str:
     """Draw friction against relative velocity: the measured points and every law's curve, the best one heaviest."""
     motion = ranking.motion
-    w, force, _ = curves.points(ranking.best.fit, motion)
-    thin = slice(None, None, max(1, w.size // MOST_POINTS))
-    grid = curves.speeds(motion)
+    clouds = [curves.points(side.best.fit, side.motion)[:2] for side in ranking.sides]
+    force = np.concatenate([own for _, own in clouds])
+    most = MOST_POINTS // len(clouds)
+    grid = curves.speeds_of_all([side.motion for side in ranking.sides])
     drawn = {row.law: curves.curve(row.fit, motion, grid) for row in ranking.rows}
     top = max(float(np.nanmax(np.abs(drawn[ranking.best.law]))), float(np.percentile(np.abs(force), SPREAD)))
+    legend = _legend(ranking, MEASURED, "measured")
     label = f"friction ({curves.unit(motion)})"
-    axes = Axes(0, 0, NARROW, 350, AxisScale.around(100 * grid), AxisScale(-1.3 * top, 1.3 * top), ylabel=label, rows=2)
-    axes.xlabel = "relative velocity: mass minus belt (cm/s)"
+    rows = legend_rows([f"law {row.law}" for row in ranking.rows] + [named for _, named in legend], NARROW)
+    axes = Axes(0, 0, NARROW, 350, AxisScale.around(100 * grid), AxisScale(-1.3 * top, 1.3 * top), rows=rows)
+    axes.xlabel, axes.ylabel = "relative velocity: mass minus belt (cm/s)", label
     axes.level(0, INK)
     axes.level(0, INK, upright=True)
     for row in sorted(ranking.rows, key=lambda row: (row is ranking.best, row.law)):
@@ -51,32 +90,49 @@ def friction(ranking: Ranking) -> str:
         heavy = row is ranking.best
         width, dash = (2.2, "") if heavy else (1.0, "" if row.in_set else DASH)
         axes.line(100 * grid, values, COLOURS[row.law], width=width, dash=dash, label=f"law {row.law}")
-    axes.cloud(100 * w[thin], force[thin], MEASURED, opacity=0.35, label="measured")
+    for (w, own), (colour, label) in zip(clouds, legend, strict=True):
+        thin = slice(None, None, max(1, w.size // most))
+        axes.cloud(100 * w[thin], own[thin], colour, opacity=0.35, label=label)
     return picture("friction", NARROW, 350, [axes])
 
 
 def residuals(ranking: Ranking) -> str:
-    """Draw model minus measurement with the band of the noise: the best law over time and phase, a rival over phase."""
+    """Draw model minus measurement with the band of the noise: the best law over time and phase, a rival over phase.
+
+    Of several runs the times follow one another.
+    """
     best = ranking.best
     rival = next((row for row in ranking.rows[1:] if not row.in_set and row.rms_m > 1.2 * best.rms_m), None)
     panels = [(best, True), (best, False)] + ([(rival, False)] if rival is not None else [])
     parts = np.array([1.25, *[1.0] * (len(panels) - 1)])
     widths = WIDE * parts / parts.sum()
+    named = [label for _, label in _legend(ranking, "", RESIDUAL)]
+    rows = legend_rows([*named, NOISE], float(widths.min()))
     drawn = []
     for (row, whole), left, width in zip(panels, np.cumsum(widths) - widths, widths, strict=True):
-        fit = row.fit
-        time = fit.windows.time if whole else _since_break_away(row)
+        own = [side.row(row.law) for side in ranking.sides]
+        begins = _begins(ranking)
+        times = [
+            one.fit.windows.time + begin if whole else _since_break_away(one)
+            for one, begin in zip(own, begins, strict=True)
+        ]
         noise = 1e6 * BAND * ranking.adequacy.noise_m
-        reach = 1.4 * max(1e6 * float(np.percentile(np.abs(fit.residual), SPREAD)), noise)
-        axes = Axes(float(left), 0, float(width), 265, AxisScale.around(time), AxisScale(-reach, reach))
-        axes.title = f"law {row.law}, {'whole record' if whole else 'all cycles'}"
-        axes.xlabel = "time (s)" if whole else "time since break-away (s)"
+        reach = 1.4 * max(1e6 * float(np.percentile(np.abs(row.fit.residual), SPREAD)), noise)
+        across = AxisScale.around(np.concatenate(times))
+        axes = Axes(float(left), 0, float(width), 265, across, AxisScale(-reach, reach), rows=rows)
+        axes.title = f"law {row.law}, {_whole(ranking) if whole else 'all cycles'}"
+        axes.xlabel = _time_label(ranking) if whole else "time since break-away (s)"
         axes.ylabel = "residual (um)"
-        axes.cloud(time, 1e6 * fit.residual, COLOURS[row.law], label="model minus measurement")
+        for one, time, (colour, label) in zip(own, times, _legend(ranking, COLOURS[row.law], RESIDUAL), strict=True):
+            axes.cloud(time, 1e6 * one.fit.residual, colour, label=label)
         ends, level = np.array([axes.x.low, axes.x.high]), np.full(2, noise)
-        axes.band(ends, -level, level, INK, opacity=0.16, label="noise, ±2 sd")
+        axes.band(ends, -level, level, INK, opacity=0.16, label=NOISE)
         drawn.append(axes)
     return picture("residuals", WIDE, 265, drawn)
+
+
+def _whole(ranking: Ranking) -> str:
+    return "all runs" if ranking.runs else "whole record"
 
 
 def evidence(ranking: Ranking) -> str:
@@ -117,43 +173,50 @@ def cost(ranking: Ranking) -> str:
 
 def levels(ranking: Ranking) -> str:
     """Draw the friction level of each cycle at break-away and in the slip, against time."""
-    events = [event for event in ranking.events if np.isfinite(event.kinetic_scale)]
-    time = np.array([event.t for event in events])
-    above = np.array([event.break_away_level for event in events])
-    sliding = np.array([event.kinetic_scale for event in events])
-    axes = Axes(0, 0, NARROW, 270, AxisScale.around(time), AxisScale.around(np.concatenate([above, sliding])))
-    axes.xlabel, axes.ylabel = "time (s)", "friction level / mean sliding level"
-    for values, colour, sign, label in ((above, COLOURS[4], "c", "break-away"), (sliding, COLOURS[2], "o", "sliding")):
-        axes.line(time, values, colour, width=0.5)
-        axes.marks(time, values, colour, sign=sign, label=label)
+    runs = []
+    for side, begin in zip(ranking.sides, _begins(ranking), strict=True):
+        events = [event for event in side.events if np.isfinite(event.kinetic_scale)]
+        columns = [(begin + event.t, event.break_away_level, event.kinetic_scale) for event in events]
+        runs.append(np.array(columns).reshape(-1, 3))
+    every = np.concatenate(runs)
+    axes = Axes(0, 0, NARROW, 270, AxisScale.around(every[:, 0]), AxisScale.around(every[:, 1:].ravel()))
+    axes.xlabel, axes.ylabel = _time_label(ranking), "friction level / mean sliding level"
+    for column, colour, sign, label in ((1, COLOURS[4], "c", "break-away"), (2, COLOURS[2], "o", "sliding")):
+        for own in runs:
+            axes.line(own[:, 0], own[:, column], colour, width=0.5)
+        axes.marks(every[:, 0], every[:, column], colour, sign=sign, label=label)
     return picture("levels", NARROW, 270, [axes])
 
 
-def break_aways(counted: StickSlipStatistics, unit: str) -> str:
+def break_aways(statistics: Sequence[StickSlipStatistics], ranking: Ranking, unit: str) -> str:
     """Draw the break-away levels: their distribution, their trend, and level against stick time."""
+    counted, shown_as = pooled(statistics), _legend(ranking, COLOURS[2], "")
     factor, shown = shown_length(unit)
-    time, level, stick = counted.column("t"), factor * counted.column("break_away_m"), counted.column("stick_s")
+    times = [begin + own.column("t") for begin, own in zip(_begins(ranking), statistics, strict=True)]
+    time, level, stick = np.concatenate(times), factor * counted.column("break_away_m"), counted.column("stick_s")
     label, width, height = f"break-away level ({shown})", WIDE / 3, 260.0
     number, edges = np.histogram(level, int(np.clip(np.sqrt(level.size), *BINS)))
-    most = AxisScale(0.0, max(1.1 * float(number.max()), 1.5))
+    most, rows = AxisScale(0.0, max(1.1 * float(number.max()), 1.5)), legend_rows([name for _, name in shown_as], width)
     distribution = Axes(
-        0, 0, width, height, AxisScale.around(edges), most, "distribution", label, "number of break-aways"
+        0, 0, width, height, AxisScale.around(edges), most, "distribution", label, "number of break-aways", rows
     )
     distribution.bars(edges[:-1], edges[1:], number.astype(float), COLOURS[2])
     mean = float(level.mean())
     distribution.level(mean, COLOURS[4], dash=DASH, upright=True, label=f"mean {mean:.4g} {shown}")
     tall = AxisScale.around(level)
-    trend = Axes(width, 0, width, height, AxisScale.around(time), tall, "against time", "time (s)", label)
-    trend.marks(time, level, COLOURS[2])
+    trend = Axes(width, 0, width, height, AxisScale.around(time), tall, "against time", ylabel=label, rows=rows)
+    trend.xlabel = _time_label(ranking)
+    against = Axes(
+        2 * width, 0, width, height, AxisScale.around(stick), tall, "against stick time", "stick time (s)", label, rows
+    )
+    for own, when, (colour, named) in zip(statistics, times, shown_as, strict=True):
+        levels_of_run = factor * own.column("break_away_m")
+        trend.marks(when, levels_of_run, colour, label=named)
+        against.marks(own.column("stick_s"), levels_of_run, colour, label=named)
     summary = counted.summary("break_away_m")
     if summary is not None and summary["trend_per_s"] is not None:
-        slope, ends = factor * summary["trend_per_s"], np.array([time.min(), time.max()])
-        line = mean + slope * (ends - time.mean())
-        trend.line(ends, line, COLOURS[4], label=f"trend {slope:+.2g} {shown}/s")
-    against = Axes(
-        2 * width, 0, width, height, AxisScale.around(stick), tall, "against stick time", "stick time (s)", label
-    )
-    against.marks(stick, level, COLOURS[2])
+        slope, reach = factor * summary["trend_per_s"], np.array([time.min(), time.max()])
+        trend.line(reach, mean + slope * (reach - time.mean()), COLOURS[4], label=f"trend {slope:+.2g} {shown}/s")
     return picture("break-aways", WIDE, height, [distribution, trend, against])
 
 
@@ -168,8 +231,8 @@ def _since_break_away(row: LawResult) -> Array:
 PICTURES = (portrait, friction, residuals, evidence, levels, cost)
 
 
-def draw(ranking: Ranking, counted: StickSlipStatistics) -> dict[str, str]:
-    """Return every picture of the report as an ``<svg>`` element, by name.
+def draw(ranking: Ranking, statistics: Sequence[StickSlipStatistics]) -> dict[str, str]:
+    """Return every picture of the report as an ``<svg>`` element, by name; ``statistics`` are those of each run.
 
     `break_aways` where there are statistics; of a record that no law comes near the portrait alone besides.
     """
@@ -181,6 +244,6 @@ def draw(ranking: Ranking, counted: StickSlipStatistics) -> dict[str, str]:
         drawn["measured_curve"] = adequacy_plot.measured_curve(ranking)
     if ranking.adequacy.departures:
         drawn["departures"] = adequacy_plot.departures(ranking.adequacy)
-    if counted.rows("m"):
-        drawn["break_aways"] = break_aways(counted, "m")
+    if pooled(statistics).rows("m"):
+        drawn["break_aways"] = break_aways(statistics, ranking, "m")
     return drawn

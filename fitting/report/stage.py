@@ -1,4 +1,7 @@
-"""The fitted stage of a run file: /entry/fit and /entry/fit_law1 ... fit_law6, beside the untouched raw data.
+"""The fitted stage: /entry/fit and /entry/fit_law1 ... fit_law6, of one run in its file, of several in their own.
+
+In a run file the raw data beside them stay untouched.  In the file of a joint fit (`daq.runfile.joint`) the cycles and
+what differs between the runs stand once for each: cycles_run1 ..., parameters_run1 ...; runs has what each run shows.
 
 ::
 
@@ -12,13 +15,16 @@
       friction_curve  NXdata      friction against relative velocity
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import h5py
 import numpy as np
 
-from daq.runfile import nexus, store
-from fitting.drawing.curves import curve, speeds, unit
+from daq.runfile import joint, nexus, store
+from fitting.drawing.curves import curve, speeds_of_all, unit
+from fitting.estimation.derived import RUNS_OWN
+from fitting.estimation.result import Parameter
 from fitting.report.symbols import formula
 from fitting.selection.result import LawResult, Ranking
 
@@ -35,14 +41,31 @@ def save(ranking: Ranking, path: Path) -> None:
     store.extend(path, names, lambda entry: _write(entry, ranking), default="fit")
 
 
+def save_joint(ranking: Ranking, runs: Sequence[joint.FittedRun], path: Path, *, force: bool = False) -> None:
+    """Write the file of a joint fit; InputError where something else stands, without ``force``."""
+
+    def write(entry: h5py.Group) -> None:
+        _write(entry, ranking)
+        about = entry["runs"]
+        for name, place in (("begin", 0), ("end", -1)):
+            nexus.field(about, name, np.array([side.motion.time[place] for side in ranking.runs]), "s")
+        nexus.field(about, "adequacy", [side.adequacy.verdict for side in ranking.runs])
+        if ranking.rows:
+            nexus.field(about, "cycles", np.array([side.best.cycles for side in ranking.runs], np.uint32), "")
+            nexus.field(about, "rms", np.array([side.best.rms_m for side in ranking.runs]), "m")
+
+    joint.write(path, runs, write, force=force)
+
+
 def _write(entry: h5py.Group, ranking: Ranking) -> None:
     fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking" if ranking.rows else "parameters")
     about = nexus.group(fit, "parameters", "NXparameters")
     nexus.field(about, "verdict", ranking.verdict)
     nexus.field(about, "adequacy", ranking.adequacy.verdict)
     nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")
-    for name, time in zip(("begin", "end"), ranking.motion.time[[0, -1]], strict=True):
-        nexus.field(about, name, np.float64(time), "s")
+    if not ranking.runs:
+        for name, time in zip(("begin", "end"), ranking.motion.time[[0, -1]], strict=True):
+            nexus.field(about, name, np.float64(time), "s")
     if ranking.warnings:
         nexus.field(about, "warnings", list(ranking.warnings))
     if not ranking.rows:
@@ -65,20 +88,21 @@ def _write(entry: h5py.Group, ranking: Ranking) -> None:
         title="log error of each law above the best one's, penalised",
     )
     nexus.field(table, "law_name", [row.name for row in rows])
-    nexus.table(
-        fit,
-        "cycles",
-        {
-            "t": (np.array([event.t for event in ranking.events]), "s"),
-            "static_level": (np.array([event.break_away_level for event in ranking.events]), ""),
-            "kinetic_scale": (np.array([event.kinetic_scale for event in ranking.events]), ""),
-            "used": (np.array([event.flag in ("", "rough") for event in ranking.events], np.uint8), ""),
-        },
-        axis="t",
-        signal="static_level",
-        auxiliary=("kinetic_scale",),
-        title="levels of each break-away over Fs",
-    )
+    for number, side in enumerate(ranking.sides, start=1):
+        nexus.table(
+            fit,
+            f"cycles_run{number}" if ranking.runs else "cycles",
+            {
+                "t": (np.array([event.t for event in side.events]), "s"),
+                "static_level": (np.array([event.break_away_level for event in side.events]), ""),
+                "kinetic_scale": (np.array([event.kinetic_scale for event in side.events]), ""),
+                "used": (np.array([event.flag in ("", "rough") for event in side.events], np.uint8), ""),
+            },
+            axis="t",
+            signal="static_level",
+            auxiliary=("kinetic_scale",),
+            title="levels of each break-away over Fs",
+        )
     for row in rows:
         _law(entry, row, ranking)
 
@@ -88,11 +112,14 @@ def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
     parameters = nexus.group(group, "parameters", "NXparameters")
     nexus.field(parameters, "law_name", row.name)
     nexus.field(parameters, "formula", formula(row.law))
-    for name, item in row.parameters.items():
-        key = name.replace("/", "_over_")
-        nexus.field(parameters, key, np.float64(item.value), item.unit)
-        nexus.field(parameters, f"{key}_errors", np.float64(item.stderr if item.trusted else np.nan), item.unit)
-    w = speeds(ranking.motion)
+    found = ranking.sides[0].row(row.law).parameters
+    own = RUNS_OWN if ranking.runs else ()
+    _parameters(parameters, {name: item for name, item in found.items() if name not in own})
+    for number, side in enumerate(ranking.runs, start=1):
+        found = side.row(row.law).parameters
+        its = nexus.group(group, f"parameters_run{number}", "NXparameters")
+        _parameters(its, {name: item for name, item in found.items() if name in own})
+    w = speeds_of_all([side.motion for side in ranking.sides])
     nexus.table(
         group,
         "friction_curve",
@@ -101,3 +128,10 @@ def _law(entry: h5py.Group, row: LawResult, ranking: Ranking) -> None:
         signal="friction",
         title=f"law {row.law}: {row.name}",
     )
+
+
+def _parameters(group: h5py.Group, found: Mapping[str, Parameter]) -> None:
+    for name, item in found.items():
+        key = name.replace("/", "_over_")
+        nexus.field(group, key, np.float64(item.value), item.unit)
+        nexus.field(group, f"{key}_errors", np.float64(item.stderr if item.trusted else np.nan), item.unit)

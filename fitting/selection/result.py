@@ -119,6 +119,11 @@ class Ranking:
         """The first row; there is none where no law came near the record."""
         return self.rows[0]
 
+    @property
+    def sides(self) -> "tuple[Ranking, ...]":
+        """Each run's own side; of a single run the ranking itself."""
+        return self.runs or (self,)
+
     def row(self, law: int) -> LawResult:
         """Return the row of one law; KeyError when it was not fitted."""
         for row in self.rows:

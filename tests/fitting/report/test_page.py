@@ -7,11 +7,13 @@ import pytest
 from daq.errors import InputError
 from fitting.report import page as report
 from processing.smoothing import smooth
+from processing.statistics import from_kinematics
 
 
 @pytest.fixture(scope="module")
 def page(ranked, synthetic):
-    return report.render(ranked(law=5), smooth(synthetic.recording(law=5)), 0.05)
+    motion = smooth(synthetic.recording(law=5))
+    return report.render(ranked(law=5), [motion], [from_kinematics(motion)], 0.05)
 
 
 def test_the_page_asks_nothing_of_the_network(page):
@@ -34,7 +36,7 @@ def test_a_strangers_file_is_not_replaced(tmp_path):
     path = tmp_path / "run.report.html"
     path.write_text("<html>mine</html>")
     with pytest.raises(InputError, match="is no report"):
-        report.refuse_foreign_file(path, "")
+        report.refuse_foreign_file(path, [""])
     assert path.read_text() == "<html>mine</html>"
 
 
@@ -43,15 +45,25 @@ def test_a_report_is_replaced_by_one_of_the_same_run_alone(tmp_path, page):
     path = tmp_path / "run.report.html"
     digest = 8 * "0123abcd"
     path.write_text(page.replace("</footer>", f"; sha256 of the raw record {digest}</footer>"))
-    report.refuse_foreign_file(path, digest)
+    report.refuse_foreign_file(path, [digest])
     with pytest.raises(InputError, match="another run"):
-        report.refuse_foreign_file(path, digest[::-1])
-    report.refuse_foreign_file(path, digest[::-1], force=True)
+        report.refuse_foreign_file(path, [digest[::-1]])
+    report.refuse_foreign_file(path, [digest[::-1]], force=True)
+
+
+def test_a_joint_report_is_that_of_just_its_runs(tmp_path, page):
+    path, digests = tmp_path / "run1+1.report.html", [8 * "0123abcd", 8 * "4567cdef"]
+    named = "".join(f"; sha256 of the raw record {digest}" for digest in digests)
+    path.write_text(page.replace("</footer>", f"{named}</footer>"))
+    report.refuse_foreign_file(path, digests[::-1])
+    for others in (digests[:1], [*digests, digests[0][::-1]]):
+        with pytest.raises(InputError, match="another run"):
+            report.refuse_foreign_file(path, others)
 
 
 def test_a_missing_folder_is_named(tmp_path):
     with pytest.raises(InputError, match="folder does not exist"):
-        report.refuse_foreign_file(tmp_path / "none" / "run.html", "")
+        report.refuse_foreign_file(tmp_path / "none" / "run.html", [""])
 
 
 def test_the_true_laws_orbit_is_the_nearest(ranked):

@@ -1,14 +1,17 @@
 """Several runs of one contact fitted together: one law, one spring, a belt speed for each run."""
 
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 from daq.errors import DataError, InputError
-from daq.runfile import store
+from daq.runfile import joint, listing, store
 from fitting import cli
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global
@@ -142,22 +145,98 @@ def files(tmp_path_factory, synthetic, runs_of):
     return paths
 
 
-def test_the_command_fits_its_files_together_and_writes_to_each(files):
-    answer = cli.fit(*files, laws="3,5")
+@pytest.fixture(scope="module")
+def fitted(files, undrawn_reports):
+    """Give the answer of a joint fit, and what the files of the runs held before."""
+    before = [path.read_bytes() for path in files]
+    return cli.fit(*files, laws="3,5"), before
+
+
+def test_the_command_writes_the_fit_of_several_runs_into_one_file_beside_the_first(files, fitted):
+    """Each run's file and a report beside it used to be written."""
+    answer, before = fitted
     assert answer.data["set"] == [5]
     assert answer.exit_code == 0
     assert [run["file"] for run in answer.data["runs"]] == files
     assert {cycle["run"] for cycle in answer.data["cycles"]} == {1, 2, 3}
-    for speed, run in zip(SPEEDS, answer.data["runs"], strict=True):
-        assert run["parameters"]["v_dr"]["value"] == pytest.approx(speed, rel=3e-3)
-        assert run["report"].exists()
-    for path, run in zip(files, answer.data["runs"], strict=True):
-        with h5py.File(path) as file:
-            assert file["entry/fit/parameters/verdict"][()].decode() == answer.data["verdict"]
-            assert file["entry/fit_law5/parameters/v_dr"][()] == run["parameters"]["v_dr"]["value"]
+    assert answer.data["joint_file"] == files[0].with_name("run1+2.fit.h5")
+    assert answer.data["report"] == files[0].with_name("run1+2.report.html")
+    page = answer.data["report"].read_text()
+    assert [path.read_bytes() for path in files] == before
+    assert sorted(path.name for path in files[0].parent.iterdir()) == sorted(
+        [*(path.name for path in files), "run1+2.fit.h5", "run1+2.report.html"]
+    )
+    with h5py.File(answer.data["joint_file"]) as file:
+        entry = file["entry"]
+        assert entry["fit/parameters/verdict"][()].decode() == answer.data["verdict"]
+        assert list(entry["fit/ranking/law"]) == [3, 5]
+        signal = entry[entry.attrs["default"]]
+        signal = signal[signal.attrs["default"]]
+        assert signal[signal.attrs["signal"]].shape == (2,)
+        assert entry["runs/file"].asstr()[:].tolist() == [path.name for path in files]
+        assert entry["fit_law5/parameters/gamma"].attrs["units"] == "s/m"
+        assert "v_dr" not in entry["fit_law5/parameters"]
+        for number, (path, speed, run) in enumerate(zip(files, SPEEDS, answer.data["runs"], strict=True), start=1):
+            digest = store.load(path).digest
+            assert entry["runs/sha256_raw"].asstr()[number - 1] == digest
+            assert digest in page
+            own = entry[f"fit_law5/parameters_run{number}/v_dr"][()]
+            assert own == run["parameters"]["v_dr"]["value"] == pytest.approx(speed, rel=3e-3)
+            assert entry[f"fit/cycles_run{number}/t"].size == sum(
+                cycle["run"] == number for cycle in answer.data["cycles"]
+            )
 
 
-def test_reports_of_several_runs_are_numbered(files, tmp_path):
+@pytest.mark.slow
+def test_the_file_of_a_joint_fit_passes_the_nexus_validator(fitted):
+    tool = Path(sys.executable).with_name("nxcheck")
+    done = subprocess.run([tool, fitted[0].data["joint_file"]], check=True, capture_output=True, text=True)
+    assert "Total number of warnings: 0" in done.stdout
+    assert "Total number of errors: 0" in done.stdout
+
+
+def test_a_joint_fit_is_listed_and_is_no_run(files, fitted):
+    joint_file = fitted[0].data["joint_file"]
+    (row,) = [row for row in listing.runs([files[0].parent]) if row.runs]
+    assert (row.file, row.runs, row.problem) == (joint_file, 3, None)
+    assert row.verdict.startswith("law 5 ")
+    with pytest.raises(InputError, match="joint fit, not of a run"):
+        store.load(joint_file)
+
+
+@pytest.mark.parametrize("content", ["mine", "run", "joint fit"])
+def test_a_foreign_file_is_refused_before_a_joint_fit_and_replaced_by_force(files, tmp_path, content):
+    copies = [Path(shutil.copy(path, tmp_path)) for path in files]
+    named = [joint.FittedRun(path, store.load(path).digest, "", "") for path in copies]
+    place = joint.beside(copies[:2])
+    if content == "mine":
+        place.write_text(content)
+    elif content == "run":
+        shutil.copy(files[0], place)
+    else:
+        joint.write(place, [named[0], named[2]], lambda entry: None)
+    before = place.read_bytes()
+    with pytest.raises(InputError, match="other runs" if content == "joint fit" else "no joint fit"):
+        cli.fit(*copies[:2], laws="5", no_report=True)
+    assert place.read_bytes() == before
+    joint.write(place, named[:2], lambda entry: None, force=True)
+    joint.refuse_foreign_file(place, named[1::-1])
+
+
+def test_no_joint_fit_replaces_one_of_its_runs(files, tmp_path):
+    first, other = tmp_path / "a.h5", tmp_path / "a+1.fit.h5"
+    shutil.copy(files[0], first)
+    shutil.copy(files[1], other)
+    with pytest.raises(InputError, match="its own source"):
+        cli.fit(first, other, laws="5", no_report=True, force=True)
+
+
+def test_outputs_of_one_name_are_refused(files):
+    with pytest.raises(InputError, match="two outputs"):
+        cli.fit(*files, report=files[0].with_name("run1+2.fit.h5"))
+
+
+def test_reports_of_a_batch_are_numbered(files, tmp_path):
     from fitting.report import page
 
     assert [place.name for place in page.report_paths(files, tmp_path / "all.html")] == [
@@ -165,6 +244,21 @@ def test_reports_of_several_runs_are_numbered(files, tmp_path):
         "all-2.html",
         "all-3.html",
     ]
+
+
+def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of):
+    from fitting.drawing import palette
+    from fitting.report import plot
+    from processing.statistics import from_kinematics
+
+    motions = runs_of(5, 2)
+    ranking = rank(motions, laws=(5,))
+    drawn = [one(ranking) for one in (plot.portrait, plot.friction, plot.residuals)]
+    drawn.append(plot.break_aways([from_kinematics(motion) for motion in motions], ranking, "m"))
+    for picture in drawn:
+        for number in (1, 2, 3):
+            assert f">run {number}</text>" in picture
+            assert palette.run_colour(number) in picture
 
 
 def test_a_run_named_twice_is_refused(files, tmp_path):
