@@ -27,7 +27,7 @@ CRC_SEED = 0xFFFF
 LONGEST_LINE = 16_384  # bytes between two delimiters; a longer run cannot be a frame
 SHORTEST_BODY = 4  # bytes: kind, version, CRC
 WIDEST_COUNTER = 32  # bits; frames carry 16, the text protocols 32
-LONGEST_TICK_NS = 1000
+LONGEST_TICK_NS = 2_000_000  # a QSB counts 512 ticks a second, boards with the firmware a million
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")  # index = code on the wire
 
 IDENT, SAMPLES, CONFIG, TRUTH, NOTICE = b"ISCTX"  # the kinds, as byte values

@@ -111,5 +111,8 @@ def test_a_run_fits_with_the_same_parameters(files: Path, name: str) -> None:
         # its friction level is known less well: the scatter of the levels no longer stands in for the datum.
         left_out = {"c", "c/m"} if name == "imported" else set()
         for key, (value, stderr) in ((key, parameters[key]) for key in parameters.keys() - left_out):
-            assert rows[law].parameters[key].value == pytest.approx(value, abs=stderr / 10), key
+            # Since then the level also wears within a slip: k/m of the simulated run moved by a third of its standard
+            # error, from 139.979 to 139.983, towards the scene's 140.
+            near = stderr * (0.4 if (name, key) == ("simulated", "k/m") else 0.1)
+            assert rows[law].parameters[key].value == pytest.approx(value, abs=near), key
             assert stderr * 0.9 < rows[law].parameters[key].stderr < stderr * (3.0 if name == "imported" else 1.1), key
