@@ -25,7 +25,9 @@ from daq.version import VERSION
 
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 FLAG = "--scheduler"
-AHEAD = 2  # items a worker: one in the work, one at hand
+# Items a worker: one in the work, two at hand.  With one at hand a worker waits where another one has a long item: two
+# made a sweep whose values take 8 to 420 ms 1.90 times as fast, with two at hand 1.97 times; 8 gain 1 % and hold more.
+AHEAD = 3
 PATIENCE_S = 10
 
 
