@@ -1,6 +1,6 @@
 """Compile the kernels that most tests call and keep them (`make kernels`); two test processes would each compile them.
 
-Smoothing and the fit of six laws, the listing of events, and the ring-down.
+Smoothing and the fit of six laws, the listing of events, the ring-down, two masses, and a driven mass.
 """
 
 from pathlib import Path
@@ -11,9 +11,13 @@ import daq
 import fitting
 import processing
 from daq.calibration import ring_down
+from daq.console import application
+from rig_sim.cli.app import app
 from rig_sim.flow.flow import Flow
 from rig_sim.integrate.events import list_events
 
 fitting.rank(processing.smooth(daq.load(Path(__file__).parents[1] / "data_samples" / "law5.h5")))
 list_events(Flow(), 0.0, 0.0, 1e-9, compiled=True)
 ring_down.motion(np.linspace(0.0, 1.0, 3), 1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+for command in ("map two-mass --d 1 --iterate 600", "lyapunov forced --events 20"):
+    application.run(app, [*command.split(), "--json"])

@@ -79,6 +79,7 @@ def test_a_wide_ramp_is_not_taken_for_a_belt(simulated):
     assert rank(simulated("friction.law=6"), laws=(5, 6)).laws_in_set == (6,)
 
 
+@pytest.mark.slow
 def test_a_stated_speed_goes_before_the_belts_counts(simulated):
     motion = simulated("belt.channel=true", "droop.fraction=0.01", "friction.law=5")
     assert rank(motion, laws=(5, 6), belt_speed="channel").laws_in_set == (5,)

@@ -103,6 +103,7 @@ def test_a_ramp_of_constant_friction_keeps_its_width_on_a_belt_that_ripples(simu
         assert found.hi - found.lo < 2 * error
 
 
+@pytest.mark.slow
 def test_a_steady_belt_comes_first_where_the_mass_merely_grazes_it(synthetic, monkeypatch):
     # The smoothing took tops of a sine for sticks, among which a ripple of 5 % at 11 Hz was found: the record was
     # refused, since its sticks had several speeds.

@@ -107,6 +107,7 @@ def test_a_belt_that_stands_for_most_of_the_record_leaves_the_law_as_it_is(synth
     assert ranking.cut.plateau_fraction > 0.24
 
 
+@pytest.mark.slow
 def test_a_slip_in_which_the_belt_stood_is_left_out(synthetic):
     run = synthetic.recording(law=5, seed=4, duration=12.0)
     x = run.position

@@ -30,7 +30,7 @@ def test_no_false_alarm_in_a_clean_minute(motion, recorded, times, jitter):
     assert position_steps.position_steps(series.from_recording(recorded(motion(5, 60.0, jitter)), times)) == ()
 
 
-@pytest.mark.parametrize(("noise", "law"), [(2e-4, 5), (1e-3, 3)])
+@pytest.mark.parametrize(("noise", "law"), [pytest.param(2e-4, 5, marks=pytest.mark.slow), (1e-3, 3)])
 def test_a_datum_that_moves_in_a_camera_track_is_found_and_kept_out_of_the_velocity(motion, imported, noise, law):
     # A camera that was moved went into the velocity and the fit without a word: steps were looked for in counts alone.
     true = motion(law, 20.0)
