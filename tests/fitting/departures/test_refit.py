@@ -3,8 +3,10 @@
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from fitting.departures import refit
 from fitting.departures.explain import base_of, confirm, explain_misfit
 from fitting.departures.strongest import strongest
 
@@ -80,3 +82,52 @@ def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
     others = [one for one in strongest(base_of(fit, records)) if one.departure.name == "second-mode"]
     assert others
     assert confirm(others[0], [fit], records, NOISE) is None
+
+
+class _Passes:
+    """A search of one block, whose passes end at given multiples of the noise."""
+
+    def __init__(self, errors):
+        self.errors, self.made = errors, 0
+
+    def search(self, shared, local, noise, *, held=False):
+        found = SimpleNamespace(u=shared + 1, local=local, residual=np.full(4, self.errors[self.made]))
+        self.made += 1
+        return found
+
+    rows = (slice(0, 4),)
+
+    def noise(self, one):
+        return one
+
+    def coefficients(self, shared):
+        return shared
+
+
+@pytest.mark.parametrize(
+    ("errors", "passes"),
+    [
+        ([47.3, 47.0, 44.5, 44.4], 4),  # a LuGre contact: five passes, and up to three more with all samples
+        ([322.0, 153.0], 2),
+        ([900.0, 700.0, 300.0, 30.0, 8.0, 4.5], 6),
+    ],
+)
+def test_a_search_that_stays_far_from_the_noise_is_given_up(errors, passes):
+    """Every search made four passes, and one that had settled far from the noise was then fitted to all samples."""
+    model = _Passes(errors)
+    held = 2 if len(errors) > 2 else 0
+    assert refit._descend(model, np.ones(1), np.ones((1, 6)), held, 1.0) is None
+    assert model.made == passes
+
+
+def test_a_search_that_comes_down_to_the_noise_makes_all_its_passes():
+    model = _Passes([60.0, 50.0, 40.0, 12.0, 3.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    assert refit._descend(model, np.ones(1), np.ones((1, 6)), 2, 1.0) is not None
+    assert model.made == 10
+
+
+def test_a_search_that_settles_far_from_the_noise_leaves_nothing_to_finish():
+    model = _Passes([60.0, 50.0, 40.0])
+    model.coefficients = lambda shared: np.ones(1)
+    assert refit._descend(model, np.ones(1), np.ones((1, 6)), 2, 1.0) is None
+    assert model.made == 3
