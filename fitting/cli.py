@@ -122,6 +122,13 @@ def fit(
     from processing.statistics import pooled
 
     files = [file, *more]
+    if each:  # a pattern such as *.h5 names the joint fits of a folder, too
+        fits = [path for path in files if path.name.endswith(joint.SUFFIX) and joint.recognised(path)]
+        files = [path for path in files if path not in fits]
+        for path in fits:
+            application.note(f"{path} is the file of a joint fit, left out")
+        if not files:
+            raise InputError("no run among the files", "command line", "name the runs that were fitted")
     if len({path.resolve() for path in files}) < len(files):
         raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
     if no_report and report is not None:

@@ -195,13 +195,19 @@ def test_the_file_of_a_joint_fit_passes_the_nexus_validator(fitted):
     assert "Total number of errors: 0" in done.stdout
 
 
-def test_a_joint_fit_is_listed_and_is_no_run(files, fitted):
+def test_a_joint_fit_is_listed_and_is_no_run(files, fitted, tmp_path, capsys):
     joint_file = fitted[0].data["joint_file"]
     (row,) = [row for row in listing.runs([files[0].parent]) if row.runs]
     assert (row.file, row.runs, row.problem) == (joint_file, 3, None)
     assert row.verdict.startswith("law 5 ")
     with pytest.raises(InputError, match="joint fit, not of a run"):
         store.load(joint_file)
+    copy = Path(shutil.copy(files[0], tmp_path))
+    answer = cli.fit(copy, joint_file, each=True, laws="5", no_report=True)  # a pattern named both
+    assert [run["file"] for run in answer.data["runs"]] == [copy]
+    assert f"{joint_file} is the file of a joint fit, left out" in capsys.readouterr().err
+    with pytest.raises(InputError, match="no run among the files"):
+        cli.fit(joint_file, each=True)
 
 
 @pytest.mark.parametrize("content", ["mine", "run", "joint fit"])
