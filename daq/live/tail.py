@@ -26,6 +26,7 @@ from daq.wire import counters, decode, frames
 # Lines decoded again with the next chunk.  A text line needs neighbours on both sides for its time to be judged; half
 # leaves few where several are damaged in a row, double costs 0.1 ms more a chunk.
 OVERLAP_LINES = 12
+MOST_OVERLAP = 1 << 14  # bytes that are kept of a stream without lines, such as noise at a wrong baud rate
 MOST_BYTES = 1 << 22  # of a journal read at once: a viewer that starts late catches up in steps
 
 
@@ -158,8 +159,7 @@ class JournalTail:
             return []
         self._reads += new
         stream = self._backend.decode(self._reads, self.header)
-        if self._ident is None or stream.ident is not None:
-            self._ident = stream.ident or self._ident
+        self._ident = timeline.first_ident([stream]) or self._ident
         self._calibrate(stream)
         self._reads = _last_lines(self._reads, self._backend.DELIMITER)
         if not len(stream.n):
@@ -246,5 +246,6 @@ def _last_lines(reads: list[tuple[int, bytes]], delimiter: bytes) -> list[tuple[
     for _ in range(OVERLAP_LINES + 1):
         at = content.rfind(delimiter, 0, at)
         if at < 0:
-            return reads
-    return [(reads[-1][0], content[at + len(delimiter) :])]
+            break
+    begin = at + len(delimiter) if at >= 0 else max(0, len(content) - MOST_OVERLAP)
+    return reads if begin == 0 else [(reads[-1][0], content[begin:])]

@@ -125,6 +125,20 @@ def test_text_lines_are_followed_across_a_lost_port(tmp_path: Path, reopen_at: i
     np.testing.assert_allclose(time, run.time, rtol=0, atol=0.05)  # placed by the host's clock, late by one read
 
 
+def test_a_stream_without_lines_is_not_kept(tmp_path: Path) -> None:
+    part = tmp_path / "noise.h5.part"
+    text_journal(part, n=20)
+    writer = part.open("ab")
+    tail = JournalTail(part)
+    tail.poll()
+    for k in range(30):
+        writer.write(b"".join(journal_records.packed(journal.RECEIVED, k, b"\xff" * 5000)))
+        writer.flush()
+        assert tail.poll() == []
+    assert sum(len(data) for _, data in tail._reads) <= 1 << 15
+    writer.close()
+
+
 def test_a_journal_that_is_gone_and_what_is_no_journal(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such journal"):
         JournalTail(tmp_path / "run.h5.part")
