@@ -1,6 +1,7 @@
 """Flags whose value is a quantity with a unit: the command receives it in SI, checked."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any
 
 import cyclopts
@@ -10,6 +11,7 @@ from daq.errors import InputError
 from daq.runfile.rig import checked
 
 Force = Annotated[bool, Parameter(name="--force", negative=(), help="Replace an existing output file.")]
+Plot = Annotated[Path | None, Parameter(name="--plot", help="Draw the result into this file (.png, .svg, .pdf).")]
 
 
 def measured(name: str, dimension: str, text: str, key: str = "") -> Parameter:

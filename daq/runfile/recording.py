@@ -253,6 +253,13 @@ def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.uint16]) -> int
     return int((np.diff(sample.astype(np.int64))[within] - 1).sum())
 
 
+def first_disorder(time: NDArray[np.float64]) -> int | None:
+    """Return the first sample whose time is not finite or not after the one before; None when there is none."""
+    wrong = ~np.isfinite(time)
+    wrong[1:] |= ~(np.diff(time) > 0)
+    return int(np.argmax(wrong)) if wrong.any() else None
+
+
 def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:
     """Return ``position = count * metres_per_count + datum``, m, or the bare count of an uncalibrated rig.
 

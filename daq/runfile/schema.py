@@ -2,7 +2,7 @@
 
 `TREE` lists the groups of /entry, in NeXus base classes, and the fields of each.  A field names the attribute of
 `Recording` it holds (``rig.mass``), and how it is computed where that is not simply the attribute.  `write` and `read`
-go through the table; docs/run-file.md is generated from it (`documentation`).
+go through the table; docs/run-file.md is generated from it (docs/run_file_table.py).
 
 Types: ``f8`` and the like are numpy's; ``[n]`` is a column over the samples, ``[c]`` over the clock readings, ``[e]``
 over the events, ``[m]`` over the samples of the truth.  A measured quantity is a number and, beside it,
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.runfile import nexus
-from daq.runfile.recording import EVENT_NAMES, EVENTS, Recording
+from daq.runfile.recording import EVENT_NAMES, EVENTS, Recording, first_disorder
 from daq.runfile.rig import Measured
 from daq.version import VERSION
 
@@ -396,23 +396,3 @@ def check(run: Recording) -> None:
     for name in ("started", "ended"):
         if datetime.fromisoformat(getattr(run, name)).tzinfo is None:
             raise ValueError(f"{name} is {getattr(run, name)!r}; it needs a time zone")
-
-
-def first_disorder(time: NDArray[np.float64]) -> int | None:
-    """Return the first sample whose time is not finite or not after the one before; None when there is none."""
-    wrong = ~np.isfinite(time)
-    wrong[1:] |= ~(np.diff(time) > 0)
-    return int(np.argmax(wrong)) if wrong.any() else None
-
-
-def documentation() -> str:
-    """Return the table of docs/run-file.md in Markdown: one row a group or field, in the order of writing."""
-    lines = ["| in /entry | type | unit | what it is |", "|---|---|---|---|"]
-    for row in TREE:
-        if isinstance(row, Group):
-            lines.append(f"| **{row.path or '/entry'}** | {row.nx_class} | | {'optional' if row.optional else ''} |")
-        else:
-            text = f"hard link to {row.text}" if row.kind == "link" else row.text
-            name = row.path.rpartition("/")[2]
-            lines.append(f"| {name} | {row.kind} | {row.unit} | {text}{', optional' if row.optional else ''} |")
-    return "\n".join(lines) + "\n"

@@ -1,6 +1,6 @@
 """Pictures of a report as SVG: portrait, friction curves, residuals, evidence, levels, cost, break-aways.
 
-Each holds all runs of a joint fit, told apart by the colour of the run.
+Each holds all runs of a joint fit, each run in its own colour.
 """
 
 from collections.abc import Sequence

@@ -1,13 +1,13 @@
 """The commands of ``rig-sim`` that control a mass: shaker, lock."""
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
+from daq.console.flags import Force, Plot
 from daq.errors import InputError
 from rig_sim.flow.flow import LARGEST, SMALLEST
 
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 MOST_PERIOD = 100  # of a search; the multipliers of longer orbits leave no digit of a motion
 MOST_EVENTS = 10_000_000
 SHOWN = 5  # orbits, and positions of an orbit, in the text
-
-Plot = Annotated[Path | None, Parameter(help="Draw the result into this file (.png, .svg, .pdf).")]
-Force = Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")]
 
 
 def shaker(

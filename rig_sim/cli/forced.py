@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from daq.console.application import Answer, Json, SetChanges
+from daq.console.flags import Force, Plot
 from daq.errors import InputError
-from rig_sim.cli.control import Force, Plot
 
 if TYPE_CHECKING:
     from rig_sim.dynamics.forced.driven_mass import DrivenMass

@@ -1,13 +1,13 @@
 """The commands of ``rig-sim`` about maps of two masses: map, basins, lyapunov; and what continue answers for them."""
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
+from daq.console.flags import Force, Plot
 from daq.errors import InputError
 from rig_sim.cli import forced
 
@@ -21,9 +21,6 @@ MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
 STEPS_PER_EVENT = 1000  # of lyapunov, whose slopes take four events more; the thesis's take 30 each
 MANY_EVENTS = 500  # interpreted some seconds; above, compiled code is faster with its compilation
-
-Plot = Annotated[Path | None, Parameter(help="Draw the result into this file (.png, .svg, .pdf).")]
-Force = Annotated[bool, Parameter(negative=(), help="Replace the file if it exists.")]
 
 
 def map_(

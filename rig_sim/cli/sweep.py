@@ -11,9 +11,10 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
+from daq.console.flags import Force, Plot
 from daq.errors import InputError
 from rig_sim.cli import forced
-from rig_sim.cli.maps import Force, Plot, SweptScene, checked
+from rig_sim.cli.maps import SweptScene, checked
 
 if TYPE_CHECKING:
     from daq.output.resume import ResumeFile

@@ -1,7 +1,7 @@
 "use strict";
 // The live view: draws what the server sends.  Samples are kept for as long as the longest window.
 
-const BLUE = "#0072b2", RED = "#d55e00", GREY = "#8a8a90", INK = "#1d1d1f"; // Okabe and Ito's, told apart by everybody
+const BLUE = "#0072b2", RED = "#d55e00", GREY = "#8a8a90", INK = "#1d1d1f"; // Okabe and Ito's, distinct to colour-blind readers too
 const KEEP_S = 120, FRAME_MS = 40, MOST_FRICTION = 12000;
 const element = (id) => document.getElementById(id);
 const samples = { t: [], x: [], v: [], a: [] };
