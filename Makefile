@@ -1,5 +1,6 @@
 # demo: the main job in one go; test: the quick checks; test-slow: the long ones; test-kernels: the fit under every BLAS
-# kernel that this processor runs; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
+# kernel that this processor runs; reliability: kills, full disks, signals, bad input, into docs/reliability.md; bench:
+# the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
 # test begins with static (ruff, imports, mypy) on one core and kernels (what the tests would compile) on the other.
 PYTHON ?= python3
 VENV ?= .venv
@@ -7,7 +8,7 @@ BIN = $(VENV)/bin
 PYTEST = $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 BLAS_KERNELS = Haswell Sandybridge Prescott $(shell grep -qsw avx512f /proc/cpuinfo && echo SkylakeX)
 
-.PHONY: demo test static kernels test-slow test-kernels bench docs clean
+.PHONY: demo test static kernels test-slow test-kernels reliability bench docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/daq demo
@@ -31,6 +32,9 @@ test-slow: $(VENV)/.installed-test
 test-kernels: $(VENV)/.installed-test
 	@for kernel in $(BLAS_KERNELS); do echo "== OPENBLAS_CORETYPE=$$kernel"; \
 	  OPENBLAS_CORETYPE=$$kernel $(PYTEST) -q -m "not slow" tests/fitting/selection tests/test_pipe.py || exit 1; done
+
+reliability: $(VENV)/.installed-test
+	$(BIN)/python -m tests.reliability
 
 bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --group bench

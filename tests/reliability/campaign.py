@@ -1,0 +1,90 @@
+"""Campaigns: long trials of what the programs promise, each at two sizes, and the table of all of them.
+
+A campaign is a function ``NAME(size, folder)`` in the module of its kind.  It tries, measures and returns one `Result`
+per promise.  It asserts nothing: what went wrong stands in ``faults``, each with what to run to see it again.  The same
+size gives the same trials: whatever is drawn by chance comes from ``size.seed``.
+"""
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+
+@dataclass(frozen=True)
+class Result:
+    """One row of the table.
+
+    Attributes
+    ----------
+    promise : str
+        What holds, in one sentence.
+    tried : str
+        What was done to it, with numbers.
+    measured : str
+        What came out, with numbers and units.
+    test : str
+        The test that holds the promise: ``tests/folder/test_file.py::test_name``, or the campaign itself.
+    faults : tuple of str
+        What broke the promise, each with what to run to see it again.
+    """
+
+    promise: str
+    tried: str
+    measured: str
+    test: str
+    faults: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Size:
+    """How long a campaign is.
+
+    Attributes
+    ----------
+    name : str
+        "short" or "full".
+    amount : int
+        How much of what the campaign counts (`Campaign.counts`).
+    seed : int
+        Of everything that is drawn by chance.
+    """
+
+    name: str
+    amount: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A row of `CAMPAIGNS`: where the function is, what ``amount`` counts, and how much of it the sizes take."""
+
+    module: str
+    counts: str
+    short: int
+    full: int
+    seed: int = 1
+
+    def size(self, name: str) -> Size:
+        """Return the size of this name."""
+        return Size(name, {"short": self.short, "full": self.full}[name], self.seed)
+
+
+# The order is that of the table in docs/reliability.md.
+CAMPAIGNS: dict[str, Campaign] = {
+    "security": Campaign("security", "rounds", short=1, full=1),
+}
+
+
+def run(name: str, size: str, folder: Path) -> list[Result]:
+    """Run a campaign in an empty folder."""
+    campaign = CAMPAIGNS[name]
+    module = importlib.import_module(f"..{campaign.module}", __name__)
+    function = cast(Callable[[Size, Path], list[Result]], getattr(module, name))
+    return function(campaign.size(size), folder)
+
+
+def test_of(name: str) -> str:
+    """Return the test that runs a campaign's short form."""
+    return f"tests/reliability/test_short_form.py[{name}]"

@@ -1,0 +1,19 @@
+"""Every campaign of `make reliability` at its short size."""
+
+import sys
+
+import pytest
+
+from . import campaign
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the campaigns use Linux's /proc and preloading"),
+]
+
+
+@pytest.mark.parametrize("name", campaign.CAMPAIGNS)
+def test_a_campaign_finds_no_fault(name, tmp_path):
+    results = campaign.run(name, "short", tmp_path)
+    assert results
+    assert [fault for result in results for fault in result.faults] == []
