@@ -26,13 +26,13 @@ def node_of(module: str) -> Node | None:
     return (parts[0], parts[1]) if place.is_dir() or place.with_suffix(".py").is_file() else None
 
 
-def imported_names(path: Path) -> set[str]:
-    """Return the dotted names that a file imports, at any depth, those for the type checker alone left out."""
+def imported_names(path: Path, *, for_types: bool = False) -> set[str]:
+    """Return the dotted names that a file imports, at any depth; those for the type checker alone on request."""
     names: set[str] = set()
     tree = ast.parse(path.read_text())
     checks = [node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
-    for_types = {inner for check in checks for inner in ast.walk(check)}
-    for statement in set(ast.walk(tree)) - for_types:
+    left_out = set() if for_types else {inner for check in checks for inner in ast.walk(check)}
+    for statement in set(ast.walk(tree)) - left_out:
         if isinstance(statement, ast.Import):
             names |= {alias.name for alias in statement.names}
         elif isinstance(statement, ast.ImportFrom) and statement.module:

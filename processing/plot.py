@@ -30,8 +30,8 @@ def inspection(kinematics: Kinematics) -> Figure:
     Returns
     -------
     Figure
-        The motion as `Kinematics.plot` draws it.  Below, where there are at least `FEWEST_SLIPS` slips: the panels of
-        `_break_aways`.
+        The motion as `processing.record.plot` draws it.  Below, where there are at least `FEWEST_SLIPS` slips: the
+        panels of `_break_aways`.
     """
     counted = from_kinematics(kinematics)
     several = counted.slips >= FEWEST_SLIPS and len(counted.events) >= FEWEST_SLIPS
@@ -40,7 +40,7 @@ def inspection(kinematics: Kinematics) -> Figure:
         parts = drawn.add_gridspec(2 if several else 1, 1, height_ratios=(5.6, 3.2) if several else None)
         if several:
             _break_aways(drawn, parts[1].subgridspec(1, 3, wspace=0.06), counted, kinematics.unit)
-        draw_motion(drawn, parts[0], kinematics)
+        draw_motion(drawn, parts[0], kinematics.drawing())
     return drawn
 
 

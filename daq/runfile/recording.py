@@ -214,7 +214,16 @@ class Recording:
         """
         from daq.runfile import plot
 
-        return plot.position(self)
+        events = zip(self.event_sample, self.event_kind, self.event_note, strict=True)
+        return plot.position_over_time(
+            self.time,
+            self.position,
+            self.unit,
+            segment=self.segment,
+            interval=1 / self.rate_hz,
+            markers=[(self.time[at], words) for at, kind, words in events if kind == "marker" and at < self.time.size],
+            title=f"{self.name}: {self.title}",
+        )
 
     def facts(self) -> dict[str, str]:
         """Return what a person wants to see first, in words, by name; notes included."""

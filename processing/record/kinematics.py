@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from daq.output.plot import PngFigure
     from daq.runfile.recording import Recording
+    from processing.record.plot import DrawnMotion
 
 DERIVATIVES = {"position": "", "velocity": "_per_s", "acceleration": "_per_s2"}
 
@@ -266,9 +267,28 @@ class Kinematics(SmoothingHeader):
         matplotlib Figure
             Three axes; sticks are shaded.  ``figure.savefig(path)`` writes it, a notebook shows it.
         """
-        from processing.record import plot
+        from processing.record.plot import figure_of
 
-        return plot.motion(self)
+        return figure_of(self.drawing())
+
+    def drawing(self) -> "DrawnMotion":
+        """Return what `plot` shows."""
+        from processing.record.plot import DrawnMotion
+
+        window = "finite differences"
+        if self.method != "fd":
+            window = f"{self.method}, window {self.window}, order {self.order}"
+        return DrawnMotion(
+            f"{self.recording.name}: {self.recording.title}   ({window}, {self.times} times)",
+            self.time,
+            self.position,
+            self.velocity,
+            self.recording.segment,
+            self.unit,
+            self.sticks,
+            len(self.cycles),
+            self.belt_speed,
+        )
 
     def facts(self) -> dict[str, str]:
         """Return what a person wants to see first, in words, by name."""
