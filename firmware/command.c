@@ -1,4 +1,4 @@
-/* The host's commands: ASCII lines that end in \n (docs/wire.md).
+/* The host's commands: ASCII lines that end in \n (docs/reference/wire.md).
 
    I identify, R <hz> rate, B <n> samples per frame, M <decoder> decoder (counters start again), S start, X stop.  A
    command that is unknown or cannot be carried out is answered by a NOTICE and changes nothing.

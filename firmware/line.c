@@ -1,4 +1,4 @@
-/* The serial line and its frames: COBS(payload + CRC) + 0x00, CRC-16/CCITT-FALSE, little endian (docs/wire.md).
+/* The serial line and its frames: COBS(payload + CRC) + 0x00, CRC-16/CCITT-FALSE, little endian (docs/reference/wire.md).
 
    The UART is polled, not interrupt-driven: line_poll() is called after every byte that is framed and in every turn of
    the main loop, which is often enough for 1 Mbaud both ways (a byte each 160 cycles out; two bytes of buffer, 320

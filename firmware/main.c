@@ -1,4 +1,4 @@
-/* The board: the interrupts of latch.S count and latch, the main loop speaks the wire of docs/wire.md. */
+/* The board: the interrupts of latch.S count and latch, the main loop speaks the wire of docs/reference/wire.md. */
 
 #include <avr/interrupt.h>
 #include <avr/wdt.h>

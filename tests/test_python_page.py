@@ -1,4 +1,4 @@
-"""docs/python.md: its examples print what the page says, and its picture is there."""
+"""docs/tutorial/python.md: its examples print what the page says, and its picture is there."""
 
 import doctest
 import re
@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = (ROOT / "docs" / "python.md").read_text()
+PAGE = (ROOT / "docs" / "tutorial" / "python.md").read_text()
 
 
 @pytest.mark.slow
 def test_the_examples_print_what_the_page_says(monkeypatch):
     monkeypatch.chdir(ROOT)
     source = "\n".join(re.findall(r"```pycon\n(.*?)```", PAGE, re.DOTALL))
-    test = doctest.DocTestParser().get_doctest(source, {}, "docs/python.md", "docs/python.md", 0)
+    test = doctest.DocTestParser().get_doctest(source, {}, "docs/tutorial/python.md", "docs/tutorial/python.md", 0)
     said: list[str] = []
     result = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(test, out=said.append)
     assert not result.failed, "".join(said)
@@ -25,4 +25,4 @@ def test_every_picture_is_there():
     pictures = re.findall(r"!\[[^]]*\]\(([^)]+)\)", PAGE)
     assert pictures
     for picture in pictures:
-        assert (ROOT / "docs" / picture).is_file()
+        assert (ROOT / "docs" / "tutorial" / picture).is_file()

@@ -3,7 +3,7 @@
 ========  ==================  =======================================================================================
 name      module              used by
 ========  ==================  =======================================================================================
-frames    protocols.frames    stickslip firmware, and the simulated rig: binary frames with a CRC (docs/wire.md)
+frames    protocols.frames    stickslip firmware, and the simulated rig: binary frames, CRC (docs/reference/wire.md)
 qsb       protocols.qsb       US Digital's QSB quadrature-to-USB adapter: ASCII, at most 512 Hz
 text      protocols.text      any sketch that prints a line of numbers per sample; declared columns, or labels
 ========  ==================  =======================================================================================

@@ -124,7 +124,8 @@ class Frames(Session):
                 if isinstance(frame, frames.Ident):
                     if frame.implausible:
                         what = f"the board's identification cannot be true: {frame.implausible}"
-                        raise DeviceError(what, self.url, "correct its firmware (docs/wire.md), or check the cable")
+                        do = "correct its firmware (docs/reference/wire.md), or check the cable"
+                        raise DeviceError(what, self.url, do)
                     ident = frame
                     self._begin_with(ident)
                 if isinstance(frame, frames.Config) and ident is not None:

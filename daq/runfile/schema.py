@@ -2,7 +2,7 @@
 
 `TREE` lists the groups of /entry, in NeXus base classes, and the fields of each.  A field names the attribute of
 `Recording` it holds (``rig.mass``), and how it is computed where that is not simply the attribute.  `write` and `read`
-go through the table; docs/run-file.md is generated from it (docs/run_file_table.py).
+go through the table; docs/reference/run-file.md is generated from it (docs/run_file_table.py).
 
 Types: ``f8`` and the like are numpy's; ``[n]`` is a column over the samples, ``[c]`` over the clock readings, ``[e]``
 over the events, ``[m]`` over the samples of the truth.  A measured quantity is a number and, beside it,

@@ -2,7 +2,7 @@
 
 Rule: a frame on the line is ``COBS(payload + CRC) + 0x00``.  The CRC is CRC-16/CCITT-FALSE over the payload, sent low
 byte first; every integer and float is little endian; the payload starts with a kind (one ASCII letter) and a format
-version.  The full description with worked example bytes is docs/wire.md.
+version.  The full description with worked example bytes is docs/reference/wire.md.
 
 Not here: what the numbers mean over time (roll-over of the 16-bit counters, the 16-bit sequence number and the 32-bit
 device time: `daq.wire.counters`) and the vectorised decoding of whole journals (`daq.wire.decode`).

@@ -549,7 +549,7 @@ def test_the_documented_table_is_the_schema() -> None:
     assert spec.loader is not None
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
-    text = (DOCS / "run-file.md").read_text()
+    text = (DOCS / "reference" / "run-file.md").read_text()
     assert script.page(text) == text, "run: python docs/run_file_table.py"
 
 

@@ -1,4 +1,4 @@
-"""The wire: what is sent is what is read, garbage is survived, and docs/wire.md says the truth."""
+"""The wire: what is sent is what is read, garbage is survived, and docs/reference/wire.md says the truth."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from daq.wire import frames as wire
 from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, TruthFrame
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "wire.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "reference" / "wire.md"
 
 u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
 text = st.text(st.characters(codec="utf-8"), max_size=40)

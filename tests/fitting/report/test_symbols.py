@@ -6,7 +6,7 @@ from fitting.estimation.derived import TABLE
 from fitting.report.symbols import SYMBOLS, formula, symbols
 from rig_sim.friction.law import LAWS
 
-PAGE = Path(__file__).parents[3] / "docs" / "laws.md"
+PAGE = Path(__file__).parents[3] / "docs" / "explanation" / "laws.md"
 
 
 def test_every_parameter_has_a_meaning() -> None:
