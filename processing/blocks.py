@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.runfile.rig import Measured
 from processing import belt_motion
 from processing.defects import frames, position_steps, velocity_steps
-from processing.defects.findings import drift_finding, sensor_findings, step_findings
+from processing.defects.findings import belt_findings, drift_finding, sensor_findings, step_findings
 from processing.defects.sensor_faults import SoundRecord, without_faults
 from processing.kalman import white_jerk
 from processing.kalman.bridge import across_faults
@@ -69,6 +70,7 @@ class BlockSmoother:
         self._step_sums = np.zeros(10)
         self._samples = 0
         self._unit = ""
+        self._stated_speed: Measured | None = None
         self._means: list[tuple[float, float]] = []
         self._offset = 0.0  # sum of the steps so far in this segment
 
@@ -159,7 +161,7 @@ class BlockSmoother:
             if own.start <= step.sample < own.stop and sound.kept[near].mean() > SOUND:
                 self._steps.append(VelocityStep(step.sample + low, step.step))
         self._samples += own.stop - own.start
-        self._unit = recording.unit
+        self._unit, self._stated_speed = recording.unit, recording.rig.belt_speed
         for part in np.array_split(np.arange(own.start, own.stop), PARTS):
             if part.size:
                 self._means.append((float(data.time[part].mean()), float(columns["position"][part - own.start].mean())))
@@ -181,8 +183,8 @@ class BlockSmoother:
         seen = without_steps(sound.series, offset[sound.kept])
         motion = registry.estimate(self.method, seen, self.setting, estimates)
         belt = belt_motion.smooth_belt(recording, sound.kept, seen, motion, estimates)
-        stated = self.setting.belt_speed
-        found = plateaus.segment(seen, motion, recording.rig.belt_speed, stated, belt, estimates.part("phases"))
+        measured = recording.rig.belt_speed if recording.unit == "m" else None
+        found = plateaus.segment(seen, motion, measured, self.setting.belt_speed, belt, estimates.part("phases"))
         return BlockResult(data, sound, losses, offset, seen, motion, belt, found)
 
     @property
@@ -193,14 +195,14 @@ class BlockSmoother:
     def header(self) -> dict[str, Any]:
         """Return what `SmoothingHeader` states: the method and window of most samples, the median belt speed."""
         window, order = max(set(self._windows), key=self._windows.count)
-        faults, noise = tuple(self._faults), self._noise()
+        faults, noise, plateau_speed = tuple(self._faults), self._noise(), _median(self._plateau_speeds)
         counted = frames.count_frames(self._step_sums)
         return {
             "method": max(self._methods, key=lambda name: self._methods[name]),
             "window": window,
             "order": order,
             "belt_speed": _median(self._belt_speeds),
-            "plateau_speed": _median(self._plateau_speeds),
+            "plateau_speed": plateau_speed,
             "phases": tuple(self._phases),
             "losses": tuple(self._losses),
             "kicks": tuple(self._steps),
@@ -210,6 +212,7 @@ class BlockSmoother:
                 *sensor_findings(faults, counted, self._samples),
                 *step_findings(self._losses, counted, self._unit, repaired=self.repair == "fix"),
                 *self._drift(),
+                *belt_findings(self._stated_speed, plateau_speed if self.sticks else math.nan, self._unit),
             ),
             "noise": noise,
             "repaired": self.repair == "fix" and bool(self._losses),

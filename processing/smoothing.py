@@ -77,7 +77,8 @@ def smooth(
     ------
     InputError
         For an unknown method or repair, an even window, an order that the window cannot carry, a record with a number
-        that is not finite or with times that do not increase (naming the sample), or fewer than 5 samples.
+        that is not finite or with times that do not increase (naming the sample), fewer than 5 samples, or a belt
+        speed beside positions in counts.
 
     Notes
     -----
@@ -86,7 +87,7 @@ def smooth(
     begun = clock.process_time()
     _check(method, repair_counts)
     data = series.from_recording(recording, times)
-    blocks = BlockSmoother(method, _setting(window, order, belt_speed, data), repair_counts)
+    blocks = BlockSmoother(method, _setting(window, order, belt_speed, data, recording.unit), repair_counts)
     n = data.time.size
     if n > LEARNED:
         stretches, travel = learning_stretches(recording.position.__getitem__, n)
@@ -141,7 +142,7 @@ def smooth_file(
         joined = _joined([_read(run, own, times) for own in stretches])
         recording = joined[0]
         belt = belt_motion.has_belt_encoder(recording)
-        blocks = BlockSmoother(method, _setting(window, order, belt_speed, joined[1]), repair_counts)
+        blocks = BlockSmoother(method, _setting(window, order, belt_speed, joined[1], recording.unit), repair_counts)
         widest = blocks.learn(joined, run.positions, n, travel)
         del joined
     margin = min(max(MARGIN, 2 * widest), BLOCK)
@@ -183,8 +184,15 @@ def _check(method: str, repair_counts: str) -> None:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
 
 
-def _setting(window: int | str, order: int | None, belt_speed: float | str, data: Series) -> Setting:
-    return replace(parse_window(window, order, data), belt_speed=parse_belt_speed(belt_speed))
+def _setting(window: int | str, order: int | None, belt_speed: float | str, data: Series, unit: str) -> Setting:
+    speed = parse_belt_speed(belt_speed)
+    if speed is not None and unit != "m":
+        raise InputError(
+            f"{speed:g} m/s, and the positions are in counts: this rig has no metres per count",
+            "--belt-speed",
+            "leave it at auto, or add metres_per_count to a rig.toml, then: daq replay RUN.h5 --rig rig.toml -o NEW.h5",
+        )
+    return replace(parse_window(window, order, data), belt_speed=speed)
 
 
 def _read(run: store.RunReader, own: slice, times: str) -> "tuple[Recording, Series]":

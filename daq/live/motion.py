@@ -98,7 +98,7 @@ class LiveFilter:
         x, v, a = (np.concatenate([getattr(part, name) for part in self._recent] or [[]]) for name in "xva")
         known = np.isfinite(v)
         x, v, a = x[known], v[known], a[known]
-        if rig.belt_speed is not None:
+        if rig.belt_speed is not None and rig.metres_per_count is not None:
             self.belt_speed = rig.belt_speed.value
         elif v.size >= LEAST_SAMPLES:
             self.belt_speed = _most_frequent(v, self.belt_speed)

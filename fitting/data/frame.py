@@ -20,12 +20,10 @@ from fitting.data.belt_line import BeltLine
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
 from processing.record.series import LONG
+from processing.record.setting import is_possible_speed
 
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
 FEWEST_STICKS = 4
-# Of a stated belt speed, sticks that may be its own: on a ramp they creep, by up to its half-width.  Sticks outside
-# are used instead of the statement; whether that is a contradiction, the fitted belt speed decides.
-SLOWEST_STICKS, FASTEST_STICKS = 0.8, 1.05
 FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
 
 
@@ -148,7 +146,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     channel = _channel(kinematics, belt_speed)
     stated = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else rig.belt_speed
     seen = speed_in_sticks(kinematics)
-    believed = stated if stated is not None and _is_possible(stated, seen) else None
+    believed = stated if stated is not None and is_possible_speed(stated, seen) else None
     speed = _belt_speed(kinematics, believed, seen, given=isinstance(belt_speed, float | int))
     sign = math.copysign(1.0, speed)
     usual = float(np.median(np.diff(kinematics.time)))
@@ -249,14 +247,6 @@ def speed_in_sticks(kinematics: Kinematics) -> float:
         if stick.last > stick.first
     ]
     return float(np.median(speeds)) if len(speeds) >= FEWEST_STICKS else math.nan
-
-
-def _is_possible(stated: Measured, seen: float) -> bool:
-    """Return whether sticks at the speed ``seen`` may be those of a belt that runs at the stated speed."""
-    if stated.value == 0 or not math.isfinite(seen):
-        return stated.value != 0
-    slack = 4 * stated.sd / abs(stated.value)
-    return SLOWEST_STICKS - slack < seen / stated.value < FASTEST_STICKS + slack
 
 
 def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, *, given: bool) -> float:

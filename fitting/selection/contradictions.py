@@ -16,13 +16,13 @@ from fitting.model.parameters import PER_RUN, Global
 from fitting.selection.result import LawResult
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
+from processing.record.setting import with_error
 from rig_sim.friction.law import LAWS
 
 # Standard deviations.  At 3 one true calibration in 400 would be reported, and as many again because an interval from
 # 16 cycles is itself uncertain; at 5 a belt speed wrong by less than 5 % of its stated value would pass.
 SURE = 4.0
 UNITS = {"belt-speed": "m/s", "datum": "m", "damping": "N s/m", "stiffness": "N/m"}
-STATED_SD = 0.01  # of a value that was stated without an error: people read a speed, a mass or a spring to about 1 %
 
 
 def find_contradictions(
@@ -89,7 +89,7 @@ def _compared(
         spread = parameters["v_dr"].stderr if LAWS[fit.law].curve == "constant" else 0.0
         seen = Measured(motion.sign * seen.value, math.hypot(max(seen.sd, spread), motion.length_error * seen.value))
         used = "the belt's counts" if motion.belt_measured else _used(motion.belt_prior)
-        yield "belt-speed", seen, _with_error(motion.stated_speed), used
+        yield "belt-speed", seen, with_error(motion.stated_speed), used
     if motion.datum_prior is not None and LAWS[fit.law].curve != "constant":  # which shows datum + Fs/k alone
         seen, stated = _seen(fit, Global.DATUM, run), motion.datum_prior
         zero = recorded.datum.value if recorded.datum is not None else 0.0  # the datum is count zero's, not the rest's
@@ -101,11 +101,11 @@ def _compared(
         used = "both" if stated.sd > 0 else "the stated one"
         yield "damping", Measured(mass * seen.value, mass * seen.sd), stated, used
     if motion.mass is not None and motion.stiffness is not None:
-        known, ratio = _with_error(motion.mass), parameters["k/m"]
+        known, ratio = with_error(motion.mass), parameters["k/m"]
         value = ratio.value * known.value
         spread = value * math.hypot(ratio.stderr / ratio.value, known.sd / known.value)
         used = f"the mass of {known.value:.4g} kg and the record's k/m"
-        yield "stiffness", Measured(value, spread), _with_error(motion.stiffness), used
+        yield "stiffness", Measured(value, spread), with_error(motion.stiffness), used
 
 
 def _used(prior: Measured | None) -> str:
@@ -117,7 +117,3 @@ def _seen(fit: Fit, slot: Global, run: int) -> Measured:
     """Return what the record alone shows of a parameter of a run; of those that runs share there is one."""
     place = PER_RUN * run + slot
     return without_prior(fit, fit.active.index(place if place in fit.active else slot))
-
-
-def _with_error(stated: Measured) -> Measured:
-    return stated if stated.sd > 0 else Measured(stated.value, STATED_SD * abs(stated.value))

@@ -5,10 +5,12 @@ import math
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.runfile.rig import Measured
 from processing.defects.frames import FrameCount
 from processing.record.finding import Finding
 from processing.record.motion import Fault
 from processing.record.position_steps import PositionStep
+from processing.record.setting import is_possible_speed, with_error
 
 
 def sensor_findings(faults: tuple[Fault, ...], frames: FrameCount, samples: int) -> list[Finding]:
@@ -82,6 +84,33 @@ def drift_finding(time: Array, position: Array, unit: str) -> Finding | None:
         "and dithers, or a belt that drags the mass all the time"
     )
     return Finding("drift", text, slope, 0.0, abs(slope) / error if error > 0 else math.inf)
+
+
+def belt_findings(stated: Measured | None, seen: float, unit: str) -> list[Finding]:
+    """Return the finding of a stated belt speed that is not the sticks', or that cannot be compared with them.
+
+    Parameters
+    ----------
+    stated : Measured or None
+        The rig's, m/s.
+    seen : float
+        Speed of the sticks, NaN without one.
+    unit : {"m", "count"}
+        Of the positions.
+    """
+    if stated is None:
+        return []
+    text = f"belt speed: {stated.value:.4g} m/s was stated, "
+    if unit != "m":
+        text += "but the positions are in counts: this rig has no metres_per_count"
+        if math.isfinite(seen) and stated.value:
+            text += f"; the sticks' {seen:.5g} count/s would be that speed at {stated.value / seen:.4g} m per count"
+        return [Finding("belt-speed-unit", text)]
+    if is_possible_speed(stated, seen) or not math.isfinite(seen):
+        return []
+    text += f"but the mass sticks at {seen:.4g} m/s: the record's is used"
+    sd = with_error(stated).sd
+    return [Finding("belt-speed", text, seen, stated.value, abs(seen - stated.value) / sd if sd else math.nan)]
 
 
 STRAIGHT = 0.05  # of the travel: the most that a part may lie off the line; one slip in eight sticks moves it by more

@@ -5,9 +5,14 @@ import re
 from dataclasses import dataclass
 
 from daq.errors import InputError
+from daq.runfile.rig import Measured
 from processing.record.series import Series
 
 HIGHEST_ORDER = 20  # of a window given by a person; coefficients are tested to this degree (`polynomial.gram`)
+STATED_SD = 0.01  # of a value that was stated without an error: people read a speed, a mass or a spring to about 1 %
+# Of a stated belt speed, sticks that may be its own: on a ramp they creep, by up to its half-width.  Sticks outside
+# are used instead of the statement; whether that is a contradiction, the fitted belt speed decides.
+SLOWEST_STICKS, FASTEST_STICKS = 0.8, 1.05
 DEFAULT_ORDER = 4  # beside a window that was given: as in the thesis's own filter class, it keeps the curvature of v
 
 
@@ -114,3 +119,16 @@ def parse_belt_speed(belt_speed: float | str) -> float | None:
     if not math.isfinite(value):
         raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give auto, or a speed in m/s with its sign")
     return value
+
+
+def with_error(stated: Measured) -> Measured:
+    """Return a stated value with an error: `STATED_SD` of it where none was given."""
+    return stated if stated.sd > 0 else Measured(stated.value, STATED_SD * abs(stated.value))
+
+
+def is_possible_speed(stated: Measured, seen: float) -> bool:
+    """Return whether sticks at the speed ``seen``, m/s, may be those of a belt that runs at the stated speed."""
+    if stated.value == 0 or not math.isfinite(seen):
+        return stated.value != 0
+    slack = 4 * stated.sd / abs(stated.value)
+    return SLOWEST_STICKS - slack < seen / stated.value < FASTEST_STICKS + slack

@@ -11,6 +11,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from processing.record.motion import Motion
+from processing.record.setting import is_possible_speed
 
 # Of the belt's speed: the most that a plateau may differ from it.  Under friction with a ramp the mass creeps by up to
 # the ramp's half-width d, so sticks are found for d up to 0.4 belt speeds and missed above.
@@ -93,10 +94,14 @@ def reported_speed(stated: float | None, measured: Measured | None, common: floa
         Common speed of the plateaus.
     stuck : bool
         Whether the record shows a stick.
+
+    Notes
+    -----
+    A calibrated speed that the sticks contradict is not used.
     """
     if stated is not None:
         return stated
-    if measured is None:
+    if measured is None or (stuck and not is_possible_speed(measured, common)):
         return common if stuck else math.nan
     if stuck and abs(common - measured.value) <= max(4 * measured.sd, 0.02 * abs(measured.value)):
         return common

@@ -1,6 +1,7 @@
 """Estimates while a recording runs: exact on a parabola, near the truth on stick-slip, unknown across a gap."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,8 +61,10 @@ def test_belt_speed_and_spring_are_read_from_the_motion() -> None:
 def test_a_calibration_is_used_where_there_is_one() -> None:
     t, x = stick_slip(3, 500.0)
     rig = Rig(mass=Measured(0.5), stiffness=Measured(20.0), belt_speed=Measured(0.2))
-    live, *_ = fed(t, x, 500.0, rig)
+    live, *_ = fed(t, x, 500.0, replace(rig, metres_per_count=Measured(1e-5)))
     assert (live.belt_speed, live.k_over_m) == (0.2, 40.0)
+    live, *_ = fed(t, x, 500.0, rig)  # positions in counts: 0.2 m/s was taken for 0.2 count/s
+    assert live.belt_speed == pytest.approx(BELT, rel=0.01)
 
 
 def test_what_cannot_be_known_is_not_claimed() -> None:

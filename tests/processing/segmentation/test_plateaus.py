@@ -130,6 +130,31 @@ def test_a_creeping_plateau_reports_the_belt_speed_that_was_measured(motion, rec
     assert processing.smooth(run).belt_speed == pytest.approx(0.22, abs=1e-4)
 
 
+def test_a_stated_speed_that_the_sticks_contradict_is_named_and_not_used(motion, recorded):
+    """A belt of 0.22 m/s was "0.1 m/s" after a calibration gone stale, and "0 m/s" after one made while it stood."""
+    for stated in (0.1, 0.0, 0.35):
+        rig = Rig(metres_per_count=Measured(7.67e-6), belt_speed=Measured(stated))
+        found = processing.smooth(recorded(motion(5, 20.0, start=START), rig=rig))
+        assert found.belt_speed == pytest.approx(0.22, abs=1e-4)
+        (finding,) = found.findings
+        assert (finding.code, finding.expected) == ("belt-speed", stated)
+        assert finding.value == pytest.approx(0.22, abs=1e-4)
+
+
+def test_a_speed_in_metres_is_not_compared_with_counts(motion, recorded):
+    """The belt of a rig without metres_per_count was 0.22 count/s."""
+    true = recorded(motion(5, 20.0, start=START))
+    rig = Rig(belt_speed=Measured(0.22))
+    run = replace(true, rig=rig, position=true.count.astype(float))
+    found = processing.smooth(run)
+    assert found.belt_speed * 7.67e-6 == pytest.approx(0.22, rel=1e-3)
+    assert [finding.code for finding in found.findings] == ["belt-speed-unit"]
+    assert "0.22 m/s was stated, but the positions are in counts" in found.findings[0].text
+    assert "7.67e-06 m per count" in found.findings[0].text
+    with pytest.raises(InputError, match=r"0\.22 m/s, and the positions are in counts"):
+        processing.smooth(run, belt_speed=0.22)
+
+
 def test_a_belt_speed_that_was_given_settles_it(motion, recorded):
     run = recorded(motion(5, 20.0, start=START))
     assert processing.smooth(run, belt_speed=0.22).belt_speed == 0.22
