@@ -1,6 +1,5 @@
 """What a recording is worth: the numbers behind ``daq record``'s answer, and the warnings that follow from them."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,22 +125,14 @@ def from_run(
         duration_s=span + 1 / run.rate_hz,
         peak_edge_rate_hz=checked.peak_count_rate * EDGES_PER_COUNT.get(run.rig.decoder, 1),
         both_moved=int(np.count_nonzero(checked.flags & counters.FLAG_BOTH)),
-        dropped_bytes=sum(int.from_bytes(r.data, "little") for r in recorded.records if r.kind == journal.DROPPED),
+        dropped_bytes=sum(int.from_bytes(r.data, "little") for r in recorded.records.of_kind(journal.DROPPED)),
         travel=(float(run.position.min()), float(run.position.max())),
         unit="m" if run.rig.metres_per_count is not None else "count",
-        port_lost=sum(record.kind == journal.LOST for record in recorded.records),
+        port_lost=recorded.records.kinds.count(journal.LOST),
         asked_s=recorded.header["samples"] / run.rate_hz if recorded.header["samples"] is not None else None,
-        ended=_ended(recorded.records),
+        ended=next(map(journal.end_reason, recorded.records.of_kind(journal.END)), ""),
         retimed=int(np.count_nonzero(checked.flags & counters.FLAG_TIME)),
     )
-
-
-def _ended(records: Sequence[journal.Record]) -> str:
-    """Return what ended the recording; empty where the journal does not say it."""
-    try:
-        return str(json.loads(next(record.data for record in records if record.kind == journal.END))["reason"])
-    except (StopIteration, ValueError, KeyError, TypeError):
-        return ""
 
 
 def warnings(

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.quality import RecordingQuality
 from daq.finalise.timeline import Samples, TruthRows
 from daq.output import atomic
-from daq.runfile import journal, store
+from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Raw, Recording, Truth, positions
 from daq.runfile.rig import Rig
 from daq.wire import decode, frames
@@ -72,7 +73,7 @@ def run_data(
     DataError
         It holds no samples.
     """
-    header = recorded.header
+    header = journal_header.complete(recorded.header, recorded.path)
     rate_hz = float(header["rate_hz"])
     streams = timeline.connections(recorded)
     if not any(len(stream.n) for stream in streams):
@@ -87,14 +88,11 @@ def run_data(
     config, rig, warnings = calibration(recorded.records, streams, ident)
     checked = check(samples, ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
     position = positions(checked.count, rig)
-    zone = timezone(timedelta(seconds=header["utc_offset_s"]))
-    wall_ns = header["wall_ns"] + int(samples.stamp_ns[0]) - header["monotonic_ns"]
-    started = datetime.fromtimestamp(wall_ns / 1e9, zone)
-    ended = started + timedelta(seconds=float(samples.time[-1]))
+    started, ended = _instants(recorded.path, header, int(samples.stamp_ns[0]), float(samples.time[-1]))
     belt_count, belt_velocity = belt_counter.decoded(samples.belt, samples.time, checked.starts, rate_hz, rig)
     if samples.belt is not None and belt_velocity is None:
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
-    clocks = clock_sync.from_samples(samples, streams, header.get("baud"))
+    clocks = clock_sync.from_samples(samples, streams, header["baud"])
     events = events_of(samples, checked, streams, markers, rate_hz)
     run = Recording(
         title=header["title"],
@@ -120,14 +118,25 @@ def run_data(
         belt_count=belt_count,
         truth=_truth(samples, truth_rows, tick_ns, header["port"]),
         operator=header["operator"],
-        sample_name=header.get("sample_name", ""),  # journals of 0.1.0 have none of these three
-        note=header.get("note", ""),
-        tags=header.get("tags", {}),
+        sample_name=header["sample_name"],
+        note=header["note"],
+        tags=header["tags"],
         provenance=header["provenance"] | {"finished_by": finished_by},
     )
     found = quality.from_run(recorded, samples, checked, streams, run)
     warnings = [*header["warnings"], *warnings, *quality.warnings(found, recorded, samples, checked, streams, rig)]
     return run, replace(found, warnings=tuple(warnings))
+
+
+def _instants(path: Path, header: dict[str, Any], first_ns: int, span_s: float) -> tuple[datetime, datetime]:
+    """Return when the first and the last sample were taken, by the host's clock at the start and the stamps."""
+    wall_ns = header["wall_ns"] + first_ns - header["monotonic_ns"]
+    try:
+        started = datetime.fromtimestamp(wall_ns / 1e9, timezone(timedelta(seconds=header["utc_offset_s"])))
+        return started, started + timedelta(seconds=span_s)
+    except (OverflowError, OSError, ValueError) as error:
+        what = f"its first sample was stamped {(first_ns - header['monotonic_ns']) / 1e9:.3g} s after the start"
+        raise InputError(f"{what}, and the last one {span_s:.3g} s later", str(path), journal_header.DO) from error
 
 
 def _no_samples(recorded: journal.Journal) -> DataError:

@@ -4,7 +4,6 @@ A chunk of bytes is decoded together with the last lines before it, so that its 
 each chunk only the samples after the last one known are handed on; counts and times continue from there.
 """
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from daq.errors import InputError
 from daq.finalise import timeline
 from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.run import calibration
-from daq.runfile import journal, journal_records
+from daq.runfile import journal, journal_header, journal_records
 from daq.runfile.journal import Record
 from daq.runfile.recording import positions
 from daq.runfile.rig import Rig
@@ -97,15 +96,11 @@ class JournalTail:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            with path.open("rb") as file:
-                beginning = file.read(2 * journal.HEADER_EVERY)
+            header = journal.beginning(path)
         except OSError as error:
             do = "give the RUN.h5.part of a recording that is running"
             raise InputError(f"no such journal ({error.strerror})", str(path), do) from error
-        found = journal_records.header(beginning, list(journal_records.scan(beginning)))
-        if journal_records.wrong_in_magic(beginning) is None or found is None:
-            raise InputError("is not a journal of daq", str(path), "give the RUN.h5.part that a recording writes")
-        self.header: dict[str, Any] = json.loads(found.data)
+        self.header: dict[str, Any] = journal_header.complete(header, path)
         self.rig = Rig()
         self.counts = JournalTotals()
         self.ended = ""
@@ -135,7 +130,7 @@ class JournalTail:
         """
         with self.path.open("rb") as file:
             file.seek(self._at)
-            content = journal.MAGIC + file.read(MOST_BYTES)
+            content = journal.Content(journal.MAGIC + file.read(MOST_BYTES))
         made: list[NewSamples] = []
         new: list[tuple[int, bytes]] = []
         end = len(journal.MAGIC)
@@ -150,7 +145,7 @@ class JournalTail:
             elif record.kind == journal.CONFIGURATION:
                 self._configuration.append(record)
             elif record.kind == journal.END:
-                self.ended = json.loads(record.data)["reason"]
+                self.ended = journal.end_reason(record)
         self._at += end - len(journal.MAGIC)
         return made + self._decoded(new)
 

@@ -18,22 +18,24 @@ first, whoever only reads does not.  A marker comes from another process: one li
 to ``RUN.h5.markers``.
 """
 
+import errno
 import json
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, overload
 
 from daq.errors import InputError
 from daq.output import disk
 from daq.output.lock import FileLock
-from daq.runfile import journal_records
+from daq.runfile import journal_header, journal_records
 from daq.runfile.journal_records import (
     CONFIGURATION,
     DROPPED,
@@ -43,10 +45,12 @@ from daq.runfile.journal_records import (
     MAGIC,
     RECEIVED,
     REOPENED,
+    Content,
+    Place,
     Record,
 )
 
-__all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Record"]
+__all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Content", "Record"]
 
 SYNC_EVERY_S = 1.0
 # Bytes between two copies of the header: 2 % of the file.  Half costs 4 %; double leaves a longer beginning whose loss
@@ -55,6 +59,50 @@ HEADER_EVERY = 1 << 16
 
 # What ended a recording, in its last record; another word there is the name of a signal.
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
+
+
+class Records(Sequence[Record]):
+    """Records of a journal, read from its file each time they are looked at: their bytes are in no memory."""
+
+    def __init__(self, path: Path, places: "array[int]", kinds: bytes) -> None:
+        self.path, self.kinds = path, kinds
+        self._places = places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __iter__(self) -> Iterator[Record]:
+        return self.at(range(len(self)))
+
+    def at(self, numbers: Iterable[int]) -> Iterator[Record]:
+        """Yield the records of these numbers."""
+        with self.path.open("rb", buffering=0) as file:
+            content = Content(file)
+            for number in numbers:
+                record = journal_records.record_at(content, self._places[number], whole=False)
+                if record is None:
+                    raise OSError(errno.EIO, "has changed while it was read", str(self.path))
+                yield record
+
+    def of_kind(self, *kinds: int) -> Iterator[Record]:
+        """Yield the records of these kinds."""
+        return self.at(number for number, kind in enumerate(self.kinds) if kind in kinds)
+
+    @overload
+    def __getitem__(self, number: int) -> Record: ...
+    @overload
+    def __getitem__(self, number: slice) -> "Records": ...
+    def __getitem__(self, number: int | slice) -> "Record | Records":
+        if isinstance(number, slice):
+            return Records(self.path, self._places[number], self.kinds[number])
+        return next(self.at([range(len(self))[number]]))
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Records):
+            return NotImplemented
+        return self.kinds == other.kinds and all(a == b for a, b in zip(self, other, strict=True))
+
+    __hash__ = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
@@ -67,7 +115,7 @@ class Journal:
 
     path: Path
     header: dict[str, Any]
-    records: tuple[Record, ...]
+    records: Records
     lost_tail: int
     damaged: int = 0
 
@@ -259,15 +307,22 @@ def in_use(path: Path) -> tuple[str, str]:
     """Return who holds a journal's lock, and what to do about it."""
     who = "another process"
     try:
-        with path.open("rb") as file:
-            beginning = file.read(2 * HEADER_EVERY)
-        found = journal_records.header(beginning, list(journal_records.scan(beginning)))
-        started = json.loads(found.data if found else b"{}")
+        started = beginning(path)
         when = datetime.fromtimestamp(started["wall_ns"] / 1e9).astimezone()
         who = f"process {started['pid']} on {started['host']}, since {when:%Y-%m-%d %H:%M:%S}"
-    except (OSError, KeyError, TypeError, ValueError):
+    except (OSError, InputError, KeyError, OverflowError, ValueError):
         pass
     return f"a recording is writing it ({who})", "wait until that recording ends, or stop it with Ctrl-C there"
+
+
+def beginning(path: Path) -> dict[str, Any]:
+    """Return the header of a journal that is being written; InputError as for `read`."""
+    with path.open("rb") as file:
+        content = Content(file.read(2 * HEADER_EVERY))
+    found = journal_records.header(content, journal_records.scan(content))
+    if journal_records.wrong_in_magic(content) is None or found is None:
+        raise InputError("is not a journal of daq", str(path), "give the RUN.h5.part that a recording writes")
+    return journal_header.parse(found.data, path)
 
 
 def read(path: Path) -> Journal:
@@ -276,32 +331,56 @@ def read(path: Path) -> Journal:
     Raises
     ------
     InputError
-        When the file is missing, is no journal, or has no header that can be read.
+        When the file is missing, is no journal, has no header that can be read, or one that cannot be true.
     """
     try:
-        content = path.read_bytes()
+        file = path.open("rb", buffering=0)
     except FileNotFoundError as error:
         raise _missing(path) from error
     except IsADirectoryError as error:
         raise _a_folder(path) from error
-    if MAGIC.startswith(content):
+    with file:
+        return _read(path, Content(file))
+
+
+def _read(path: Path, content: Content) -> Journal:
+    if len(content) <= len(MAGIC) and MAGIC.startswith(content[:]):
         raise InputError("contains no record: the recording ended immediately", str(path), "delete it and record again")
     damaged = journal_records.wrong_in_magic(content)
     if damaged is None:
         raise InputError("is not a journal of daq", str(path), "give the .part file that the recording left")
-    found = list(journal_records.scan(content))
-    header = journal_records.header(content, found)
-    if header is None:
-        raise _without_header(path, len(content), sum(place.record.kind == RECEIVED for place in found))
+    places, kinds, received = array("q"), bytearray(), 0
+    marks: list[Place] = []  # the first record that holds, and the first header
     whole = len(MAGIC)
-    for place in found:
+    for place in journal_records.scan(content):
+        kind = place.record.kind
         damaged += place.at - whole + (0 if place.holds else place.record.size)
         whole = place.at + place.record.size
+        received += kind == RECEIVED
+        if (place.holds and not marks) or (kind == HEADER and all(mark.record.kind != HEADER for mark in marks)):
+            marks.append(place)
+        # What begins right behind the magic line is the header, whatever its damage makes of it.
+        if kind != HEADER and place.at > len(MAGIC):
+            places.append(place.at)
+            kinds.append(kind)
+    header = journal_records.header(content, marks)
+    if header is None:
+        raise _without_header(path, len(content), received)
     tail = len(content) - whole
     cut = journal_records.is_cut_short(content, whole)
-    # What begins right behind the magic line is the header, whatever its damage makes of it.
-    records = tuple(place.record for place in found if place.record.kind != HEADER and place.at > len(MAGIC))
-    return Journal(path, json.loads(header.data), records, tail if cut else 0, damaged + (0 if cut else tail))
+    records = Records(path, places, bytes(kinds))
+    return Journal(
+        path, journal_header.parse(header.data, path), records, tail if cut else 0, damaged + (0 if cut else tail)
+    )
+
+
+def end_reason(record: Record) -> str:
+    """Return how a recording ended, by its last record; "" where that does not say it."""
+    try:
+        found = json.loads(record.data)["reason"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return ""
+    return found if isinstance(found, str) else ""
 
 
 def _missing(path: Path) -> InputError:
@@ -335,6 +414,6 @@ def read_markers(path: Path) -> tuple[tuple[int, str], ...]:
     found = []
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         stamp, _, text = line.strip().partition(" ")
-        if stamp.isascii() and stamp.isdecimal():
+        if stamp.isascii() and stamp.isdecimal() and len(stamp) < 20:
             found.append((int(stamp), text))
     return tuple(sorted(found))

@@ -41,7 +41,7 @@ def damaged(part: Path, share: float) -> None:
     """Flip one bit in this share of the bytes that the board sent; the journal's own records stay whole."""
     draw = random.Random(5)
     made = bytearray(journal.MAGIC)
-    for place in journal_records.scan(part.read_bytes()):
+    for place in journal_records.scan(journal.Content(part.read_bytes())):
         data = bytearray(place.record.data)
         if place.record.kind == journal.RECEIVED:
             for at in range(200 if len(data) > 400 else len(data), len(data)):

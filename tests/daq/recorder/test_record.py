@@ -220,7 +220,7 @@ def test_an_identification_that_cannot_be_true_is_refused_and_a_journal_with_one
         record(request(tmp_path), progress=interrupt)
     part = tmp_path / "run.h5.part"
     spoilt = bytearray(journal.MAGIC)
-    for place in journal_records.scan(part.read_bytes()):
+    for place in journal_records.scan(journal.Content(part.read_bytes())):
         kind, stamp, data = place.record.kind, place.record.stamp_ns, place.record.data
         sent = data.replace(frames.encode_ident(sound), frames.encode_ident(replace(sound, **wrong)))
         spoilt += b"".join(journal_records.packed(kind, stamp, sent))

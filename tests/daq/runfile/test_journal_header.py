@@ -1,0 +1,88 @@
+"""A journal's header, field by field: what cannot be true ends in an error that names the field, or does no harm."""
+
+import json
+import struct
+import time
+from pathlib import Path
+
+import pytest
+
+from daq.errors import InputError, StickslipError
+from daq.finalise.run import finalise
+from daq.runfile import journal
+
+FIXTURE = Path(__file__).with_name("fixtures") / "clean.h5.part"
+NOTES = {"columns": None, "decoder": None, "baud": None, "sample_name": "", "note": "", "tags": {}}
+HUGE = 10**400
+ABSURD = [
+    *(None, True, -1, 0, 7, 1 << 70, HUGE, 1e-300, 1e300, float("nan"), float("inf")),
+    *("", "text", "9" * 5000, "\0", "\ud800", [], ["text"], [[]]),
+    *({}, {"a": "b"}, {"": "x"}, {"..": "x"}, {"a/b": "x"}, {"sha256_raw": "x"}, {"a": HUGE}, {"a": None}),
+]
+
+
+@pytest.fixture(scope="module")
+def start():
+    """Return the header of a recording, and its first records."""
+    read = journal.read(FIXTURE)
+    return NOTES | read.header, list(read.records)[:4]
+
+
+def write(path, header, records):
+    path.unlink(missing_ok=True)
+    writer = journal.Writer(path, header)
+    for record in records:
+        writer.append(record.kind, record.stamp_ns, record.data)
+    writer.close()
+
+
+def outcome(part):
+    """Return the message of the error that finishing a journal ends in, "" without one; any other is a fault."""
+    try:
+        finalise(part, part.with_suffix(""), finished_by="test", force=True)
+    except StickslipError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted({*json.loads(FIXTURE.read_bytes()[33:].split(b"}}")[0] + b"}}"), *NOTES}))
+def test_no_field_ends_in_a_traceback(tmp_path, start, name):
+    # 30 of them did: rate_hz 0, wall_ns "x", utc_offset_s 1e6, provenance null ...
+    header, records = start
+    part = tmp_path / "run.h5.part"
+    right = header[name]
+    for value in ABSURD:
+        write(part, header | {name: value}, records)
+        said = outcome(part)
+        assert name in said or not said or isinstance(value, type(right)), (value, said)
+        assert said or not part.exists()
+    write(part, {other: value for other, value in header.items() if other != name}, records)
+    said = outcome(part)
+    assert not said if name in (*NOTES, "pid", "host") else f"no {name}" in said
+
+
+@pytest.mark.parametrize("text", [b"[" * 100_000, b"[]", b"{", b"7", b"\xff", b'{"rate_hz": ' + b"9" * 5000 + b"}"])
+def test_a_header_that_is_no_json_object_is_refused(tmp_path, start, text):
+    part = tmp_path / "run.h5.part"
+    write(part, start[0], start[1])
+    content = part.read_bytes()
+    at = content.index(b"R", content.rindex(b'"provenance"'))
+    part.write_bytes(journal.MAGIC + b"".join(journal.journal_records.packed(journal.HEADER, 0, text)) + content[at:])
+    with pytest.raises(InputError, match="header"):
+        journal.read(part)
+
+
+@pytest.mark.parametrize("after", [b"", b"".join(journal.journal_records.packed(journal.LOST, 5, b""))])
+def test_a_journal_that_claims_long_records_everywhere_costs_no_more_than_its_length(tmp_path, start, after):
+    # Each claim was summed to its end: a megabyte took half a minute, two took two.
+    part = tmp_path / "run.h5.part"
+    write(part, start[0], start[1])
+    size, content = 120_000, bytearray()
+    while len(content) < size:
+        content += b"R" + struct.pack("<I", size - len(content)) + (bytes(8) + after if after else b"")
+    part.write_bytes(part.read_bytes() + content)
+    began = time.process_time()
+    read = journal.read(part)
+    assert time.process_time() - began < 1.5
+    assert read.damaged + read.lost_tail > size / 3
