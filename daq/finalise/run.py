@@ -50,14 +50,18 @@ def finalise(
     if remove is None:
         with journal.claimed(part) as removing:
             return finalise(part, output, finished_by=finished_by, force=force, remove=removing)
-    atomic.refuse_existing(output, force)
+    exists = output.is_file() and not force
+    if not exists:
+        atomic.refuse_existing(output, force)
     markers = journal.markers_path(part)
     recorded = journal.read(part)
     run, found = run_data(recorded, journal.read_markers(markers), finished_by)
-    store.write(output, run, force=force)
+    # A command that was killed after it had put the file in place left the journal: what is missing is its removal.
+    if not (exists and not recorded.damaged and store.holds(output, run)):
+        store.write(output, run, force=force)
     if not recorded.damaged:
-        remove()
         markers.unlink(missing_ok=True)
+        remove()
     return replace(found, file=output)
 
 
@@ -142,7 +146,9 @@ def _instants(path: Path, header: dict[str, Any], first_ns: int, span_s: float) 
 def _no_samples(recorded: journal.Journal) -> DataError:
     size = sum(len(record.data) for record in recorded.records if record.kind == journal.RECEIVED)
     what = f"holds no samples: none can be read in the {size} bytes that were received" if size else "holds no samples"
-    return DataError(what, str(recorded.path), "check that the board sends, and --baud and --protocol; record again")
+    return DataError(
+        what, str(recorded.path), "check that the board sends, and --baud and --protocol; delete it and record again"
+    )
 
 
 def _raw(samples: Samples, checked: CheckedCounts, tick_ns: int) -> Raw:

@@ -1,4 +1,8 @@
-"""An output file: refused where one stands, written beside its place, and put there whole."""
+"""An output file: refused where one stands, written beside its place, and put there whole.
+
+The file beside it, ``.NAME.*.partial``, is locked while it is written: one that is not locked was left by a killed
+command, and is removed.  Two commands that write one file do so one after the other.
+"""
 
 import contextlib
 import glob
@@ -11,10 +15,16 @@ from pathlib import Path
 
 from daq.errors import InputError
 from daq.output import disk
+from daq.output.lock import FileLock, folder_locked
 
-# A temporary file that was not written to for so long belongs to no running command: a file of an hour at 5 kHz is
-# written in 30 s.  Half is still ten times that; double keeps a dead file twice as long.
+# Where the file system has no locks: a temporary file that was not written to for so long belongs to no running
+# command, as a file of an hour at 5 kHz is written in 30 s.  Half is still ten times that; double keeps a dead file
+# twice as long.
 ABANDONED_S = 600.0
+# How long to wait for another command that writes the same file.  Half is still that of an hour at 5 kHz; double lets a
+# person wait as much longer for the refusal.
+WAIT_S = 60.0
+LOOK_EVERY_S = 0.02
 
 
 def refuse_existing(
@@ -60,42 +70,71 @@ def replacing(target: Path, force: bool) -> Iterator[Path]:
     """Yield a temporary file beside ``target``; when the block succeeds it is synced and takes the target's name.
 
     Where ``target`` is a symbolic link, the file that it leads to is replaced.  Temporary files that a killed command
-    left for this target are removed.
+    left for this target are removed; one that another command is writing is waited for, up to `WAIT_S`.
 
     Raises
     ------
     RefusedError
         The disk refuses (`daq.output.disk`); nothing is left behind, and what stood there before still does.
+    InputError
+        Another command goes on writing the file.
     """
     with disk.writing(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
-        _remove_abandoned(target)
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=target.absolute().parent)
-        os.close(handle)
-        with _taking_its_place(Path(name), target, force) as temporary:
+        temporary, lock = _temporary(target)
+        try:
             yield temporary
+            _take_its_place(temporary, lock, target, force)
+        finally:
+            temporary.unlink(missing_ok=True)
+            if lock is not None:
+                lock.release()
 
 
-def _remove_abandoned(target: Path) -> None:
-    """Remove the temporary files of commands that were killed while they wrote this target."""
-    old = time.time() - ABANDONED_S
+def _temporary(target: Path) -> tuple[Path, FileLock | None]:
+    """Create a file beside ``target`` and lock it, as soon as no other command writes one."""
+    folder = target.absolute().parent
+    until = time.monotonic() + WAIT_S
+    while True:
+        with folder_locked(folder):  # between its creation and its lock a file looks abandoned
+            if not _is_being_written(target):
+                handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=folder)
+                os.close(handle)
+                try:
+                    return Path(name), FileLock(Path(name))
+                except OSError:  # no locks here
+                    return Path(name), None
+        if time.monotonic() > until:
+            raise InputError("another command is writing this file", str(target), "wait until that one has ended")
+        time.sleep(LOOK_EVERY_S)
+
+
+def _is_being_written(target: Path) -> bool:
+    """Return whether another command writes this target; remove the files of those that were killed over it."""
+    found = False
     for left in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
-        with contextlib.suppress(OSError):  # another command may remove it at the same time
-            if left.lstat().st_mtime < old:
-                left.unlink()
+        if "." in left.name[len(target.name) + 2 : -len(".partial")]:
+            continue  # of another target, NAME.x
+        try:
+            FileLock(left).remove(left)
+        except BlockingIOError:
+            found = True
+        except OSError:  # no locks here, or another command has removed it
+            with contextlib.suppress(OSError):
+                if left.lstat().st_mtime < time.time() - ABANDONED_S:
+                    left.unlink()
+    return found
 
 
-@contextmanager
-def _taking_its_place(temporary: Path, target: Path, force: bool) -> Iterator[Path]:
-    try:
-        yield temporary
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~mask)
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())
-        refuse_existing(target, force)
+def _take_its_place(temporary: Path, lock: FileLock | None, target: Path, force: bool) -> None:
+    mask = os.umask(0)
+    os.umask(mask)
+    temporary.chmod(target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~mask)
+    with temporary.open("rb+") as stream:
+        os.fsync(stream.fileno())
+    refuse_existing(target, force)
+    if lock is None:
         temporary.replace(target)
-        disk.sync_folder(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    else:
+        lock.rename(temporary, target)
+    disk.sync_folder(target)

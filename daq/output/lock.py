@@ -7,6 +7,8 @@ either; the file can also not be removed while it is open.  Some network file sy
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 if sys.platform == "win32":
@@ -57,8 +59,31 @@ class FileLock:
         path.unlink(missing_ok=True)
         self.release()
 
+    def rename(self, path: Path, target: Path) -> None:
+        """Give the file the name of another one, which it replaces, and let go of it."""
+        if sys.platform == "win32":
+            self.release()
+        path.replace(target)
+        self.release()
 
-def _lock(fd: int) -> None:
+
+@contextmanager
+def folder_locked(folder: Path) -> Iterator[None]:
+    """Wait for the lock on a folder, and hold it; where folders cannot be locked, hold nothing."""
+    try:
+        fd = os.open(folder, os.O_RDONLY)
+    except OSError:  # Windows opens no folders
+        yield
+        return
+    try:
+        with suppress(OSError):  # a file system without locks
+            _lock(fd, wait=True)
+        yield
+    finally:
+        os.close(fd)
+
+
+def _lock(fd: int, wait: bool = False) -> None:
     if sys.platform == "win32":
         os.lseek(fd, _BEYOND, os.SEEK_SET)
         try:
@@ -66,4 +91,4 @@ def _lock(fd: int) -> None:
         except PermissionError as error:
             raise BlockingIOError(error.errno, error.strerror) from error
     else:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(fd, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))

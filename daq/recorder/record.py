@@ -67,7 +67,7 @@ def check_request(request: RecordRequest) -> None:
     if request.calibration is not None:
         Rig.from_toml(request.calibration, "--rig")
     refuse_existing(request.output, request.force)
-    if request.part.exists():
+    if request.part.exists() and not journal.remove_empty(request.part):
         raise _journal_exists(request.part)
 
 

@@ -220,6 +220,21 @@ def extend(
                 entry.attrs["default"] = default
 
 
+def holds(path: str | os.PathLike[str], run: Recording) -> bool:
+    """Return whether a file is this recording: the same start and raw data, with all events of ``run``."""
+    try:
+        with reading(path) as reader:
+            found = reader.load(slice(1))
+    except InputError:
+        return False
+    same = (found.started, found.digest) == (run.started, schema.digest(run))
+    return same and set(_events(run)) <= set(_events(found))
+
+
+def _events(run: Recording) -> Iterator[tuple[int, str, str]]:
+    return zip(run.event_sample.tolist(), run.event_kind, run.event_note, strict=True)
+
+
 def annotate(
     path: str | os.PathLike[str], notes: Mapping[str, Any], marks: Sequence[tuple[float, str]] = ()
 ) -> Recording:
@@ -246,16 +261,16 @@ def annotate(
         As `load`; or for a marker outside the run.
     """
     target = Path(path)
-    with reading(target) as reader:
-        run, time = reader.load(slice(1)), reader.times()
-    tags = {name: value for name, value in {**run.tags, **notes.get("tags", {})}.items() if value}
-    run = replace(run, **{**notes, "tags": tags})
-    for seconds, text in marks:
-        if not 0 <= seconds <= time[-1]:
-            what = f"the marker at {seconds:g} s is outside the run, which lasts {time[-1]:.6g} s"
-            raise InputError(what, "--mark", "give a time since the first sample")
-        run = _marked(run, int(np.argmin(np.abs(time - seconds))), text)
-    with atomic.replacing(target, force=True) as temporary:
+    with atomic.replacing(target, force=True) as temporary:  # from here on no other command changes the run
+        with reading(target) as reader:
+            run, time = reader.load(slice(1)), reader.times()
+        tags = {name: value for name, value in {**run.tags, **notes.get("tags", {})}.items() if value}
+        run = replace(run, **{**notes, "tags": tags})
+        for seconds, text in marks:
+            if not 0 <= seconds <= time[-1]:
+                what = f"the marker at {seconds:g} s is outside the run, which lasts {time[-1]:.6g} s"
+                raise InputError(what, "--mark", "give a time since the first sample")
+            run = _marked(run, int(np.argmin(np.abs(time - seconds))), text)
         shutil.copyfile(target, temporary)
         with disk.hdf5(temporary, "r+") as file:
             schema.rewrite_notes(file, run)

@@ -1,9 +1,9 @@
 """A disk that is full: the file's name, exit code 3, nothing half-written, no crash, in whatever is written."""
 
 import io
-import os
 import signal
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +15,7 @@ import rig_sim
 from daq import firmware_files
 from daq.cli.app import app
 from daq.console import application as terminal
+from daq.errors import InputError
 from daq.output import atomic, disk
 from daq.runfile import store
 from rig_sim.motion import file as motion_file
@@ -211,13 +212,46 @@ def test_a_symbolic_link_stays_and_the_file_behind_it_is_replaced(tmp_path):
 
 
 def test_what_a_killed_command_left_is_removed_by_the_next(tmp_path):
+    # It stayed for ten minutes, whoever came.
     target = tmp_path / "run[1].h5"
-    left, running, other = (tmp_path / f".{name}.abc.partial" for name in ("run[1].h5", "run[1].h5.x", "run1.h5"))
-    for path in (left, running, other):
+    left, longer, other = (tmp_path / f".{name}.abc.partial" for name in ("run[1].h5", "run[1].h5.x", "run1.h5"))
+    for path in (left, longer, other):
         path.write_text("half")
-    hour_ago = time.time() - 3600
-    for path in (left, other):
-        os.utime(path, (hour_ago, hour_ago))
     with atomic.replacing(target, force=True) as temporary:
         temporary.write_text("whole")
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([target.name, running.name, other.name])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([target.name, longer.name, other.name])
+
+
+def test_two_commands_that_write_one_file_do_so_one_after_the_other(tmp_path):
+    # Stages added at the same time used to be lost: both copied the file, and the later copy won.
+    target = tmp_path / "lines.txt"
+    target.write_text("")
+    together = threading.Barrier(4)
+
+    def add(number):
+        together.wait()
+        with atomic.replacing(target, force=True) as temporary:
+            before = target.read_text()
+            time.sleep(0.02)
+            temporary.write_text(f"{before}{number}\n")
+
+    threads = [threading.Thread(target=add, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(target.read_text().split()) == ["0", "1", "2", "3"]
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_command_that_goes_on_writing_is_named_instead_of_waited_for_without_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(atomic, "WAIT_S", 0.1)
+    target = tmp_path / "run.h5"
+    with (
+        atomic.replacing(target, force=True) as temporary,
+        pytest.raises(InputError, match="another command is writing this file"),
+        atomic.replacing(target, force=True),
+    ):
+        pass
+    assert temporary.exists() is False
+    assert target.exists()

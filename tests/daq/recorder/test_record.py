@@ -476,6 +476,26 @@ def test_an_interrupt_leaves_the_journal_and_recover_makes_the_file(tmp_path, at
     assert not part.exists()
 
 
+def test_a_command_killed_between_its_file_and_its_journal_is_completed_by_recover(tmp_path, attach):
+    # "The output file exists", it used to say, of the run file that was made of this journal.
+    attach(FakeBoard(), FakeBoard())
+    with pytest.raises(RecordingInterruptedError):
+        record(request(tmp_path), progress=interrupt)
+    part, run = tmp_path / "run.h5.part", tmp_path / "run.h5"
+    journal.markers_path(part).write_text(f"{time.monotonic_ns()} a hand\n")
+    shutil.copy(part, tmp_path / "kept")
+    finalise.finalise(part, run, finished_by="daq recover")
+    made = run.read_bytes()
+    shutil.copy(tmp_path / "kept", part)
+    finalise.finalise(part, run, finished_by="daq recover")
+    assert (run.read_bytes(), part.exists()) == (made, False)
+    with pytest.raises(RecordingInterruptedError):
+        record(replace(request(tmp_path), output=tmp_path / "other.h5"), progress=interrupt)
+    with pytest.raises(InputError, match="exists"):
+        finalise.finalise(tmp_path / "other.h5.part", run, finished_by="daq recover")
+    assert (run.read_bytes(), (tmp_path / "other.h5.part").exists()) == (made, True)
+
+
 def test_a_recovered_file_is_the_finished_one_up_to_who_finished_it(tmp_path, attach, monkeypatch):
     attach(FakeBoard({30: lambda line: b""}))
     kept = tmp_path / "kept"

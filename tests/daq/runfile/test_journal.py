@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from daq.errors import InputError
-from daq.runfile import journal
+from daq.runfile import journal, journal_records
 
 HEADER = {"protocol": "frames", "rate_hz": 1000}
 RECORDS = [
@@ -115,6 +115,19 @@ def test_what_is_no_journal_is_refused(tmp_path, content, said):
     path.write_bytes(content)
     with pytest.raises(InputError, match=said):
         journal.read(path)
+
+
+def test_only_a_journal_without_received_bytes_makes_way(written):
+    # One that was left before its header was whole used to block the name until somebody deleted it.
+    whole = written.read_bytes()
+    received = next(place.at for place in journal_records.scan(whole) if place.record.kind == journal.RECEIVED)
+    for size in (0, 5, len(journal.MAGIC), len(journal.MAGIC) + 7, received):
+        written.write_bytes(whole[:size])
+        assert journal.remove_empty(written), size
+    for content in (whole, whole[: received + 1], b"precious", whole[:30] + b"x" + whole[31:]):
+        written.write_bytes(content)
+        assert not journal.remove_empty(written)
+        assert written.read_bytes() == content
 
 
 def test_a_missing_journal_is_named(tmp_path):
