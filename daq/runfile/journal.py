@@ -273,7 +273,7 @@ def remove_empty(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             content = file.read(HEADER_EVERY)
-        found = list(journal_records.scan(content))
+        found = list(journal_records.scan(Content(content)))
         rest = content[max((place.at + place.record.size for place in found), default=len(MAGIC)) :]
         headers = all(place.record.kind == HEADER for place in found) and rest[:1] in (b"", bytes([HEADER]))
         if MAGIC.startswith(content[: len(MAGIC)]) and headers and len(content) < HEADER_EVERY:

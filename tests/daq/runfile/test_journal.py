@@ -120,7 +120,9 @@ def test_what_is_no_journal_is_refused(tmp_path, content, said):
 def test_only_a_journal_without_received_bytes_makes_way(written):
     # One that was left before its header was whole used to block the name until somebody deleted it.
     whole = written.read_bytes()
-    received = next(place.at for place in journal_records.scan(whole) if place.record.kind == journal.RECEIVED)
+    received = next(
+        place.at for place in journal_records.scan(journal.Content(whole)) if place.record.kind == journal.RECEIVED
+    )
     for size in (0, 5, len(journal.MAGIC), len(journal.MAGIC) + 7, received):
         written.write_bytes(whole[:size])
         assert journal.remove_empty(written), size
