@@ -278,7 +278,7 @@ def _text(ranking: "Ranking", statistics: list[str], written: "Sequence[Path | N
 
 def _laws(ranking: "Ranking") -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
-    from fitting.selection.verdict import format_length
+    from daq.output.lengths import format_length
 
     table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
     for row in ranking.rows:

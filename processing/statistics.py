@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.output.lengths import shown_length
 from processing.record.kinematics import Kinematics, SmoothingHeader
 
 FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of
@@ -132,11 +133,6 @@ class StickSlipStatistics:
             f"{name:10} {mean} ± {sd} {shown} ({low} to {high}{f', trend {drift}' if drift else ''})"
             for name, mean, sd, low, high, drift, shown in self.rows(unit)
         ]
-
-
-def shown_length(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which lengths in ``unit`` ("m" or "count") are shown."""
-    return (1e3, "mm") if unit == "m" else (1.0, unit)
 
 
 def statistics(motion: SmoothingHeader, position: Array, time: Array) -> StickSlipStatistics:

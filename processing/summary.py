@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+from daq.output.lengths import shown_range, shown_speed
 from processing.record.kinematics import Kinematics, SmoothingSummary
 
 METHOD_NAMES = {
@@ -73,7 +74,7 @@ def warnings(motion: Kinematics | SmoothingSummary) -> list[str]:
     if motion.kicks:
         found.append(
             f"the velocity stepped {_count(len(motion.kicks), 'time')}, as at a belt joint "
-            f"(first by {motion.kicks[0].step:.2g} {motion.unit}/s); marked"
+            f"(first by {motion.kicks[0].step:.2g} {shown_speed(motion.unit)}); marked"
         )
     if motion.phases and not motion.sticks and math.isfinite(motion.plateau_speed):
         found.append(
@@ -93,7 +94,7 @@ def sentences(motion: Kinematics | SmoothingSummary, *, chosen: bool = False) ->
         how += f", window {motion.window} samples ({span:.3g} ms), order {motion.order}"
         how += ", chosen from the record" if chosen else ""
     known = math.isfinite(motion.belt_speed)
-    belt = f"belt {motion.belt_speed:.5g} {motion.unit}/s" if known else "belt speed unknown"
+    belt = f"belt {motion.belt_speed:.5g} {shown_speed(motion.unit)}" if known else "belt speed unknown"
     belt += " (from its own encoder)" if motion.belt_counted else ""
     lines = [
         f"{how}; {motion.times} times",
@@ -119,7 +120,7 @@ def run_sentences(motion: Kinematics, file: Path) -> list[str]:
         f"{file}: {data['title']}, {data['started']}",
         *(f"{name}: {text}" for name, text in motion.recording.remarks().items()),
         f"{data['samples']} samples at {data['rate_hz']:g} Hz, {data['duration_s']:.4g} s{segments}; events: {events}",
-        f"position {low:.4g} to {high:.4g} {unit}, velocity {slow:.4g} to {fast:.4g} {unit}/s",
+        f"position {shown_range(low, high, unit)}, velocity {slow:.4g} to {fast:.4g} {shown_speed(unit)}",
         *sentences(motion),
     ]
 

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.output.lengths import shown_range
+
 if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown
     from daq.finalise.quality import RecordingQuality
@@ -47,8 +49,7 @@ def run_text(done: str, run: "Recording", data: dict[str, Any], *lines: str) -> 
 
 def travel(low: float, high: float, unit: str) -> str:
     """Return the line about the range of positions, in m or counts."""
-    scale, printed = (1e3, "mm") if unit == "m" else (1.0, "counts")
-    return f"the mass moved between {scale * low:.4g} and {scale * high:.4g} {printed}"
+    return f"the mass moved from {shown_range(low, high, unit)}"
 
 
 def written(file: Path | None) -> list[str]:

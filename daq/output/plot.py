@@ -29,11 +29,6 @@ def figure(width: float, height: float) -> PngFigure:
     return PngFigure(figsize=(width, height), layout="constrained")
 
 
-def length_factor(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit in which lengths are drawn: cm for m, counts as they are."""
-    return (100.0, "cm") if unit == "m" else (1.0, unit)
-
-
 def save(figure: Figure, target: Path) -> None:
     """Write a figure; its format is the file's ending.
 

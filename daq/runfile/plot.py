@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, pieces
-from daq.output.plot import STYLE, PngFigure, figure, length_factor
+from daq.output.lengths import shown_length
+from daq.output.plot import STYLE, PngFigure, figure
 
 MARKER = "#D55E00"
 
@@ -22,7 +23,7 @@ def position_over_time(
     markers: Iterable[tuple[float, str]],
     title: str,
 ) -> PngFigure:
-    """Return position (cm, or counts) against time (s), with the markers that a person set.
+    """Return position (mm, or counts) against time (s), with the markers that a person set.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ def position_over_time(
         Time, s, and words.
     title : str
     """
-    factor, shown_unit = length_factor(unit)
+    factor, shown_unit = shown_length(unit)
     shown = factor * position
     with mpl.rc_context(fname=STYLE):
         drawn = figure(9.5, 3.6)

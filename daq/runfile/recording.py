@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.output.lengths import shown_range
 from daq.runfile.rig import Rig
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ class Recording:
             "rate": f"{self.rate_hz:g} Hz",
             "segments": str(segments) if segments > 1 else "",
             "samples lost": "" if self.raw is None else str(lost_samples(self.raw.sample, self.segment)),
-            "position": f"{self.position.min():.4g} to {self.position.max():.4g} {self.unit}" if self.time.size else "",
+            "position": shown_range(self.position.min(), self.position.max(), self.unit) if self.time.size else "",
             "belt": "with an encoder of its own" if self.belt_velocity is not None else "",
             "events": ", ".join(f"{self.event_kind.count(kind)} {kind}" for kind in sorted(set(self.event_kind))),
             "started": self.started,

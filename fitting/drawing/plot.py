@@ -24,7 +24,7 @@ MOST_POINTS = 12_000
 
 
 def friction(fits: Sequence[Fit], motion: MeasuredMotion, measured: MeasuredCurve | None, title: str) -> PngFigure:
-    """Return friction against relative speed (cm/s), all speeds and the low ones.
+    """Return friction against relative speed (m/s), all speeds and the low ones.
 
     Parameters
     ----------
@@ -47,13 +47,13 @@ def friction(fits: Sequence[Fit], motion: MeasuredMotion, measured: MeasuredCurv
                 w, force, _ = curves.points(fits[0], motion)
                 thin = slice(None, None, max(1, w.size // MOST_POINTS))
                 shown = {"color": MEASURED, "ms": 2.5, "alpha": 0.4, "zorder": 1, "rasterized": True}
-                axes.plot(-100 * motion.sign * w[thin], motion.sign * force[thin], ".", label="measured", **shown)
+                axes.plot(-motion.sign * w[thin], motion.sign * force[thin], ".", label="measured", **shown)
             else:
                 band = f"{100 * measured.confidence:g} % band"
-                speed = 100 * measured.speed
+                speed = measured.speed
                 axes.fill_between(speed, measured.lo, measured.hi, color=INK, alpha=0.2, lw=0, zorder=1, label=band)
                 axes.plot(speed, measured.friction, color=INK, lw=2.2, zorder=1, label="measured, without a law")
-            axes.set(xlim=(0, 102 * reach), xlabel="relative speed (cm/s)")
+            axes.set(xlim=(0, 1.02 * reach), xlabel="relative speed (m/s)")
         whole.set(title="all speeds", ylabel=f"friction ({curves.unit(motion)})")
         low.set(title="low speeds")
         for axes in (whole, low):
@@ -70,4 +70,4 @@ def _curves(axes: "Axes", fits: Sequence[Fit], motion: MeasuredMotion, reach: fl
         force = motion.sign * curves.curve(fit, motion, -motion.sign * speed)
         style = "-" if fit is fits[0] else (0, (5, 3))
         name = f"law {fit.law} ({LAWS[fit.law].name})"
-        axes.plot(100 * speed, force, color=COLOURS[fit.law], lw=1.6, ls=style, zorder=3, label=name)
+        axes.plot(speed, force, color=COLOURS[fit.law], lw=1.6, ls=style, zorder=3, label=name)

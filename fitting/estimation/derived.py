@@ -16,7 +16,7 @@ from daq.runfile.rig import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import covariance
 from fitting.estimation.fit import Fit
-from fitting.estimation.result import Parameter
+from fitting.estimation.result import Correlations, Parameter
 from fitting.model.parameters import PER_RUN, Global, Values, columns, values
 from fitting.model.problem import datum_calibration
 from rig_sim.friction.law import LAWS
@@ -101,6 +101,64 @@ def derived_parameters(
     sustained : bool
         Whether the contact sticks again and again: else its level is not made anew and shows no wear.
     """
+    known = _known(fit, motion, run)
+    quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
+    found: dict[str, Parameter] = {}
+    for row, scale in _given(fit, motion, known):
+        value, variance = _propagated(row, known, motion)
+        if scale is not None:
+            variance = variance * scale.value**2 + (value * scale.sd) ** 2
+            value *= scale.value
+        error = math.sqrt(max(variance, 0.0))
+        found[row.name] = _parameter(value, error, quantile, row.unit, signed=row.name in SIGNED)
+        if row.name == "c/m" and sustained:
+            found |= _wear(fit, run, found["Fs/m"], alpha)
+    return {name: item for name, item in found.items() if name not in _hidden(known)}
+
+
+def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations:
+    """Return how the errors of a law's parameters go together: those per unit mass, each once.
+
+    Left out are values that follow from others (``Fs/k``, and what is multiplied by a mass or a stiffness), and those
+    by the trend of the levels (``Fs0/m``, ``wear``).
+
+    Parameters
+    ----------
+    fit : Fit
+        Of all runs together.
+    motion : MeasuredMotion
+        Of the run.
+    run : int
+        Whose own parameters are wanted, beside those that all runs share.
+    """
+    known = _known(fit, motion, run)
+    left_out = {"Fs/k", *_hidden(known)}
+    rows = [row for row, scale in _given(fit, motion, known) if scale is None and row.name not in left_out]
+    slopes = np.array([list(_slopes(row.formula, known.own, known.active)) for row in rows])
+    slopes *= np.array([_sign(row, motion) for row in rows])[:, None]
+    lengths = np.array([row.length * row.formula(values(known.own)) * motion.length_error for row in rows])
+    lengths *= [_sign(row, motion) for row in rows]
+    spread = np.einsum("ri,ij,sj->rs", slopes, known.spread, slopes) + np.outer(lengths, lengths)
+    shown = np.diag(spread) > 0
+    error = np.sqrt(np.diag(spread)[shown])
+    matrix = np.clip(spread[np.ix_(shown, shown)] / np.outer(error, error), -1.0, 1.0)
+    return Correlations(tuple(row.name for row, own in zip(rows, shown, strict=True) if own), matrix)
+
+
+class _Known(NamedTuple):
+    """What a fit knows of one run.
+
+    ``own`` (13,) are its unknowns, ``spread`` (p, p) the covariance of the ``active`` ones; ``undetermined`` are those
+    that a default still decides.
+    """
+
+    own: Array
+    active: list[Global]
+    spread: Array
+    undetermined: set[Global]
+
+
+def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
     slots = columns(fit.active, fit.runs)[run]
     known = slots >= 0
     active = [Global(slot) for slot in slots[known]]
@@ -131,38 +189,37 @@ def derived_parameters(
     }
     if default[Global.DATUM] and law.curve == "constant":
         undetermined.add(Global.DATUM)
-    own = fit.u[PER_RUN * run : PER_RUN * (run + 1)]
-    quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
-    found: dict[str, Parameter] = {}
+    return _Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined)
+
+
+def _given(fit: Fit, motion: MeasuredMotion, known: _Known) -> Iterator[tuple[Derived, Measured | None]]:
+    """Yield the rows of the table that this fit gives, each with the calibration that it is multiplied by."""
     for row in TABLE:
         scale = None if not row.scale or (row.scale == "stiffness" and motion.mass) else getattr(motion, row.scale)
         if (
-            row.curve not in ("", law.curve)
-            or (row.needs is not None and row.needs not in active)
-            or (row.scale and scale is None)
-            or (row.instead_of is not None and row.instead_of not in undetermined)
+            row.curve in ("", LAWS[fit.law].curve)
+            and (row.needs is None or row.needs in known.active)
+            and (not row.scale or scale is not None)
+            and (row.instead_of is None or row.instead_of in known.undetermined)
         ):
-            continue
-        value, error = _propagated(row, own, active, spread, motion, scale)
-        found[row.name] = _parameter(value, error, quantile, row.unit, signed=row.name in SIGNED)
-        if row.name == "c/m" and sustained:
-            found |= _wear(fit, run, found["Fs/m"], alpha)
-    hidden = {name for slot in undetermined for name in UNDETERMINED_WITH[slot]}
-    return {name: item for name, item in found.items() if name not in hidden}
+            yield row, scale
 
 
-def _propagated(
-    row: Derived, own: Array, active: list[Global], spread: Array, motion: MeasuredMotion, scale: Measured | None
-) -> tuple[float, float]:
-    """Return a derived quantity and its standard error."""
-    sign = motion.sign if row.name in MIRRORED else 1.0
-    value = sign * float(row.formula(values(own)))
-    slope = np.array(list(_slopes(row.formula, own, active)))
-    variance = float(np.einsum("i,ij,j", slope, spread, slope)) + (row.length * value * motion.length_error) ** 2
-    if scale is not None:
-        variance = variance * scale.value**2 + (value * scale.sd) ** 2
-        value *= scale.value
-    return value, math.sqrt(max(variance, 0.0))
+def _hidden(known: _Known) -> set[str]:
+    """Return the names that are known only together with what is undetermined."""
+    return {name for slot in known.undetermined for name in UNDETERMINED_WITH[slot]}
+
+
+def _sign(row: Derived, motion: MeasuredMotion) -> float:
+    return motion.sign if row.name in MIRRORED else 1.0
+
+
+def _propagated(row: Derived, known: _Known, motion: MeasuredMotion) -> tuple[float, float]:
+    """Return a derived quantity per unit mass and its variance."""
+    value = _sign(row, motion) * float(row.formula(values(known.own)))
+    slope = np.array(list(_slopes(row.formula, known.own, known.active)))
+    variance = float(np.einsum("i,ij,j", slope, known.spread, slope)) + (row.length * value * motion.length_error) ** 2
+    return value, variance
 
 
 def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) -> Iterator[float]:

@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from daq.compute.arrays import Array
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -38,6 +40,18 @@ class Parameter:
 
 
 _WITHHELD = dict.fromkeys(("stderr", "lo", "hi"))
+
+
+@dataclass(frozen=True, eq=False)
+class Correlations:
+    """Correlations (p, p) of the errors of the parameters ``names`` (p,), -1 to 1."""
+
+    names: tuple[str, ...]
+    matrix: Array
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the document's form."""
+        return {"parameters": list(self.names), "matrix": self.matrix.tolist()}
 
 
 @dataclass(frozen=True)

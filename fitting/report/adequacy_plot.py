@@ -1,18 +1,23 @@
 """Pictures of what a record shows beyond the ranking: the measured curve, the orbits of all laws, the departures."""
 
+import itertools
 import math
 
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
+from fitting.data.cycles import Cycle
 from fitting.drawing import curves
 from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
 from fitting.report.chart import CHARACTER, SMALL, Axes, picture
 from fitting.report.scale import AxisScale
+from fitting.report.symbols import pretty
 from fitting.selection.result import LawResult, Ranking
-from fitting.selection.verdict import format_length
 
+HALF, BESIDE = 560.0, 18.0  # px: of the picture of orbits, and for the name of its ordinate
+MM = 1e3  # positions are drawn in mm, speeds in m/s
 ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 
 
@@ -27,55 +32,80 @@ def measured_curve(ranking: Ranking) -> str:
         own = seen if seen.sum() > 2 else np.ones_like(seen)
         low, high = float(found.lo[own].min()), float(found.hi[own].max())
         tall = AxisScale(low - 0.25 * (high - low), high + 0.35 * (high - low))
-        axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, AxisScale(0.0, 102 * reach), tall, rows=2)
+        axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, AxisScale(0.0, 1.02 * reach), tall, rows=2)
         axes.title = "low speeds" if place else "all speeds"
-        axes.xlabel, axes.ylabel = "relative speed (cm/s)", f"friction ({ranking.adequacy.unit})"
+        axes.xlabel, axes.ylabel = "relative speed (m/s)", f"friction ({ranking.adequacy.unit})"
         grid = np.linspace(0.0, 1.02 * reach, 400)
         for row in sorted(ranking.rows, key=lambda row: row.law):
             force = np.abs(curves.curve(row.fit, ranking.motion, -grid))
             style = "" if row.in_set else DASH
-            axes.line(100 * grid, force, COLOURS[row.law], width=1.0, dash=style, label=f"law {row.law}")
+            axes.line(grid, force, COLOURS[row.law], width=1.0, dash=style, label=f"law {row.law}")
         band = f"{100 * found.confidence:g} % band"
-        axes.band(100 * found.speed, found.lo, found.hi, INK, opacity=0.22, label=band)
-        axes.line(100 * found.speed, found.friction, INK, width=1.8, label="measured, without a law")
+        axes.band(found.speed, found.lo, found.hi, INK, opacity=0.22, label=band)
+        axes.line(found.speed, found.friction, INK, width=1.8, label="measured, without a law")
         drawn.append(axes)
     return picture("measured-curve", WIDE, height, drawn)
 
 
 def orbits(ranking: Ranking) -> str:
-    """Draw the orbit of every law over the measured one, on the same axes, with the law's error."""
+    """Draw the phase portrait six times: one cycle of each run as measured, and over it each law, with its error.
+
+    It is the cycle in the middle of all by the best law's error.
+    """
     rows = sorted(ranking.rows, key=lambda row: row.law)
     columns = min(len(rows), 3)
     lines = math.ceil(len(rows) / columns)
-    measured = [measured_orbit(side) for side in ranking.sides]
-    x, v = (np.concatenate(own) for own in zip(*measured, strict=True))
-    both, width, height = (AxisScale.around(x), AxisScale.around(v, edge=0.1)), WIDE / 3, 225.0
+    typical = [_typical_cycle(side.best) for side in ranking.sides]
+    measured = [measured_orbit(side, cycle) for side, cycle in zip(ranking.sides, typical, strict=True)]
+    fitted = [
+        [
+            part
+            for side, cycle in zip(ranking.sides, typical, strict=True)
+            for part in fitted_orbits(side.row(row.law), side.motion.sign, cycle.number)
+        ]
+        for row in rows
+    ]
+    x, v = (np.concatenate(own) for own in zip(*measured, *itertools.chain(*fitted), strict=True))
+    both, width, height = (AxisScale.around(x), AxisScale.around(v)), (HALF - BESIDE) / 3, 172.0
     drawn = []
     for place, row in enumerate(rows):
         line, column = divmod(place, columns)
-        axes = Axes(column * width, line * height, width, height, *both, rows=0)
-        axes.title = f"law {row.law}{' *' if row.in_set else ''}: {format_length(row.rms_m)}"
-        axes.xlabel = "position (cm)" if place + columns >= len(rows) else ""
-        axes.ylabel = "velocity (cm/s)" if column == 0 else ""
-        axes.trace(measured, MEASURED, width=2.2, opacity=0.5)
-        fitted = [part for side in ranking.sides for part in fitted_orbits(side.row(row.law), side.motion.sign)]
-        axes.trace(fitted, COLOURS[row.law], width=0.7)
+        left, first = column * width + (BESIDE if column else 0.0), column == 0
+        axes = Axes(left, line * height, width + (BESIDE if first else 0.0), height, *both, rows=0)
+        axes.title = f"law {row.law}{' *' if row.in_set else ''}: {pretty(format_length(row.rms_m))}"
+        axes.margin += 0.0 if first else -BESIDE
+        axes.xlabel = "position (mm)" if place + columns >= len(rows) else ""
+        axes.ylabel = "velocity (m/s)" if first else ""
+        axes.trace(measured, MEASURED, width=4.0, opacity=0.6)
+        axes.trace(fitted[place], COLOURS[row.law], width=1.2)
         drawn.append(axes)
-    return picture("orbits", WIDE, lines * height, drawn)
+    return picture("orbits", HALF, lines * height, drawn)
 
 
-def measured_orbit(side: Ranking) -> tuple[Array, Array]:
-    """Return position (cm) and velocity (cm/s) of a run as recorded."""
-    motion = side.motion
-    return 100 * motion.sign * motion.position, 100 * motion.sign * motion.velocity
+def _typical_cycle(row: LawResult) -> Cycle:
+    order = np.argsort(row.fit.cycle_rms, kind="stable")
+    return row.fit.cycles[int(order[order.size // 2])]
 
 
-def fitted_orbits(row: LawResult, sign: float) -> list[tuple[Array, Array]]:
-    """Return position (cm) and velocity (cm/s) of a law in each window of its fit."""
+def measured_orbit(side: Ranking, cycle: Cycle | None = None) -> tuple[Array, Array]:
+    """Return position (mm) and velocity (m/s) of a run as recorded, or of one cycle of it."""
+    motion, own = side.motion, slice(None)
+    if cycle is not None:
+        parts = [part for part in (cycle.stick, cycle.slip) if part[1] > part[0]]
+        own = slice(min(first for first, _ in parts), max(end for _, end in parts))
+    return MM * motion.sign * motion.position[own], motion.sign * motion.velocity[own]
+
+
+def fitted_orbits(row: LawResult, sign: float, number: int | None = None) -> list[tuple[Array, Array]]:
+    """Return position (mm) and velocity (m/s) of a law in each window of its fit, or in those of one cycle."""
     windows = row.fit.windows
     model = windows.position + row.fit.residual
-    parts = [slice(first, first + count) for _, _, first, count, *_ in windows.table if count > 2]
-    return [(100 * sign * model[own], 100 * sign * np.gradient(model[own], windows.time[own])) for own in parts]
+    parts = [
+        slice(first, first + count)
+        for cycle, _, first, count, *_ in windows.table
+        if count > 2 and number in (None, row.fit.cycles[cycle].number)
+    ]
+    return [(MM * sign * model[own], sign * np.gradient(model[own], windows.time[own])) for own in parts]
 
 
 def departures(adequacy: Adequacy) -> str:

@@ -10,19 +10,21 @@ from typing import Any
 
 from daq.errors import InputError
 from daq.output import atomic
+from daq.output.lengths import format_length
 from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
 from fitting.drawing.palette import COLOURS, run_colour
 from fitting.estimation.result import Parameter
 from fitting.report import symbols
 from fitting.selection.result import Ranking
-from fitting.selection.verdict import format_length, format_probability
+from fitting.selection.verdict import format_probability
 from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, pooled
 
 SUFFIX = ".report.html"
 NAMED = re.compile("sha256 of the raw record ([0-9a-f]{64})")
 TEMPLATES = Path(__file__).with_name("templates")
+STRONG, MOST_NAMED = 0.9, 4  # correlations that are named in words: above 0.9 a parameter's error doubles by them
 MARK = '<meta name="generator" content="stickslip fit-friction'
 
 
@@ -122,18 +124,20 @@ def render(
         ],
         now=datetime.now().astimezone().isoformat(timespec="minutes"),
         version=VERSION,
-        verdict=_pretty(ranking.verdict),
+        said=ranking.verdict,
+        verdict=symbols.pretty(ranking.verdict),
         alone=len(ranking.laws_in_set) == 1 and ranking.adequacy.adequate,
         rows=[_row(row, ranking) for row in ranking.rows],
         best=ranking.best if ranking.rows else None,
         parameters=[
             (name, *format_interval(item)) for row in ranking.rows[:1] for name, item in row.parameters.items()
         ],
+        correlations=_correlations(ranking),
         motion=symbols.MOTION,
         formulas=[(row.law, row.name, symbols.formula(row.law)) for row in ranking.rows],
         symbols=symbols.symbols({name for side in ranking.sides for row in side.rows for name in row.parameters}),
         confidence=f"{100 * (1 - alpha):g} %",
-        warnings=[_pretty(warning) for warning in ranking.warnings],
+        warnings=[symbols.pretty(warning) for warning in ranking.warnings],
         statistics=pooled(statistics).rows(motions[0].unit),
         adequacy=ranking.adequacy,
         adequacy_facts=_adequacy_facts(ranking.adequacy),
@@ -150,12 +154,12 @@ def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
     return {
         "number": number,
         "file": recording.source.name,
-        "started": recording.started,
+        "started": moment(recording.started),
         "remarks": recording.remarks(),
         "digest": recording.digest,
         "colour": run_colour(number),
         "adequacy": side.adequacy.verdict,
-        "rms": format_length(best.rms_m) if best else "",
+        "rms": symbols.pretty(format_length(best.rms_m)) if best else "",
         "cycles": best.cycles if best else "",
         "speed": " ± ".join(format_interval(best.parameters["v_dr"])[:2]) if best else "",
         "events": [_event(event) for event in side.events],
@@ -167,7 +171,7 @@ def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
             ),
             ("break-aways", f"{len(cut.cycles)} found, {len(cut.used)} fitted"),
             ("in stick", f"{100 * cut.plateau_fraction:.0f} % of the record"),
-            ("standard error of a position", format_length(motion.resolution)),
+            ("standard error of a position", symbols.pretty(format_length(motion.resolution))),
             (
                 "smoothing",
                 f"{kinematics.method}, window {kinematics.window}, order {kinematics.order} (starting values only)",
@@ -183,7 +187,7 @@ def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
         return []
     facts = [
         ("verdict", adequacy.verdict),
-        ("noise of one position", format_length(found.noise_m)),
+        ("noise of one position", symbols.pretty(format_length(found.noise_m))),
         ("residuals of the best law", f"{found.misfit:.3g} times the noise"),
         ("share that repeats in every cycle", f"{found.repeat:.2g}"),
         ("probability by noise alone", format_probability(found.p_value).removeprefix("= ")),
@@ -205,9 +209,9 @@ def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
     return [
         (
             form.name,
-            _pretty(form.formula),
+            symbols.pretty(form.formula),
             ", ".join(
-                f"{name} = {item.value:.4g} ± {item.stderr:.2g} {_pretty(item.unit)}"
+                f"{name} = {item.value:.4g} ± {item.stderr:.2g} {symbols.pretty(item.unit)}"
                 for name, item in form.parameters.items()
             ),
             f"{form.chi:.2f}",
@@ -218,13 +222,46 @@ def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
     ]
 
 
+def moment(stated: str) -> str:
+    """Return a date and time in ISO 8601 without the parts of a second."""
+    try:
+        return datetime.fromisoformat(stated).isoformat(" ", timespec="seconds")
+    except ValueError:
+        return stated
+
+
+def _correlations(ranking: Ranking) -> dict[str, Any] | None:
+    """Return the correlations of the parameters as a triangle of cells, and the strongest of them, strongest first."""
+    found = ranking.correlations()
+    if found is None:
+        return None
+    size = range(len(found.names))
+    pairs = sorted(((i, j) for i in size for j in range(i)), key=lambda pair: -abs(found.matrix[pair]))
+    strong = [pair for pair in pairs if abs(found.matrix[pair]) >= STRONG][:MOST_NAMED]
+    cells = [
+        (found.names[i], [(_signed(found.matrix[i, j]), _shade(found.matrix[i, j])) for j in range(i)])
+        for i in size[1:]
+    ]
+    named = [f"{found.names[i]} and {found.names[j]} ({_signed(found.matrix[i, j])})" for i, j in strong]
+    return {"names": found.names[:-1], "cells": cells, "strongest": named}
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _shade(value: float) -> str:
+    """Return the colour of a cell: blue for errors of like sign, orange for those of opposite sign."""
+    return f"rgba({'0,114,178' if value > 0 else '230,159,0'},{0.65 * abs(value):.2f})"
+
+
 def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
     mean, half = row.behind
     return {
         "law": row.law,
         "name": row.name,
         "in_set": row.in_set,
-        "rms": format_length(row.rms_m),
+        "rms": symbols.pretty(format_length(row.rms_m)),
         "score": f"{row.score:.1f}",
         "weight": f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01",
         "behind": "best" if row.score == 0 else f"{mean:.2f} ± {half:.2f}",
@@ -247,14 +284,7 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
     Of a law that does not describe the record error and interval are withheld, and the value has four digits.
     """
     if not item.trusted:
-        return f"{item.value:.4g}", "–", "withheld", _pretty(item.unit)
+        return f"{item.value:.4g}", "–", "withheld", symbols.pretty(item.unit)
     digits = item.decimals
     value = f"{item.value:.{digits}f}"
-    return value, f"{item.stderr:.2g}", f"{item.lo:.{digits}f} … {item.hi:.{digits}f}", _pretty(item.unit)
-
-
-def _pretty(text: str) -> str:
-    """Return words or a unit with raised exponents."""
-    for plain, raised in (("^-1", "⁻¹"), ("^-2", "⁻²"), ("^2", "²"), ("^3", "³"), (" +- ", " ± ")):
-        text = text.replace(plain, raised)
-    return text
+    return value, f"{item.stderr:.2g}", f"{item.lo:.{digits}f} … {item.hi:.{digits}f}", symbols.pretty(item.unit)

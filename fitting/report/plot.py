@@ -8,13 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.output.lengths import shown_length
 from fitting.drawing import curves
 from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, run_colour
 from fitting.report import adequacy_plot
 from fitting.report.chart import Axes, legend_rows, picture
 from fitting.report.scale import AxisScale
 from fitting.selection.result import LawResult, Ranking
-from processing.statistics import StickSlipStatistics, pooled, shown_length
+from processing.statistics import StickSlipStatistics, pooled
 
 MOST_POINTS = 12_000
 BAND = 2.0  # standard deviations of the noise: 95 % of the residuals of a law that describes the record
@@ -32,7 +33,7 @@ def portrait(ranking: Ranking) -> str:
     legend, fitted = _legend(ranking, MEASURED, "measured"), [f"law {row.law}, fitted" for row in ranking.rows[:1]]
     rows = legend_rows([label for _, label in legend] + (fitted and [*fitted, "belt speed"]), NARROW)
     axes = Axes(0, 0, NARROW, 350, AxisScale.around(x), AxisScale.around(v), rows=rows)
-    axes.xlabel, axes.ylabel = "position (cm)", "velocity (cm/s)"
+    axes.xlabel, axes.ylabel = "position (mm)", "velocity (m/s)"
     width, opacity = (3.6, 0.8) if ranking.runs else (1.6, 0.6)  # several: seen beside the fitted line
     for orbit, (colour, label) in zip(runs, legend, strict=True):
         axes.trace([orbit], colour, width=width, opacity=opacity, label=label)
@@ -43,7 +44,7 @@ def portrait(ranking: Ranking) -> str:
         axes.trace(parts, colour, width=width, label=fitted[0])
         named = "belt speed"
         for side, (colour, _) in zip(ranking.sides, _legend(ranking, INK, ""), strict=True):
-            axes.level(100 * side.best.parameters["v_dr"].value, colour, dash=DASH, label=named)
+            axes.level(side.best.parameters["v_dr"].value, colour, dash=DASH, label=named)
             named = ""
     return picture("portrait", NARROW, 350, [axes])
 
@@ -81,18 +82,18 @@ def friction(ranking: Ranking) -> str:
     legend = _legend(ranking, MEASURED, "measured")
     label = f"friction ({curves.unit(motion)})"
     rows = legend_rows([f"law {row.law}" for row in ranking.rows] + [named for _, named in legend], NARROW)
-    axes = Axes(0, 0, NARROW, 350, AxisScale.around(100 * grid), AxisScale(-1.3 * top, 1.3 * top), rows=rows)
-    axes.xlabel, axes.ylabel = "relative velocity: mass minus belt (cm/s)", label
+    axes = Axes(0, 0, NARROW, 350, AxisScale.around(grid), AxisScale(-1.3 * top, 1.3 * top), rows=rows)
+    axes.xlabel, axes.ylabel = "relative velocity: mass minus belt (m/s)", label
     axes.level(0, INK)
     axes.level(0, INK, upright=True)
     for row in sorted(ranking.rows, key=lambda row: (row is ranking.best, row.law)):
         values = np.where(grid == 0, np.nan, drawn[row.law])
         heavy = row is ranking.best
         width, dash = (2.2, "") if heavy else (1.0, "" if row.in_set else DASH)
-        axes.line(100 * grid, values, COLOURS[row.law], width=width, dash=dash, label=f"law {row.law}")
+        axes.line(grid, values, COLOURS[row.law], width=width, dash=dash, label=f"law {row.law}")
     for (w, own), (colour, label) in zip(clouds, legend, strict=True):
         thin = slice(None, None, max(1, w.size // most))
-        axes.cloud(100 * w[thin], own[thin], colour, opacity=0.35, label=label)
+        axes.cloud(w[thin], own[thin], colour, opacity=0.35, label=label)
     return picture("friction", NARROW, 350, [axes])
 
 
@@ -122,7 +123,7 @@ def residuals(ranking: Ranking) -> str:
         axes = Axes(float(left), 0, float(width), 265, across, AxisScale(-reach, reach), rows=rows)
         axes.title = f"law {row.law}, {_whole(ranking) if whole else 'all cycles'}"
         axes.xlabel = _time_label(ranking) if whole else "time since break-away (s)"
-        axes.ylabel = "residual (um)"
+        axes.ylabel = "residual (µm)"
         for one, time, (colour, label) in zip(own, times, _legend(ranking, COLOURS[row.law], RESIDUAL), strict=True):
             axes.cloud(time, 1e6 * one.fit.residual, colour, label=label)
         ends, level = np.array([axes.x.low, axes.x.high]), np.full(2, noise)
@@ -143,7 +144,7 @@ def evidence(ranking: Ranking) -> str:
     height = 60.0 + 30 * len(rows)
     places = AxisScale(-0.6, len(rows) - 0.4, names=names)
     axes = Axes(0, 0, NARROW, height, AxisScale.around(np.concatenate(errors), log=True), places, rows=0)
-    axes.xlabel = "error of each cycle (um rms); dot: their geometric mean"
+    axes.xlabel = "error of each cycle (µm rms); dot: their geometric mean"
     for place, (row, own) in enumerate(zip(rows, errors, strict=True)):
         axes.marks(own, np.full(own.size, place), COLOURS[row.law], sign="|", size=8)
         axes.marks(np.exp([np.mean(np.log(own))]), np.array([place]), COLOURS[row.law], size=4)
@@ -155,7 +156,7 @@ def cost(ranking: Ranking) -> str:
     time, error = np.array([row.cpu_s for row in ranking.rows]), 1e6 * np.array([row.rms_m for row in ranking.rows])
     across = AxisScale(0.0, 1.12 * max(float(time.max()), 1e-3))
     axes = Axes(0, 0, NARROW, 230, across, AxisScale.around(error, log=True, edge=0.12), rows=0)
-    axes.xlabel, axes.ylabel = "CPU time of the fit (s)", "error (um rms)"
+    axes.xlabel, axes.ylabel = "CPU time of the fit (s)", "error (µm rms)"
     places = np.stack([axes.x.place(time), axes.y.place(error)], axis=1)
     named: list[list[int]] = []
     for k, row in enumerate(ranking.rows):

@@ -54,9 +54,15 @@ class AxisScale:
             found = self._log_ticks(most)
         else:
             step = 10 ** math.floor(math.log10((self.high - self.low) / most))
-            step = next(step * n for n in (1, 2, 5, 10, 20) if (self.high - self.low) / (step * n) <= most)
-            found = [step * n for n in range(math.ceil(self.low / step), math.floor(self.high / step) + 1)]
+            steps = [step * n for n in (0.5, 1, 2, 5, 10, 20)]
+            place = next(k for k, one in enumerate(steps) if k and (self.high - self.low) / one <= most)
+            found = self._multiples(steps[place])
+            if len(found) < 2:  # one label says nothing of the scale
+                found = self._multiples(steps[place - 1])
         return [(value, f"{value:.10g}".replace("-", "\N{MINUS SIGN}")) for value in found]
+
+    def _multiples(self, step: float) -> list[float]:
+        return [step * n for n in range(math.ceil(self.low / step), math.floor(self.high / step) + 1)]
 
     def _log_ticks(self, most: int) -> list[float]:
         decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)

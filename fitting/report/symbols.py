@@ -50,4 +50,12 @@ def formula(law: int) -> str:
 def symbols(parameters: Iterable[str]) -> list[tuple[str, str]]:
     """Return each symbol and its meaning: those of every formula, and those of the named parameters."""
     named = {name.removesuffix("/m") for name in parameters} | {"k", "c", "x0", "Fs", "v_dr"}
-    return [(symbol, text) for symbol, text in SYMBOLS.items() if symbol in ALWAYS or symbol in named]
+    return [(symbol, pretty(text)) for symbol, text in SYMBOLS.items() if symbol in ALWAYS or symbol in named]
+
+
+def pretty(text: str) -> str:
+    """Return words or a unit with raised exponents and the letter mu."""
+    signs = (("^-1", "⁻¹"), ("^-2", "⁻²"), ("^2", "²"), ("^3", "³"), (" +- ", " ± "), (" um", " µm"))
+    for plain, typeset in signs:
+        text = text.replace(plain, typeset)
+    return text

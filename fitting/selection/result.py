@@ -1,6 +1,6 @@
 """The ranking: one row per law, the break-aways, and the verdict with its warnings."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import DataError
@@ -8,8 +8,9 @@ from fitting.adequacy.result import Adequacy
 from fitting.curve.result import BandExit
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
+from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.fit import Fit
-from fitting.estimation.result import BreakAway, Parameter
+from fitting.estimation.result import BreakAway, Correlations, Parameter
 from processing.record.finding import Finding
 
 if TYPE_CHECKING:
@@ -141,6 +142,7 @@ class Ranking:
             "warnings": list(self.warnings),
             "findings": [vars(finding) for finding in self.findings],
             "adequacy": self.adequacy.as_json(),
+            "correlations": None if (found := self.correlations()) is None else found.as_json(),
             "cpu_s": self.cpu_s,
         }
         if self.runs:
@@ -163,6 +165,18 @@ class Ranking:
             "adequacy": self.adequacy.as_json(),
             "rms_by_law": {str(row.law): row.rms_m for row in self.rows},
         }
+
+    def correlations(self) -> Correlations | None:
+        """Return how the errors of the best law's parameters go together, of several runs those of the first.
+
+        None where their intervals are withheld.
+        """
+        if not self.rows or not all(item.trusted for item in self.best.parameters.values()):
+            return None
+        found = correlations(self.best.fit, self.sides[0].motion)
+        if not self.runs:
+            return found
+        return replace(found, names=tuple(f"{name} (1)" if name in RUNS_OWN else name for name in found.names))
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return the laws as a pandas table, one row a law, best first.

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 
+from daq.output.lengths import format_length
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, Adequacy
 from fitting.data.cycles import CycleSegmentation
@@ -227,10 +228,3 @@ def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tup
 def format_probability(p: float) -> str:
     """Return a probability as "= 0.3" or "< 1e-06": the tails of a null distribution are known roughly."""
     return f"= {p:.2g}" if p >= REJECTED else f"< {REJECTED:g}"
-
-
-def format_length(metres: float) -> str:
-    """Return a length in a readable unit."""
-    if metres < 1e-3:
-        return f"{metres * 1e6:.3g} um"
-    return f"{metres * 1e3:.3g} mm" if metres < 1 else f"{metres:.3g} m"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.compute.arrays import Array, Mask
+from daq.output.lengths import format_length, shown_speed
 from processing.polynomial.even_grid import is_even
 from processing.record.finding import Finding
 from processing.record.motion import Fault, Phase, VelocityStep, mask_of
@@ -292,7 +293,7 @@ class Kinematics(SmoothingHeader):
 
     def facts(self) -> dict[str, str]:
         """Return what a person wants to see first, in words, by name."""
-        belt = f"{self.belt_speed:.5g} {self.unit}/s" if math.isfinite(self.belt_speed) else "unknown"
+        belt = f"{self.belt_speed:.5g} {shown_speed(self.unit)}" if math.isfinite(self.belt_speed) else "unknown"
         window = "" if self.method == "fd" else f", window {self.window}, order {self.order}"
         found = {
             "samples": str(self.samples),
@@ -301,7 +302,7 @@ class Kinematics(SmoothingHeader):
             "phases": f"{len(self.sticks)} sticks, {len(self.slips)} slips",
             "belt speed": belt + (", from its own encoder" if self.belt_counted else ""),
             "stuck for": f"{100 * self.plateau_fraction:.0f} % of the record",
-            "error of one position": f"{self.noise:.2g} {self.unit}",
+            "error of one position": format_length(self.noise, self.unit),
             "counts lost": f"{self.lost_counts} times" if self.lost_counts else "",
             "velocity steps": str(len(self.kicks)) if self.kicks else "",
             "samples left out": str(int(self.missing.sum())) if self.faults else "",

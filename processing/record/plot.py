@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, pieces
-from daq.output.plot import STYLE, PngFigure, figure, length_factor
+from daq.output.lengths import shown_length, shown_speed
+from daq.output.plot import STYLE, PngFigure, figure
 from processing.record.motion import Phase
 
 if TYPE_CHECKING:
@@ -61,15 +62,14 @@ def figure_of(motion: DrawnMotion) -> PngFigure:
 def draw_motion(drawn: "Figure", cell: "SubplotSpec", motion: DrawnMotion) -> None:
     """Draw a motion into a cell of a figure, with its caption above.
 
-    Left: position (cm) and velocity (cm/s) against time (s), sticks shaded, from the beginning over at most `CYCLES`
+    Left: position (mm) and velocity (m/s) against time (s), sticks shaded, from the beginning over at most `CYCLES`
     cycles.  Right: the phase portrait of the whole record.  In counts for a rig without a calibration.
     """
-    factor, unit = length_factor(motion.unit)
     grid = cell.subgridspec(2, 2, width_ratios=(1.35, 1.0), hspace=0.04, wspace=0.05)
     above = drawn.add_subplot(grid[0, 0])
     below = drawn.add_subplot(grid[1, 0], sharex=above)
-    _against_time(above, below, motion, factor, unit)
-    _portrait(drawn.add_subplot(grid[:, 1]), motion, factor, unit)
+    _against_time(above, below, motion)
+    _portrait(drawn.add_subplot(grid[:, 1]), motion)
     drawn.suptitle(motion.caption, parse_math=False, x=0.01, ha="left", fontsize=11.5)
 
 
@@ -85,12 +85,13 @@ def _pieces(motion: DrawnMotion, own: slice) -> tuple[slice, ...]:
     return pieces(time, motion.segment[own], interval)
 
 
-def _against_time(above: "Axes", below: "Axes", motion: DrawnMotion, factor: float, unit: str) -> None:
+def _against_time(above: "Axes", below: "Axes", motion: DrawnMotion) -> None:
+    factor, unit = shown_length(motion.unit)
     until = _last_shown(motion)
     own = slice(0, int(np.searchsorted(motion.time, until, side="right")))
     time = motion.time[own]
-    for axes, values in ((above, motion.position), (below, motion.velocity)):
-        shown = factor * values[own]
+    for axes, values in ((above, factor * motion.position), (below, motion.velocity)):
+        shown = values[own]
         for k, stick in enumerate(phase for phase in motion.sticks if phase.start < until):
             label = "stick" if k == 0 else None
             axes.axvspan(stick.start, min(stick.end, until), color=SHADE, lw=0, zorder=0, label=label)
@@ -98,12 +99,12 @@ def _against_time(above: "Axes", below: "Axes", motion: DrawnMotion, factor: flo
             axes.plot(time[part], shown[part], color=MOTION, lw=1.0, label="mass" if k == 0 else None)
         axes.margins(x=0.01)
     if np.isfinite(motion.belt_speed):
-        below.axhline(factor * motion.belt_speed, color=BELT, lw=1.0, ls=(0, (5, 3)), label="belt")
+        below.axhline(motion.belt_speed, color=BELT, lw=1.0, ls=(0, (5, 3)), label="belt")
     shown_part = "" if own.stop >= motion.time.size else f", first {time[-1] - time[0]:.3g} s of the run"
     above.set_title(f"position{shown_part}")
     below.set_title("velocity")
     above.set_ylabel(f"x ({unit})")
-    below.set_ylabel(f"v ({unit}/s)")
+    below.set_ylabel(f"v ({shown_speed(motion.unit)})")
     below.set_xlabel("time (s)")
     above.tick_params(labelbottom=False)
     handles, labels = below.get_legend_handles_labels()
@@ -121,8 +122,9 @@ def _against_time(above: "Axes", below: "Axes", motion: DrawnMotion, factor: flo
         )
 
 
-def _portrait(axes: "Axes", motion: DrawnMotion, factor: float, unit: str) -> None:
-    x, v = factor * motion.position, factor * motion.velocity
+def _portrait(axes: "Axes", motion: DrawnMotion) -> None:
+    (factor, unit), per_second = shown_length(motion.unit), shown_speed(motion.unit)
+    x, v = factor * motion.position, motion.velocity
     for piece in _pieces(motion, slice(0, x.size)):
         axes.plot(x[piece], v[piece], color=MOTION, lw=0.7, alpha=0.75)
     for k, phase in enumerate(motion.sticks):
@@ -130,13 +132,13 @@ def _portrait(axes: "Axes", motion: DrawnMotion, factor: float, unit: str) -> No
         axes.plot(x[own], v[own], color=STICK, lw=1.8, label="stick" if k == 0 else None)
     axes.plot([], [], color=MOTION, lw=0.9, label="slip" if motion.sticks else "mass")
     if np.isfinite(motion.belt_speed):
-        speed = factor * motion.belt_speed
-        axes.axhline(speed, color=BELT, lw=1.0, ls=(0, (5, 3)), zorder=1, label=f"belt {speed:.4g} {unit}/s")
+        speed = motion.belt_speed
+        axes.axhline(speed, color=BELT, lw=1.0, ls=(0, (5, 3)), zorder=1, label=f"belt {speed:.4g} {per_second}")
     cycles = motion.cycles
     counted = f", {cycles} complete cycle{'s' if cycles != 1 else ''}" if cycles else ""
     axes.locator_params(axis="x", nbins=7)  # counts of five digits touched each other
     axes.set_title(f"phase portrait{counted}")
     axes.set_xlabel(f"x ({unit})")
-    axes.set_ylabel(f"v ({unit}/s)")
+    axes.set_ylabel(f"v ({per_second})")
     axes.margins(0.05)
     axes.legend(loc="best")

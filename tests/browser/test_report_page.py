@@ -39,6 +39,27 @@ def test_the_report_has_no_outside_reference(report):
     assert "<script src" not in text
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+def test_the_first_screen_holds_verdict_ranking_and_six_orbits(report, chromium, width, height):
+    # The ranking used to begin on the second screen, and the page was 722 px wide on a phone.
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as browsers:
+        browser = browsers.chromium.launch(executable_path=chromium)
+        page = browser.new_page(viewport={"width": width, "height": height})
+        page.goto(report.as_uri())
+        lowest = {
+            name: page.locator(name).first.bounding_box() for name in (".verdict", ".top table", ".top figure svg")
+        }
+        titles = page.locator(".top figure svg text", has_text=re.compile("^law [1-6]")).count()
+        wide = page.evaluate("document.documentElement.scrollWidth")
+        browser.close()
+    assert titles == 6
+    assert wide <= width
+    for name, box in lowest.items():
+        assert box["y"] + box["height"] <= height, name
+
+
 def browse(chromium: str, page: Path, *flags: str) -> str:
     """Open a page in a headless browser with a profile of its own; return what it printed."""
     quiet = ("--no-first-run", "--disable-sync", "--disable-background-networking", "--disable-component-update")

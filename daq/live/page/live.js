@@ -88,8 +88,8 @@ function makeXY(id, label, draw) {
   });
 }
 
-const view = { scale: 1, unit: "m" }; // what is shown of lengths: mm for m
-const lengths = (unit) => unit === "m" ? { scale: 1e3, length: "mm", speed: "mm/s" } : { scale: 1, length: "counts", speed: "counts/s" };
+const view = { scale: 1, unit: "m" }; // what is shown of lengths: mm for m; speeds are in m/s
+const lengths = (unit) => unit === "m" ? { scale: 1e3, length: "mm", speed: "m/s" } : { scale: 1, length: "counts", speed: "counts/s" };
 
 const trace = makePlot("trace", Math.max(220, Math.min(320, window.innerHeight / 3)), {
   data: [[], [], []],
@@ -125,14 +125,14 @@ const portrait = makeXY("portrait", ["position", "velocity"], (u) => {
   let joined = false;
   for (let i = shown.first; i < t.length; i++) {
     if (v[i] === null) { joined = false; continue; }
-    if (joined) ctx.lineTo(px(x[i] * view.scale), py(v[i] * view.scale));
-    else ctx.moveTo(px(x[i] * view.scale), py(v[i] * view.scale));
+    if (joined) ctx.lineTo(px(x[i] * view.scale), py(v[i]));
+    else ctx.moveTo(px(x[i] * view.scale), py(v[i]));
     joined = true;
   }
   ctx.stroke();
-  if (latest && latest.belt !== null) level(u, py(latest.belt * view.scale), "belt");
+  if (latest && latest.belt !== null) level(u, py(latest.belt), "belt");
   const last = t.length - 1;
-  if (last >= 0 && v[last] !== null) dot(ctx, px(x[last] * view.scale), py(v[last] * view.scale));
+  if (last >= 0 && v[last] !== null) dot(ctx, px(x[last] * view.scale), py(v[last]));
   ctx.restore();
 });
 
@@ -170,7 +170,7 @@ function frictionPoints() {
   const step = Math.max(1, Math.ceil(x.length / MOST_FRICTION));
   for (let i = 0; i < x.length; i += step) {
     if (v[i] === null) continue;
-    found.push([(latest.belt - v[i]) * view.scale, mass * (a[i] + latest.k_over_m * x[i]) + drag * v[i]]);
+    found.push([latest.belt - v[i], mass * (a[i] + latest.k_over_m * x[i]) + drag * v[i]]);
   }
   return found;
 }
@@ -189,8 +189,8 @@ function draw() {
   let first = samples.t.length - 1;
   while (first > 0 && samples.t[first] > now - span) first--;
   shown.first = first;
-  const scaled = (values) => values.slice(first).map((value) => value === null ? null : value * view.scale);
-  const data = [samples.t.slice(first), scaled(samples.x), scaled(samples.v)];
+  const position = samples.x.slice(first).map((value) => value === null ? null : value * view.scale);
+  const data = [samples.t.slice(first), position, samples.v.slice(first)];
   label(trace, 1, `position (${names.length})`); label(trace, 2, `velocity (${names.speed})`);
   label(portrait, 0, `position (${names.length})`); label(portrait, 1, `velocity (${names.speed})`);
   label(friction, 0, `relative velocity (${names.speed})`);

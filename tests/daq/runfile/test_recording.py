@@ -62,7 +62,7 @@ def test_the_picture_has_no_line_across_a_gap_and_marks_what_a_person_marked(rec
     (axes,) = figure.axes
     first, second, marker = axes.lines
     np.testing.assert_array_equal(first.get_xdata(), time[:3000])
-    np.testing.assert_array_equal(second.get_ydata(), 100 * recording.position[3000:])
+    np.testing.assert_array_equal(second.get_ydata(), 1e3 * recording.position[3000:])
     assert marker.get_xdata()[0] == time[500]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time (s)", "position (cm)")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time (s)", "position (mm)")
     assert figure._repr_png_().startswith(b"\x89PNG")

@@ -10,7 +10,7 @@ from daq.runfile.rig import Measured, Rig
 from fitting.data import cycles, frame
 from fitting.estimation import search
 from fitting.estimation.covariance import covariance
-from fitting.estimation.derived import derived_parameters
+from fitting.estimation.derived import correlations, derived_parameters
 from fitting.estimation.levenberg_marquardt import NormalEquations
 from fitting.model.problem import Run
 from processing.smoothing import smooth
@@ -87,3 +87,32 @@ def test_a_mass_gives_newtons_and_a_stiffness_gives_the_mass(ranked, known, unit
     assert found[unit].value == pytest.approx({"k": 10.5552, "m": 0.3}[unit], rel=2e-4)
     assert found["Fs"].value == pytest.approx(0.3 * found["Fs/m"].value, rel=2e-4)
     assert {"k", "m"} & set(found) == {unit}
+
+
+def test_correlations_give_the_error_of_a_ratio(ranked):
+    ranking = ranked(law=5)
+    known, found = ranking.best.parameters, ranking.correlations()
+    i, j = found.names.index("Fs/m"), found.names.index("k/m")
+    level, rate = (known[name].stderr / known[name].value for name in ("Fs/m", "k/m"))
+    ratio = known["Fs/k"].stderr / known["Fs/k"].value
+    assert ratio**2 == pytest.approx(level**2 + rate**2 - 2 * found.matrix[i, j] * level * rate, rel=1e-4)
+    assert found.matrix == pytest.approx(found.matrix.T, abs=1e-12)
+    assert np.diag(found.matrix) == pytest.approx(np.ones(len(found.names)))
+    assert set(found.names) == {"k/m", "Fs/m", "v_dr", "gamma", "x0", "c/m"}
+
+
+def test_an_uncertain_length_correlates_what_has_a_length_in_its_unit(ranked):
+    ranking = ranked(law=5)
+    found = correlations(ranking.best.fit, replace(ranking.motion, length_error=0.5))
+    place = {name: k for k, name in enumerate(found.names)}
+    assert found.matrix[place["Fs/m"], place["v_dr"]] == pytest.approx(1.0, abs=0.01)
+    assert found.matrix[place["gamma"], place["v_dr"]] == pytest.approx(-1.0, abs=0.01)
+    assert abs(found.matrix[place["k/m"], place["v_dr"]]) < 0.1
+
+
+def test_correlations_are_withheld_with_the_intervals(ranked):
+    ranking = ranked(law=5)
+    best = ranking.best
+    withheld = {name: replace(item, trusted=False) for name, item in best.parameters.items()}
+    assert replace(ranking, rows=(replace(best, parameters=withheld),)).as_json()["correlations"] is None
+    assert ranking.as_json()["correlations"]["parameters"] == list(ranking.correlations().names)

@@ -28,6 +28,7 @@ def test_the_page_holds_verdict_pictures_and_every_law(page, ranked):
     assert len(page.encode()) < 500_000
     assert len(set(re.findall(r'clipPath id="([^"]+)"', page))) == page.count("<clipPath")
     assert "noise, ±2 sd" in page
+    assert "Correlations of their errors" in page
     for law in range(1, 7):
         assert f"</span>{law}</td>" in page
 

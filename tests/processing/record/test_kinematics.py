@@ -46,8 +46,8 @@ def test_the_data_frame_has_a_row_a_sample_with_errors_and_phase(kinematics):
 
 def test_the_picture_shows_position_velocity_and_the_phase_portrait(kinematics):
     above, below, portrait = kinematics.plot().axes
-    np.testing.assert_array_equal(above.lines[0].get_ydata(), 100 * kinematics.position)
-    np.testing.assert_array_equal(below.lines[0].get_xydata(), np.c_[kinematics.time, 100 * kinematics.velocity])
-    np.testing.assert_array_equal(portrait.lines[0].get_xdata(), 100 * kinematics.position)
-    np.testing.assert_array_equal(portrait.lines[0].get_ydata(), 100 * kinematics.velocity)
+    np.testing.assert_array_equal(above.lines[0].get_ydata(), 1e3 * kinematics.position)
+    np.testing.assert_array_equal(below.lines[0].get_xydata(), np.c_[kinematics.time, kinematics.velocity])
+    np.testing.assert_array_equal(portrait.lines[0].get_xdata(), 1e3 * kinematics.position)
+    np.testing.assert_array_equal(portrait.lines[0].get_ydata(), kinematics.velocity)
     assert portrait.get_title(loc="left") == "phase portrait, 5 complete cycles"
