@@ -1,16 +1,20 @@
 """Figures of matplotlib in the style of every picture of a run, ``stickslip.mplstyle``, and their files."""
 
 import io
+from collections.abc import Iterable
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from daq.errors import InputError
 from daq.output import atomic
 
 STYLE = Path(__file__).with_name("stickslip.mplstyle")
 FORMATS = (".png", ".svg", ".pdf")
+MARKER = "#D55E00"
 SCREEN_DPI = 90  # of a figure in a notebook: 11.5 inches are then 1035 px wide
 
 
@@ -27,6 +31,38 @@ class PngFigure(Figure):
 def figure(width: float, height: float) -> PngFigure:
     """Return an empty figure, inches; draw into it inside ``matplotlib.rc_context(fname=STYLE)``."""
     return PngFigure(figsize=(width, height), layout="constrained")
+
+
+def lines_over_time(
+    parts: Iterable[tuple[NDArray[np.float64], NDArray[np.float64]]],
+    ylabel: str,
+    markers: Iterable[tuple[float, str]],
+    title: str,
+) -> PngFigure:
+    """Return a quantity over time, in parts between gaps, with markers.
+
+    Parameters
+    ----------
+    parts : iterable of ((n,) array, (n,) array)
+        Times, s, and values.
+    ylabel, title : str
+    markers : iterable of (float, str)
+        Time, s, and words.
+    """
+    with mpl.rc_context(fname=STYLE):
+        drawn = figure(9.5, 3.6)
+        axes = drawn.add_subplot()
+        for time, values in parts:
+            axes.plot(time, values, "." if len(time) == 1 else "-", color="C0", ms=3)
+        for at, words in markers:
+            axes.axvline(at, color=MARKER, lw=1.0, ls=(0, (5, 3)))
+            box = {"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0}
+            place = axes.get_xaxis_transform()
+            axes.text(at, 0.97, f" {words}", transform=place, va="top", color=MARKER, bbox=box, parse_math=False)
+        axes.set(xlabel="time (s)", ylabel=ylabel)
+        axes.set_title(title, parse_math=False)
+        axes.margins(x=0.01)
+    return drawn
 
 
 def save(figure: Figure, target: Path) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.output.lengths import shown_range
+from daq.output.lengths import shown_length, shown_range
 from daq.runfile.rig import Rig
 
 if TYPE_CHECKING:
@@ -213,17 +213,17 @@ class Recording:
         matplotlib Figure
             ``figure.savefig(path)`` writes it, a notebook shows it.
         """
-        from daq.runfile import plot
+        from daq.compute.arrays import pieces
+        from daq.output.plot import lines_over_time
 
+        factor, unit = shown_length(self.unit)
+        whole = pieces(self.time, self.segment, 1 / self.rate_hz) if self.time.size > 1 else (slice(None),)
         events = zip(self.event_sample, self.event_kind, self.event_note, strict=True)
-        return plot.position_over_time(
-            self.time,
-            self.position,
-            self.unit,
-            segment=self.segment,
-            interval=1 / self.rate_hz,
-            markers=[(self.time[at], words) for at, kind, words in events if kind == "marker" and at < self.time.size],
-            title=f"{self.name}: {self.title}",
+        return lines_over_time(
+            [(self.time[part], factor * self.position[part]) for part in whole],
+            f"position ({unit})",
+            [(self.time[at], words) for at, kind, words in events if kind == "marker" and at < self.time.size],
+            f"{self.name}: {self.title}",
         )
 
     def facts(self) -> dict[str, str]:
