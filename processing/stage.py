@@ -30,7 +30,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.errors import InputError
-from daq.runfile import nexus, store
+from daq.runfile import nexus, store, trust
 from daq.runfile.recording import Recording
 from processing.record import series
 from processing.record.finding import Finding
@@ -205,7 +205,7 @@ def load(path: Path) -> Kinematics | None:
     InputError
         For a file that is no run, or a stage that is damaged or was made from other raw data.
     """
-    with store.opened(path) as file:
+    with store.opened(path) as file, trust.damage(path):
         entry = file["entry"]
         if "smooth" not in entry:
             return None
@@ -264,7 +264,7 @@ def load_statistics(path: Path) -> StickSlipStatistics:
     InputError
         As `load` does, and for a run that is not smoothed.
     """
-    with store.opened(path) as file:
+    with store.opened(path) as file, trust.damage(path):
         entry = file["entry"]
         if "smooth/statistics" in entry:
             counts = [int(nexus.read_number(entry, f"smooth/statistics/{name}", path)) for name in COUNTS]

@@ -17,7 +17,6 @@ from daq.output import atomic, disk
 from daq.runfile import nexus, trust
 from daq.version import VERSION
 
-MARK, SCHEMA = "stickslip_joint_fit", 1  # attribute of /entry/runs
 SUFFIX = ".fit.h5"
 KEPT = "move it away, or --force to replace it"
 
@@ -48,7 +47,7 @@ def refuse_foreign_file(path: Path, runs: Sequence[FittedRun], *, force: bool = 
     try:
         with opened(path) as entry:
             found = nexus.read_texts(entry, "runs/sha256_raw", path)
-    except (InputError, OSError, RuntimeError, KeyError, ValueError) as error:  # the last four: damage
+    except (InputError, *trust.DAMAGE) as error:
         raise InputError("exists and is no joint fit", str(path), KEPT) from error
     if sorted(found) != sorted(run.digest for run in runs):
         raise InputError("exists and is the joint fit of other runs", str(path), KEPT)
@@ -82,7 +81,7 @@ def write(path: Path, runs: Sequence[FittedRun], writer: Callable[[h5py.Group], 
         nexus.field(entry, "title", f"joint fit of {', '.join(run.file.name for run in runs)}")
         nexus.field(entry, "start_time", min(run.started for run in runs))
         nexus.field(entry, "program_name", "fit-friction", version=VERSION)
-        about = nexus.group(entry, "runs", "NXcollection", **{MARK: np.int64(SCHEMA)})
+        about = nexus.group(entry, "runs", "NXcollection", **{trust.JOINT: np.int64(trust.JOINT_SCHEMA)})
         nexus.field(about, "file", names)
         nexus.field(about, "sha256_raw", [run.digest for run in runs])
         nexus.field(about, "title", [run.title for run in runs])
@@ -99,18 +98,21 @@ def opened(path: Path) -> Iterator[h5py.Group]:
     InputError
         For a file that is none, of another schema, or not to be trusted.
     """
-    if not recognised(path):
-        raise InputError("is not the file of a joint fit", str(path), "give one that fit-friction wrote")
-    with h5py.File(path, "r") as file:
-        trust.check(file, path)
+    wrong = InputError("is not the file of a joint fit", str(path), "give one that fit-friction wrote")
+    try:
+        file = trust.opened(path)
+    except OSError as error:
+        raise wrong from error
+    with file:
+        if not trust.is_joint(file):
+            raise wrong
         yield nexus.read_group(file, "entry", path)
 
 
 def recognised(path: Path) -> bool:
     """Return whether a file is that of a joint fit, of the schema that this version reads."""
     try:
-        with h5py.File(path, "r") as file:
-            runs = file.get("entry/runs")
-            return isinstance(runs, h5py.Group) and bool(np.array_equal(runs.attrs.get(MARK), SCHEMA))
-    except OSError:
+        with trust.opened(path) as file:
+            return trust.is_joint(file)
+    except (OSError, InputError):
         return False

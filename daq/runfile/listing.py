@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from daq.errors import InputError
-from daq.runfile import joint, nexus, schema, store
+from daq.runfile import joint, nexus, schema, store, trust
 from daq.runfile.recording import lost_samples
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
@@ -90,7 +90,7 @@ def _run(file: Path) -> RunRow:
             return _row(nexus.read_group(opened, "entry", file), file)
     except InputError as error:
         return RunRow(file, problem=error.what)
-    except (OSError, RuntimeError, KeyError, ValueError) as error:  # damage, found inside the HDF5 library
+    except trust.DAMAGE as error:
         return RunRow(file, problem=f"is damaged: {str(error).splitlines()[0]}")
 
 

@@ -7,6 +7,7 @@ or the new one, whole, and a crash leaves at worst a ``.NAME.*.partial`` beside 
 Equal runs give equal bytes under the same file name and library versions: nothing here reads a clock.
 """
 
+import io
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,7 +22,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.errors import InputError
 from daq.output import atomic, disk
-from daq.runfile import joint, nexus, schema, trust
+from daq.runfile import nexus, schema, trust
 from daq.runfile.recording import Raw, Recording, Truth, first_disorder
 from daq.runfile.rig import Rig
 
@@ -85,8 +86,10 @@ def between(path: str | os.PathLike[str], begin: float | None, end: float | None
 def reading(path: str | os.PathLike[str], own: slice = nexus.EVERY) -> "Iterator[RunReader]":
     """Open a run, or some of its samples, for reading parts one after the other; InputError as for `load`."""
     where = Path(path)
-    with opened(where) as file, _damage(where):
-        yield RunReader(nexus.read_group(file, "entry", where), where, own)
+    with opened(where) as file:
+        with trust.damage(where):
+            reader = RunReader(nexus.read_group(file, "entry", where), where, own)
+        yield reader
 
 
 class RunReader:
@@ -106,31 +109,31 @@ class RunReader:
 
     def load(self, own: slice = nexus.EVERY) -> Recording:
         """Return the run, or some of its samples (`load`)."""
-        rows = (row for row in schema.FIELDS if not row.of.startswith("truth."))
-        found = schema.read(self._entry, rows, self._where, self._in_file(own))
-        _check_motion(found["time"], found["position"], self._where)
-        raw = _part(found, "raw")
-        return Recording(
-            **{key: value for key, value in found.items() if "." not in key},
-            rig=Rig(**_part(found, "rig")),
-            raw=Raw(**raw) if raw else None,
-            source=self._where,
-            default=nexus.text(self._entry.attrs.get("default", "data")),
-        )
+        with trust.damage(self._where):
+            rows = (row for row in schema.FIELDS if not row.of.startswith("truth."))
+            found = schema.read(self._entry, rows, self._where, self._in_file(own))
+            _check_motion(found["time"], found["position"], self._where)
+            raw = _part(found, "raw")
+            return Recording(
+                **{key: value for key, value in found.items() if "." not in key},
+                rig=Rig(**_part(found, "rig")),
+                raw=Raw(**raw) if raw else None,
+                source=self._where,
+                default=nexus.text(self._entry.attrs.get("default", "data")),
+            )
 
     def times(self) -> Array:
         """Return the times of all samples, s."""
-        column = nexus.read_array(
-            self._entry, f"{schema.ENCODER_LOG}/time", np.float64, self._where, self._in_file(nexus.EVERY)
-        )
-        return np.asarray(column)
+        return self._column("time", nexus.EVERY)
 
     def positions(self, own: slice) -> Array:
         """Return the positions of some samples, m or counts."""
-        column = nexus.read_array(
-            self._entry, f"{schema.ENCODER_LOG}/value", np.float64, self._where, self._in_file(own)
-        )
-        return np.asarray(column)
+        return self._column("value", own)
+
+    def _column(self, name: str, own: slice) -> Array:
+        path = f"{schema.ENCODER_LOG}/{name}"
+        with trust.damage(self._where):
+            return np.asarray(nexus.read_array(self._entry, path, np.float64, self._where, self._in_file(own)))
 
 
 def truth(path: str | os.PathLike[str]) -> Truth | None:
@@ -139,7 +142,7 @@ def truth(path: str | os.PathLike[str]) -> Truth | None:
     Only comparisons and benchmarks may call this: processing and fitting know no more than a real rig shows.
     """
     where = Path(path)
-    with opened(where) as file, _damage(where):
+    with opened(where) as file, trust.damage(where):
         entry = nexus.read_group(file, "entry", where)
         found = _part(schema.read(entry, (row for row in schema.FIELDS if row.of.startswith("truth.")), where), "truth")
         return Truth(**found) if found else None
@@ -207,14 +210,16 @@ def extend(
             raise ValueError(f"{name!r} is no stage; extend writes {' or '.join(STAGES[1:])} groups, never the record")
     with opened(target):
         pass
+    trust.check(target, _add_stage)
     stage = min(STAGES.index(name.split("_")[0]) for name in wanted)
     with atomic.replacing(target, force=True) as temporary:
         shutil.copyfile(target, temporary)
         with disk.hdf5(temporary, "r+") as file:
-            entry = file["entry"]
-            for name in list(entry):
-                if name in wanted or name.split("_")[0] in STAGES[stage + 1 :]:
-                    del entry[name]
+            with trust.damage(target):
+                entry = file["entry"]
+                for name in list(entry):
+                    if name in wanted or name.split("_")[0] in STAGES[stage + 1 :]:
+                        del entry[name]
             writer(entry)
             if default is not None:
                 entry.attrs["default"] = default
@@ -264,6 +269,7 @@ def annotate(
     with atomic.replacing(target, force=True) as temporary:  # from here on no other command changes the run
         with reading(target) as reader:
             run, time = reader.load(slice(1)), reader.times()
+        trust.check(target, _change_notes)
         tags = {name: value for name, value in {**run.tags, **notes.get("tags", {})}.items() if value}
         run = replace(run, **{**notes, "tags": tags})
         for seconds, text in marks:
@@ -272,9 +278,31 @@ def annotate(
                 raise InputError(what, "--mark", "give a time since the first sample")
             run = _marked(run, int(np.argmin(np.abs(time - seconds))), text)
         shutil.copyfile(target, temporary)
-        with disk.hdf5(temporary, "r+") as file:
+        with disk.hdf5(temporary, "r+") as file, trust.damage(target):
             schema.rewrite_notes(file, run)
     return run
+
+
+def _add_stage(path: Path) -> bytes:
+    """Do to a copy in memory what `extend` will do to the file."""
+    with trust.damage(path), h5py.File(io.BytesIO(path.read_bytes()), "r+") as file:
+        entry = file["entry"]
+        for name in list(entry):
+            if name.split("_")[0] in STAGES[1:]:
+                del entry[name]
+        made = nexus.process(entry, STAGES[1], "program", 1, "time")
+        column = (np.zeros(nexus.CHUNK + 1), "")
+        nexus.table(made, "table", {"time": column, "value": column}, axis="time", signal="value")
+        entry.attrs["default"] = STAGES[1]
+    return b""
+
+
+def _change_notes(path: Path) -> bytes:
+    """Do to a copy in memory what `annotate` will do to the file."""
+    with trust.damage(path), h5py.File(io.BytesIO(path.read_bytes()), "r+") as file:
+        run = RunReader(file["entry"], path).load(slice(1))
+        schema.rewrite_notes(file, replace(run, note="text", operator="text", tags={"name": "text"}))
+    return b""
 
 
 def _marked(run: Recording, sample: int, text: str) -> Recording:
@@ -296,15 +324,9 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise InputError("no such file", where, "check the path")
     if path.is_dir():
         raise InputError("is a folder", where, "give the run file in it")
-    try:
-        file = h5py.File(path, "r")
-    except PermissionError as error:
-        raise InputError("cannot be read", where, "check its permissions") from error
-    except OSError as error:
-        raise _unopened(path, error) from error
-    with file:
-        found = _schema(file)
-        if found is None and joint.recognised(path):
+    with _open(path) as file:
+        found = trust.mark(file)
+        if found is None and trust.is_joint(file):
             raise InputError("is the file of a joint fit, not of a run", where, "give the runs that were fitted")
         if found is None:
             raise InputError(
@@ -319,16 +341,16 @@ def opened(path: Path) -> Iterator[h5py.File]:
             raise InputError(what, where, "install a newer stickslip")
         if found < schema.SCHEMA:
             raise InputError(what, where, "make it again: daq recover on its journal, or daq import on its CSV")
-        with _damage(path):
-            trust.check(file, path)
         yield file
 
 
-def _schema(file: h5py.File) -> Any:
-    # On the root it would be found too, and heeded first: that is where a person looks for it.
-    provenance = file.get("entry/provenance")
-    inside = provenance.attrs.get("stickslip_schema") if isinstance(provenance, h5py.Group) else None
-    return file.attrs.get("stickslip_schema", inside)
+def _open(path: Path) -> h5py.File:
+    try:
+        return trust.opened(path)
+    except PermissionError as error:
+        raise InputError("cannot be read", str(path), "check its permissions") from error
+    except OSError as error:
+        raise _unopened(path, error) from error
 
 
 def _unopened(path: Path, error: OSError) -> InputError:
@@ -340,17 +362,7 @@ def _unopened(path: Path, error: OSError) -> InputError:
         what = "is empty" if not head else "is not an HDF5 file"
         return InputError(what, str(path), "give a run file; a CSV is read by daq import, a capture by daq replay")
     detail = "is cut short" if "truncated" in str(error) else f"is damaged HDF5 ({str(error).splitlines()[0]})"
-    return InputError(detail, str(path), "copy it again from its source, or daq recover its journal")
-
-
-@contextmanager
-def _damage(path: Path) -> Iterator[None]:
-    # A failed checksum, a lost chunk or a broken link surfaces as any of these from deep inside the HDF5 library.
-    try:
-        yield
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        what = f"is damaged: {str(error).splitlines()[0]}"
-        raise InputError(what, str(path), "copy it again from its source, or daq recover its journal") from error
+    return InputError(detail, str(path), trust.AGAIN)
 
 
 def _part(found: dict[str, Any], name: str) -> dict[str, Any]:

@@ -1,60 +1,191 @@
-"""What a run file from somebody else may hold: everything in the file itself, and no more than fits into it.
+"""What a run file from somebody else may hold: everything in the file itself, no more than fits into it, and no traps.
 
-HDF5 can name other files of the computer as the content of a dataset, and declare data of any size.
+HDF5 can name other files of the computer as the content of a dataset, and declare data of any size.  Its library does
+not survive every damaged file, and it copies whatever lies in memory beside a chunk that is shorter than it should be.
+So a file is opened here only after a child process has read all of it (docs/decisions/0057).
 """
 
+import math
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import h5py
+import numpy as np
 
+from daq.compute.isolation import BrokenOffError, isolated
 from daq.errors import InputError
 
 DO = "do not trust this file; ask who made it"
-# Bytes of data per byte of file: deflate reaches at most 1032.  More has never been written.
-MOST_EXPANSION = 1100
-FREE_BYTES = 1 << 20  # of a dataset that is not checked against the file's size
+AGAIN = "copy it again from its source, or daq recover its journal"
+# Bytes of data per byte of file.  Half an hour of a mass that never moved has 73, a moving one 3.3.  Half may refuse
+# such a run with all its stages; double lets a file of 3 MB fill 2 GB.
+MOST_EXPANSION = 300
+FREE_BYTES = 1 << 24  # that any file may declare
+SCHEMA, JOINT, JOINT_SCHEMA = "stickslip_schema", "stickslip_joint_fit", 1  # attributes of a run, of /entry/runs
 MOST_OBJECTS = 10_000  # a run file with all its stages has about 200
+FILTERS = (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32)  # in this order
+# CPU time of the check: of small files, and of each byte more.  An hour at 5 kHz (240 MB) takes 8 s.
+SECONDS, SECONDS_PER_BYTE = 8.0, 2e-7
+MEMORY = 1 << 30  # bytes
+DAMAGE = (
+    OSError,
+    RuntimeError,
+    KeyError,
+    ValueError,
+    TypeError,
+    OverflowError,
+)  # what h5py raises for what it cannot read
+
+_done: set[tuple[object, ...]] = set()  # what children of this process have done to which files
 
 
-def check(file: h5py.File, path: Path) -> None:
-    """Refuse a file that leads to other files, or declares more data than it can hold.
-
-    Parameters
-    ----------
-    file : h5py.File
-        Open for reading.
-    path : Path
-        The file, for its size and for the message.
+def opened(path: Path) -> h5py.File:
+    """Open a file for reading, which a child process could read.
 
     Raises
     ------
     InputError
-        An external link, external storage, a virtual dataset, a dataset larger than the file can hold, or more
-        objects than any run has.
+        An external link, external storage, a virtual dataset, a dataset larger than the file can hold, a chunk that is
+        not what it should be, more objects than any run has; or the child crashed, or took too much time or memory.
+    OSError
+        As h5py, for what is no HDF5 file.
     """
-    names: list[bytes] = []
+    check(path, _visit)
+    return h5py.File(path, "r")
 
-    # What these return ends the visit; h5py does not survive an exception in them.
-    def wrong_link(name: bytes, info: h5py.h5l.LinkInfo) -> str | None:
-        names.append(name)
-        if info.type == h5py.h5l.TYPE_EXTERNAL:
-            return f"/{name.decode(errors='replace')} is a link to another file"
-        return f"holds more than {MOST_OBJECTS} objects" if len(names) > MOST_OBJECTS else None
 
-    def wrong_object(name: bytes, info: h5py.h5o.ObjInfo) -> str | None:
-        if info.type != h5py.h5o.TYPE_DATASET:
-            return None
-        here = f"/{name.decode(errors='replace')}"
-        found = h5py.h5o.open(file.id, name)
-        made = found.get_create_plist()
-        if made.get_layout() == h5py.h5d.VIRTUAL or made.get_external_count():
-            return f"{here} reads its data from another file"
-        held = found.get_space().get_simple_extent_npoints() * found.get_type().get_size()
-        return f"{here} declares {held} bytes in a file of {size}" if held > most else None
+@contextmanager
+def damage(path: Path) -> Iterator[None]:
+    """Turn what a damaged file raises from deep inside the HDF5 library into an InputError."""
+    try:
+        yield
+    except DAMAGE as error:
+        raise InputError(f"is damaged: {str(error).splitlines()[0]}", str(path), AGAIN) from error
 
-    size = path.stat().st_size
-    most = max(FREE_BYTES, MOST_EXPANSION * size)
-    # The functions of h5py's low level: a run file has a hundred objects, and each costs a tenth there.
-    what = file.id.links.visit(wrong_link, info=True) or h5py.h5o.visit(file.id, wrong_object, info=True)
-    if what:
-        raise InputError(what, str(path), DO)
+
+def check(path: Path, work: Callable[[Path], bytes]) -> None:
+    """Let a child process do to a file, or to a copy of it, what this process will do; once for each file.
+
+    Raises
+    ------
+    InputError
+        As `opened`, and what ``work`` raises.
+    """
+    found = path.stat()
+    key = (work, found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+    if key in _done:
+        return
+    try:
+        isolated(work, path, SECONDS + SECONDS_PER_BYTE * found.st_size, MEMORY)
+    except BrokenOffError as error:
+        raise InputError(f"is damaged: it {error}", str(path), AGAIN) from error
+    _done.add(key)
+
+
+def _visit(path: Path) -> bytes:
+    """Read everything in a run; InputError for what does not belong into one, or cannot be listed."""
+    with suppress(OSError):  # whoever opens it finds out what it is
+        file = h5py.File(path, "r")
+        with file, damage(path):
+            if is_marked(file):
+                file["entry"].attrs.get("default")
+                _Visit(file, path).everything()
+    return b""
+
+
+def is_marked(file: h5py.File) -> bool:
+    """Return whether a file says that it is a run or a joint fit."""
+    return mark(file) is not None or is_joint(file)
+
+
+def mark(file: h5py.File) -> Any:
+    """Return the schema number that a run states, of whatever type it is; None of every other file."""
+    # On the root it would be found too, and heeded first: that is where a person looks for it.
+    provenance = file.get("entry/provenance")
+    inside = provenance.attrs.get(SCHEMA) if isinstance(provenance, h5py.Group) else None
+    return file.attrs.get(SCHEMA, inside)
+
+
+def is_joint(file: h5py.File) -> bool:
+    """Return whether a file says that it is a joint fit of the schema that this version reads."""
+    runs = file.get("entry/runs")
+    return isinstance(runs, h5py.Group) and bool(np.array_equal(runs.attrs.get(JOINT), JOINT_SCHEMA))
+
+
+class _Visit:
+    """Reads every object of a file, by the functions of h5py's low level: each costs a tenth there."""
+
+    def __init__(self, file: h5py.File, path: Path) -> None:
+        self._file, self._path = file.id, path
+        self._size = path.stat().st_size
+        self._declared = 0
+
+    def everything(self) -> None:
+        """Read it all; InputError as `check`."""
+        self._check_links()
+        names: list[bytes] = []
+        h5py.h5o.visit(self._file, names.append)
+        for name in names:
+            # Of what cannot be read whoever needs it finds out.  Of the attributes none but the marks is ever read.
+            with suppress(*DAMAGE):
+                found = h5py.h5o.open(self._file, name)
+                if isinstance(found, h5py.h5d.DatasetID):
+                    self._read(found, f"/{name.decode(errors='replace')}")
+
+    def _check_links(self) -> None:
+        """Refuse a file that leads to others, or holds more objects than any run."""
+        external: list[bytes] = []
+        seen: list[bytes] = []
+
+        def one(name: bytes, info: h5py.h5l.LinkInfo) -> bool | None:
+            seen.append(name)
+            if info.type == h5py.h5l.TYPE_EXTERNAL:
+                external.append(name)
+            return True if external or len(seen) > MOST_OBJECTS else None
+
+        self._file.links.visit(one, info=True)
+        if external:
+            raise self._refusal(f"/{external[0].decode(errors='replace')} is a link to another file")
+        if len(seen) > MOST_OBJECTS:
+            raise self._refusal(f"holds more than {MOST_OBJECTS} objects")
+
+    def _read(self, dataset: h5py.h5d.DatasetID, place: str) -> None:
+        made, kind = dataset.get_create_plist(), dataset.dtype
+        layout = made.get_layout()
+        if layout == h5py.h5d.VIRTUAL or made.get_external_count():
+            raise self._refusal(f"{place} reads its data from another file")
+        chunk = math.prod(made.get_chunk()) * kind.itemsize if layout == h5py.h5d.CHUNKED else 0
+        held = max(math.prod(dataset.shape) * kind.itemsize, chunk)
+        self._declared += held
+        if self._declared > max(FREE_BYTES, MOST_EXPANSION * self._size):
+            raise self._refusal(f"{place} declares {held} bytes in a file of {self._size}")
+        if chunk and not kind.hasobject:
+            self._check_chunks(dataset, made, chunk, place)
+        else:
+            dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, np.empty(dataset.shape, kind))
+
+    def _check_chunks(self, dataset: h5py.h5d.DatasetID, made: h5py.h5p.PropDCID, whole: int, place: str) -> None:
+        """Refuse a dataset with a chunk that does not hold ``whole`` bytes."""
+        used = [made.get_filter(index)[0] for index in range(made.get_nfilters())]
+        if used != [one for one in FILTERS if one in used]:
+            raise self._refusal(f"{place} is packed in a way that no run is")
+        trailer = 4 if h5py.h5z.FILTER_FLETCHER32 in used else 0
+        offsets: list[tuple[int, ...]] = []
+        dataset.chunk_iter(lambda chunk: offsets.append(chunk.chunk_offset))
+        for offset in offsets:
+            skipped, content = dataset.read_direct_chunk(offset)
+            content = content[: len(content) - trailer]
+            if h5py.h5z.FILTER_DEFLATE in used and not skipped:
+                try:
+                    content = zlib.decompressobj().decompress(content, whole + 1)
+                except zlib.error:
+                    continue  # as a wrong checksum is found by whoever needs it
+            if skipped or len(content) != whole:
+                what = f"is damaged: {place} has a chunk of {len(content)} bytes where {whole} belong"
+                raise InputError(what, str(self._path), AGAIN)
+
+    def _refusal(self, what: str) -> InputError:
+        return InputError(what, str(self._path), DO)

@@ -1,5 +1,6 @@
-"""A run file from somebody else reads nothing but itself, and no more than it can hold."""
+"""A run file from somebody else reads nothing but itself, no more than it can hold, and crashes no program."""
 
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
+from daq.compute import isolation
 from daq.errors import InputError
 from daq.runfile import store
 from daq.runfile.recording import Recording
@@ -51,6 +53,11 @@ def huge(entry: h5py.Group, secret: Path) -> None:
     entry.create_dataset(POSITION, (1 << 40,), "f8", chunks=(1 << 10,), compression="gzip")
 
 
+def many(entry: h5py.Group, secret: Path) -> None:
+    for number in range(100):
+        entry.create_dataset(f"x{number}", (1_000_000,), "f8", chunks=(1 << 10,), compression="gzip")
+
+
 def loop(entry: h5py.Group, secret: Path) -> None:
     entry["tags"] = h5py.SoftLink("/entry")
     entry["raw/again"] = h5py.SoftLink("/entry/raw/again")
@@ -65,6 +72,7 @@ def loop(entry: h5py.Group, secret: Path) -> None:
         (external_storage, "reads its data from another file"),
         (virtual, "reads its data from another file"),
         (huge, "declares 8796093022208 bytes"),
+        (many, "declares 8000000 bytes"),
     ],
 )
 def test_what_leads_out_of_the_file_is_refused(
@@ -81,6 +89,50 @@ def test_what_leads_out_of_the_file_is_refused(
     with pytest.raises(InputError, match=what):
         store.annotate(run, {"title": "x"})
     assert run.read_bytes() == before
+
+
+@pytest.mark.parametrize("start", ["_fork", "_spawn"])
+def test_a_file_that_crashes_the_hdf5_library_is_refused(
+    run: Path, monkeypatch: pytest.MonkeyPatch, start: str
+) -> None:
+    # Every command ended with a segmentation fault.
+    monkeypatch.setattr(isolation, "_fork", getattr(isolation, start))
+    text, nothing = bytes.fromhex("19 01 01 00 10 00 00 00"), bytes.fromhex("19 3e 01 00 10 00 00 00")
+    before = run.read_bytes()
+    assert text in before
+    run.write_bytes(before.replace(text, nothing))
+    with pytest.raises(InputError, match="it crashes the library"):
+        store.load(run)
+    with pytest.raises(InputError, match="it crashes the library"):
+        store.extend(run, "smooth", lambda entry: None)
+
+
+@pytest.mark.parametrize("stored", [zlib.compress(bytes(8)), zlib.compress(bytes(1 << 26)), zlib.compress(b"")])
+def test_a_chunk_of_the_wrong_length_is_refused(run: Path, stored: bytes) -> None:
+    # HDF5 filled up a short one with whatever lay in memory, and unpacked all of a long one.
+    with h5py.File(run, "r+") as file:
+        entry = file["entry"]
+        del entry[POSITION]
+        made = entry.create_dataset(POSITION, (50,), "f8", chunks=(50,), compression="gzip")
+        made.id.write_direct_chunk((0,), stored)
+    with pytest.raises(InputError, match="bytes where 400 belong"):
+        store.load(run)
+
+
+def test_a_damaged_stage_is_reported_and_the_run_is_still_read(run: Path) -> None:
+    # A damaged checksum in a stage was a traceback of `daq.load`'s callers.
+    def smooth(entry: h5py.Group) -> None:
+        made = entry.create_group("smooth")
+        made["parameters/sha256_input"] = "x"
+        made.create_dataset("kinematics/time", data=np.zeros(1000), chunks=(1000,), fletcher32=True)
+
+    store.extend(run, "smooth", smooth)
+    with h5py.File(run) as file:
+        place = file["entry/smooth/kinematics/time"].id.get_chunk_info(0).byte_offset
+    content = bytearray(run.read_bytes())
+    content[place + 100] ^= 1
+    run.write_bytes(content)
+    assert store.load(run).time.size == 50
 
 
 def test_links_within_the_file_hang_nothing(run: Path) -> None:
