@@ -5,17 +5,22 @@ callable from machine code and compiles the entry: no second source, no fast-mat
 is kept in a folder named by a hash of the sources, so that a changed installation never loads stale code.
 """
 
+import gc
 import hashlib
 import inspect
 import os
 import sys
+import time
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from daq.output.lock import FileLock
+
 ANNOUNCEMENT = "compiling numerical kernels, once per installation"
+LONGEST_WAIT_S = 120.0  # for another process that compiles the same kernel; the slowest takes 15 s on an idle core
 
 
 @cache
@@ -55,7 +60,7 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
     finally:
         settings["CACHE_DIR"] = before
     if folder is not None:
-        _keep_if_possible(entry, folder)
+        _compile_in_one_process(entry, folder)
     return entry  # type: ignore[no-any-return]
 
 
@@ -77,20 +82,30 @@ def _load_array_functions() -> None:
 
 @cache
 def _announce_compilation() -> None:
-    """Report on stderr that numba compiles: one line per process, and on a terminal how many functions are done."""
+    """Report on stderr that numba compiles: one line per process, and on a terminal how many functions are done.
+
+    The garbage collector rests meanwhile: nearly all that a compiler makes lives until it is done, and to search it
+    again and again takes a twelfth of the time.
+    """
     from numba.core import event
 
     class Announcer(event.Listener):
         depth = done = 0
+        collecting = True
 
         def on_start(self, _: Any) -> None:
             if self.depth == self.done == 0:
                 sys.stderr.write(ANNOUNCEMENT + ("" if sys.stderr.isatty() else "\n"))
+            if self.depth == 0:
+                self.collecting = gc.isenabled()
+                gc.disable()
             self.depth += 1
 
         def on_end(self, _: Any) -> None:
             self.depth -= 1
             self.done += 1
+            if self.depth == 0 and self.collecting:
+                gc.enable()
             if sys.stderr.isatty():
                 sys.stderr.write(f"\r{ANNOUNCEMENT}: {self.done} functions" + ("\r\x1b[K" if self.depth == 0 else ""))
                 sys.stderr.flush()
@@ -98,17 +113,51 @@ def _announce_compilation() -> None:
     event.register("numba:compile", Announcer())  # type: ignore[no-untyped-call]
 
 
-def _keep_if_possible(entry: Any, folder: Path) -> None:
-    """Make a failed write of machine code cost the next call some seconds, and not this one its result."""
-    save = entry._cache.save_overload  # noqa: SLF001 - numba has no public way to say that a cache is optional
+def _compile_in_one_process(entry: Any, folder: Path) -> None:
+    """Let one process compile an entry, and others that need it meanwhile wait for its machine code.
+
+    A failed write of machine code costs the next call some seconds, and not this one its result.
+    """
+    machine_code = entry._cache  # noqa: SLF001 - numba has no public way to say that a cache is optional or shared
+    load, save = machine_code.load_overload, machine_code.save_overload
+    held: list[FileLock] = []
+
+    def load_or_lock(*what: Any) -> Any:
+        found = load(*what)
+        if found is None and not held:
+            lock = _wait_for_lock(folder / f"{entry.__name__}.lock")
+            if lock is not None:
+                held.append(lock)
+                found = load(*what)  # another process may have kept it while this one waited
+                if found is not None:
+                    held.pop().release()
+        return found
 
     def attempt(*what: Any) -> None:
         try:
             save(*what)
         except OSError as error:
             sys.stderr.write(f"machine code is not kept: {folder}: {error.strerror or error}\n")
+        finally:
+            while held:
+                held.pop().release()
 
-    entry._cache.save_overload = attempt  # noqa: SLF001
+    machine_code.load_overload, machine_code.save_overload = load_or_lock, attempt
+
+
+def _wait_for_lock(path: Path) -> FileLock | None:
+    """Return the lock on a file, which is made; None where there are no locks, or after `LONGEST_WAIT_S`."""
+    end = time.monotonic() + LONGEST_WAIT_S
+    try:
+        path.touch()
+        while time.monotonic() < end:
+            try:
+                return FileLock(path)
+            except BlockingIOError:
+                time.sleep(0.05)
+    except OSError:
+        pass
+    return None
 
 
 @cache
@@ -116,7 +165,7 @@ def register(module: str, **options: Any) -> None:
     """Make every function of a module callable from compiled code, compiled with numba's ``options``."""
     from numba.extending import register_jitable
 
-    make = register_jitable(**options) if options else register_jitable
+    make = register_jitable(no_cfunc_wrapper=True, **options)  # no kernel is handed to C: a wrapper less to compile
     for function in vars(import_module(module)).values():
         if inspect.isfunction(function) and function.__module__ == module:
             make(function)
