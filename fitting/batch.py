@@ -2,6 +2,7 @@
 
 import os
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,7 +14,8 @@ from daq.compute.workers import workers
 from daq.errors import DeviceError, InputError, StickslipError
 from fitting import job
 from fitting.job import FitOptions, FitOutput, LoadedRun
-from fitting.report import page
+from fitting.report import comparison, page
+from fitting.report.comparison import ComparedRun
 
 FAILURES = (errors.EXIT_DATA, errors.EXIT_INPUT, errors.EXIT_DEVICE, errors.EXIT_BUG)
 SEVERITY = (errors.EXIT_DONE, errors.EXIT_UNDECIDED, errors.EXIT_NO_LAW, *FAILURES)  # least first
@@ -108,6 +110,20 @@ def fit(
 def exit_code(rows: Sequence[BatchRow]) -> int:
     """Return the worst failure's code, else 6 when no law describes a run, 5 when a run is undecided, else 0."""
     return max((row.code for row in rows), key=SEVERITY.index, default=errors.EXIT_DONE)
+
+
+def summary(rows: Sequence[BatchRow]) -> str:
+    """Return how many runs were decided, undecided, and so on, in words."""
+    count = Counter(errors.EXIT_BUG if row.failure else row.code for row in rows)
+    without = f"{count[errors.EXIT_NO_LAW]} that no law describes, " if count[errors.EXIT_NO_LAW] else ""
+    undecided = f"{count[errors.EXIT_UNDECIDED]} undecided"
+    return f"{count[errors.EXIT_DONE]} decided, {undecided}, {without}{count[errors.EXIT_BUG]} failed"
+
+
+def compare(rows: Sequence[BatchRow], path: Path, alpha: float, *, force: bool = False) -> None:
+    """Write the page that compares the runs (`fitting.report.comparison`)."""
+    runs = [ComparedRun(row.file, row.document, row.failure.what if row.failure else "") for row in rows]
+    comparison.write(runs, path, alpha, summary(rows), force=force)
 
 
 def _read(

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from daq.console import application, flags
 from daq.console.application import Answer, Json
-from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
+from daq.errors import DataError, InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -99,7 +99,8 @@ def fit(
     speed, rest position and wear are each run's own. Runs at other belt speeds distinguish laws that one run cannot.
     Their fit is written into a file of its own beside the first run, named after it and the number of further runs:
     run1+2.fit.h5 for three runs, with the report run1+2.report.html. The run files stay as they are.
-    With --each every run is fitted by itself: a failed one stops no other, its error stands in its row; exit code 0
+    With --each every run is fitted by itself: a failed one stops no other, its error stands in its row. A page compares
+    verdicts and parameters: run1+2.each.html for three runs. Exit code 0
     when all are decided, 5 when one is undecided, 6 when no law describes one, else that of the worst error.
 
     With --from or --to a part of each run is smoothed by itself and fitted; times are those of the run.  Results and
@@ -116,8 +117,8 @@ def fit(
     from daq.console.units import measured, quantity, time_or_none
     from daq.runfile import joint
     from fitting import batch, job
+    from fitting.report import comparison, table
     from fitting.report import page as pages
-    from fitting.report import table
     from fitting.rig_scene import fitted_scene, scene_file
     from processing.statistics import pooled
 
@@ -138,7 +139,11 @@ def fit(
     if not no_report:
         beside = None if joint_file is None else joint.beside(files, pages.SUFFIX)
         places = pages.report_paths(files, report) if beside is None else [report or beside]
-    _refuse_same([*places, joint_file, csv, curve_csv, save_scene])
+    compared = None
+    if each and len(files) > 1 and not no_report:
+        compared = joint.beside(files, comparison.SUFFIX) if report is None else report.with_stem(f"{report.stem}-each")
+        comparison.refuse_foreign_file(compared, files, force=force)
+    _refuse_same([*places, compared, joint_file, csv, curve_csv, save_scene])
     if csv is not None:
         table.refuse_foreign_file(csv, files, force=force)
     if curve_csv is not None:
@@ -171,8 +176,10 @@ def fit(
             rows = batch.fit(files, places, options, jobs, scheduler, progress, force=force)
         if csv is not None:
             table.write(csv, [(row.file, row.document) for row in rows])
-        data = {"runs": [row.as_json() for row in rows]}
-        return Answer(data, _batch(rows), batch.exit_code(rows))
+        if compared is not None:
+            batch.compare(rows, compared, alpha, force=force)
+        data = {"runs": [row.as_json() for row in rows], "comparison": compared}
+        return Answer(data, _batch(rows, compared), batch.exit_code(rows))
     runs = [job.load_run(path, options) for path in files]
     place = places[0] if places else None
     if place is not None:
@@ -236,8 +243,10 @@ def numbers(text: str, flag: str) -> list[int]:
     return found
 
 
-def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
+def _batch(rows: "Sequence[BatchRow]", compared: Path | None) -> list[Any]:
     """Return the table of a batch: file, set, and the verdict or what went wrong."""
+    from fitting import batch
+
     table = application.table("runs fitted one by one", ("file", "set", "verdict"))
     table.columns[0].overflow = table.columns[2].overflow = "fold"
     table.columns[2].justify, table.columns[2].no_wrap = "left", False
@@ -247,15 +256,10 @@ def _batch(rows: "Sequence[BatchRow]") -> list[Any]:
         members = "-" if failed else ", ".join(map(str, row.document["set"])) or "none"
         verdict = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"]
         table.add_row(str(row.file.absolute().relative_to(common)), members, verdict)
-    decided = sum(row.code == EXIT_DONE for row in rows)
-    failed_runs = sum(row.failure is not None for row in rows)
-    open_runs = sum(row.code == EXIT_UNDECIDED for row in rows)
-    lawless = sum(row.code == EXIT_NO_LAW for row in rows)
     lines: list[Any] = [table]
     for row in rows:
         lines += [f"warning: {row.file.name}: {warning}" for warning in row.document.get("warnings", ())]
-    without = f"{lawless} that no law describes, " if lawless else ""
-    lines.append(f"{len(rows)} runs: {decided} decided, {open_runs} undecided, {without}{failed_runs} failed")
+    lines.append(f"{len(rows)} runs: {batch.summary(rows)}" + (f"; comparison: {compared}" if compared else ""))
     return lines
 
 

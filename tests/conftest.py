@@ -36,9 +36,9 @@ def smoothing_kernels() -> None:
 @pytest.fixture(scope="module")
 def undrawn_reports() -> Iterator[None]:
     """Leave the pictures of reports empty: to draw them costs several times the fit of two laws."""
-    from fitting.report import plot
+    from fitting.report import adequacy_plot, plot
 
-    names = [picture.__name__ for picture in (*plot.PICTURES, plot.break_aways)]
+    names = [picture.__name__ for picture in (*plot.PICTURES, plot.break_aways, adequacy_plot.orbits)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plot, "draw", lambda ranking, counted: dict.fromkeys(names, "<svg></svg>"))
         yield

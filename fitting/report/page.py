@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq.errors import InputError
 from daq.output import atomic
@@ -20,6 +20,9 @@ from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_probability
 from processing.record.kinematics import Kinematics
 from processing.statistics import StickSlipStatistics, pooled
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 SUFFIX = ".report.html"
 NAMED = re.compile("sha256 of the raw record ([0-9a-f]{64})")
@@ -89,6 +92,19 @@ def write(page: str, path: Path, digests: Sequence[str], *, force: bool = False)
         temporary.write_text(page, encoding="utf-8")
 
 
+def template(name: str) -> "Template":
+    """Return a template of this folder; text that is put into it is escaped."""
+    import jinja2
+
+    loader = jinja2.FileSystemLoader(TEMPLATES)
+    return jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined).get_template(name)
+
+
+def now() -> str:
+    """Return date and time for the foot of a page."""
+    return datetime.now().astimezone().isoformat(" ", timespec="minutes")
+
+
 def render(
     ranking: Ranking, motions: Sequence[Kinematics], statistics: Sequence[StickSlipStatistics], alpha: float
 ) -> str:
@@ -102,19 +118,15 @@ def render(
     alpha : float
         1 - confidence level of the intervals.
     """
-    import jinja2
     from markupsafe import Markup
 
     from fitting.report import plot
 
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True, undefined=jinja2.StrictUndefined
-    )
     first = motions[0].recording
     title = first.title or first.source.name
     if ranking.runs:
         title = ", ".join(motion.recording.source.name for motion in motions)
-    return environment.get_template("report.html").render(
+    return template("report.html").render(
         mark=Markup(f'{MARK} {html.escape(VERSION)}">'),
         title=title,
         joint=bool(ranking.runs),
@@ -122,7 +134,7 @@ def render(
             _run(number, side, motion)
             for number, (side, motion) in enumerate(zip(ranking.sides, motions, strict=True), start=1)
         ],
-        now=datetime.now().astimezone().isoformat(timespec="minutes"),
+        now=now(),
         version=VERSION,
         said=ranking.verdict,
         verdict=symbols.pretty(ranking.verdict),

@@ -88,7 +88,9 @@ def test_a_batch_is_a_table_on_the_screen(folder, capsys):
     shown = capsys.readouterr().out
     assert " five.h5     5   law 5 (friction falling hyperbolically)" in shown
     assert " none.h5     -   error: is not an HDF5 file" in shown
-    assert "2 runs: 1 decided, 0 undecided, 1 failed" in shown
+    compared = folder / "five+1.each.html"
+    assert f"2 runs: 1 decided, 0 undecided, 1 failed; comparison: {compared}" in shown
+    assert "error: is not an HDF5 file" in compared.read_text()
 
 
 @pytest.mark.parametrize(

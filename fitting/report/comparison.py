@@ -1,0 +1,165 @@
+"""The comparison of runs that were fitted one by one: a page with their verdicts, and their parameters side by side."""
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.errors import InputError
+from daq.output import atomic
+from daq.version import VERSION
+from fitting.drawing.palette import COLOURS, WIDE
+from fitting.estimation.result import Parameter
+from fitting.report import page, symbols
+from fitting.report.chart import Axes, picture
+from fitting.report.scale import AxisScale
+
+SUFFIX = ".each.html"
+MARK = '<meta name="generator" content="stickslip fit-friction --each'
+SHOWN = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d", "x0", "c/m")  # per unit mass: every run has these
+COLUMNS = 2
+HEAD, PER_RUN = 76.0, 22.0  # px of a panel: its title and labels, and each run
+
+
+@dataclass(frozen=True)
+class ComparedRun:
+    """One run: its file, the document of its fit (empty where it failed), and what went wrong."""
+
+    file: Path
+    document: Mapping[str, Any]
+    problem: str = ""
+
+    @property
+    def law(self) -> int | None:
+        """The best law; None where no law came near, or the fit failed."""
+        rows = self.document.get("ranking")
+        return rows[0]["law"] if rows else None
+
+    @property
+    def decided(self) -> bool:
+        """Whether one law is left that describes the record."""
+        return self.law is not None and len(self.document["set"]) == 1 and all(p.trusted for p in self.parameters())
+
+    def parameters(self, names: Sequence[str] = SHOWN) -> list[Parameter]:
+        """Return those of the best law's parameters that have one of the names, in their order."""
+        found = self._by_name()
+        return [found[name] for name in names if name in found]
+
+    def parameter(self, name: str) -> Parameter | None:
+        """Return a parameter of the best law."""
+        return self._by_name().get(name)
+
+    def _by_name(self) -> dict[str, Parameter]:
+        if self.law is None:
+            return {}
+        return {name: _parameter(item) for name, item in self.document["ranking"][0]["parameters"].items()}
+
+
+def _parameter(item: Mapping[str, Any]) -> Parameter:
+    """Return a parameter from its form in the document; what is withheld there is NaN."""
+    stderr, lo, hi = (math.nan if item[key] is None else item[key] for key in ("stderr", "lo", "hi"))
+    return Parameter(item["value"], stderr, lo, hi, item["unit"], trusted=item["stderr"] is not None)
+
+
+def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
+    """Raise InputError when ``path`` cannot be written, or without ``force`` is no comparison of just these runs."""
+    atomic.refuse_existing(path, force, own=MARK, kind="comparison of runs", flag="--report")
+    if path.exists() and not force and _mark(files) not in path.read_text(encoding="utf-8", errors="replace"):
+        do = "give another name (--report), or --force to replace it"
+        raise InputError("exists and is the comparison of other runs", str(path), do)
+
+
+def _mark(files: Sequence[Path]) -> str:
+    """Return the head lines by which the page of these runs is known again."""
+    names = html.escape(", ".join(file.name for file in files))
+    return f'{MARK} {html.escape(VERSION)}">\n<meta name="runs" content="{names}">'
+
+
+def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *, force: bool = False) -> None:
+    """Write the comparison; an older one of the same runs is replaced.
+
+    Parameters
+    ----------
+    runs : sequence of ComparedRun
+        In the order in which they are shown.
+    path : Path
+    alpha : float
+        1 - confidence level of the intervals.
+    summary : str
+        How many were decided, undecided and so on.
+    force : bool
+
+    Raises
+    ------
+    InputError
+        When ``path`` holds something else.
+    RefusedError
+        The disk refuses; an older page still stands.
+    """
+    refuse_foreign_file(path, [run.file for run in runs], force=force)
+    text = render(runs, alpha, summary)
+    with atomic.replacing(path, force=True) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
+    """Return the page as HTML."""
+    from markupsafe import Markup
+
+    names = [name for name in SHOWN if any(run.parameter(name) for run in runs)]
+    units = {name: next(found.unit for run in runs if (found := run.parameter(name))) for name in names}
+    return page.template("comparison.html").render(
+        mark=Markup(_mark([run.file for run in runs])),
+        rows=[_row(number, run, names) for number, run in enumerate(runs, start=1)],
+        names=[f"{name} ({symbols.pretty(units[name])})" for name in names],
+        picture=Markup(draw(runs, names, units)) if names else "",
+        symbols=[(symbol, text) for symbol, text in symbols.symbols(names)],
+        summary=summary,
+        confidence=f"{100 * (1 - alpha):g} %",
+        version=VERSION,
+        now=page.now(),
+    )
+
+
+def _row(number: int, run: ComparedRun, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "number": number,
+        "file": run.file.name,
+        "laws": ", ".join(map(str, run.document.get("set", ()))) or "–",
+        "verdict": symbols.pretty(run.document["verdict"]) if run.document else f"error: {run.problem}",
+        "colour": COLOURS[run.law] if run.law is not None else "",
+        "parameters": [_value(run.parameter(name)) for name in names] if run.law is not None else [],
+    }
+
+
+def _value(item: Parameter | None) -> tuple[str, str]:
+    if item is None:
+        return "–", ""
+    value, _, interval, _ = page.format_interval(item)
+    return value, interval
+
+
+def draw(runs: Sequence[ComparedRun], names: Sequence[str], units: Mapping[str, str]) -> str:
+    """Draw a panel for each parameter: a line of each run, with its value and interval."""
+    rows = tuple(f"run {number}" for number in range(len(runs), 0, -1))
+    down = AxisScale(-0.6, len(runs) - 0.4, names=rows)
+    width, height = WIDE / COLUMNS, HEAD + PER_RUN * len(runs)
+    drawn = []
+    for place, name in enumerate(names):
+        shown = [(len(runs) - 1 - k, run, found) for k, run in enumerate(runs) if (found := run.parameter(name))]
+        ends = np.array([[item.value, item.lo, item.hi] for _, _, item in shown])
+        line, column = divmod(place, COLUMNS)
+        axes = Axes(column * width, line * height, width, height, AxisScale.around(ends), down, rows=0)
+        axes.title = name
+        axes.xlabel = f"{name} ({symbols.pretty(units[name])})"
+        for y, run, item in shown:
+            colour = COLOURS[run.law or 1]
+            axes.line(np.array([item.lo, item.hi]), np.full(2, float(y)), colour, width=2.2)
+            sign = "o" if run.decided else "c"
+            axes.marks(np.array([item.value]), np.array([float(y)]), colour, sign=sign, size=3.6)
+        drawn.append(axes)
+    return picture("comparison", WIDE, height * -(-len(names) // COLUMNS), drawn)

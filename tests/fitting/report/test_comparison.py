@@ -1,0 +1,59 @@
+"""The comparison of runs fitted one by one: each has its verdict, and its intervals unless they are withheld."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from daq.errors import InputError
+from fitting.report import comparison
+from fitting.report.comparison import ComparedRun
+from fitting.report.symbols import pretty
+
+
+@pytest.fixture(scope="module")
+def runs(ranked):
+    five, three = (ranked(law=law).as_json() for law in (5, 3))
+    lawless = ranked(law=5).as_json() | {"verdict": "none of the six laws describes this record"}
+    best = lawless["ranking"][0]
+    withheld = {name: item | dict.fromkeys(("stderr", "lo", "hi")) for name, item in best["parameters"].items()}
+    lawless["ranking"] = [best | {"parameters": withheld}]
+    unlike = ranked(law=5).as_json() | {"verdict": "no law comes near", "ranking": [], "set": []}
+    documents = [five, three, lawless, unlike]
+    found = [ComparedRun(Path(f"{number}.h5"), document) for number, document in enumerate(documents)]
+    return [*found, ComparedRun(Path("<i>bad.h5"), {}, "no such file")]
+
+
+def test_every_run_is_there_with_its_verdict_or_what_went_wrong(runs):
+    page = comparison.render(runs, 0.05, "2 decided")
+    for run in runs[:4]:
+        assert pretty(run.document["verdict"]) in page
+    assert "error: no such file" in page
+    assert "&lt;i&gt;bad.h5" in page
+    assert "<i>bad" not in page
+    assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!#|data:)""", page)
+
+
+def test_the_intervals_are_drawn_and_printed_where_they_are_not_withheld(runs):
+    page = comparison.render(runs, 0.05, "")
+    panels = re.split("<clipPath", page)[1:]
+    assert len(panels) == 7  # k/m, Fs/m, v_dr, gamma, G_slip/m, x0, c/m; no law here has a ramp
+    gamma = next(panel for panel in panels if ">gamma</text>" in panel)
+    assert gamma.count('stroke-width="2.2"') == 2  # of law 5; one of them is withheld and has no line
+    assert len(re.findall('stroke-width="2.2" stroke-linejoin="round" d="M', gamma)) == 1
+    best = runs[0].document["ranking"][0]["parameters"]["gamma"]
+    assert f"{best['lo']:.3f} … {best['hi']:.3f}" in page
+    assert page.count("withheld") > 4
+
+
+def test_a_page_of_other_runs_is_not_replaced(tmp_path, runs):
+    path = tmp_path / "0+1.each.html"
+    comparison.write(runs[:2], path, 0.05, "")
+    comparison.write(runs[:2], path, 0.05, "again")
+    assert "again" in path.read_text()
+    with pytest.raises(InputError, match="other runs"):
+        comparison.write(runs[:3], path, 0.05, "")
+    comparison.write(runs[:3], path, 0.05, "", force=True)
+    path.write_text("mine")
+    with pytest.raises(InputError, match="no comparison"):
+        comparison.refuse_foreign_file(path, [run.file for run in runs[:3]])
