@@ -48,11 +48,15 @@ class FitOptions:
 
 @dataclass(frozen=True, eq=False)
 class LoadedRun:
-    """A run as it was read: smoothed already, where its file holds that stage; with the calibration to use."""
+    """A run as it was read: smoothed already, where its file holds that stage; with the calibration to use.
+
+    ``stage`` is the digest of the smoothed stage that its file held (`processing.stage.digest`).
+    """
 
     recording: Recording
     kinematics: Kinematics | None
     rig: Rig
+    stage: str
 
     @property
     def named(self) -> FittedRun:
@@ -63,11 +67,15 @@ class LoadedRun:
 
 @dataclass(frozen=True, eq=False)
 class FitOutput:
-    """A ranking, the statistics of each run's stick-slip, which runs they are, and the page, where one is wanted."""
+    """A ranking, the statistics of each run's stick-slip, which runs they are, and the page, where one is wanted.
+
+    ``stages`` are the digests of the smoothed stages beside which the runs were read.
+    """
 
     ranking: Ranking
     statistics: tuple[StickSlipStatistics, ...]
     runs: tuple[FittedRun, ...]
+    stages: tuple[str, ...]
     page: str | None
 
     def as_json(self) -> dict[str, Any]:
@@ -81,12 +89,18 @@ class FitOutput:
         return document
 
     def save(self, place: Path | None, *, force: bool = False) -> None:
-        """Write the results into the run file, of several runs into one beside the first; the report to ``place``."""
+        """Write the results into the run file, of several runs into one beside the first; the report to ``place``.
+
+        Raises
+        ------
+        InputError
+            The run was recorded or smoothed anew while it was fitted.
+        """
         files = [run.file for run in self.runs]
         if len(files) > 1:
             store.save_joint(self.ranking, self.runs, joint.beside(files), force=force)
         else:
-            store.save(self.ranking, *files)
+            store.save(self.ranking, files[0], self.runs[0].digest, self.stages[0])
         if place is not None and self.page is not None:
             report.write(self.page, place, [run.digest for run in self.runs], force=force)
 
@@ -107,9 +121,11 @@ def load_run(path: Path, options: FitOptions) -> LoadedRun:
         For a file that is no run, a calibration that cannot be, or times between which the run has no samples.
     """
     own = runfile.between(path, options.begin, options.end)
+    with runfile.opened(path) as file:
+        beside = stage.digest(file["entry"])  # before the rest: what replaces it later is another one
     kinematics = stage.load(path) if own == EVERY else None  # of a part, the smoothing is its own
     recording = runfile.load(path, own) if kinematics is None else kinematics.recording
-    return LoadedRun(recording, kinematics, _rig(recording.rig, options))
+    return LoadedRun(recording, kinematics, _rig(recording.rig, options), beside)
 
 
 def fit_runs(
@@ -148,7 +164,8 @@ def fit_runs(
         error.add_result(document, together.sentences(motions[0].unit))
         raise
     page = report.render(ranking, motions, counted, options.alpha) if options.report else None
-    return FitOutput(ranking, counted, tuple(run.named for run in runs), page)
+    stages = tuple(run.stage for run in runs)
+    return FitOutput(ranking, counted, tuple(run.named for run in runs), stages, page)
 
 
 def _rig(rig: Rig, options: FitOptions) -> Rig:

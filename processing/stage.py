@@ -19,6 +19,7 @@
                                   of break_aways, as break_away_mean (absent with fewer than three slips)
 """
 
+import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping
 from operator import attrgetter
@@ -44,6 +45,7 @@ DERIVATIVES = {"position": "", "velocity": "/s", "acceleration": "/s^2"}
 EVENTS = {"stick_s": "stick_time", "slip_s": "slip_time", "drop_m": "drop", "break_away_m": "break_away"}
 PART = ("first_sample", "last_sample")  # parameters of a stage that holds a part of the run
 COUNTS = ("sticks", "slips", "spikes", "frozen")
+HASHED_AT_A_TIME = 1 << 20  # values, 8 MB
 ADDED = ("start_errors", "end_errors", "size")  # columns that the first stages did not have
 Column = tuple[Callable[[Any], float], type, str]  # of a row its value, the type and the units, {unit} for a length's
 TABLES: dict[str, tuple[str, str, str, dict[str, Column]]] = {  # title, axis, signal, columns
@@ -195,6 +197,17 @@ def _write_statistics(smooth: h5py.Group, counted: StickSlipStatistics, unit: st
         columns = {EVENTS[name]: (counted.column(name), "s" if name.endswith("_s") else unit) for name in EVENTS}
         columns["time"] = (counted.column("t"), "s")
         nexus.table(smooth, "break_aways", columns, axis="time", signal="break_away", title="break-aways")
+
+
+def digest(entry: h5py.Group) -> str:
+    """Return the sha256 of the smoothed velocity in a run's /entry; "" where it holds no stage."""
+    velocity = entry.get("smooth/kinematics/velocity")
+    if not isinstance(velocity, h5py.Dataset):
+        return ""
+    sha = hashlib.sha256()
+    for first in range(0, velocity.size, HASHED_AT_A_TIME):
+        sha.update(np.ascontiguousarray(velocity[first : first + HASHED_AT_A_TIME], "<f8").tobytes())
+    return sha.hexdigest()
 
 
 def load(path: Path) -> Kinematics | None:

@@ -1,6 +1,7 @@
 """`daq record`, `daq recover`, `daq ports`."""
 
 import contextlib
+import os
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
@@ -162,18 +163,18 @@ def _stop_on_signal() -> Iterator["StopRequest"]:
     of what it runs in the background.
     """
     from daq.recorder.record import StopRequest
+    from daq.runfile import journal
 
     stop = StopRequest()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
+        # It may interrupt itself, and whatever is being printed or locked.
+        if not stop.ask(journal.STOPPED if number == signal.SIGINT else signal.Signals(number).name):
             if number == signal.SIGINT:
                 raise KeyboardInterrupt
             return  # a terminal that closes may send it twice
-        if number != signal.SIGINT:
-            stop.reason = signal.Signals(number).name
-        stop.set()
-        application.note("stopping, the data are kept; Ctrl-C again leaves at once")
+        with contextlib.suppress(OSError):
+            os.write(2, b"stopping, the data are kept; Ctrl-C again leaves at once\n")
 
     numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
     heeded = [number for number in numbers if signal.getsignal(number) != signal.SIG_IGN]

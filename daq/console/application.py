@@ -15,6 +15,7 @@ import io
 import json
 import math
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -205,6 +206,7 @@ def main(app: cyclopts.App) -> NoReturn:
     _open_standard_streams()
     gc.set_threshold(GARBAGE)
     code = run(app, sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done, and a traceback of the way out would say otherwise
     gc.freeze()  # the interpreter does not search what is left on its way out
     sys.exit(code)
 

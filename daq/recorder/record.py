@@ -39,21 +39,31 @@ LEAVE_S = 3.0  # how long a leaving recorder waits for its reader
 
 
 class RecordingInterruptedError(StickslipError):
-    """Interrupted a second time: the journal is left as it is."""
+    """Interrupted a second time, and the journal is left as it is; or before there was anything to keep."""
 
     exit_code = EXIT_INTERRUPTED
 
 
 class StopRequest(threading.Event):
-    """Ends a recording when it is set; ``reason`` goes into the journal.
+    """Ends a recording when it is set.
 
     Attributes
     ----------
     reason : str
-        "stopped" for a person who has enough, else the name of the signal.
+        For the journal: "stopped" for a person who has enough, else the name of the signal.
     """
 
     reason = journal.STOPPED
+    _asked = False
+
+    def ask(self, reason: str) -> bool:
+        """Set it, from a signal handler that another one may interrupt; return whether this is the first time."""
+        if self._asked:
+            return False
+        self._asked = True
+        self.reason = reason
+        self.set()
+        return True
 
 
 def check_request(request: RecordRequest) -> None:
@@ -120,10 +130,15 @@ def record(
     DataError
         Not one sample came.
     RecordingInterruptedError
-        KeyboardInterrupt came, and the journal stays.
+        KeyboardInterrupt came, and the journal stays; or ``stop`` was set before the first sample came, and nothing
+        is left behind.
     """
     check_request(request)
     board, identity, plan, warnings = _connect(request)
+    stop = stop or threading.Event()
+    if stop.is_set():
+        board.close()
+        raise RecordingInterruptedError("interrupted before the recording began", request.port, "record again")
     say(f"{identity.ident.name or 'a board'} on {request.port}, decoder {identity.ident.decoder}")
     try:
         samples = _samples(request, plan.rate_hz)
@@ -149,7 +164,7 @@ def record(
             writer,
             place,
             lambda reached: progress(min(reached, samples) / plan.rate_hz),
-            stop or threading.Event(),
+            stop,
         )
         if reader.failure is not None:
             if not reader.heard:
@@ -171,6 +186,9 @@ def record(
             do = f"check --baud and --protocol; the bytes are kept in {writer.path}"
             raise DataError(what, request.port, do) from error
         writer.remove()  # it is empty, and would block the next recording
+        if stop.is_set():
+            what = "interrupted before the first sample came"
+            raise RecordingInterruptedError(what, request.port, "record again") from error
         raise DataError(f"not one sample came{why}", request.port, "check the board, then record again") from error
     finally:
         writer.abandon()

@@ -6,7 +6,8 @@ what differs between the runs stand once for each: cycles_run1 ..., parameters_r
 ::
 
     fit               NXprocess   @default=ranking; program, version, date, sequence_index
-      parameters      NXparameters  verdict, adequacy, warnings, cpu_time; begin and end of what was fitted
+      parameters      NXparameters  verdict, adequacy, warnings, cpu_time; begin and end of what was fitted;
+                                    sha256_smooth: of the velocity in the smoothed stage beside it
       ranking         NXdata      one row a law: score, weight, in_set, rms, cycles, orbit_distance; law_name beside it
       cycles          NXdata      one row a break-away: t, static_level, kinetic_scale
     fit_law1 ...      NXprocess   @default=friction_curve
@@ -21,24 +22,48 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from daq.errors import InputError
 from daq.runfile import joint, nexus, store
 from fitting.drawing.curves import curve, speeds_of_all, unit
 from fitting.estimation.derived import RUNS_OWN
 from fitting.estimation.result import Parameter
 from fitting.report.symbols import formula
 from fitting.selection.result import LawResult, Ranking
+from processing import stage as smoothed_stage
 
 
-def save(ranking: Ranking, path: Path) -> None:
+def save(ranking: Ranking, path: Path, record: str, smoothed: str) -> None:
     """Write the stage into the run file, replacing an earlier one.
+
+    Parameters
+    ----------
+    ranking : Ranking
+        The fit.
+    path : Path
+        The run file.
+    record, smoothed : str
+        The sha256 of the raw data and of the smoothed stage (`processing.stage.digest`) that the file held when it
+        was read.
 
     Raises
     ------
     InputError
-        For a file that is no run.
+        For a file that is no run, or one that was recorded or smoothed anew meanwhile.
     """
     names = ["fit", *(f"fit_law{law}" for law in range(1, 7))]
-    store.extend(path, names, lambda entry: _write(entry, ranking), default="fit")
+
+    def write(entry: h5py.Group) -> None:
+        raw = nexus.read_text(entry, "provenance/sha256_raw", path) if "provenance/sha256_raw" in entry else ""
+        found = raw, smoothed_stage.digest(entry)
+        for now, before, done in zip(found, (record, smoothed), ("recorded", "smoothed"), strict=True):
+            if now != before:
+                what = f"it was {done} anew while it was fitted; the fit was not stored"
+                raise InputError(what, str(path), f"run: fit-friction {path.name}")
+        _write(entry, ranking)
+        if smoothed:
+            nexus.field(entry["fit/parameters"], "sha256_smooth", smoothed)
+
+    store.extend(path, names, write, default="fit")
 
 
 def save_joint(ranking: Ranking, runs: Sequence[joint.FittedRun], path: Path, *, force: bool = False) -> None:

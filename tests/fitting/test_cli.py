@@ -13,8 +13,10 @@ from daq.console import application
 from daq.errors import InputError
 from daq.runfile import store
 from daq.runfile.recording import Recording
-from fitting import cli
+from fitting import cli, job
 from fitting.report import table
+from processing import stage
+from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
 
@@ -74,6 +76,27 @@ def test_results_stand_beside_untouched_raw_data(fitted, run):
         assert "fit_law6" not in entry
         value = "entry/instrument/encoder/value_log/value"
         assert (file[value][:] == before[value][:]).all()
+
+
+@pytest.mark.parametrize(("meanwhile", "what"), [("smoothed", "smoothed anew"), ("recorded", "recorded anew")])
+def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp_path, synthetic, meanwhile, what):
+    # A fit used to stand beside a smoothed motion, or even a recording, that it was not made from.
+    path = tmp_path / "run.h5"
+    shutil.copy(run, path)
+    done = job.fit_runs([job.load_run(path, job.FitOptions())], job.FitOptions(laws=(5,), report=False))
+    done.save(None)
+    if meanwhile == "smoothed":
+        stage.save(smooth(store.load(path), method="sg"), path)
+    else:
+        store.write(path, synthetic.recording(law=5, duration=10.0, seed=2), force=True)
+    before = path.read_bytes()
+    with pytest.raises(InputError, match=what):
+        done.save(None)
+    assert path.read_bytes() == before
+    if meanwhile == "smoothed":
+        cli.fit(path, laws="5", no_report=True)
+        with h5py.File(path) as file:
+            assert file["entry/fit/parameters/sha256_smooth"].asstr()[()] == stage.digest(file["entry"])
 
 
 def test_the_report_goes_beside_the_run(fitted):

@@ -74,6 +74,8 @@ class Campaign:
 # The order is that of the table in docs/reliability.md.
 CAMPAIGNS: dict[str, Campaign] = {
     "crash": Campaign("crash", "kill points per command", short=3, full=120),
+    "disk": Campaign("disk", "refusals", short=30, full=700),
+    "signals": Campaign("signals", "signals", short=12, full=600),
     "security": Campaign("security", "rounds", short=1, full=1),
 }
 

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 
 import daq
-from daq.errors import EXIT_DATA
 
 from ..contract.conftest import FakeFrames
 from . import campaign, tasks
 from .campaign import Result, Size
-from .forked import KILL, WRITE, Ended, Server
-from .tasks import TASKS, Contents, Task
+from .forked import KILL, WRITE, Server
+from .tasks import TASKS
 
 RECORDED_S = 100  # a recording that is killed never lasts so long
 KILLED_AFTER_S = (0.1, 2.5)  # the journal is synced once a second
@@ -57,13 +56,8 @@ def chosen(calls: tuple[int, ...], amount: int) -> list[int]:
     others = [k for k, kind in enumerate(calls, start=1) if kind != WRITE]
     writes = [k for k, kind in enumerate(calls, start=1) if kind == WRITE]
     if amount < len(others):
-        others = _spread(others, amount)
-    return sorted(others + _spread(writes, max(amount - len(others), amount // 3)))
-
-
-def _spread(values: list[int], amount: int) -> list[int]:
-    at = np.unique(np.linspace(0, len(values) - 1, min(amount, len(values))).round().astype(int))
-    return [values[k] for k in at]
+        others = tasks.spread(others, amount)
+    return sorted(others + tasks.spread(writes, max(amount - len(others), amount // 3)))
 
 
 def _kill_at_calls(server: Server, name: str, sources: Path, folder: Path, amount: int) -> tuple[int, int, list[str]]:
@@ -82,83 +76,18 @@ def _kill_at_calls(server: Server, name: str, sources: Path, folder: Path, amoun
         task.begin(sources, folder)
         killed = server.run(list(task.line), folder, at=at, action=KILL)
         where = f"{' '.join(task.line)}, killed before call {at} ({killed.name})"
-        faults += [f"{where}: {what}" for what in _left(killed, task, folder, before, after)]
-        following, samples = _follow(server, task, folder, after)
+        if killed.code != -signal.SIGKILL:
+            faults.append(f"{where}: ended with {killed.code}: {killed.err}")
+        faults += [f"{where}: {what}" for what in tasks.spoiled(task, folder, before, after)]
+        following, samples = tasks.follow(server, task, folder, after)
         faults += [f"{where}, then {what}" for what in following]
-        now = tasks.contents(folder)
-        faults += [f"{where}: after the next command: {what}" for what in _differences(now, after, name == "record")]
+        wrong = tasks.differences(tasks.contents(folder), after, name == "record")
+        faults += [f"{where}: after the next command: {what}" for what in wrong]
         if samples is not None:
             if samples < recovered:
                 faults.append(f"{where}: {samples} samples, {recovered} of a shorter journal")
             recovered = samples
     return len(points), len(whole.calls), faults
-
-
-def _left(killed: Ended, task: Task, folder: Path, before: Contents, after: Contents) -> list[str]:
-    """Return what is wrong with the files that a killed command left: each must be as before or as after."""
-    found = [] if killed.code == -signal.SIGKILL else [f"ended with {killed.code}: {killed.err}"]
-    for path in folder.iterdir():
-        if path.name.endswith((".partial", ".part")):
-            continue  # `_follow` shows what they are good for
-        try:
-            held = tasks.content(path)
-        except OSError as error:
-            found.append(f"half a file {path.name}: {error}")
-            continue
-        if task.line[1] == "record" and _is_run(path):
-            continue  # a recording is never the same twice; `_differences` looks at its samples
-        if held not in (before.get(path.name), after.get(path.name)):
-            found.append(f"{path.name} is neither as before nor as after")
-    gone = [name for name in before if not (folder / name).exists()]
-    done = all((folder / name).exists() for name in task.makes)
-    return found + [f"{name} is gone" for name in gone if name not in task.consumes or not done]
-
-
-def _is_run(path: Path) -> bool:
-    return daq.load(path).time.size > 0
-
-
-def _follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[list[str], int | None]:
-    """Do what a person would do next; return what is wrong with that, and the samples of a journal that was left."""
-    part, run = folder / "new.h5.part", folder / "new.h5"
-    if part.exists():
-        line = ["daq", "recover", part.name]
-        ended = server.run(line, folder)
-        if ended.code == 0:
-            return [], daq.load(run).time.size
-        if "delete it and record again" not in ended.err:
-            return [f"{' '.join(line)} ended with {ended.code}: {ended.err}"], None
-        if ended.code == EXIT_DATA:  # the board had not sent a sample
-            part.unlink()
-    elif all((folder / name).exists() for name in task.makes) and (
-        task.line[1] == "record" or _holds(folder, task.leaves, after)
-    ):
-        return [], None  # it has done its work
-    ended = server.run(list(task.line), folder)
-    if ended.code != task.ends or ended.traceback or ended.hung:
-        return [f"{' '.join(task.line)} ended with {ended.code}: {ended.err}"], None
-    return [], None
-
-
-def _holds(folder: Path, names: set[str], after: Contents) -> bool:
-    return all((folder / name).exists() and tasks.content(folder / name) == after[name] for name in names)
-
-
-def _differences(now: Contents, after: Contents, recording: bool) -> list[str]:
-    """Return how a folder differs from that of a command that was not killed."""
-    found = [f"{name} is left over" for name in now if name not in after]
-    found += [f"{name} is missing" for name in after if name not in now]
-    if recording:
-        return found + _shortened(now.get("new.h5"), after["new.h5"])
-    return found + [f"{name} differs" for name in after if name in now and now[name] != after[name]]
-
-
-def _shortened(now: object, after: object) -> list[str]:
-    """Return whether a recording's counts are not the beginning of the undisturbed one's."""
-    counts = "entry/raw/count_up"
-    if isinstance(now, dict) and isinstance(after, dict) and not after[counts].startswith(now[counts]):
-        return ["its counts are not the beginning of the undisturbed run's"]
-    return []
 
 
 def _kill_recordings(server: Server, folder: Path, size: Size) -> tuple[list[float], list[str]]:

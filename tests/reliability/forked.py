@@ -30,7 +30,7 @@ HANGS_S = 60.0  # no command here takes 5 s of its own; the computer may be busy
 # Kinds of calls and what happens at one: the values of preload.c.
 WRITE, TRUNCATE, CREATE, RENAME, UNLINK, SYNC, CHMOD = (1 << bit for bit in range(7))
 EVERY = 127
-COUNT, KILL, REFUSE_ONE, REFUSE_ALL, FOLDER_RENAMED, FOLDER_REMOVED, FOLDER_EMPTIED = range(7)
+COUNT, KILL, REFUSE_ONE, REFUSE_ALL, FOLDER_RENAMED, FOLDER_REMOVED, FOLDER_EMPTIED, SEND = range(8)
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Server:
         watched : Path
             The folder whose calls count, by default ``cwd``.
         kinds, at, action, error : int
-            Which calls count; from which one on (from 1) what happens; the errno.
+            Which calls count; from which one on (from 1) what happens; the errno, or the signal of SEND.
         send : list of (float, int)
             Signals to send: seconds after the fork, number.
         """

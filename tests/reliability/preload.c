@@ -24,7 +24,7 @@
 #include <unistd.h>
 
 enum { WRITE = 1, TRUNCATE = 2, CREATE = 4, RENAME = 8, UNLINK = 16, SYNC = 32, CHMOD = 64 };
-enum { COUNT = 0, KILL = 1, REFUSE_ONE = 2, REFUSE_ALL = 3, FOLDER_RENAMED = 4, FOLDER_REMOVED = 5, FOLDER_EMPTIED = 6 };
+enum { COUNT = 0, KILL = 1, REFUSE_ONE = 2, REFUSE_ALL = 3, FOLDER_RENAMED = 4, FOLDER_REMOVED = 5, FOLDER_EMPTIED = 6, SEND = 7 };
 
 #define SYNCS 4096
 #define LOGGED 65536
@@ -95,6 +95,9 @@ static int judge(int kind, const char *what, const char *path) {
     case KILL:
       syscall(SYS_kill, getpid(), SIGKILL);
       for (;;) pause();
+    case SEND:
+      if (n == s->at) syscall(SYS_kill, getpid(), s->error);
+      return 0;
     case REFUSE_ONE: return n == s->at ? (int)s->error : 0;
     case REFUSE_ALL: return (int)s->error;
     case FOLDER_RENAMED: case FOLDER_REMOVED: case FOLDER_EMPTIED:

@@ -4,12 +4,18 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import h5py
+import numpy as np
 
-from .forked import Server
+import daq
+from daq.errors import EXIT_DATA
+
+from .forked import KILL, RENAME, Server
 
 CYCLES_S = "9"  # as short a run as the laws can be ranked on
+SAMPLES = 2000  # of a recording that is broken off, at 1 kHz
 UNTIMED = ("cpu_time", "date")  # of a stage: not the same twice
 
 
@@ -75,8 +81,6 @@ def prepare(server: Server, folder: Path) -> None:
     server.warm(["process", "smooth", "warm.h5"], folder)
     server.warm(["fit-friction", "warm.h5", "--laws", "5"], folder)
     server.warm(["daq", "import", "table.csv", "-o", "table.h5"], folder)
-    from .forked import KILL, RENAME
-
     server.run(["daq", "record", "--duration", "2", "-o", "new.h5"], folder, kinds=RENAME, at=1, action=KILL)
     for left in folder.glob(".*.partial"):
         left.unlink()
@@ -110,9 +114,83 @@ def content(path: Path) -> dict[str, bytes] | bytes:
     return found
 
 
+Item = TypeVar("Item")
 Contents = dict[str, "dict[str, bytes] | bytes"]
 
 
 def contents(folder: Path, read: Callable[[Path], dict[str, bytes] | bytes] = content) -> Contents:
     """Return what every file of a folder holds, by name."""
     return {path.name: read(path) for path in sorted(folder.iterdir())}
+
+
+def spoiled(task: Task, folder: Path, before: Contents, after: Contents) -> list[str]:
+    """Return what is wrong with the files that a broken-off command left: each must be as before or as after."""
+    found = []
+    for path in folder.iterdir():
+        if path.name.endswith((".partial", ".part")):
+            continue  # `follow` shows what they are good for
+        try:
+            held = content(path)
+        except OSError as error:
+            found.append(f"half a file {path.name}: {error}")
+            continue
+        if task.line[1] == "record" and _is_run(path):
+            continue  # a recording is never the same twice; `differences` looks at its samples
+        if held not in (before.get(path.name), after.get(path.name)):
+            found.append(f"{path.name} is neither as before nor as after")
+    gone = [name for name in before if not (folder / name).exists()]
+    done = all((folder / name).exists() for name in task.makes)
+    return found + [f"{name} is gone" for name in gone if name not in task.consumes or not done]
+
+
+def _is_run(path: Path) -> bool:
+    return daq.load(path).time.size > 0
+
+
+def follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[list[str], int | None]:
+    """Do what a person would do next; return what is wrong with that, and the samples of a journal that was left."""
+    part, run = folder / "new.h5.part", folder / "new.h5"
+    if part.exists():
+        line = ["daq", "recover", part.name]
+        ended = server.run(line, folder)
+        if ended.code == 0:
+            return [], daq.load(run).time.size
+        if "delete it and record again" not in ended.err:
+            return [f"{' '.join(line)} ended with {ended.code}: {ended.err}"], None
+        if ended.code == EXIT_DATA:  # the board had not sent a sample
+            part.unlink()
+    elif all((folder / name).exists() for name in task.makes) and (
+        task.line[1] == "record" or _holds(folder, task.leaves, after)
+    ):
+        return [], None  # it has done its work
+    ended = server.run(list(task.line), folder)
+    if ended.code != task.ends or ended.traceback or ended.hung:
+        return [f"{' '.join(task.line)} ended with {ended.code}: {ended.err}"], None
+    return [], None
+
+
+def _holds(folder: Path, names: set[str], after: Contents) -> bool:
+    return all((folder / name).exists() and content(folder / name) == after[name] for name in names)
+
+
+def differences(now: Contents, after: Contents, recording: bool) -> list[str]:
+    """Return how a folder differs from that of a command that was not killed."""
+    found = [f"{name} is left over" for name in now if name not in after]
+    found += [f"{name} is missing" for name in after if name not in now]
+    if recording:
+        return found + _shortened(now.get("new.h5"), after["new.h5"])
+    return found + [f"{name} differs" for name in after if name in now and now[name] != after[name]]
+
+
+def _shortened(now: object, after: object) -> list[str]:
+    """Return whether a recording's counts are not the beginning of the undisturbed one's."""
+    counts = "entry/raw/count_up"
+    if isinstance(now, dict) and isinstance(after, dict) and not after[counts].startswith(now[counts]):
+        return ["its counts are not the beginning of the undisturbed run's"]
+    return []
+
+
+def spread(values: list[Item], amount: int) -> list[Item]:
+    """Return so many of the values, evenly, with the first and the last."""
+    at = np.unique(np.linspace(0, len(values) - 1, min(amount, len(values))).round().astype(int))
+    return [values[k] for k in at]

@@ -1,0 +1,168 @@
+"""A disk that refuses, and a folder that goes away, at every stage of every command."""
+
+import errno
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import daq
+from daq.errors import EXIT_DEVICE, EXIT_INPUT
+
+from . import campaign, forked, tasks
+from .campaign import Result, Size
+from .forked import CREATE, EVERY, SYNC, TRUNCATE, WRITE, Ended, Server
+from .tasks import TASKS, Contents, Task
+
+BEFORE_THE_RUN = 6  # calls of a recording before it has started the board: the journal with its header, synced
+
+
+@dataclass(frozen=True)
+class Disk:
+    """What a disk refuses: which calls, with which errno, from one call on or at that one alone."""
+
+    kinds: int
+    error: int
+    action: int = forked.REFUSE_ALL
+
+
+DISKS = {
+    "full": Disk(WRITE | TRUNCATE | CREATE, errno.ENOSPC),
+    "no inodes": Disk(CREATE, errno.ENOSPC),
+    "over quota": Disk(WRITE | TRUNCATE | CREATE, errno.EDQUOT),
+    "read-only": Disk(EVERY, errno.EROFS),
+    "failing": Disk(WRITE | TRUNCATE | SYNC, errno.EIO),
+    "failing once": Disk(EVERY, errno.EIO, forked.REFUSE_ONE),
+}
+FOLDERS = {
+    "renamed": forked.FOLDER_RENAMED,
+    "removed": forked.FOLDER_REMOVED,
+    "unmounted": forked.FOLDER_EMPTIED,
+}
+
+
+def disk(size: Size, folder: Path) -> list[Result]:
+    """Refuse calls of every command of `TASKS`, and take its folder away, ``size.amount`` times in all."""
+    with Server(folder / "server") as server:
+        sources = folder / "sources"
+        tasks.prepare(server, sources)
+        trial = Trial(server, sources, folder / "trials" / "folder")
+        refused = _tries(trial, list(DISKS), size.amount * 2 // 3)
+        moved = _tries(trial, list(FOLDERS), size.amount // 3)
+        refusals = [fault for name, how, at in refused for fault in trial.refuse(name, how, at)]
+        moves = [fault for name, how, at in moved for fault in trial.take_away(name, how, at)]
+    return [
+        Result(
+            "a disk that refuses ends a command with exit code 3 and one line that names the file; originals and "
+            "journal stay, nothing half-made is left, and the command can be repeated",
+            f"{len(refused)} refusals ({', '.join(DISKS)}) from any call on, in {', '.join(TASKS)}",
+            f"{len(refused) - len(refusals)} as promised, no traceback, no hang",
+            campaign.test_of("disk"),
+            tuple(refusals),
+        ),
+        Result(
+            "where the output's folder goes away, a recording is complete all the same, in the folder's new place or "
+            "in the nearest folder that exists, and says where; other commands end as on a disk that refuses",
+            f"{len(moved)} times the folder was {', '.join(FOLDERS)} before any call of {', '.join(TASKS)}",
+            f"{len(moved) - len(moves)} as promised, no sample lost, no traceback",
+            campaign.test_of("disk"),
+            tuple(moves),
+        ),
+    ]
+
+
+def _tries(trial: "Trial", ways: list[str], amount: int) -> list[tuple[str, str, int]]:
+    """Return command, way and call of so many trials, evenly over all commands and ways."""
+    found: list[tuple[str, str, int]] = []
+    each = max(1, amount // (len(TASKS) * len(ways)))
+    for k, name in enumerate(TASKS):
+        for j, way in enumerate(ways):
+            kinds = DISKS[way].kinds if way in DISKS else EVERY
+            points = sum(1 for kind in trial.calls(name) if kind & kinds)
+            if each > 1:
+                found += [(name, way, at) for at in tasks.spread(list(range(1, points + 1)), each)]
+            else:  # a short campaign: another stage of each command
+                found.append((name, way, 1 + (points - 1) * ((3 * k + 5 * j) % 11) // 10))
+    return tasks.spread(found, amount)
+
+
+class Trial:
+    """Commands in a folder of which an undisturbed command's end is known."""
+
+    def __init__(self, server: Server, sources: Path, folder: Path) -> None:
+        self._server, self._sources, self._folder = server, sources, folder
+        self._known: dict[str, tuple[Contents, Contents, tuple[int, ...]]] = {}
+        for name, task in TASKS.items():
+            task.begin(sources, folder)
+            before = tasks.contents(folder)
+            whole = server.run(list(task.line), folder)
+            self._known[name] = before, tasks.contents(folder), whole.calls
+
+    def calls(self, name: str) -> tuple[int, ...]:
+        """Return the kinds of an undisturbed command's calls."""
+        return self._known[name][2]
+
+    def refuse(self, name: str, how: str, at: int) -> list[str]:
+        """Refuse calls of a command from one on; return the faults."""
+        task, way = TASKS[name], DISKS[how]
+        before, after, _ = self._known[name]
+        task.begin(self._sources, self._folder)
+        spoil = {"kinds": way.kinds, "error": way.error, "action": way.action}
+        ended = self._server.run(list(task.line), self._folder, at=at, **spoil)
+        where = f"{' '.join(task.line)}, disk {how} from call {at} ({ended.name}) on"
+        found = [f"{where}: {what}" for what in _badly_ended(ended, task, (EXIT_DEVICE,))]
+        found += [f"{where}: {what}" for what in tasks.spoiled(task, self._folder, before, after)]
+        if how not in ("read-only", "failing once"):  # which let nothing be removed
+            found += [f"{where}: {path.name} is left" for path in self._folder.glob(".*.partial")]
+        following, _ = tasks.follow(self._server, task, self._folder, after)
+        found += [f"{where}, then {what}" for what in following]
+        now = tasks.contents(self._folder)
+        found += [f"{where}: repeated: {what}" for what in tasks.differences(now, after, name == "record")]
+        return found
+
+    def take_away(self, name: str, how: str, at: int) -> list[str]:
+        """Take the folder of a command away; return the faults."""
+        task = TASKS[name]
+        before, after, _ = self._known[name]
+        parent = self._folder.parent
+        shutil.rmtree(parent)
+        task.begin(self._sources, self._folder)
+        ended = self._server.run(list(task.line), self._folder, at=at, action=FOLDERS[how])
+        where = f"{' '.join(task.line)}, folder {how} before call {at} ({ended.name})"
+        found = [f"{where}: {what}" for what in _badly_ended(ended, task, (EXIT_DEVICE, EXIT_INPUT))]
+        if name == "record":
+            if at > BEFORE_THE_RUN:
+                found += [f"{where}: {what}" for what in _not_recorded(ended, parent)]
+            return found
+        away = self._folder.with_name(f"{self._folder.name}.away")
+        if away.is_dir():
+            found += [f"{where}: {what}" for what in tasks.spoiled(task, away, before, after)]
+            following, _ = tasks.follow(self._server, task, away, after)
+            found += [f"{where}, then {what}" for what in following]
+            found += [f"{where}: repeated: {what}" for what in tasks.differences(tasks.contents(away), after, False)]
+        found += [f"{where}: {path.name} is left in the folder above" for path in parent.iterdir() if path.is_file()]
+        return found
+
+
+def _badly_ended(ended: Ended, task: Task, codes: tuple[int, ...]) -> list[str]:
+    """Return whether a disturbed command ended otherwise than with its own exit code or one of ``codes`` and a line."""
+    found = []
+    if ended.hung:
+        found.append("hung")
+    if ended.code not in (task.ends, *codes) or ended.traceback:
+        found.append(f"ended with {ended.code}: {ended.err}")
+    elif ended.code in codes and not ended.err.strip():
+        found.append(f"ended with {ended.code} without a word")
+    return found
+
+
+def _not_recorded(ended: Ended, parent: Path) -> list[str]:
+    """Return whether a recording whose folder went away is not whole, in one place, which was named."""
+    runs = [path for path in parent.rglob("*") if path.is_file()]
+    if len(runs) != 1 or runs[0].suffix != ".h5":
+        return [f"left {[str(path.relative_to(parent)) for path in runs]}, exit code {ended.code}: {ended.err}"]
+    found = daq.load(runs[0]).time.size
+    if found != tasks.SAMPLES:
+        return [f"{found} of {tasks.SAMPLES} samples"]
+    if runs[0].parent != parent / "folder" and str(runs[0]) not in ended.out + ended.err:
+        return [f"does not say that the run is {runs[0]}"]
+    return []
