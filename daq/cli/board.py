@@ -132,6 +132,7 @@ def calibrate(
     the metres per count.
 
     Example: daq calibrate --port /dev/ttyACM0 --distance "100 mm +- 0.1 mm" --mass "300 g +- 1 g"
+
     Example: daq calibrate --mass "300 g +- 1 g"
     """
     from daq.calibration import rig_constants as measure

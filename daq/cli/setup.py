@@ -180,8 +180,23 @@ def demo(*, json: Json = False) -> Answer:
         "steps": steps,
         "wall_s": wall_s,
     }
-    text = f"\ndone in {wall_s:.0f} s; open {report} in a browser\n{verdict}"
-    return Answer(data, text)
+    text = [
+        f"\ndone in {wall_s:.0f} s; report: {report}",
+        "next: open the report in a browser, or fit a table of times and positions of your own:",
+        f"  {_typed('daq')} import TABLE.csv -o mine.h5",
+        f"  {_typed('fit-friction')} mine.h5",
+        verdict,
+    ]
+    return Answer(data, "\n".join(text))
+
+
+def _typed(command: str) -> str:
+    """Return a command of this installation as it is typed here: its name where that finds it, else its path."""
+    script = Path(sys.executable).parent / command
+    found = shutil.which(command)
+    if found is not None and Path(found).resolve() == script.resolve():
+        return command
+    return str(script.relative_to(Path.cwd())) if script.is_relative_to(Path.cwd()) else str(script)
 
 
 @contextmanager
