@@ -1,11 +1,11 @@
 """Settings of the documentation: Markdown by MyST, the API from docstrings, the commands from their help."""
 
+import re
+import subprocess
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 project = "stickslip"
 author = "The stickslip developers"
@@ -13,18 +13,34 @@ version = release = installed_version("stickslip")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
 html_theme = "furo"
+html_show_copyright = False
 html_title = f"stickslip {version}"
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3
-myst_enable_extensions = ["deflist", "dollarmath"]
+myst_enable_extensions = ["deflist"]
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
-autodoc_type_aliases = {"Array": "ndarray", "Mask": "ndarray"}
+autodoc_typehints_format = "short"
 napoleon_use_ivar = True
 
 
-def setup(app: Any) -> None:
-    """Write the pages of the commands before Sphinx reads the sources."""
-    import command_pages
+def one_name_each(app: Any, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+    """Write the entry ``x, v : ndarray`` of a docstring once for each name: napoleon takes it for one name."""
+    text = re.sub(
+        r"^(\w+(?:, \w+)+)((?: : .*)?\n(?: +.*\n)+)",
+        lambda entry: "".join(name + entry[2] for name in entry[1].split(", ")),
+        "\n".join(lines) + "\n",
+        flags=re.MULTILINE,
+    )
+    lines[:] = text.split("\n")
 
-    app.connect("builder-inited", lambda _: command_pages.write())
+
+def write_command_pages(app: Any) -> None:
+    """Write the pages of the commands, in a process of its own: their usage names the program that runs."""
+    subprocess.run([sys.executable, Path(__file__).with_name("command_pages.py")], check=True)
+
+
+def setup(app: Any) -> None:
+    """Write the pages of the commands before Sphinx reads the sources, and prepare docstrings before napoleon."""
+    app.connect("builder-inited", write_command_pages)
+    app.connect("autodoc-process-docstring", one_name_each, priority=400)
