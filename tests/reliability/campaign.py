@@ -76,6 +76,7 @@ CAMPAIGNS: dict[str, Campaign] = {
     "crash": Campaign("crash", "kill points per command", short=3, full=120),
     "disk": Campaign("disk", "refusals", short=30, full=700),
     "signals": Campaign("signals", "signals", short=12, full=600),
+    "concurrency": Campaign("concurrency", "rounds", short=1, full=25),
     "security": Campaign("security", "rounds", short=1, full=1),
 }
 
