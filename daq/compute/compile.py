@@ -9,6 +9,7 @@ import gc
 import hashlib
 import inspect
 import os
+import stat
 import sys
 import time
 from collections.abc import Callable
@@ -172,16 +173,36 @@ def register(module: str, **options: Any) -> None:
 
 
 def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
-    """Return the folder for the machine code of these modules, compiled so; None where none can be written."""
+    """Return the folder for the machine code of these modules, compiled so.
+
+    None where none can be written, or where another user could: who writes there has this user run it.
+    """
     digest = hashlib.sha256(options.encode())
     for name in modules:
         digest.update(Path(str(import_module(name).__file__)).read_bytes())
-    folder = cache_root() / f"kernels-{digest.hexdigest()[:16]}"
+    root = cache_root()
+    folder = root / f"kernels-{digest.hexdigest()[:16]}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        above = root.parent.stat().st_mode
+        renamed = above & stat.S_IWOTH and not above & stat.S_ISVTX and sys.platform != "win32"
+        safe = not renamed and _is_own(root) and _is_own(folder)
     except OSError:
         return None
-    return folder if os.access(folder, os.W_OK) else None
+    return folder if safe and os.access(folder, os.W_OK) else None
+
+
+def _is_own(folder: Path) -> bool:
+    """Return whether this user alone writes to a folder; the right of others is taken away where that is possible."""
+    if sys.platform == "win32":
+        return True
+    found = folder.stat()
+    if found.st_uid != os.geteuid():
+        return False
+    others = stat.S_IWGRP | stat.S_IWOTH
+    if found.st_mode & others:
+        folder.chmod(stat.S_IMODE(found.st_mode) & ~others)
+    return True
 
 
 def cache_root() -> Path:

@@ -77,7 +77,7 @@ CAMPAIGNS: dict[str, Campaign] = {
     "disk": Campaign("disk", "refusals", short=30, full=700),
     "signals": Campaign("signals", "signals", short=12, full=600),
     "concurrency": Campaign("concurrency", "rounds", short=1, full=25),
-    "security": Campaign("security", "rounds", short=1, full=1),
+    "security": Campaign("security", "requests", short=25, full=2000),
 }
 
 

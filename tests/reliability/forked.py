@@ -252,6 +252,7 @@ def _become(library: ctypes.CDLL, asked: dict[str, Any]) -> None:
     code: Any = 1
     try:
         os.setsid()
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores it
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         for number, name in ((1, "out"), (2, "err")):
             os.dup2(

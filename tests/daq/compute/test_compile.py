@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from daq.compute import compile as kernels
 from daq.output.lock import FileLock
 
@@ -57,3 +59,22 @@ def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path: Path, monkeypatc
 
 def test_a_folder_without_room_for_locks(tmp_path: Path) -> None:
     assert kernels._wait_for_lock(tmp_path / "missing" / "entry.lock") is None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="owners and modes are POSIX")
+def test_machine_code_is_kept_only_where_no_other_user_can_write(tmp_path: Path, monkeypatch) -> None:
+    # Whoever could write into the folder had its user run his code.
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(shared))
+    (shared / "stickslip").mkdir()
+    (shared / "stickslip").chmod(0o777)
+    folder = kernels.cache_folder(("daq.errors",))
+    assert folder is not None
+    assert {path.stat().st_mode & 0o022 for path in (folder, folder.parent)} == {0}
+    shared.chmod(0o777)  # there the folder could be replaced by another one
+    assert kernels.cache_folder(("daq.errors",)) is None
+    shared.chmod(0o1777)
+    assert kernels.cache_folder(("daq.errors",)) == folder
+    monkeypatch.setattr(os, "geteuid", lambda: folder.stat().st_uid + 1)
+    assert kernels.cache_folder(("daq.errors",)) is None
