@@ -12,13 +12,28 @@ def parsed(text: str, where: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The text is not TOML (with the line), is nested too deeply, or holds a number of thousands of digits.
+        The text is not TOML (with the line), is nested too deeply, or holds a whole number of more than 64 bits.
     """
     try:
-        return tomllib.loads(text)
+        content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"invalid TOML: {error}", where, "correct that line") from error
     except RecursionError as error:
         raise InputError("is nested too deeply", where, "write sections of keys and values") from error
     except ValueError as error:
         raise InputError("holds a number of too many digits", where, "correct it") from error
+    if has_wide_number(content):
+        raise InputError("holds a number of too many digits", where, "correct it")
+    return content
+
+
+def has_wide_number(content: Any) -> bool:
+    """Return whether a whole number anywhere in a parsed text has more than 64 bits, with its sign."""
+    waiting = [content]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            return True
+        if isinstance(value, dict | list):
+            waiting += value.values() if isinstance(value, dict) else value
+    return False

@@ -18,7 +18,6 @@ SLOWEST_S = (
 )
 FEWEST = 100  # samples; nothing is asked of a shorter table, which is too short to be fitted
 FARTHEST_M = 1e6  # a larger position is a typing error or a wrong unit
-LONGEST_S = 1e9  # 30 years: likewise
 SPANS = 200  # pieces that the record is cut into to measure its speed: noise between neighbours is none
 SMALLER = (("cm", 1e2), ("mm", 1e3), ("um", 1e6))
 

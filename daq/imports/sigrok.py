@@ -9,6 +9,7 @@ called 0 to 7), the name counts.  Not read: analog channels, compressed formats 
 """
 
 import configparser
+import errno
 import re
 import zipfile
 import zlib
@@ -24,6 +25,8 @@ from daq.errors import InputError, nearest
 
 MOST_METADATA = 1 << 20  # bytes; a capture of 16 channels has 500
 PIECE = 1 << 18  # bytes read at a time; what is made of larger pieces is given back to the system each time
+# What zipfile raises for a damaged archive; OSError with EINVAL for a place before the file's beginning.
+DAMAGE = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeDecodeError, OSError)
 _RATE = re.compile(r"(\d+(?:\.\d+)?)\s*([kKmMgG]?)\s*(?:[hH][zZ])?")
 _PREFIX = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
 
@@ -117,6 +120,9 @@ def read(path: Path) -> Capture:
         names = archive.namelist()
         if "metadata" not in names:
             raise InputError("is a zip without 'metadata', not a sigrok capture", where, "give a .sr file")
+        packed = {info.compress_type for info in archive.infolist()}
+        if not packed <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
+            raise InputError("is packed in a way that sigrok does not use", where, "zip it again by deflate")
         if archive.getinfo("metadata").file_size > MOST_METADATA:
             raise InputError(f"has over {MOST_METADATA} bytes of metadata", where, "copy the capture again")
         device = _device(archive.read("metadata"), where)
@@ -145,7 +151,9 @@ def _zip(path: Path) -> Iterator[zipfile.ZipFile]:
     try:
         with zipfile.ZipFile(path) as archive:
             yield archive
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+    except DAMAGE as error:
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:
+            raise
         with path.open("rb") as stream:
             head = stream.read(2)
         if head != b"PK":

@@ -21,7 +21,7 @@ from daq.imports.columns import find, is_stated, unit
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
 from daq.output import provenance
-from daq.runfile.recording import Recording
+from daq.runfile.recording import FASTEST_HZ, LONGEST_S, Recording, impossible_motion
 from daq.runfile.rig import Rig, quoted
 
 # Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
@@ -92,7 +92,7 @@ def read(path: Path, options: ImportOptions) -> Imported:
         t_size, t_unit = unit(cells, t_column, options.t_unit, "time", "--t-unit", warnings)
         time = values[1] * t_size
     if t_column is not None:
-        plausible.check_range(time, plausible.LONGEST_S, cells, t_column, "s", "--t-unit")
+        plausible.check_range(time, LONGEST_S, cells, t_column, "s", "--t-unit")
         plausible.check_increasing(time, cells, t_column)
         if not (frames or options.clock):
             if options.frame_rate_hz is not None:
@@ -100,8 +100,9 @@ def read(path: Path, options: ImportOptions) -> Imported:
             elif not is_stated(cells, t_column, options.t_unit):
                 plausible.ask_for_time_unit(time, cells, t_column)
     time = time - time[0]
-    if not time[-1] <= plausible.LONGEST_S:
-        raise InputError(f"lasts {time[-1]:.3g} s", str(path), "check --frame-rate")
+    if (wrong := impossible_motion(time, position)) is not None:
+        do = "give the unit of the times with --t-unit" if options.frame_rate_hz is None else "check --frame-rate"
+        raise InputError(wrong, str(path), do)
     forces = options.spring_force is not None
     if not is_stated(cells, x_column, options.force_unit if forces else options.x_unit):
         plausible.ask_for_length_unit(time, position, cells, x_column, forces)
@@ -125,6 +126,10 @@ def _check_options(options: ImportOptions) -> None:
     """Refuse flags that exclude or need each other."""
     if options.preamble < 0:
         raise InputError(f"is {options.preamble}", "--preamble", "give a number of lines, 0 or more")
+    if options.frame_rate_hz is not None and not 1 / LONGEST_S <= options.frame_rate_hz <= FASTEST_HZ:
+        raise InputError(
+            f"is {options.frame_rate_hz:.3g} Hz", "--frame-rate", "give the camera's rate, such as '400 fps'"
+        )
     if options.clock and options.t_unit is not None:
         raise InputError("--clock and --t-unit exclude each other", "command line", "leave one out")
     if options.spring_force is None:

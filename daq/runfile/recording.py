@@ -31,6 +31,9 @@ EVENTS = {
     "retimed": 11,  # the time as sent was not true and has been interpolated
 }
 EVENT_NAMES = {code: name for name, code in EVENTS.items()}
+# What no run reaches, and numbers whose products stay in the range of a float64: 30 years, and a count that a float64
+# holds exactly.
+LONGEST_S, FASTEST_HZ, FARTHEST = 1e9, 1e9, 1e16
 
 
 @dataclass(frozen=True)
@@ -268,6 +271,21 @@ def first_disorder(time: NDArray[np.float64]) -> int | None:
     wrong = ~np.isfinite(time)
     wrong[1:] |= ~(np.diff(time) > 0)
     return int(np.argmax(wrong)) if wrong.any() else None
+
+
+def impossible_motion(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:
+    """Return why times, s, and positions, m or counts, both of shape (n,), are not those of a run; None if they are."""
+    if (at := first_disorder(time)) is not None:
+        return f"time does not increase at sample {at}"
+    if not (wrong := np.abs(position) <= FARTHEST).all():
+        at = int(np.argmin(wrong))
+        what = f"{position[at]:.3g}, too large" if np.isfinite(position[at]) else "not finite"
+        return f"position is {what} at sample {at}"
+    if max(-time[0], time[-1]) > LONGEST_S:
+        return f"its times reach {max(time[0], time[-1], key=abs):.3g} s"
+    if (time[-1] - time[0]) * FASTEST_HZ < time.size - 1:
+        return f"{time.size} samples in {time[-1] - time[0]:.3g} s are too many"
+    return None
 
 
 def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:

@@ -23,7 +23,7 @@ from daq.compute.arrays import Array
 from daq.errors import InputError
 from daq.output import atomic, disk
 from daq.runfile import nexus, schema, trust
-from daq.runfile.recording import Raw, Recording, Truth, first_disorder
+from daq.runfile.recording import Raw, Recording, Truth, impossible_motion
 from daq.runfile.rig import Rig
 
 # A stage rests on those before it: writing one drops the ones after it, which were made from what it replaces.
@@ -371,10 +371,6 @@ def _part(found: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _check_motion(time: Array, position: Array, where: Path) -> None:
-    if time.size == 0:
-        raise InputError("holds no samples", str(where), nexus.AGAIN)
-    if (at := first_disorder(time)) is not None:
-        raise InputError(f"time does not increase at sample {at}", str(where), nexus.AGAIN)
-    if not np.isfinite(position).all():
-        at = int(np.argmin(np.isfinite(position)))
-        raise InputError(f"position is not finite at sample {at}", str(where), nexus.AGAIN)
+    what = impossible_motion(time, position) if time.size else "holds no samples"
+    if what is not None:
+        raise InputError(what, str(where), nexus.AGAIN)

@@ -114,8 +114,11 @@ def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
 def _value(text: str) -> object:
     import tomllib
 
+    from daq import toml
+
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        found = tomllib.loads(f"value = {text}")["value"]
+        return float(text) if toml.has_wide_number(found) else found
     except RecursionError:
         raise InputError(f"{text[:20]}... is nested too deeply", "--set", "write section.key=value") from None
     except ValueError:  # not TOML, or a number of thousands of digits

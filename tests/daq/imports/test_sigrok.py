@@ -262,3 +262,30 @@ def test_small_files_that_claim_much_are_refused_at_once(path: Path, metadata: s
         archive.writestr(entry, bytes(1000))
     with pytest.raises(InputError, match=what):
         sigrok.read(path)
+
+
+@pytest.mark.parametrize("packed", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2])
+def test_what_no_logic_analyser_packs_is_refused(path: Path, packed: int) -> None:
+    # Damage in such an entry was a traceback, and its header may ask for 4 GB of memory.
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("metadata", METADATA)
+        archive.writestr("logic-1", bytes(1000), packed)
+    with pytest.raises(InputError, match="packed in a way"):
+        sigrok.read(path)
+
+
+def test_a_damaged_directory_of_the_zip_is_named(path: Path) -> None:
+    # An entry before the beginning of the file was an OSError, a name that is no UTF-8 a UnicodeDecodeError.
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("metadata", METADATA)
+        archive.writestr("logic-1", bytes(1000))
+    content = path.read_bytes()
+    end = content.rindex(b"PK\x05\x06")
+    for place, changed in ((end + 16, b"\xff\xff"), (content.rindex(b"logic"), b"\x90")):
+        damaged = bytearray(content)
+        damaged[place : place + len(changed)] = changed
+        directory = content.rindex(b"PK\x01\x02")
+        damaged[directory + 9] |= 8 if changed == b"\x90" else 0  # names are UTF-8
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="damaged or cut short"):
+            sigrok.read(path)

@@ -508,6 +508,8 @@ def test_a_force_over_the_weight_needs_the_mass_or_stays_in_its_units(csv: Path)
         ({"clock": True, "t_unit": "s"}, "exclude each other"),
         ({"preamble": -1}, "--preamble"),
         ({"frame_rate_hz": 1e-300, "time": None}, "--frame-rate"),
+        ({"frame_rate_hz": 1e-320, "time": None}, "--frame-rate"),  # a RuntimeWarning
+        ({"frame_rate_hz": 1e308, "time": None}, "--frame-rate"),  # a rate of inf Hz
     ],
 )
 def test_flags_that_cannot_go_together_are_refused(csv: Path, changes: Any, words: str) -> None:
@@ -517,10 +519,18 @@ def test_flags_that_cannot_go_together_are_refused(csv: Path, changes: Any, word
 
 
 @pytest.mark.parametrize(
-    "text", ["t,x\n0,1\n1e12,2\n", "t,x\n0,1\n1,1e300\n", "sep=;\n", "x\n" + "1" * 140_000 + "x\n"]
+    "text",
+    [
+        "t,x\n0,1\n1e12,2\n",
+        "t,x\n0,1\n1,1e300\n",
+        "t,x\n0,1\n1e-310,2\n2e-310,1\n",
+        "sep=;\n",
+        "\f\n",
+        "x\n" + "1" * 140_000 + "x\n",
+    ],
 )
 def test_wild_tables_end_in_one_line(csv: Path, text: str) -> None:
-    """The first and the third used to end in a traceback."""
+    """The first, the third and the fourth used to end in a traceback, or in a run of inf Hz."""
     csv.write_text(text)
     with pytest.raises(InputError):
         track.read(csv, ImportOptions(frame_rate_hz=1.0 if text.startswith("x") else None))

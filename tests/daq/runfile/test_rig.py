@@ -65,6 +65,8 @@ def test_absent_quantities_stay_unknown() -> None:
         ("[rig]\nname = 5", ["rig.name", "quotes"]),
         ("a = " + "[" * 5000, ["nested too deeply"]),  # these two were tracebacks
         ("[rig]\nmass = " + "9" * 5000, ["too many digits"]),
+        ("[rig]\nmass = " + "9" * 400, ["too many digits"]),  # an OverflowError
+        ("[rig]\nmass = [0x" + "f" * 5000 + "]", ["too many digits"]),  # a ValueError in the message
         ("[rig\n", ["invalid TOML", "line 1"]),
     ],
 )

@@ -164,7 +164,7 @@ def test_a_file_that_is_no_scene_is_refused(tmp_path: Path) -> None:
     broken.write_text("a = " + "[" * 5000)
     with pytest.raises(InputError, match="nested too deeply"):  # a RecursionError
         scene(broken)
-    for value in ("[" * 5000, "9" * 5000):  # a RecursionError and a ValueError
+    for value in ("[" * 5000, "9" * 5000, "0x" + "f" * 5000):  # a RecursionError and two ValueErrors
         with pytest.raises(InputError):
             scene("rig", **parse_changes([f"mass.m={value}"]))
     binary = tmp_path / "binary.toml"

@@ -1,0 +1,74 @@
+"""Whatever comes from a board, a file or a stranger: a result or one error, never a crash, a hang or a lost file.
+
+To see one input fail again: ``python -c "from tests.reliability.bad_input import again; again('h5', 17)"``.
+"""
+
+import functools
+import random
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.output import provenance
+
+from . import bad_files, bad_streams, batch, campaign
+from .campaign import Result, Size
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of input: what tries some of it, the sound ones, its share of a million, and its name in the table."""
+
+    one: Callable[[random.Random, Path], None]
+    sound: Callable[[], object]
+    share: int
+    name: str
+
+
+KINDS = {
+    "frames": Kind(bad_streams.damaged_frames, bad_streams.payloads, 400_000, "frames"),
+    "text": Kind(bad_streams.damaged_text, bad_streams.payloads, 250_000, "lines of text"),
+    "qsb": Kind(bad_streams.damaged_qsb, bad_streams.payloads, 250_000, "records of a QSB"),
+    "journal": Kind(bad_streams.damaged_journal, bad_streams.payloads, 100_000, "records of a journal"),
+    "toml": Kind(bad_files.damaged_toml, bad_files.tomls, 60_000, "TOML and --set"),
+    "csv": Kind(bad_files.damaged_csv, bad_files.tables, 40_000, "tables (.csv)"),
+    "h5": Kind(bad_files.damaged_h5, bad_files.runs, 5_000, "run files (.h5)"),
+    "mat": Kind(bad_files.damaged_mat, bad_files.mats, 7_500, "MATLAB files (.mat)"),
+    "sr": Kind(bad_files.damaged_sr, bad_files.captures, 7_500, "captures (.sr)"),
+}
+
+
+def bad_input(size: Size, folder: Path) -> list[Result]:
+    """Try damaged inputs of every kind; ``size.amount`` of streams, and the others in proportion."""
+    return [_tried(name, size, folder) for name in KINDS]
+
+
+def again(name: str, number: int, seed: int = 1) -> None:
+    """Try one input again in this process."""
+    with tempfile.TemporaryDirectory() as folder:
+        _one(name, seed, number, Path(folder))
+
+
+def _tried(name: str, size: Size, folder: Path) -> Result:
+    kind = KINDS[name]
+    place = folder / name
+    place.mkdir()
+    kind.sound()  # made here once, not in each child
+    together = bad_streams.TOGETHER if kind.one.__module__ == bad_streams.__name__ else 1
+    calls = max(1, size.amount * kind.share // 1_000_000 // together)
+    found = batch.run(name, calls, place, functools.partial(_one, name, size.seed), together)
+    return Result(
+        f"damaged {kind.name}: a result or one error; no crash, no traceback, at most {batch.SECONDS} s and "
+        f"{batch.MEMORY >> 20} MB, nothing written elsewhere",
+        f"{found.inputs} by chance, seed {size.seed}",
+        f"{found.taken} read, {found.inputs - found.taken} refused; the slowest took {found.slowest_s:.2f} s, memory "
+        f"grew by {found.most_bytes >> 20} MB; {found.cpu_s:.0f} s of CPU time",
+        campaign.test_of("bad_input"),
+        tuple(found.faults),
+    )
+
+
+def _one(name: str, seed: int, number: int, folder: Path) -> None:
+    provenance._commit = lambda folder: {}  # the one program that a command starts: git, for the commit of a checkout
+    KINDS[name].one(random.Random(f"{seed} {name} {number}"), folder)
