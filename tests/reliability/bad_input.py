@@ -12,8 +12,9 @@ from pathlib import Path
 
 from daq.output import provenance
 
-from . import bad_files, bad_streams, batch, campaign
+from . import campaign
 from .campaign import Result, Size
+from .inputs import batch, files, streams
 
 
 @dataclass(frozen=True)
@@ -27,15 +28,15 @@ class Kind:
 
 
 KINDS = {
-    "frames": Kind(bad_streams.damaged_frames, bad_streams.payloads, 400_000, "frames"),
-    "text": Kind(bad_streams.damaged_text, bad_streams.payloads, 250_000, "lines of text"),
-    "qsb": Kind(bad_streams.damaged_qsb, bad_streams.payloads, 250_000, "records of a QSB"),
-    "journal": Kind(bad_streams.damaged_journal, bad_streams.payloads, 100_000, "records of a journal"),
-    "toml": Kind(bad_files.damaged_toml, bad_files.tomls, 60_000, "TOML and --set"),
-    "csv": Kind(bad_files.damaged_csv, bad_files.tables, 40_000, "tables (.csv)"),
-    "h5": Kind(bad_files.damaged_h5, bad_files.runs, 5_000, "run files (.h5)"),
-    "mat": Kind(bad_files.damaged_mat, bad_files.mats, 7_500, "MATLAB files (.mat)"),
-    "sr": Kind(bad_files.damaged_sr, bad_files.captures, 7_500, "captures (.sr)"),
+    "frames": Kind(streams.damaged_frames, streams.payloads, 400_000, "frames"),
+    "text": Kind(streams.damaged_text, streams.payloads, 250_000, "lines of text"),
+    "qsb": Kind(streams.damaged_qsb, streams.payloads, 250_000, "records of a QSB"),
+    "journal": Kind(streams.damaged_journal, streams.payloads, 100_000, "records of a journal"),
+    "toml": Kind(files.damaged_toml, files.tomls, 60_000, "TOML and --set"),
+    "csv": Kind(files.damaged_csv, files.tables, 40_000, "tables (.csv)"),
+    "h5": Kind(files.damaged_h5, files.runs, 5_000, "run files (.h5)"),
+    "mat": Kind(files.damaged_mat, files.mats, 7_500, "MATLAB files (.mat)"),
+    "sr": Kind(files.damaged_sr, files.captures, 7_500, "captures (.sr)"),
 }
 
 
@@ -55,7 +56,7 @@ def _tried(name: str, size: Size, folder: Path) -> Result:
     place = folder / name
     place.mkdir()
     kind.sound()  # made here once, not in each child
-    together = bad_streams.TOGETHER if kind.one.__module__ == bad_streams.__name__ else 1
+    together = streams.TOGETHER if kind.one.__module__ == streams.__name__ else 1
     calls = max(1, size.amount * kind.share // 1_000_000 // together)
     found = batch.run(name, calls, place, functools.partial(_one, name, size.seed), together)
     return Result(

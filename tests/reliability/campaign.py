@@ -78,10 +78,7 @@ CAMPAIGNS: dict[str, Campaign] = {
     "signals": Campaign("signals", "signals", short=12, full=600),
     "concurrency": Campaign("concurrency", "rounds", short=1, full=25),
     "security": Campaign("security", "requests", short=25, full=2000),
-    "bad_input": Campaign(
-        "bad_input", "damaged pieces of streams, and files in proportion", short=20_000, full=1_000_000
-    ),
-    "security": Campaign("security", "rounds", short=1, full=1),
+    "bad_input": Campaign("bad_input", "pieces of streams, and files in proportion", short=20_000, full=1_000_000),
 }
 
 
