@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 from daq.cli.app import app as daq
+from daq.console.log import FLAGS
 from fitting.cli import app as fit_friction
 from processing.cli import app as process
 from rig_sim.cli.app import app as rig_sim
@@ -25,6 +26,7 @@ def page(name: str) -> str:
     text = APPLICATIONS[name].generate_docs()
     for pattern in LEFT_OUT:
         text = re.sub(pattern, "", text, flags=re.MULTILINE | re.DOTALL)
+    text = f"{text.rstrip()}\n\n{FLAGS}\n"
     return EXAMPLE.sub(lambda found: f"```console\n$ {' '.join(found[1].split())}\n```", text)
 
 

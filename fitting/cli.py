@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
 MOST_FORMS = 4  # shown on the terminal; the document and the report have all
 
-app = application.application(
-    "fit-friction", "Fit six friction laws to a recorded run and rank them.", "fit-friction run.h5 --report run.html"
-)
+app = application.application("fit-friction", usage="Usage: fit-friction [OPTIONS] RUN.h5 [RUN.h5 ...]")
 
 
 @app.default
@@ -99,12 +97,15 @@ def fit(
     speed, rest position and wear are each run's own. Runs at other belt speeds distinguish laws that one run cannot.
     Their fit is written into a file of its own beside the first run, named after it and the number of further runs:
     run1+2.fit.h5 for three runs, with the report run1+2.report.html. The run files stay as they are.
+
     With --each every run is fitted by itself: a failed one stops no other, its error stands in its row. A page compares
     verdicts and parameters: run1+2.each.html for three runs. Exit code 0
     when all are decided, 5 when one is undecided, 6 when no law describes one, else that of the worst error.
 
     With --from or --to a part of each run is smoothed by itself and fitted; times are those of the run.  Results and
     reports of the same run are replaced by new ones, those of another run only with --force.
+
+    Example: fit-friction run.h5 --report run.html
 
     Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g"
 
@@ -186,8 +187,13 @@ def fit(
         pages.refuse_foreign_file(place, [run.recording.digest for run in runs], force=force)
     if joint_file is not None:
         joint.refuse_foreign_file(joint_file, [run.named for run in runs], force=force)
-    with application.progress("fitting", float(len(options.laws)), "laws") as progress:
-        done = job.fit_runs(runs, options, jobs, scheduler, progress)
+    with application.progress("fitting", float(len(options.laws)), "laws") as show:
+
+        def count(laws: float) -> None:
+            show(laws)
+            show.status("then goodness of fit" if laws >= len(options.laws) else "")
+
+        done = job.fit_runs(runs, options, jobs, scheduler, count)
     done.save(place, force=force)
     if csv is not None:
         table.write(csv, [(path, side.as_json()) for path, side in zip(files, done.ranking.sides, strict=True)])

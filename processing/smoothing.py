@@ -4,6 +4,7 @@
 `processing.blocks`.  The rig's scene and its truth are never looked at here.
 """
 
+import logging
 import time as clock
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,6 +29,7 @@ from processing.record.stretches import LEARNED, learning_stretches
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
+logger = logging.getLogger(__name__)
 REPAIRS = ("off", "flag", "fix")
 
 BLOCK = 2**16  # samples kept at a time: memory grows with it (200 to 250 MB), and with less the margins cost more CPU
@@ -94,13 +96,16 @@ def smooth(
         joined = _joined([_part(recording, data, own) for own in stretches])
         blocks.learn(joined, recording.position.__getitem__, n, travel)
     columns = blocks.smooth(recording, data, slice(0, n))
-    return Kinematics(
+    made = Kinematics(
         recording=recording,
         times=times,
         **columns,
         **blocks.header(),
         cpu_s=clock.process_time() - begun,
     )
+    said = made.recording.name, made.method, len(made.sticks), made.cpu_s
+    logger.info("smoothed %s: %s, %d sticks, %.2f s of CPU time", *said)
+    return made
 
 
 def smooth_file(

@@ -95,9 +95,9 @@ def findings(summary: RecordingQuality, run: Recording, parked_s: float) -> list
 
 
 def _clock(summary: RecordingQuality) -> BoardCheck:
-    if summary.clock_ppm is None:
+    if not summary.clock_drift:
         return BoardCheck("clock", None, "cannot be compared with this machine's in so short a time, or not at all")
-    return BoardCheck("clock", True, f"{summary.clock_ppm:+.0f} ppm against this machine's")
+    return BoardCheck("clock", True, summary.clock_drift)
 
 
 def _parked(parked: CountedSpan, run: Recording) -> BoardCheck:

@@ -223,7 +223,9 @@ def _take(
                 progress(seconds)
 
             try:
-                summary = record(replace(request, output=output), progress=both, say=application.note)
+                summary = record(
+                    replace(request, output=output), progress=both, status=show.status, say=application.note
+                )
             except RecordingInterruptedError as error:  # its journal is deleted with the folder
                 raise KeyboardInterrupt from error
             except disk.RefusedError as error:

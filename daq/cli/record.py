@@ -99,7 +99,7 @@ def record(
     wanted = RecordRequest(output=target, duration_s=duration, force=force, notes=written, **resolve(board))
     view = viewer(wanted.part, no_browser) if live else contextlib.nullcontext()
     with view, _stop_on_signal() as stop, application.progress("recording", duration, "s") as show:
-        found = take(wanted, progress=show, say=application.note, stop=stop)
+        found = take(wanted, progress=show, status=show.status, say=application.note, stop=stop)
     code = EXIT_DATA if found.short or found.sparse else EXIT_DONE if found.file == target else EXIT_DEVICE
     return Answer(found.as_json(), sentences.recorded("recorded", found), code)
 

@@ -61,11 +61,10 @@ def recorded(done: str, found: "RecordingQuality") -> str:
     """Return what is printed about a recording."""
     lost = f"{found.lost} samples lost" if found.lost else "no sample lost"
     lost += " while the port was there" if found.port_lost else ""
-    clock = "" if found.clock_ppm is None else f"; the board's clock deviates by {found.clock_ppm:+.0f} ppm"
-    if clock and found.clock_ppm_error is not None:
-        clock += f" (+- {found.clock_ppm_error:.0f})"
+    clock = found.clock_drift
     lines = [
-        f"{done} {found.samples} samples in {found.duration_s:.1f} s at {found.rate_hz:g} Hz, {lost}{clock}",
+        f"{done} {found.samples} samples in {found.duration_s:.1f} s at {found.rate_hz:g} Hz, {lost}"
+        + (f"; {clock}" if clock else ""),
         f"{travel(*found.travel, found.unit)}, at most {found.peak_edge_rate_hz:.0f} edges/s",
         *warnings(found.warnings),
         *written(found.file),

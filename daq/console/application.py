@@ -13,24 +13,30 @@ import contextlib
 import gc
 import io
 import json
+import logging
 import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import cyclopts
 
+from daq.console import log
 from daq.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
 
 if TYPE_CHECKING:
+    import rich.progress
     from rich.table import Table
 
 # New objects between two searches for cyclic garbage.  Python's 700 costs a short command 4 % of its CPU time.
 GARBAGE = 100_000
+BAR = 16  # columns of a progress bar
+WHOLE = ("next:", "-> ")  # how lines begin that name a command or a file
+logger = logging.getLogger(__name__)
 
 Json = Annotated[
     bool,
@@ -70,13 +76,18 @@ class Answer:
     exit_code: int = EXIT_DONE
 
 
-def application(name: str, summary: str, example: str) -> cyclopts.App:
-    """Return a cyclopts application with the settings common to all four commands; `main` runs it."""
+def application(name: str, summary: str = "", example: str = "", usage: str | None = None) -> cyclopts.App:
+    """Return a cyclopts application with the settings common to all four commands; `main` runs it.
+
+    Without a summary its help is that of its default command.
+    """
     from daq.version import VERSION
 
     made = cyclopts.App(
         name=name,
-        help=f"{summary}\n\nExample: {example}",
+        help=f"{summary}\n\nExample: {example}" if summary else None,
+        usage=usage,
+        help_epilogue=log.FLAGS,
         version=f"{name} {VERSION} (stickslip)",
         help_format="plaintext",
         result_action="return_value",
@@ -110,8 +121,28 @@ def print_json(value: Any) -> None:
 
 
 def note(line: str) -> None:
-    """Write a line of log on stderr."""
-    sys.stderr.write(line + "\n")
+    """Write a line on stderr."""
+    logger.debug(line)
+    sys.stderr.write(_wrapped(line, sys.stderr) + "\n")
+
+
+def _wrapped(text: str, stream: TextIO) -> str:
+    """Return a text with its long lines broken between words where ``stream`` is a terminal: others read whole lines.
+
+    A line that is to be copied into a shell (after ``next:``) stays whole.
+    """
+    if not stream.isatty():
+        return text
+    import shutil
+    import textwrap
+
+    width = shutil.get_terminal_size().columns
+    return "\n".join(
+        textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+        if len(line) > width and not line.startswith(WHOLE)
+        else line
+        for line in text.split("\n")
+    )
 
 
 def _fail(name: str, error: StickslipError, code: int, as_json: bool) -> int:
@@ -131,7 +162,7 @@ def _print_text(text: Any) -> None:
     for part in parts:
         if isinstance(part, str):
             if part:
-                sys.stdout.write(part.rstrip("\n") + "\n")
+                sys.stdout.write(_wrapped(part.rstrip("\n"), sys.stdout) + "\n")
         else:
             from rich.console import Console
 
@@ -149,7 +180,11 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
         print_json({"command": name, "version": VERSION})
         return EXIT_DONE
     try:
-        answer = app(list(arguments), exit_on_error=False, print_error=False)
+        rest, flags = log.taken_off(arguments)
+        if any(flag in rest for flag in app.help_flags):
+            _reflow_help(app)
+        with log.logging_to(flags, name, arguments):
+            answer = app(rest, exit_on_error=False, print_error=False)
     except StickslipError as error:
         return _fail(name, error, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
@@ -199,6 +234,23 @@ def _shown(answer: object, as_json: bool) -> int:
     else:
         _print_text(answer.text)
     return answer.exit_code
+
+
+def _reflow_help(app: cyclopts.App) -> None:
+    """Join the lines of each paragraph of the help pages: cyclopts breaks them anew, at the width of the terminal."""
+    app.help = reflowed(app.help)
+    for name in app:
+        command = app[name]
+        if command is not app and command.default_command is not None:
+            command.help = reflowed(command.help)
+
+
+def reflowed(text: str) -> str:
+    """Return a docstring with each paragraph on one line, its section of parameters as it is."""
+    import inspect
+
+    words, header, parameters = inspect.cleandoc(text).partition("Parameters\n----------\n")
+    return "\n\n".join([*(" ".join(part.split()) for part in words.split("\n\n")), header + parameters])
 
 
 def main(app: cyclopts.App) -> NoReturn:
@@ -254,28 +306,53 @@ def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
     return made
 
 
+class Progress:
+    """What a long job calls with the amount done so far; it draws nothing where no bar is shown."""
+
+    def __init__(self, bar: "rich.progress.Progress | None" = None, task: "rich.progress.TaskID | None" = None) -> None:
+        self._bar, self._task = bar, task
+
+    def __call__(self, done: float) -> None:
+        """Show the amount done."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, completed=done)
+
+    def status(self, words: str) -> None:
+        """Show words in place of the rate."""
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, words=words)
+
+
 @contextmanager
-def progress(description: str, total: float | None, unit: str = "") -> Iterator[Callable[[float], None]]:
-    """Show a progress bar with ETA on stderr; yield a function that takes the amount done so far.
+def progress(description: str, total: float | None, unit: str = "") -> Iterator[Progress]:
+    """Show a progress bar with rate and ETA on stderr, which fits 80 columns; yield what the job calls.
 
     Nothing is drawn when stderr is not a terminal.
     """
     if not sys.stderr.isatty():
-        yield lambda done: None
+        yield Progress()
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+    from rich.text import Text
 
-    bar = Progress(
+    class Rate(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            each = f"{speed:.3g} {unit}/s" if speed and unit and unit != "%" else ""
+            return Text(task.fields["words"] or each)
+
+    bar = Bar(
         TextColumn("{task.description}"),
-        BarColumn(),
+        BarColumn(bar_width=BAR),
         TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit if total else "{task.completed:.0f} " + unit),
-        TimeElapsedColumn(),
+        Rate(),
         TextColumn("ETA"),
-        TimeRemainingColumn(),
+        TimeRemainingColumn(compact=True),
         console=Console(stderr=True),
         transient=True,
     )
     with bar:
-        task = bar.add_task(description, total=total)
-        yield lambda done: bar.update(task, completed=done)
+        task = bar.add_task(description, total=total, words="")
+        yield Progress(bar, task)

@@ -29,13 +29,30 @@ def measured(name: str, dimension: str, text: str, key: str = "") -> Parameter:
     return Parameter(name=name, converter=convert, accepts_keys=False, n_tokens=1, help=text)
 
 
-def quantity(name: str, dimension: str, text: str) -> Parameter:
-    """Return the flag ``name`` for a number with a unit of that dimension, or a bare SI number: '20 s', '1.5 min'."""
+def quantity(name: str, dimension: str, text: str, *, signed: bool = False) -> Parameter:
+    """Return the flag ``name`` for a number with a unit of that dimension, or a bare SI number: '20 s', '1.5 min'.
+
+    ``signed``: a value that begins with a minus is a value, not a flag.
+    """
 
     def convert(type_: Any, tokens: Sequence[cyclopts.Token]) -> float:
         from daq.console import units
 
         return units.quantity(tokens[0].value, dimension, name)
+
+    return Parameter(name=name, converter=convert, help=text, allow_leading_hyphen=signed)
+
+
+def whole_rate(name: str, text: str) -> Parameter:
+    """Return the flag ``name`` for a rate in whole Hz: '1000', '1 kHz'."""
+
+    def convert(type_: Any, tokens: Sequence[cyclopts.Token]) -> int:
+        from daq.console import units
+
+        found = units.quantity(tokens[0].value, "rate", name)
+        if not found.is_integer():
+            raise InputError(f"{tokens[0].value!r} is not a whole number of Hz", name, "give one such as 1000")
+        return int(found)
 
     return Parameter(name=name, converter=convert, help=text)
 

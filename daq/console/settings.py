@@ -26,6 +26,7 @@ from cyclopts import Parameter
 
 from daq import toml
 from daq.console.application import Whole
+from daq.console.flags import whole_rate
 from daq.errors import InputError, check_known
 from daq.runfile.rig import check_keys, quoted
 
@@ -40,7 +41,8 @@ class BoardFlags:
 
     port: Annotated[str | None, Parameter(help="Device or URL; default the simulated rig.")] = None
     rate: Annotated[
-        int | None, Whole, Parameter(help="Samples per second; default 1000, for qsb 512; a text sketch sets its own.")
+        int | None,
+        whole_rate("--rate", "Samples per second, '1 kHz'; default 1000, for qsb 512; a text sketch sets its own."),
     ] = None
     protocol: Annotated[
         str | None, Parameter(help="What the board sends: frames (our firmware, default), qsb or text.")

@@ -22,6 +22,8 @@ UNITS: dict[str, dict[str, float]] = {
     "stiffness": {"N/m": 1.0, "N/cm": 100.0, "N/mm": 1e3, "kN/m": 1e3, "mN/m": 1e-3, "mN/mm": 1.0, "kg/s^2": 1.0}
     | {"lbf/in": 175.12683524647636},
     "damping": {"N s/m": 1.0, "N*s/m": 1.0, "Ns/m": 1.0, "kg/s": 1.0, "mN s/m": 1e-3, "N s/mm": 1e3},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180},
+    "angular frequency": {"rad/s": 1.0, "Hz": 2 * math.pi, "1/s": 1.0, "rpm": math.pi / 30},
     "force": {"N": 1.0, "kN": 1e3, "mN": 1e-3, "uN": 1e-6, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
 }
 EXAMPLES = {"length": "12 cm", "time": "20 ms", "mass": "300 g", "rate": "400 fps"} | {
@@ -29,6 +31,8 @@ EXAMPLES = {"length": "12 cm", "time": "20 ms", "mass": "300 g", "rate": "400 fp
     "stiffness": "10.5 N/m",
     "damping": "0.02 N s/m",
     "force": "0.5 N",
+    "angle": "90 deg",
+    "angular frequency": "5.9 rad/s",
 }
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"

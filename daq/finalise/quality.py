@@ -19,6 +19,9 @@ from daq.wire.quadrature import EDGES_PER_COUNT
 
 NOT_IN_JSON = ("travel", "unit", "port_lost")
 LEAST_HELD = 0.9  # of the samples asked for: with fewer, or with more than the rest lost, it is another run
+# A drift of fewer standard errors than CLEAR is not shown by the run.  How large it can be is then said, unless that is
+# more than TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
+CLEAR, TELLING_PPM = 2.0, 1000.0
 LONG_GAP_S = 0.5  # a gap that a warning places in time
 
 
@@ -86,6 +89,19 @@ class RecordingQuality:
     retimed: int = 0
     file: Path | None = None
     warnings: tuple[str, ...] = ()
+
+    @property
+    def clock_drift(self) -> str:
+        """What is known of the board's clock against this machine's, in words; "" where that says nothing."""
+        if self.clock_ppm is None:
+            return ""
+        drift, error = self.clock_ppm, self.clock_ppm_error
+        if error is None:
+            return f"the board's clock deviates by {drift:+.0f} ppm"
+        if abs(drift) >= CLEAR * error:
+            return f"the board's clock deviates by {drift:+.0f} ppm (+- {error:.0f})"
+        most = abs(drift) + CLEAR * error
+        return f"the board's clock is right within {most:.0f} ppm" if most < TELLING_PPM else ""
 
     @property
     def short(self) -> bool:

@@ -4,6 +4,7 @@ Everything in the run comes from the journal and its markers, times and provenan
 file byte for byte, except for the name of the command.
 """
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
@@ -24,6 +25,8 @@ from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Raw, Recording, Truth, positions
 from daq.runfile.rig import Rig
 from daq.wire import decode, frames
+
+logger = logging.getLogger(__name__)
 
 
 def finalise(
@@ -56,6 +59,7 @@ def finalise(
     markers = journal.markers_path(part)
     recorded = journal.read(part)
     run, found = run_data(recorded, journal.read_markers(markers), finished_by)
+    logger.info("%s: %d records, %d samples", part, len(recorded.records), found.samples)
     # A command that was killed after it had put the file in place left the journal: what is missing is its removal.
     if not (exists and not recorded.damaged and store.holds(output, run)):
         store.write(output, run, force=force)

@@ -6,6 +6,7 @@ command, and is removed.  Two commands that write one file do so one after the o
 
 import contextlib
 import glob
+import logging
 import os
 import tempfile
 import time
@@ -24,6 +25,7 @@ ABANDONED_S = 600.0
 # How long to wait for another command that writes the same file.  Half is still that of an hour at 5 kHz; double lets a
 # person wait as much longer for the refusal.
 WAIT_S = 60.0
+logger = logging.getLogger(__name__)
 LOOK_EVERY_S = 0.02
 
 
@@ -133,8 +135,10 @@ def _take_its_place(temporary: Path, lock: FileLock | None, target: Path, force:
     with temporary.open("rb+") as stream:
         os.fsync(stream.fileno())
     refuse_existing(target, force)
+    size = temporary.stat().st_size
     if lock is None:
         temporary.replace(target)
     else:
         lock.rename(temporary, target)
+    logger.info("wrote %s, %d bytes", target, size)
     disk.sync_folder(target)

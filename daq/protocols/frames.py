@@ -42,6 +42,7 @@ class Frames(Session):
         super().__init__(port, url, request)
         self._settings: tuple[str, ...] = ()
         self._ticks_per_sample = 1.0
+        self._counts_illegal = False
 
     def identify(self) -> Identity:
         """Stop a running stream and ask for the identification.
@@ -83,6 +84,7 @@ class Frames(Session):
             what = f"the board decodes as {identity.ident.decoder} where {self.request.decoder} was requested"
             raise DeviceError(what, self.url, "update its firmware, or leave --decoder out")
         self._ticks_per_sample = 1e9 / (plan.rate_hz * identity.ident.tick_ns)
+        self._counts_illegal = frames.Capability.ILLEGAL in identity.ident.capabilities
         return identity
 
     def start(self) -> None:
@@ -100,7 +102,7 @@ class Frames(Session):
 
     def tally(self) -> "FrameTally":
         """Return a new tally."""
-        return FrameTally(self._ticks_per_sample)
+        return FrameTally(self._ticks_per_sample, counts_illegal=self._counts_illegal)
 
     def _ask(self, strange: bytes) -> Identity:
         """Send `I` until an identification comes, and its CONFIG when it announces one."""
@@ -165,8 +167,10 @@ class FrameTally(Tally):
     A sequence number that jumps, against the device time, adds nothing: the board was reset, or something is wrong.
     """
 
-    def __init__(self, ticks_per_sample: float = 1e6 / RATE_HZ) -> None:
+    def __init__(self, ticks_per_sample: float = 1e6 / RATE_HZ, *, counts_illegal: bool = False) -> None:
         super().__init__()
+        self.illegal = 0 if counts_illegal else None
+        self._illegal_before: int | None = None
         self._ticks_per_sample = ticks_per_sample
         self._frames = frames.FrameReader()
         self._newest: tuple[int, int, int] | None = None  # sequence number, device time, samples
@@ -176,17 +180,26 @@ class FrameTally(Tally):
         for payload in self._frames.payloads(data):
             if payload[0] == frames.SAMPLES and len(payload) > frames.SAMPLES_HEADER:
                 self._step(payload[3] | payload[4] << 8, int.from_bytes(payload[5:9], "little"), payload[2])
+                if self.illegal is not None and self._newest is not None:
+                    self._count_illegal(int.from_bytes(payload[9:11], "little"))
             elif payload[0] == frames.IDENT and self._newest is not None:
                 self.resets += 1  # identified after the first sample: it has restarted
-                self._newest = None
+                self._newest = self._illegal_before = None
             elif payload[0] == frames.NOTICE:
                 self.notice = payload[2:].decode(errors="replace")
 
     def begin_again(self, reached: int) -> None:
         """Begin with sequence number 0 again, ``reached`` periods after the start."""
         self._frames = frames.FrameReader()
-        self._newest = None
+        self._newest = self._illegal_before = None
         super().begin_again(reached)
+
+    def _count_illegal(self, count: int) -> None:
+        """Take the board's own count, 16 bits wide, of a frame that may be late."""
+        rise = count - self._illegal_before & 0xFFFF if self._illegal_before is not None else 0
+        if rise < 1 << 15:
+            self.illegal = (self.illegal or 0) + rise
+            self._illegal_before = count
 
     def _step(self, seq: int, ticks: int, n: int) -> None:
         """Take a frame: its sequence number, device time and samples."""
@@ -204,4 +217,5 @@ class FrameTally(Tally):
                 step += 65536 * round((periods - step) / 65536)
                 missing = step - length if step > length and fits(step, periods) else 0
         self.reached += missing + n
+        self.received += n
         self._newest = seq, ticks, n

@@ -213,6 +213,7 @@ class LineTally(Tally):
 
     def _step(self, ticks: int) -> None:
         """Take the time of a line."""
+        self.received += 1
         if self._last is None:
             self.reached += 1
             self._last = ticks

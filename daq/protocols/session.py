@@ -99,6 +99,10 @@ class Tally(ABC):
     ----------
     reached : int
         Sample periods.
+    received : int
+        Samples among them that came, and all periods while the port was lost.
+    illegal : int or None
+        Illegal transitions as the board counts them; None where it does not.
     resets : int
         Restarts of the board seen after the first sample.
     notice : str
@@ -106,7 +110,8 @@ class Tally(ABC):
     """
 
     def __init__(self) -> None:
-        self.reached = 0
+        self.reached = self.received = 0
+        self.illegal: int | None = None
         self.resets = 0
         self.notice = ""
 
@@ -116,7 +121,15 @@ class Tally(ABC):
 
     def begin_again(self, reached: int) -> None:
         """Start again with a stream that starts ``reached`` periods after the first one."""
+        lost = self.reached - self.received
         self.reached = max(self.reached, reached)
+        self.received = self.reached - lost
+
+    def words(self, elapsed_s: float) -> str:
+        """Return the rate at which samples come, and those lost and illegal, in words."""
+        rate = self.received / elapsed_s if elapsed_s > 0 else 0.0
+        illegal = "" if self.illegal is None else f", {self.illegal} illegal"
+        return f"{rate:.4g} Hz, {max(self.reached - self.received, 0)} lost{illegal}"
 
 
 class Session(ABC):

@@ -6,6 +6,7 @@ run file is in place.
 """
 
 import json
+import logging
 import os
 import platform
 import queue
@@ -33,6 +34,7 @@ from daq.wire import frames
 if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
+logger = logging.getLogger(__name__)
 MOST_SAMPLES = 2_000_000_000  # the run file's sample numbers (uint32) hold twice as many
 WAKE_S = 0.1  # how often the writer looks at the clock while nothing comes
 LEAVE_S = 3.0  # how long a leaving recorder waits for its reader
@@ -105,6 +107,7 @@ def record(
     request: RecordRequest,
     *,
     progress: Callable[[float], None] = lambda seconds: None,
+    status: Callable[[str], None] = lambda words: None,
     say: Callable[[str], None] = lambda line: None,
     stop: threading.Event | None = None,
 ) -> "RecordingQuality":
@@ -114,6 +117,8 @@ def record(
     ----------
     progress : callable
         Called with the seconds recorded so far, many times a second.
+    status : callable
+        Called with the rate at which samples come, and those lost and illegal, in words, as often.
     say : callable
         Called with a line of text for the user: the identity of the board, a lost port.
     stop : Event
@@ -140,6 +145,7 @@ def record(
         board.close()
         raise RecordingInterruptedError("interrupted before the recording began", request.port, "record again")
     say(f"{identity.ident.name or 'a board'} on {request.port}, decoder {identity.ident.decoder}")
+    logger.info("%s at %g Hz, blocks of %d, journal %s", request.port, plan.rate_hz, plan.block, request.part)
     try:
         samples = _samples(request, plan.rate_hz)
         writer = journal.Writer(request.part, _header(request, board, identity, plan, samples, warnings))
@@ -159,13 +165,14 @@ def record(
     try:
         if request.calibration is not None:
             writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
-        _take(
-            reader,
-            writer,
-            place,
-            lambda reached: progress(min(reached, samples) / plan.rate_hz),
-            stop,
-        )
+        begun = time.monotonic()
+
+        def show(reached: int) -> None:
+            progress(min(reached, samples) / plan.rate_hz)
+            status(reader.tally.words(time.monotonic() - begun))
+
+        _take(reader, writer, place, show, stop)
+        logger.info("ended: %s; %s", reader.ended, reader.tally.words(time.monotonic() - begun))
         if reader.failure is not None:
             if not reader.heard:
                 writer.remove()  # it is empty, and would block the next recording

@@ -4,6 +4,7 @@ A ramp law starts a second time from its jump law, so the two of one curve are f
 curves know nothing of each other and may be fitted side by side.
 """
 
+import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -13,6 +14,7 @@ from fitting.estimation.fit import Fit
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
+logger = logging.getLogger(__name__)
 LOCAL_MINIMUM = 0.995  # of a law's error: where its jump or ramp law errs less than that, it found a better place
 # The same where noise is nearly all of the error: of 12,000 samples it moves an error by 0.0001 for each parameter.
 LOCAL_MINIMUM_IN_NOISE = 0.9995
@@ -66,6 +68,8 @@ def fit_laws(
             limit = factor * min((fit.geometric_mean_rms for fit in found), default=0.0)
             chains = [[fit for fit in found if LAWS[fit.law].curve == curve] for curve in curves]
             found = [fit for own in each(partial(step, limit=limit), chains) for fit in own]
+            for fit in found:
+                logger.debug("%s: law %d, %.4g um", step.__name__.strip("_"), fit.law, 1e6 * fit.geometric_mean_rms)
     return sorted(found, key=lambda fit: (LAWS[fit.law].ramp, fit.law))
 
 

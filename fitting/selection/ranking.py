@@ -3,6 +3,7 @@
 What is evidence and who is in the set: `fitting.selection.evidence`.
 """
 
+import logging
 import math
 import time as clock
 from collections.abc import Callable, Sequence
@@ -28,6 +29,7 @@ from fitting.selection.result import Ranking as Ranking
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
+logger = logging.getLogger(__name__)
 ALL_LAWS = (1, 2, 3, 4, 5, 6)
 
 
@@ -116,14 +118,20 @@ def rank(
     for record, known in zip(records, rigs, strict=True):
         motion = frame.from_kinematics(record, record.recording.rig if known is None else known, belt_speed)
         runs.append(candidates.cut_run(motion, frozenset(excluded)))
+        found = runs[-1].cut
+        logger.info("%s: %d cycles, %d to fit", record.recording.name, len(found.cycles), len(found.used))
     try:
         fits, runs, sustained = candidates.fit_runs(laws, runs, records, jobs, progress, scheduler)
     except candidates.NoLawError as refused:
         return _without_law(refused.reason, laws, runs, records, begun)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
+    for fit in ordered:
+        member = "in the set" if fit.law in chosen.members else "not in the set"
+        logger.info("law %d: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
     assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha, _revolution(records))
     adequate = assessed.together.adequate
+    logger.info("goodness of fit: %s", assessed.together.verdict)
     outside = assessed.together.outside_band
     orbits = [MeasuredOrbit.of(run.motion) for run in runs]
     tables = [

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import Parameter
 
-from daq.console import application
+from daq.console import application, flags
 from daq.console.application import Answer, Json, SetChanges
 from rig_sim.cli import continuation, control, forced, maps, sweep
 from rig_sim.cli.atlas import atlas
@@ -14,7 +14,10 @@ from rig_sim.cli.atlas import atlas
 if TYPE_CHECKING:
     from rig_sim.scenes.model import Scene
 
-Until = Annotated[float, Parameter(help="End of the run, in the scene's unit of time (s in SI scenes).")]
+Until = Annotated[
+    float,
+    flags.quantity("--until", "time", "End of the run, in the scene's unit of time; in SI scenes s, or '5 min'."),
+]
 MaxSteps = Annotated[
     int, application.Whole, Parameter(help="Integrator steps after which the run ends with the outcome 'step limit'.")
 ]
@@ -110,7 +113,7 @@ def events(
     /,
     *,
     until: Until,
-    since: Annotated[float, Parameter(help="List only events at or after this time.")] = 0.0,
+    since: Annotated[float, flags.quantity("--since", "time", "List only events at or after this time.")] = 0.0,
     set_: SetChanges = None,
     max_steps: MaxSteps = 10**6,
     json: Json = False,
@@ -149,14 +152,17 @@ def run(
     /,
     *,
     until: Until,
-    rate: Annotated[float, Parameter(help="Samples per unit of time (Hz for SI scenes).")],
+    rate: Annotated[float, flags.quantity("--rate", "rate", "Samples per unit of time; in SI scenes Hz, or '1 kHz'.")],
     output: Annotated[Path, Parameter(name=["--output", "-o"], help="File to write, .h5 or .csv.")],
     method: Annotated[
         Literal["exact", "rk4-henon", "dop853"],
         Parameter(help="exact, or for comparison rk4-henon (Runge-Kutta with Henon's events) or dop853 (scipy)."),
     ] = "exact",
     step: Annotated[
-        float | None, Parameter(help="Time step of rk4-henon, in the scene's unit of time; default 0.01 sqrt(m/k).")
+        float | None,
+        flags.quantity(
+            "--step", "time", "Time step of rk4-henon, in the scene's unit of time; default 0.01 sqrt(m/k)."
+        ),
     ] = None,
     rtol: Annotated[float | None, Parameter(help="Relative and absolute tolerance of dop853; default 2.3e-14.")] = None,
     set_: SetChanges = None,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from daq.console import application
+from daq.console import application, flags
 from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force, Plot
 from daq.errors import InputError
@@ -24,22 +24,28 @@ SHOWN = 5  # orbits, and positions of an orbit, in the text
 
 def shaker(
     *,
-    m: Annotated[float, Parameter(help="Mass, kg.")],
-    k: Annotated[float, Parameter(help="Spring, N/m.")],
-    c: Annotated[float, Parameter(help="Damper, N s/m.", allow_leading_hyphen=True)],
+    m: Annotated[float, flags.quantity("--m", "mass", "Mass, kg or with a unit: '300 g'.")],
+    k: Annotated[float, flags.quantity("--k", "stiffness", "Spring, N/m or with a unit.")],
+    c: Annotated[float, flags.quantity("--c", "damping", "Damper, N s/m or with a unit.", signed=True)],
     gamma: Annotated[
         float,
-        Parameter(
-            help="Slope of friction at the belt's speed, N s/m: above 0 where it falls with the slip speed.",
-            allow_leading_hyphen=True,
+        flags.quantity(
+            "--gamma",
+            "damping",
+            "Slope of friction at the belt's speed, N s/m: above 0 where it falls with the slip speed.",
+            signed=True,
         ),
     ],
-    a: Annotated[float, Parameter(help="Amplification, N s/m.")],
+    a: Annotated[float, flags.quantity("--a", "damping", "Amplification, N s/m.")],
     phi: Annotated[
-        float, Parameter(help="Phase by which the force leads the velocity, rad.", allow_leading_hyphen=True)
+        float,
+        flags.quantity(
+            "--phi", "angle", "Phase by which the force leads the velocity, rad, or '170 deg'.", signed=True
+        ),
     ],
     band: Annotated[
-        str | None, Parameter(help="LOW:HIGH, the frequencies that the filter passes, rad/s; stable needs them.")
+        str | None,
+        Parameter(help="LOW:HIGH, the frequencies that the filter passes, rad/s or '0.8 Hz'; stable needs them."),
     ] = None,
     plot: Plot = None,
     force: Force = False,
@@ -250,10 +256,12 @@ def _band(text: str) -> tuple[float, float]:
     InputError
         Another form, or not 0 <= LOW < HIGH.
     """
-    try:
-        low, high = (float(part) for part in text.split(":"))
-    except ValueError:
-        raise InputError(f"{text!r} is no band", "--band", "write LOW:HIGH in rad/s, as in 0.9:1.1") from None
+    from daq.console import units
+
+    ends = text.split(":")
+    if len(ends) != 2:
+        raise InputError(f"{text!r} is no band", "--band", "write LOW:HIGH in rad/s, as in 0.9:1.1")
+    low, high = (units.quantity(end, "angular frequency", "--band") for end in ends)
     if not 0.0 <= low < high < math.inf:
         raise InputError(f"{text!r} is no band", "--band", "give 0 <= LOW < HIGH, in rad/s")
     return low, high

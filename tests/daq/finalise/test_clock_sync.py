@@ -1,5 +1,7 @@
 """Drift and offset through USB batches and stalls; silence where the two clocks cannot be compared."""
 
+from types import SimpleNamespace
+
 import h5py
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ import pytest
 import daq
 from daq.finalise import clock_sync
 from daq.finalise import run as finalise
+from daq.finalise.quality import RecordingQuality
 from daq.runfile import journal
 from daq.wire import frames as wire
 
@@ -231,3 +234,16 @@ def test_a_recorded_line_gives_drift_and_offset_through_journal_and_file(tmp_pat
         assert file["entry/clock_sync/drift_errors"][()] == found.clock_ppm_error
         errors = file["entry/clock_sync/host_minus_device_errors"]
         assert errors.shape == file["entry/clock_sync/host_minus_device"].shape
+
+
+@pytest.mark.parametrize(
+    ("ppm", "error", "said"),
+    [
+        (-167.0, 3265.0, ""),  # printed as "deviates by -167 ppm (+- 3265)", as if it said something
+        (None, None, ""),
+        (-167.0, 30.0, "the board's clock deviates by -167 ppm (+- 30)"),
+        (20.0, 60.0, "the board's clock is right within 140 ppm"),
+    ],
+)
+def test_a_drift_is_printed_where_the_run_shows_one(ppm, error, said):
+    assert RecordingQuality.clock_drift.fget(SimpleNamespace(clock_ppm=ppm, clock_ppm_error=error)) == said

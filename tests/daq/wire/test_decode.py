@@ -170,3 +170,14 @@ def test_a_tally_reaches_the_same_however_the_bytes_were_cut(seed, cuts):
         for byte in range(0, len(line), 5):
             slow.feed(line[byte : byte + 5])
     assert (tally.reached, tally.resets, tally.notice) == (slow.reached, slow.resets, slow.notice)
+
+
+def test_a_tally_counts_what_came_what_is_lost_and_what_is_illegal():
+    tally = FrameTally(counts_illegal=True)
+    for seq, illegal in ((0, 65_534), (16, 1), (24, 4)):  # eight samples are lost; the count passes 2^16
+        columns = [0, *[1000] * 7], *[[0] * 8 for _ in range(3)]
+        tally.feed(wire.encode_samples(wire.SampleBlock(seq, 1000 * seq, illegal, *columns, None, None)))
+    assert (tally.reached, tally.received, tally.illegal) == (32, 24, 6)
+    assert tally.words(0.024) == "1000 Hz, 8 lost, 6 illegal"
+    tally.begin_again(100)  # the port was lost for 68 periods: no lost samples
+    assert tally.words(1.0).endswith("92 Hz, 8 lost, 6 illegal")
