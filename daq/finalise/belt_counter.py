@@ -7,11 +7,13 @@ The speed is a difference quotient over `SPAN_S`, no filter: what is known, not 
 the counts as it smooths those of the mass.
 """
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.output.spill import BLOCK
 from daq.runfile.rig import Rig
 from daq.wire import counters
 
@@ -37,6 +39,34 @@ def decoded(
     return count, velocity(count, time, starts, rate_hz, pitch.value)
 
 
+class BeltCount:
+    """The belt's count without roll-over, each segment beginning at its own first reading, piece by piece.
+
+    Parameters
+    ----------
+    bits : int
+        Width of the counter.
+    """
+
+    def __init__(self, bits: int) -> None:
+        self._bits = bits
+        self._last: tuple[int, int] | None = None  # reading and count
+
+    def take(self, values: NDArray[np.integer], begins: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the count of the next readings, (n,), as sent modulo 2^bits; ``begins``: the first of a segment."""
+        whole = values.astype(np.int64)
+        first, begins = whole.copy(), begins.copy()
+        if self._last is not None:
+            whole, begins = np.concatenate(([self._last[0]], whole)), np.concatenate(([True], begins))
+            first = np.concatenate(([self._last[1]], first))
+        if len(whole) == 0:
+            return whole
+        count = counters.running_sum(begins, counters.moves(whole, self._bits), first)
+        own = count[0 if self._last is None else 1 :]
+        self._last = int(whole[-1]), int(count[-1])
+        return own
+
+
 def unwrapped(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the belt's count without roll-over, (n,), each segment beginning at its own first reading.
 
@@ -49,11 +79,9 @@ def unwrapped(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64])
     starts : (s,) int64
         First sample of each segment: nothing is carried over.
     """
-    count = np.empty(len(values), dtype=np.int64)
-    for first, last in pairwise([*starts.tolist(), len(values)]):
-        count[first] = int(values[first])
-        count[first + 1 : last] = count[first] + np.cumsum(counters.moves(values[first:last], bits))
-    return count
+    begins = np.zeros(len(values), dtype=np.bool_)
+    begins[starts] = True
+    return BeltCount(bits).take(values, begins)
 
 
 def velocity(
@@ -67,12 +95,27 @@ def velocity(
 
     At the ends of a segment the span is cut short; a segment of one sample has speed 0.
     """
+    pieces = list(velocity_pieces(count, time, starts, rate_hz, metres_per_count))
+    return np.concatenate([np.zeros(0), *pieces])
+
+
+def velocity_pieces(
+    count: NDArray[np.int64],
+    time: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    rate_hz: float,
+    metres_per_count: float,
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the same piece by piece; count and time may be columns (`daq.output.spill.Column`)."""
     half = max(1, round(SPAN_S * rate_hz / 2))
-    speed = np.zeros(len(count))
     for first, last in pairwise([*starts.tolist(), len(count)]):
         if last - first < 2:
+            yield np.zeros(last - first)
             continue
-        at = np.arange(first, last)
-        low, high = np.maximum(at - half, first), np.minimum(at + half, last - 1)
-        speed[first:last] = (count[high] - count[low]) * metres_per_count / (time[high] - time[low])
-    return speed
+        for begin in range(first, last, BLOCK):
+            at = np.arange(begin, min(begin + BLOCK, last))
+            low, high = np.maximum(at - half, first), np.minimum(at + half, last - 1)
+            base = int(low[0])
+            counts, times = count[base : int(high[-1]) + 1], time[base : int(high[-1]) + 1]
+            low, high = low - base, high - base
+            yield (counts[high] - counts[low]) * metres_per_count / (times[high] - times[low])

@@ -13,8 +13,8 @@ and are left out first.
 
 Which points: a USB chip that polls in step with the host's own clock shows every poll the same phase of the frames as
 long as the drift does not carry them across a poll; whole frames then give the drift no better than one frame period
-over the run.  So `from_samples` takes the reads that ended inside a frame, too: on a serial line of known speed each
-byte has its own time.
+over the run.  So `daq.finalise.clock_points` takes the reads that ended inside a frame, too: on a serial line of known
+speed each byte has its own time.
 
 Interval: it is what the line allows, not what the residuals look like, which are perfect in step with the host.  A read
 bounds the line from both sides: the last byte it brought had been sent, the next one had not.  So the true line lies
@@ -26,15 +26,14 @@ Sign: a positive drift in ppm means that the device's clock runs fast.  Not mode
 the run (temperature), and the constant part of the delay, which one-way data cannot distinguish from the offset.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise.timeline import Samples, parts_of
-from daq.protocols.link_budget import BITS_PER_BYTE
-from daq.wire.decode import Stream
+from daq.output.spill import Shelf, Spill
 
 MOST_POINTS = 600  # the pairwise slopes of so many take 180,000 values; longer runs get wider bins
 FEWEST_POINTS = 3
@@ -95,53 +94,154 @@ def compare(
         interval means polls in step with the host, for which every line within is as likely: the middle is taken, of
         drift and offset.  Whole frames that come at once leave a wide interval, too, and there the line below is right.
     """
-    nothing = ClockSync(np.empty(0, dtype=np.int64), np.empty(0), None)
-    if len(device) < 2:
-        return nothing
-    span = device[-1] - device[0]
-    if span <= 0 or abs((host[-1] - host[0]) / span - 1) > max(BELIEVABLE, 0.5 / span):
-        return nothing
-    bin_s = max(1.0, span / MOST_POINTS)
-    # After a pause of the computer the seconds are the host's: all that was sent meanwhile comes in one of them.
-    clock = host if np.max(np.diff(host)) > PAUSE_S else device
-    bins = np.floor((clock - clock[0]) / bin_s).astype(np.int64)
-    delay = host - device
-    order = np.lexsort((delay, bins))
-    least = np.sort(order[np.concatenate(([True], np.diff(bins[order]) > 0))])
-    if len(least) < FEWEST_POINTS or span < FEWEST_POINTS:
-        return ClockSync(least, delay[least], None)
-    robust = theil_sen(device[least], delay[least])
-    rest = delay - robust * device
-    # The middle of the least delays is above the line by far less than this; only a wrong stamp is below it so far.
-    true = rest >= np.median(rest[least]) - TOO_EARLY_S
-    kept = least[true[least]]
-    slope = supporting_slope(device[true], delay[true])
-    if abs(slope) > BELIEVABLE:  # pauses of the computer have left no line to go by
-        return ClockSync(least, delay[least], None)
-    ppm = -1e6 * slope / (1 + slope)
-    if following is None:
-        return ClockSync(kept, delay[kept], ppm)
-    # How much each read leaves open: what it lies above the line, and how long it was to what had not come.
-    above = delay - slope * device
-    gap = following - device
-    open_s = np.where(true, gap + above - above[true].min(), np.nan)
-    order = np.lexsort((open_s, bins))  # NaN goes last
-    sharpest = order[np.concatenate(([True], np.diff(bins[order]) > 0))]
-    sharpest = sharpest[np.isfinite(open_s[sharpest])]
-    if len(sharpest) < 2:
-        return ClockSync(kept, delay[kept], ppm)
-    below = delay[sharpest] - gap[sharpest]
-    read_latency, (low, high) = _slopes(device[kept], delay[kept], following[sharpest], below)
-    if by_bytes:
-        kept = sharpest
-    gap, offset_error = gap[kept], open_s[kept] + read_latency
-    if by_bytes:
-        offset_error -= 0.5 * gap
-        if 0.5e6 * (high - low) > LIKELY_PPM:
-            slope = 0.5 * (low + high)
-            ppm = -1e6 * slope / (1 + slope)
-    error = 1e6 * max(high - slope, slope - low, 0.0)
-    return ClockSync(kept, delay[kept] - (0.5 * gap if by_bytes else 0.0), ppm, error, offset_error)
+    collected = ClockPoints(Spill())
+    following = np.full(len(device), np.nan) if following is None else following
+    collected.append(Points(host, device, following, np.arange(len(device))))
+    return collected.compare(by_bytes=by_bytes)
+
+
+@dataclass(frozen=True)
+class Points:
+    """Readings of both clocks, s, k of them (`compare`), and the samples that they belong to."""
+
+    host: NDArray[np.float64]
+    device: NDArray[np.float64]
+    following: NDArray[np.float64]
+    sample: NDArray[np.int64]
+
+    @property
+    def delay(self) -> NDArray[np.float64]:
+        """Host minus device, s."""
+        return self.host - self.device
+
+
+@dataclass
+class ClockPoints:
+    """Readings of both clocks over a run, collected piece by piece in order of the device's clock."""
+
+    spill: InitVar[Spill]
+    n: int = 0
+    first: tuple[float, float] = (0.0, 0.0)  # device and host
+    last: tuple[float, float] = (0.0, 0.0)
+    longest_pause_s: float = -np.inf
+
+    def __post_init__(self, spill: Spill) -> None:
+        self._shelf: Shelf[Points] = Shelf(spill)
+
+    def append(self, points: Points) -> None:
+        """Take the next points."""
+        if not len(points.device):
+            return
+        host = points.host if self.n == 0 else np.concatenate(([self.last[1]], points.host))
+        self.longest_pause_s = float(np.max(np.diff(host), initial=self.longest_pause_s))
+        if self.n == 0:
+            self.first = float(points.device[0]), float(points.host[0])
+        self.last = float(points.device[-1]), float(points.host[-1])
+        self.n += len(points.device)
+        self._shelf.append(points)
+
+    def compare(self, *, by_bytes: bool) -> ClockSync:
+        """Compare the clocks, as `compare`; ``index`` of the answer is the sample."""
+        nothing = ClockSync(np.empty(0, dtype=np.int64), np.empty(0), None)
+        if self.n < 2:
+            return nothing
+        span = self.last[0] - self.first[0]
+        if span <= 0 or abs((self.last[1] - self.first[1]) / span - 1) > max(BELIEVABLE, 0.5 / span):
+            return nothing
+        bin_s = max(1.0, span / MOST_POINTS)
+        # After a pause of the computer the seconds are the host's: all that was sent meanwhile comes in one of them.
+        by_host = self.longest_pause_s > PAUSE_S
+
+        def bins(points: Points) -> NDArray[np.int64]:
+            clock, begun = (points.host, self.first[1]) if by_host else (points.device, self.first[0])
+            return np.floor((clock - begun) / bin_s).astype(np.int64)
+
+        chosen = _Cheapest()
+        for points in self._shelf:
+            chosen.take(points, bins(points), points.delay)
+        least = chosen.by_number()
+        if len(least.device) < FEWEST_POINTS or span < FEWEST_POINTS:
+            return ClockSync(least.sample, least.delay, None)
+        robust = theil_sen(least.device, least.delay)
+        # The middle of the least delays is above the line by far less than this; only a wrong stamp is below it so far.
+        lowest = float(np.median(least.delay - robust * least.device)) - TOO_EARLY_S
+
+        def true(points: Points) -> NDArray[np.bool_]:
+            return np.asarray(points.delay - robust * points.device >= lowest)
+
+        kept = taken(least, true(least))
+        hull = _LowerHull()
+        for points in self._shelf:
+            here = true(points)
+            hull.take(points.device[here], points.delay[here])
+        slope = hull.slope()
+        if abs(slope) > BELIEVABLE:  # pauses of the computer have left no line to go by
+            return ClockSync(least.sample, least.delay, None)
+        ppm = -1e6 * slope / (1 + slope)
+        lowest_above = min(
+            float(np.min((points.delay - slope * points.device)[true(points)], initial=np.inf))
+            for points in self._shelf
+        )
+
+        def open_s(points: Points) -> NDArray[np.float64]:
+            """Return how much each read leaves open: what it lies above the line, and how long it was to the next."""
+            above = points.delay - slope * points.device
+            return np.where(true(points), (points.following - points.device) + above - lowest_above, np.nan)
+
+        chosen = _Cheapest()
+        for points in self._shelf:
+            chosen.take(points, bins(points), open_s(points))
+        sharpest = chosen.by_bin()
+        sharpest = taken(sharpest, np.isfinite(open_s(sharpest)))
+        if len(sharpest.device) < 2:
+            return ClockSync(kept.sample, kept.delay, ppm)
+        below = sharpest.delay - (sharpest.following - sharpest.device)
+        read_latency, (low, high) = _slopes(kept.device, kept.delay, sharpest.following, below)
+        if by_bytes:
+            kept = sharpest
+        gap, offset_error = kept.following - kept.device, open_s(kept) + read_latency
+        if by_bytes:
+            offset_error -= 0.5 * gap
+            if 0.5e6 * (high - low) > LIKELY_PPM:
+                slope = 0.5 * (low + high)
+                ppm = -1e6 * slope / (1 + slope)
+        error = 1e6 * max(high - slope, slope - low, 0.0)
+        return ClockSync(kept.sample, kept.delay - (0.5 * gap if by_bytes else 0.0), ppm, error, offset_error)
+
+
+def taken(points: Points, where: NDArray[Any]) -> Points:
+    """Return some of the points."""
+    return Points(points.host[where], points.device[where], points.following[where], points.sample[where])
+
+
+class _Cheapest:
+    """Of each bin the point of the least cost, the first of equal ones; points come in order."""
+
+    def __init__(self) -> None:
+        self._best: dict[int, tuple[float, int, Points]] = {}  # of each bin: cost, number, point
+        self._n = 0
+
+    def take(self, points: Points, bins: NDArray[np.int64], cost: NDArray[np.float64]) -> None:
+        """Take the next points; a cost of NaN is larger than any."""
+        order = np.lexsort((cost, bins))
+        for at in order[np.concatenate(([True], np.diff(bins[order]) > 0))].tolist():
+            known = self._best.get(int(bins[at]))
+            if known is None or cost[at] < known[0] or (np.isnan(known[0]) and not np.isnan(cost[at])):
+                own = taken(points, slice(at, at + 1))  # type: ignore[arg-type]
+                self._best[int(bins[at])] = float(cost[at]), self._n + at, own
+        self._n += len(bins)
+
+    def by_bin(self) -> Points:
+        """Return the points in order of their bins."""
+        return self._points([self._best[number] for number in sorted(self._best)])
+
+    def by_number(self) -> Points:
+        """Return the points in the order in which they came."""
+        return self._points(sorted(self._best.values(), key=itemgetter(1)))
+
+    def _points(self, found: list[tuple[float, int, Points]]) -> Points:
+        names = ("host", "device", "following", "sample")
+        return Points(*(np.concatenate([getattr(point, name) for _, _, point in found]) for name in names))
 
 
 def _slopes(
@@ -168,19 +268,38 @@ def supporting_slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
 
     An edge of the lower convex hull (monotone chain).
     """
-    hull: list[tuple[float, float]] = []
-    for point in zip(x.tolist(), y.tolist(), strict=True):
-        if hull and point[0] == hull[-1][0]:
-            if point[1] >= hull[-1][1]:
-                continue
-            hull.pop()
-        while len(hull) >= 2 and _turns_right(hull[-2], hull[-1], point):
-            hull.pop()
-        hull.append(point)
-    middle = float(x.mean())
-    edge = next(i for i in range(1, len(hull)) if hull[i][0] >= middle or i == len(hull) - 1)
-    (x0, y0), (x1, y1) = hull[edge - 1], hull[edge]
-    return (y1 - y0) / (x1 - x0)
+    hull = _LowerHull()
+    hull.take(x, y)
+    return hull.slope()
+
+
+class _LowerHull:
+    """The lower convex hull of points that come in order of x."""
+
+    def __init__(self) -> None:
+        self._hull: list[tuple[float, float]] = []
+        self._sum, self._n = 0.0, 0
+
+    def take(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+        """Take the next points."""
+        hull = self._hull
+        for point in zip(x.tolist(), y.tolist(), strict=True):
+            if hull and point[0] == hull[-1][0]:
+                if point[1] >= hull[-1][1]:
+                    continue
+                hull.pop()
+            while len(hull) >= 2 and _turns_right(hull[-2], hull[-1], point):
+                hull.pop()
+            hull.append(point)
+        self._sum += float(x.sum())
+        self._n += len(x)
+
+    def slope(self) -> float:
+        """Return the slope of the edge at the mean x."""
+        hull, middle = self._hull, self._sum / self._n
+        edge = next(i for i in range(1, len(hull)) if hull[i][0] >= middle or i == len(hull) - 1)
+        (x0, y0), (x1, y1) = hull[edge - 1], hull[edge]
+        return (y1 - y0) / (x1 - x0)
 
 
 def _turns_right(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
@@ -191,38 +310,3 @@ def theil_sen(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
     """Return the median of the slopes of all pairs; x strictly increasing, at least two points."""
     i, j = np.triu_indices(len(x), 1)
     return float(np.median((y[j] - y[i]) / (x[j] - x[i])))
-
-
-def from_samples(samples: Samples, streams: Sequence[Stream], baud: int | None) -> ClockSync:
-    """Compare the clocks over the longest part; ``index`` of the answer is the run's sample."""
-    here = max((where for _, where in parts_of(samples)), key=lambda where: where.stop - where.start)
-    last = here.start + np.flatnonzero(np.diff(samples.frame[here], append=-1) != 0)
-    host, sample, sent_s = samples.stamp_ns[last], last, np.zeros(len(last))
-    # What had not come in yet: the next frame, where another read brought it.
-    following = np.append(np.where(np.diff(host) > 0, samples.time[last][1:], np.nan), np.nan)
-    by_bytes = False
-    if baud is not None:
-        # On a serial line of known speed every byte has its time, so reads that ended inside a frame count as well.
-        base = np.cumsum([0, *(len(stream.n) for stream in streams)])
-        length = np.concatenate([stream.length for stream in streams])
-        stamps = np.concatenate([stream.part_stamp_ns for stream in streams])
-        begun = np.concatenate([at + stream.part_frame for at, stream in zip(base, streams, strict=False)])
-        count = np.concatenate([stream.part_bytes for stream in streams])
-        of = np.searchsorted(samples.frame[last], begun)
-        known = (of < len(last)) & (samples.frame[last][np.minimum(of, len(last) - 1)] == begun)
-        host = np.concatenate((host, stamps[known]))
-        sample = np.concatenate((last, last[of[known]]))
-        byte_s = BITS_PER_BYTE / baud
-        sent_s = np.concatenate((length[samples.frame[last]], count[known])) * byte_s
-        by_bytes = bool(length.any())  # of text lines the recorder does not know how long each was
-        if by_bytes:
-            # The next byte; behind a frame that is the first of the next one, if no byte of it had come.
-            following[:-1][np.isin(samples.frame[last][1:], begun)] = np.nan
-            following = np.concatenate((following, samples.time[last[of[known]]] + sent_s[len(last) :])) + byte_s
-        else:
-            following = np.concatenate((following, np.full(int(known.sum()), np.nan)))
-    device = samples.time[sample] + sent_s
-    order = np.argsort(device, kind="stable")
-    host_s = (host[order] - samples.stamp_ns[0]) / 1e9
-    found = compare(host_s, device[order], following[order], by_bytes=by_bytes)
-    return replace(found, index=sample[order][found.index])

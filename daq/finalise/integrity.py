@@ -5,14 +5,14 @@ across which the counters (the belt's, too) may have rolled over unseen.  In eac
 difference: nothing is carried over, nothing is filled in.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise.timeline import PartReason, Samples
+from daq.finalise.timeline import PartReason, Samples, joined
 from daq.protocols import link_budget
 from daq.runfile.rig import Rig
 from daq.wire import counters, frames
@@ -45,6 +45,8 @@ class CheckedCounts:
         First sample of each segment.
     reasons : tuple of SegmentReason
         What began each segment; of the first one it means nothing.
+    gap_s : (s,) float64
+        How long after the sample before it each segment begins; 0 for the first one.
     """
 
     count: NDArray[np.int64]
@@ -55,20 +57,13 @@ class CheckedCounts:
     peak_count_rate: float
     reasons: tuple[SegmentReason, ...]
     starts: NDArray[np.int64]
+    gap_s: NDArray[np.float64]
 
 
 def check(
     samples: Samples, ident: frames.Ident | None, rig: Rig, rate_hz: float, *, starts_at_phase: bool = True
 ) -> CheckedCounts:
-    """Unwrap the counts, cut the run into segments, and flag what does not agree.
-
-    Parameters
-    ----------
-    samples, ident, rig, rate_hz
-        The run, who sent it, its calibration, and its nominal rate.
-    starts_at_phase : bool
-        The board's rule: an x4 counter starts at the phase of its levels.  Another sketch's may start anywhere; then
-        the offset that most samples of a segment have is taken as its own.
+    """Unwrap the counts of a whole run, cut it into segments, and flag what does not agree (`CountCheck`).
 
     Raises
     ------
@@ -77,69 +72,200 @@ def check(
     """
     if len(samples) == 0:
         raise ValueError("nothing to check: there is no sample")
-    bits = rig.counter_bits
-    fresh = np.concatenate(([True], np.diff(samples.part) > 0))  # first sample of a part
-    lost = np.zeros(len(samples), dtype=np.int64)
-    lost[1:] = np.where(fresh[1:], 0, np.diff(samples.index) - 1)
-    lost[fresh] = samples.index[fresh]  # a start numbers from 0, so what is missing there was lost, too
-    interval = np.concatenate(([0.0], np.diff(samples.time)))
-    edges = EDGES_PER_COUNT.get(rig.decoder, 1)
-    # By its number, or by a time that no jitter explains: above 30 kHz jitter alone is more than half a period.
-    gap = (lost > 0) | (interval > max(1.5 / rate_hz, PEAK_OVER_S))
-    moved = np.maximum(counters.increments(samples.up, bits), counters.increments(samples.down, bits))
-    peak = _peak_rate(samples.time, moved, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
-    safe = counters.longest_gap_s(link_budget.peak_edge_rate_hz(ident, rig, peak * edges), edges, bits)
-    if samples.belt is not None:
-        moved_belt = np.abs(counters.moves(samples.belt, bits))
-        belt_peak = _peak_rate(samples.time, moved_belt, gap | fresh, max(1, round(PEAK_OVER_S * rate_hz)))
-        safe = min(safe, counters.longest_gap_s(2 * belt_peak, 1, bits - 1))
-    invalid = gap & (interval > safe) & ~fresh
-    starts = np.flatnonzero(fresh | invalid)
-    segment = np.cumsum(fresh | invalid) - 1
-    stretches = list(pairwise([*starts.tolist(), len(samples)]))
-    count = np.empty(len(samples), dtype=np.int64)
-    for start, stop in stretches:
-        count[start:stop] = counters.net_count(samples.up[start:stop], samples.down[start:stop], bits)
-    flags = (samples.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
-    flags[lost > 0] |= counters.FLAG_GAP
-    if samples.time_error is not None:
-        flags[samples.time_error != 0] |= counters.FLAG_TIME
-    both = counters.check_both_moved(samples.up, samples.down)
-    both[starts] = False
-    flags[both] |= counters.FLAG_BOTH
-    if rig.decoder == "x4" and ident is not None and frames.Capability.LEVELS in ident.capabilities:
-        wrong = counters.phase_error(samples.up, samples.down, samples.status)
-        if not starts_at_phase:
-            for start, stop in stretches:
-                wrong[start:stop] -= np.bincount(wrong[start:stop], minlength=4).argmax().astype(np.uint8)
-        flags[wrong & 3 != 0] |= counters.FLAG_PHASE
-    rise = np.zeros(len(samples), dtype=np.int64)
-    if ident is not None and frames.Capability.ILLEGAL in ident.capabilities:
-        rise[1:] = counters.increments(samples.illegal, 16)
-        rise[fresh] = 0  # what the board counted before this start is not this run's
-        # The count stands for its whole frame, so every sample of the frame is suspect.
-        flags[np.isin(samples.frame, samples.frame[rise > 0])] |= counters.FLAG_ILLEGAL
-        # What was missed stays missing, and an even number of misses hides from the phase.
-        total = np.cumsum(rise)
-        begun = np.maximum.accumulate(np.where(fresh, np.arange(len(samples)), 0))
-        flags[total > total[begun]] |= counters.FLAG_COUNT_UNCERTAIN
-    reasons: tuple[SegmentReason, ...] = tuple(
-        "invalid" if invalid[s] else samples.begun_by[samples.part[s]] for s in starts
-    )
-    return CheckedCounts(count, segment.astype(np.uint16), flags, lost, int(rise.sum()), peak, reasons, starts)
+    checking = CountCheck(ident, rig, rate_hz, starts_at_phase=starts_at_phase)
+    checking.survey([samples])
+    return checking.take(samples)
 
 
-def _peak_rate(time: NDArray[np.float64], moved: NDArray[np.int64], broken: NDArray[np.bool_], stride: int) -> float:
-    """Return the fastest counting (counts/s) over ``stride`` samples in a row that no gap breaks; 0 for one sample.
+class CountCheck:
+    """Unwrap the counts, cut the run into segments, and flag what does not agree: piece by piece, of whole frames.
+
+    Parameters
+    ----------
+    ident, rig, rate_hz
+        Who sent the run, its calibration, and its nominal rate.
+    starts_at_phase : bool
+        The board's rule: an x4 counter starts at the phase of its levels.  Another sketch's may start anywhere; then
+        the offset that most samples of a segment have is taken as its own.
+
+    Attributes
+    ----------
+    peak_count_rate : float
+        Of the whole run, once it has been surveyed (`CheckedCounts`).
+    """
+
+    def __init__(self, ident: frames.Ident | None, rig: Rig, rate_hz: float, *, starts_at_phase: bool = True) -> None:
+        has = frames.Capability(0) if ident is None else ident.capabilities
+        self.peak_count_rate = 0.0
+        self._ident, self._rig, self._rate_hz = ident, rig, rate_hz
+        self._has_phase = rig.decoder == "x4" and frames.Capability.LEVELS in has
+        self._has_illegal = frames.Capability.ILLEGAL in has
+        self._starts_at_phase = starts_at_phase
+        self._safe_s = float("inf")
+        self._offsets: NDArray[np.uint8] | None = None  # of each segment
+        self._last: Samples | None = None
+        self._taken = self._count = self._segments = self._risen = 0
+
+    def survey(self, pieces: Iterable[Samples]) -> None:
+        """Look at the whole run: how long a gap the counters' speed allows, and where its counters started."""
+        bits, edges = self._rig.counter_bits, EDGES_PER_COUNT.get(self._rig.decoder, 1)
+        stride = max(1, round(PEAK_OVER_S * self._rate_hz))
+        peak, belt_peak = _PeakRate(stride), _PeakRate(stride)
+        self._begin()
+        has_belt = False
+        for samples in pieces:
+            window, fresh, _, _, gap = self._follow(samples)
+            ups, downs = (counters.increments(column, bits) for column in (window.up, window.down))
+            peak.take(window.time, np.maximum(ups, downs), gap | fresh)
+            if window.belt is not None:
+                has_belt = True
+                belt_peak.take(window.time, np.abs(counters.moves(window.belt, bits)), gap | fresh)
+        self.peak_count_rate = peak.found()
+        rate_hz = link_budget.peak_edge_rate_hz(self._ident, self._rig, self.peak_count_rate * edges)
+        self._safe_s = counters.longest_gap_s(rate_hz, edges, bits)
+        if has_belt:
+            self._safe_s = min(self._safe_s, counters.longest_gap_s(2 * belt_peak.found(), 1, bits - 1))
+        self._begin()
+        if self._has_phase and not self._starts_at_phase:
+            seen = np.zeros(0, dtype=np.int64)  # how often each segment is off by 0, 1, 2, 3
+            for samples in pieces:
+                segments = self.take(samples).segment
+                wrong = counters.phase_error(samples.up, samples.down, samples.status)
+                here = np.bincount(segments.astype(np.int64) << 2 | wrong)
+                seen = np.pad(seen, (0, max(0, len(here) - len(seen))))
+                seen[: len(here)] += here
+            self._offsets = np.pad(seen, (0, -len(seen) % 4)).reshape(-1, 4).argmax(axis=1).astype(np.uint8)
+            self._begin()
+
+    def take(self, samples: Samples) -> CheckedCounts:
+        """Check the next samples; of segments, the first samples are counted from the start of the run."""
+        bits = self._rig.counter_bits
+        own = slice(1 if self._last is not None else 0, None)
+        segments, count_before, risen = self._segments, self._count, self._risen
+        window, fresh, lost, interval, gap = self._follow(samples)
+        invalid = gap & (interval > self._safe_s) & ~fresh
+        begins = fresh | invalid
+        n = len(window)
+        if n == 0:
+            return _nothing_checked(self.peak_count_rate)
+        first = window.up.astype(np.int64) - window.down + (1 << bits - 1)
+        first = (first & (1 << bits) - 1) - (1 << bits - 1)
+        if own.start:
+            begins[0], first[0] = True, count_before
+        ups, downs = (counters.increments(column, bits) for column in (window.up, window.down))
+        count = counters.running_sum(begins, ups - downs, first)
+        segment = segments + np.cumsum(begins) - 1
+        flags = (window.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
+        flags[lost > 0] |= counters.FLAG_GAP
+        if window.time_error is not None:
+            flags[window.time_error != 0] |= counters.FLAG_TIME
+        both = counters.check_both_moved(window.up, window.down)
+        flags[both & ~begins] |= counters.FLAG_BOTH
+        if self._has_phase:
+            wrong = counters.phase_error(window.up, window.down, window.status)
+            if self._offsets is not None:
+                wrong -= self._offsets[segment & 0xFFFF]
+            flags[wrong & 3 != 0] |= counters.FLAG_PHASE
+        rise = np.zeros(n, dtype=np.int64)
+        if self._has_illegal:
+            rise[1:] = counters.increments(window.illegal, 16)
+            rise[fresh] = 0  # what the board counted before this start is not this run's
+            # The count stands for its whole frame, so every sample of the frame is suspect.
+            flags[np.isin(window.frame, window.frame[rise > 0])] |= counters.FLAG_ILLEGAL
+            # What was missed stays missing, and an even number of misses hides from the phase.
+            total = np.cumsum(rise) + risen
+            begun = np.maximum.accumulate(np.where(fresh, np.arange(n), 0))
+            total -= np.where(np.logical_or.accumulate(fresh), total[begun], 0)
+            flags[total > 0] |= counters.FLAG_COUNT_UNCERTAIN
+            self._risen = int(total[-1])
+        starts = np.flatnonzero(begins[own])
+        self._count, self._segments = int(count[-1]), int(segment[-1])
+        reasons: tuple[SegmentReason, ...] = tuple(
+            "invalid" if invalid[own][s] else samples.begun_by[samples.part[s]] for s in starts
+        )
+        self._taken += len(samples)
+        return CheckedCounts(
+            count=count[own],
+            segment=segment[own].astype(np.uint16),
+            flags=flags[own],
+            lost=lost[own],
+            illegal=int(rise.sum()),
+            peak_count_rate=self.peak_count_rate,
+            reasons=reasons,
+            starts=starts + self._taken - len(samples),
+            gap_s=interval[own][starts],
+        )
+
+    def _begin(self) -> None:
+        """Begin with the first sample of the run."""
+        self._last = None
+        self._taken = self._count = self._segments = self._risen = 0
+
+    def _follow(
+        self, samples: Samples
+    ) -> tuple[Samples, NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the next samples with the last one before them, and of each of these how it follows.
+
+        Returns
+        -------
+        Samples, and arrays of shape (k,)
+            The samples; which begin a part; how many are missing before each; how long after the one before it comes,
+            s; and whether that is a gap.
+        """
+        window = samples if self._last is None else joined([self._last, samples])
+        fresh = np.diff(window.part, prepend=-1 if self._last is None else window.part[:1]) > 0
+        lost = np.where(fresh, window.index, np.diff(window.index, prepend=0) - 1)
+        # A start numbers from 0, so what is missing there was lost, too.
+        interval = np.diff(window.time, prepend=window.time[:1])
+        if self._last is not None:
+            lost[0] = 0
+        if len(window):
+            self._last = window.take(np.arange(len(window)) == len(window) - 1)
+        # By its number, or by a time that no jitter explains: above 30 kHz jitter alone is more than half a period.
+        gap = (lost > 0) | (interval > max(1.5 / self._rate_hz, PEAK_OVER_S))
+        return window, fresh, lost, interval, gap
+
+
+def _nothing_checked(peak_count_rate: float) -> CheckedCounts:
+    none = np.zeros(0, dtype=np.int64)
+    flags = none.astype(np.uint16)
+    return CheckedCounts(none, flags, flags, none, 0, peak_count_rate, (), none, none.astype(np.float64))
+
+
+class _PeakRate:
+    """The fastest counting (counts/s) over ``stride`` samples in a row that no gap breaks; 0 for one sample.
 
     Where gaps leave no stretch as long, the longest that there are must do: half of it, a quarter ...
     """
-    total = np.concatenate(([0], np.cumsum(moved)))
-    breaks = np.cumsum(broken)
-    while stride:
-        whole = breaks[stride:] == breaks[:-stride]
-        if whole.any():
-            rate = (total[stride:] - total[:-stride]) / (time[stride:] - time[:-stride])
-            return float(rate[whole].max())
-        stride //= 2
-    return 0.0
+
+    def __init__(self, stride: int) -> None:
+        self._strides = [stride]
+        while self._strides[-1] > 1:
+            self._strides.append(self._strides[-1] // 2)
+        self._peak: dict[int, float] = {}
+        self._time, self._moved = np.empty(0), np.empty(0, dtype=np.int64)
+        self._broken = np.empty(0, dtype=np.bool_)
+
+    def take(self, time: NDArray[np.float64], moved: NDArray[np.int64], broken: NDArray[np.bool_]) -> None:
+        """Take the next samples, (k,), and the moves between them, (k - 1,).
+
+        The first one of them is the last one of the samples before.
+        """
+        if len(self._time):
+            time, broken = np.concatenate((self._time, time[1:])), np.concatenate((self._broken, broken[1:]))
+            moved = np.concatenate((self._moved, moved))
+        total = np.concatenate(([0], np.cumsum(moved)))[: len(time)]
+        breaks = np.cumsum(broken)
+        for stride in self._strides:
+            whole = breaks[stride:] == breaks[:-stride]
+            if whole.any():
+                rate = (total[stride:] - total[:-stride]) / (time[stride:] - time[:-stride])
+                self._peak[stride] = max(self._peak.get(stride, 0.0), float(rate[whole].max()))
+            if stride in self._peak:
+                break
+        kept = self._strides[0]
+        self._time, self._moved, self._broken = time[-kept:], moved[max(0, len(moved) - kept + 1) :], broken[-kept:]
+
+    def found(self) -> float:
+        """Return the rate."""
+        return self._peak[max(self._peak)] if self._peak else 0.0

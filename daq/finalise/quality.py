@@ -1,15 +1,15 @@
 """What a recording is worth: the numbers behind ``daq record``'s answer, and the warnings that follow from them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from daq.finalise import timeline
 from daq.finalise.integrity import CheckedCounts
-from daq.finalise.timeline import Samples
+from daq.finalise.timeline import Piece
 from daq.runfile import journal
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
@@ -121,47 +121,109 @@ class RecordingQuality:
         return kept | {"warnings": list(self.warnings)}
 
 
+@dataclass
+class DataTotals:
+    """What is counted in the samples of a run, piece by piece; see `RecordingQuality` where nothing is said.
+
+    Attributes
+    ----------
+    gaps : int
+        Places where samples are missing.
+    longest_gap, longest_after_s : int, float
+        Samples missing in the longest gap, and when it begins.
+    overruns : int
+        Samples at which the board missed its own pace.
+    reasons : list of str
+        What began each segment.
+    jumped_s : list of float
+        When sequence numbers jumped.
+    places : tuple of two int, or None
+        Sample periods from the start of the run to the first and to the last sample.
+    last_s : float
+        Time of the last sample.
+    """
+
+    samples: int = 0
+    lost: int = 0
+    gaps: int = 0
+    longest_gap: int = 0
+    longest_after_s: float = 0.0
+    illegal: int = 0
+    phase_errors: int = 0
+    both_moved: int = 0
+    retimed: int = 0
+    overruns: int = 0
+    reasons: list[str] = field(default_factory=list)
+    jumped_s: list[float] = field(default_factory=list)
+    travel: tuple[float, float] = (np.inf, -np.inf)
+    places: tuple[int, int] | None = None
+    last_s: float = 0.0
+
+    def take(self, piece: Piece, checked: CheckedCounts, position: NDArray[np.float64]) -> None:
+        """Take the next samples, and their positions."""
+        samples, lost = piece.samples, checked.lost
+        if not len(samples):
+            return
+        longest = int(np.argmax(lost))
+        if lost[longest] > self.longest_gap:
+            self.longest_gap = int(lost[longest])
+            self.longest_after_s = float(samples.time[longest - 1]) if longest else self.last_s
+        self.lost += int(lost.sum())
+        self.gaps += int(np.count_nonzero(lost))
+        self.illegal += checked.illegal
+        self.phase_errors += int(np.count_nonzero(checked.flags & counters.FLAG_PHASE))
+        self.both_moved += int(np.count_nonzero(checked.flags & counters.FLAG_BOTH))
+        self.retimed += int(np.count_nonzero(checked.flags & counters.FLAG_TIME))
+        self.overruns += int(np.count_nonzero(samples.status & frames.OVERRUN))
+        begun = samples.time[checked.starts - self.samples].tolist()
+        self.jumped_s += [at for at, why in zip(begun, checked.reasons, strict=True) if why == "jumped"]
+        self.reasons += checked.reasons
+        self.travel = min(self.travel[0], float(position.min())), max(self.travel[1], float(position.max()))
+        self.places = (int(piece.place[0]) if self.places is None else self.places[0]), int(piece.place[-1])
+        self.last_s = float(samples.time[-1])
+        self.samples += len(samples)
+
+
 def from_run(
-    recorded: journal.Journal, samples: Samples, checked: CheckedCounts, streams: Sequence[Stream], run: Recording
+    recorded: journal.Journal, totals: DataTotals, peak_count_rate: float, streams: Sequence[Stream], run: Recording
 ) -> RecordingQuality:
     """Return the findings of a run, its warnings about the data not yet among them (`warnings`)."""
-    span = float(samples.time[-1])
-    place = timeline.run_index(samples, run.rate_hz)
+    first, last = totals.places or (0, 0)
     return RecordingQuality(
-        samples=len(samples),
-        lost=int(checked.lost.sum()),
+        samples=totals.samples,
+        lost=totals.lost,
         crc_errors=sum(stream.crc_errors for stream in streams),
-        illegal=checked.illegal,
-        phase_errors=int(np.count_nonzero(checked.flags & counters.FLAG_PHASE)),
-        segments=len(checked.starts),
+        illegal=totals.illegal,
+        phase_errors=totals.phase_errors,
+        segments=len(totals.reasons),
         rate_hz=run.rate_hz,
-        measured_rate_hz=int(place[-1] - place[0]) / span if span > 0 else run.rate_hz,
+        measured_rate_hz=(last - first) / totals.last_s if totals.last_s > 0 else run.rate_hz,
         clock_ppm=run.clock_ppm,
         clock_ppm_error=run.clock_ppm_error,
-        duration_s=span + 1 / run.rate_hz,
-        peak_edge_rate_hz=checked.peak_count_rate * EDGES_PER_COUNT.get(run.rig.decoder, 1),
-        both_moved=int(np.count_nonzero(checked.flags & counters.FLAG_BOTH)),
+        duration_s=totals.last_s + 1 / run.rate_hz,
+        peak_edge_rate_hz=peak_count_rate * EDGES_PER_COUNT.get(run.rig.decoder, 1),
+        both_moved=totals.both_moved,
         dropped_bytes=sum(int.from_bytes(r.data, "little") for r in recorded.records.of_kind(journal.DROPPED)),
-        travel=(float(run.position.min()), float(run.position.max())),
+        travel=totals.travel,
         unit="m" if run.rig.metres_per_count is not None else "count",
         port_lost=recorded.records.kinds.count(journal.LOST),
-        asked_s=recorded.header["samples"] / run.rate_hz if recorded.header["samples"] is not None else None,
+        asked_s=recorded.header["samples"] / run.rate_hz if recorded.header.get("samples") is not None else None,
         ended=next(map(journal.end_reason, recorded.records.of_kind(journal.END)), ""),
-        retimed=int(np.count_nonzero(checked.flags & counters.FLAG_TIME)),
+        retimed=totals.retimed,
     )
 
 
 def warnings(
     found: RecordingQuality,
     recorded: journal.Journal,
-    samples: Samples,
-    checked: CheckedCounts,
+    totals: DataTotals,
+    repeated: int,
     streams: Sequence[Stream],
     rig: Rig,
 ) -> list[str]:
     """Return one sentence for each thing that is wrong with the data, with its number."""
-    lines = [*_port_outages(recorded.records), *_data_warnings(found, samples, checked, rig, streams)]
-    lines += _incomplete(found, samples, checked)
+    lines = [*_port_outages(recorded.records), *_data_warnings(found, totals, repeated, rig, streams)]
+    lines += _incomplete(found, totals)
     if recorded.lost_tail:
         lines.append(f"the last {recorded.lost_tail} bytes of the journal were cut short: its last record")
     if recorded.damaged:
@@ -170,7 +232,7 @@ def warnings(
     return lines
 
 
-def _incomplete(found: RecordingQuality, samples: Samples, checked: CheckedCounts) -> list[str]:
+def _incomplete(found: RecordingQuality, totals: DataTotals) -> list[str]:
     """Return sentences for a run that is not what was asked for, and for its longest gap."""
     lines = []
     if found.short and found.asked_s is not None:
@@ -184,11 +246,11 @@ def _incomplete(found: RecordingQuality, samples: Samples, checked: CheckedCount
         lines.append(f"the run holds {held_s:.3g} s of samples of the {found.asked_s:.3g} s asked for: {because}")
     if found.sparse:
         lines.append(f"{found.lost / (found.samples + found.lost):.0%} of the samples are lost")
-    longest = int(np.argmax(checked.lost))
-    gap_s = float(checked.lost[longest]) / found.rate_hz
+    gap_s = totals.longest_gap / found.rate_hz
     if gap_s > LONG_GAP_S:
-        at_s = float(samples.time[longest - 1]) if longest else 0.0
-        lines.append(f"the longest gap begins {at_s:.3f} s after the first sample and lasts {gap_s:.3g} s")
+        lines.append(
+            f"the longest gap begins {totals.longest_after_s:.3f} s after the first sample and lasts {gap_s:.3g} s"
+        )
     return lines
 
 
@@ -218,22 +280,20 @@ def _port_outages(records: Sequence[journal.Record]) -> list[str]:
     return outages
 
 
-def _times(samples: Samples, checked: CheckedCounts) -> str:
-    """Return when the first sequence numbers jumped."""
-    pairs = zip(checked.starts[1:], checked.reasons[1:], strict=True)
-    at = [f"{samples.time[start]:.3f} s" for start, reason in pairs if reason == "jumped"]
-    return ", ".join(at[:5]) + (f" and {len(at) - 5} times more" if len(at) > 5 else "")
+def _times(found_s: Sequence[float]) -> str:
+    """Return the first few of some times, in words."""
+    at = [f"{time_s:.3f} s" for time_s in found_s[:5]]
+    return ", ".join(at) + (f" and {len(found_s) - 5} times more" if len(found_s) > 5 else "")
 
 
 def _data_warnings(
-    found: RecordingQuality, samples: Samples, checked: CheckedCounts, rig: Rig, streams: Sequence[Stream]
+    found: RecordingQuality, totals: DataTotals, repeated: int, rig: Rig, streams: Sequence[Stream]
 ) -> list[str]:
     """Return one sentence for each kind of damage in the data, with its number."""
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
-    overruns = int(np.count_nonzero(samples.status & frames.OVERRUN))
     unknown = sum(stream.unknown for stream in streams)
     lines = [
-        (found.lost, f"{found.lost} samples were lost in {np.count_nonzero(checked.lost)} places"),
+        (found.lost, f"{found.lost} samples were lost in {totals.gaps} places"),
         (found.crc_errors, f"{found.crc_errors} damaged frames were thrown away"),
         (unknown, f"{unknown} frames were of an unknown kind or length"),
         (
@@ -242,8 +302,8 @@ def _data_warnings(
             f"{2 * found.illegal}",
         ),
         (found.phase_errors, f"{found.phase_errors} samples disagree with the levels sent beside them"),
-        (overruns, f"the board missed its own pace at {overruns} samples"),
-        (samples.repeated, f"{samples.repeated} samples came twice or late and were left out"),
+        (totals.overruns, f"the board missed its own pace at {totals.overruns} samples"),
+        (repeated, f"{repeated} samples came twice or late and were left out"),
         (
             found.retimed,
             f"{found.retimed} samples had times off the course of their neighbours; these times were interpolated",
@@ -251,18 +311,18 @@ def _data_warnings(
         (found.dropped_bytes, f"{found.dropped_bytes} bytes were dropped: this machine could not keep up"),
         (
             found.segments - 1,
-            f"{found.segments} segments: {'; '.join(sorted(set(checked.reasons[1:])))}; positions are not connected "
+            f"{found.segments} segments: {'; '.join(sorted(set(totals.reasons[1:])))}; positions are not connected "
             "across them",
         ),
         (
-            checked.reasons[1:].count("jumped"),
-            f"the board's sequence numbers jumped against its clock, {_times(samples, checked)} after the first "
+            len(totals.jumped_s),
+            f"the board's sequence numbers jumped against its clock, {_times(totals.jumped_s)} after the first "
             "sample: it was reset, or sent wrong numbers; each time a new segment begins",
         ),
     ]
     lines += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]
     half = 2 ** (rig.counter_bits - 1)
-    moved = round(checked.peak_count_rate / found.rate_hz)
+    moved = round(found.peak_edge_rate_hz / edges / found.rate_hz)
     lines.append(
         (
             moved > half,

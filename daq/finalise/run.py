@@ -5,24 +5,26 @@ file byte for byte, except for the name of the command.
 """
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.errors import DataError, InputError
-from daq.finalise import belt_counter, clock_sync, quality, timeline
-from daq.finalise.events import events_of
-from daq.finalise.integrity import CheckedCounts, check
-from daq.finalise.quality import RecordingQuality
-from daq.finalise.timeline import Samples, TruthRows
+from daq.finalise import connections, quality
+from daq.finalise.clock_points import PartClock
+from daq.finalise.columns import RunColumns
+from daq.finalise.events import RunEvents
+from daq.finalise.integrity import CountCheck
+from daq.finalise.quality import DataTotals, RecordingQuality
+from daq.finalise.timeline import Samples, Timeline, parts_of
 from daq.output import atomic
+from daq.output.spill import Spill
 from daq.runfile import journal, journal_header, store
-from daq.runfile.recording import EVENT_NAMES, Raw, Recording, Truth, positions
+from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
 from daq.wire import decode, frames
 
@@ -58,7 +60,7 @@ def finalise(
         atomic.refuse_existing(output, force)
     markers = journal.markers_path(part)
     recorded = journal.read(part)
-    run, found = run_data(recorded, journal.read_markers(markers), finished_by)
+    run, found = run_data(recorded, journal.read_markers(markers), finished_by, output)
     logger.info("%s: %d records, %d samples", part, len(recorded.records), found.samples)
     # A command that was killed after it had put the file in place left the journal: what is missing is its removal.
     if not (exists and not recorded.damaged and store.holds(output, run)):
@@ -70,9 +72,15 @@ def finalise(
 
 
 def run_data(
-    recorded: journal.Journal, markers: Sequence[tuple[int, str]] = (), finished_by: str = ""
+    recorded: journal.Journal,
+    markers: Sequence[tuple[int, str]] = (),
+    finished_by: str = "",
+    output: Path | None = None,
 ) -> tuple[Recording, RecordingQuality]:
     """Return the run in a journal, and its quality.
+
+    The samples are worked on piece by piece, in memory that does not grow with their number; where they are many, the
+    columns of the run are in a file (`daq.output.spill.Column`) beside ``output``.
 
     Raises
     ------
@@ -83,57 +91,96 @@ def run_data(
     """
     header = journal_header.complete(recorded.header, recorded.path)
     rate_hz = float(header["rate_hz"])
-    streams = timeline.connections(recorded)
-    if not any(len(stream.n) for stream in streams):
-        raise _no_samples(recorded)
-    ident = timeline.first_ident(streams)
+    spill = Spill(output)
+    shelves = connections.connections(replace(recorded, header=header), spill)
+    streams = [stream for shelf in shelves for stream in shelf.labels]
+    ident = connections.first_ident(streams)
     tick_ns = ident.tick_ns if ident else 1000
-    samples, truth_rows = timeline.assemble(streams, rate_hz, tick_ns)
-    if header["samples"] is not None:
-        samples = samples.take(timeline.run_index(samples, rate_hz) < header["samples"])
-    if len(samples) == 0:
+    line = Timeline(shelves, rate_hz, tick_ns, header["samples"], spill)
+    config, rig, warnings = calibration(recorded.records.of_kind(journal.CONFIGURATION), streams, ident)
+    checking = CountCheck(ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
+    counted = _PartLengths()
+    checking.survey(counted.counting(line.samples))
+    if not counted.of:
         raise _no_samples(recorded)
-    config, rig, warnings = calibration(recorded.records, streams, ident)
-    checked = check(samples, ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
-    position = positions(checked.count, rig)
-    started, ended = _instants(recorded.path, header, int(samples.stamp_ns[0]), float(samples.time[-1]))
-    belt_count, belt_velocity = belt_counter.decoded(samples.belt, samples.time, checked.starts, rate_hz, rig)
-    if samples.belt is not None and belt_velocity is None:
+    clock = PartClock(counted.longest, header["baud"], line.times_bytes, spill)
+    totals, events, columns = DataTotals(), RunEvents(markers, rate_hz), RunColumns(rig, tick_ns, line.truth, spill)
+    for piece in line:
+        checked = checking.take(piece.samples)
+        position = positions(checked.count, rig)
+        columns.take(piece.samples, checked, position)
+        totals.take(piece, checked, position)
+        events.take(piece, checked)
+        clock.take(piece)
+    started, ended = _instants(recorded.path, header, columns.first_ns, totals.last_s)
+    belt_count, belt_velocity = columns.belt(rate_hz)
+    if columns.has("belt_count") and belt_velocity is None:
         warnings.append("no metres per belt count are known, so the belt's counts give no speed")
-    clocks = clock_sync.from_samples(samples, streams, header["baud"])
-    events = events_of(samples, checked, streams, markers, rate_hz)
+    clocks = clock.compared()
+    found_events = events.sorted()
     run = Recording(
         title=header["title"],
         started=started.isoformat(),
         ended=ended.isoformat(),
         rate_hz=rate_hz,
         rig=rig,
-        time=samples.time,
-        position=position,
-        count=checked.count,
-        raw=_raw(samples, checked, tick_ns),
-        segment=checked.segment,
+        time=columns["time"],
+        position=columns["position"],
+        count=columns["count"],
+        raw=columns.raw(),
+        segment=columns["segment"],
         config_toml=config,
         clock_sample=clocks.index.astype(np.uint32),
         clock_offset=clocks.offset,
         clock_ppm=clocks.ppm,
         clock_ppm_error=clocks.ppm_error,
         clock_offset_error=clocks.offset_error,
-        event_sample=np.array([event[0] for event in events], dtype=np.uint32),
-        event_kind=tuple(EVENT_NAMES[event[1]] for event in events),
-        event_note=tuple(event[2] for event in events),
+        event_sample=np.array([event[0] for event in found_events], dtype=np.uint32),
+        event_kind=tuple(EVENT_NAMES[event[1]] for event in found_events),
+        event_note=tuple(event[2] for event in found_events),
         belt_velocity=belt_velocity,
         belt_count=belt_count,
-        truth=_truth(samples, truth_rows, tick_ns, header["port"]),
+        truth=columns.truth(header["port"]),
         operator=header["operator"],
         sample_name=header["sample_name"],
         note=header["note"],
         tags=header["tags"],
         provenance=header["provenance"] | {"finished_by": finished_by},
     )
-    found = quality.from_run(recorded, samples, checked, streams, run)
-    warnings = [*header["warnings"], *warnings, *quality.warnings(found, recorded, samples, checked, streams, rig)]
+    found = quality.from_run(recorded, totals, checking.peak_count_rate, streams, run)
+    warnings = [*header["warnings"], *warnings, *quality.warnings(found, recorded, totals, line.repeated, streams, rig)]
     return run, replace(found, warnings=tuple(warnings))
+
+
+class _PartLengths:
+    """How many samples each part of a run has."""
+
+    def __init__(self) -> None:
+        self.of: dict[int, int] = {}
+
+    @property
+    def longest(self) -> int:
+        """The longest part, the first of equal ones."""
+        return max(self.of, key=self.of.__getitem__)
+
+    def counting(self, pieces: Iterable[Samples]) -> "_Counting":
+        """Return the pieces, counted when they are iterated over for the first time."""
+        return _Counting(pieces, self)
+
+
+class _Counting:
+    """Pieces that are counted."""
+
+    def __init__(self, pieces: Iterable[Samples], lengths: _PartLengths) -> None:
+        self._pieces, self._lengths = pieces, lengths
+
+    def __iter__(self) -> Iterator[Samples]:
+        found: dict[int, int] = {}
+        for samples in self._pieces:
+            for part, here in parts_of(samples):
+                found[part] = found.get(part, 0) + here.stop - here.start
+            yield samples
+        self._lengths.of = found
 
 
 def _instants(path: Path, header: dict[str, Any], first_ns: int, span_s: float) -> tuple[datetime, datetime]:
@@ -155,30 +202,8 @@ def _no_samples(recorded: journal.Journal) -> DataError:
     )
 
 
-def _raw(samples: Samples, checked: CheckedCounts, tick_ns: int) -> Raw:
-    sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
-    microseconds = sent * tick_ns // 1000
-    return Raw(
-        sample=samples.index.astype(np.uint32),
-        count_up=samples.up,
-        count_down=samples.down,
-        device_time=(microseconds & 0xFFFFFFFF).astype(np.uint32),
-        levels=samples.status & np.uint8(frames.LEVELS),
-        flags=checked.flags,
-        illegal=samples.illegal,
-        belt_count=samples.belt,
-        edge_time=None if samples.edge is None else _edge_us(samples.edge, tick_ns),
-    )
-
-
-def _edge_us(edge: NDArray[np.uint16], tick_ns: int) -> NDArray[np.uint16]:
-    """Return the time since the last edge in us; "none" keeps its value on the wire."""
-    us = edge.astype(np.int64) * tick_ns // 1000
-    return np.where(edge == frames.NO_EDGE, frames.NO_EDGE, us).astype(np.uint16)
-
-
 def calibration(
-    records: Sequence[journal.Record], streams: Sequence[decode.Stream], ident: frames.Ident | None
+    records: Iterable[journal.Record], streams: Sequence[decode.Stream], ident: frames.Ident | None
 ) -> tuple[str, Rig, list[str]]:
     """Return the configuration's text, the rig it describes, and warnings; the decoder is what the board reports."""
     given = [record.data.decode(errors="replace") for record in records if record.kind == journal.CONFIGURATION]
@@ -195,17 +220,3 @@ def calibration(
     if rig.metres_per_count is None:
         warnings.append("no metres per count are known, so positions are counts")
     return config, rig, warnings
-
-
-def _truth(samples: Samples, sent: TruthRows, tick_ns: int, scene: str) -> Truth | None:
-    """Return the exact motion at the received samples, its time on the run's axis; None if none was sent."""
-    if len(sent.rows) == 0:
-        return None
-    # One number for part and index: parts are few, and an index stays far below 2^48.
-    key = samples.part << 48 | samples.index
-    _, at, row = np.intersect1d(key, sent.part << 48 | sent.index, return_indices=True)
-    shift = np.zeros(len(samples))
-    for _, here in timeline.parts_of(samples):
-        shift[here] = samples.time[here.start] - samples.ticks[here.start] * tick_ns / 1e9
-    time, x, v, force = sent.rows[row].T
-    return Truth(time + shift[at], x, v, force, scene)

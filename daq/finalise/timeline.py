@@ -6,22 +6,20 @@ The device's clock is the time axis.  A later part is placed on it by the host's
 seconds before and the first seconds after the gap; after a jump that the device's clock does not take part in, by that.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq import protocols
-from daq.runfile import journal
+from daq.output.spill import Shelf, Spill
 from daq.wire import counters, decode
-from daq.wire import frames as wire
 
 # Seconds on either side of a gap in which the least delay is searched.  Half finds fewer undelayed reads; double lets
 # the drift of the clocks (100 ppm) add 0.2 ms more to the placement.  Not swept.
 PLACE_S = 2.0
-COUNTER_BITS, TICK_NS = 16, 1000  # of the project's firmware, where a journal's identification cannot be true
 # A board's clock that moved on across a jump as the host's did, to within so much, has not been reset.  Half refuses it
 # on a busy computer; double believes a clock that was reset to within as much more.  Not swept.
 SAME_CLOCK_S = 0.1
@@ -87,170 +85,300 @@ class Samples:
 
 @dataclass(frozen=True)
 class TruthRows:
-    """Rows of the exact motion as sent: part and sequence number, (m,); time, x, v, F in s, m, m/s, N, (m, 4)."""
+    """Rows of the exact motion as sent: `sample_keys` of their samples, (m,); time, x, v, F in s, m, m/s, N, (m, 4)."""
 
-    part: NDArray[np.int64]
-    index: NDArray[np.int64]
+    key: NDArray[np.int64]
     rows: NDArray[np.float64]
 
 
-def connections(taken: journal.Journal) -> list[decode.Stream]:
-    """Return the decoded stream of each connection: a new one begins where the port was reopened.
+@dataclass(frozen=True)
+class Piece:
+    """Some samples of a run, k of them, and what they are from.
 
-    Raises
-    ------
-    InputError
-        The journal is in a protocol that this version does not know.
+    Attributes
+    ----------
+    samples : Samples
+        The samples; whole frames.
+    stream : Stream
+        All frames that the piece is from, those without a sample too.
+    frames : int
+        Frames before it, over all connections.
+    place : (k,) int64
+        Sample periods from the start of the run to each sample, lost samples and gaps included.
     """
-    backend = protocols.load(taken.header["protocol"], str(taken.path))
-    reads: list[list[tuple[int, bytes]]] = [[]]
-    for record in taken.records:
-        if record.kind == journal.REOPENED:
-            reads.append([])
-        elif record.kind == journal.RECEIVED:
-            reads[-1].append((record.stamp_ns, record.data))
-    return [backend.decode(part, taken.header) for part in reads]
+
+    samples: Samples
+    stream: decode.Stream
+    frames: int
+    place: NDArray[np.int64]
 
 
-def assemble(streams: list[decode.Stream], rate_hz: float, tick_ns: int) -> tuple[Samples, TruthRows]:
+@dataclass
+class _Part:
+    """A part's place on the time axis.
+
+    Attributes
+    ----------
+    ticks, last_ticks : int
+        Device time of its first and last sample.
+    prompt_s : float
+        Host's clock less the device's time since the first sample, the least of the first seconds.
+    start_s : float
+        Time of its first sample in the run.
+    """
+
+    ticks: int
+    last_ticks: int
+    prompt_s: float
+    start_s: float = 0.0
+
+
+class Timeline:
+    """The samples of all connections on one time axis, piece by piece, each time it is iterated over.
+
+    Parameters
+    ----------
+    connections : sequence
+        The pieces of each connection (`daq.finalise.connections`); each is iterated over several times.
+    rate_hz : float
+        Nominal rate, Hz.
+    tick_ns : int
+        Tick of the device's clock, ns.
+    most : int or None
+        Sample periods from the start of the run that samples are taken of.
+    spill : Spill
+        Takes the rows of the exact motion.
+
+    Attributes
+    ----------
+    truth : Shelf of TruthRows
+        The exact motion.
+    times_bytes : bool
+        The recorder knows how long the frames were on the line.
+    repeated : int
+        Samples left out because their time did not advance; after the last piece.
+    """
+
+    def __init__(
+        self,
+        connections: Sequence[Iterable[decode.Stream]],
+        rate_hz: float,
+        tick_ns: int,
+        most: int | None = None,
+        spill: Spill | None = None,
+    ) -> None:
+        self.truth: Shelf[TruthRows] = Shelf(spill or Spill())
+        self.times_bytes = False
+        self.repeated = 0
+        self._connections = connections
+        self._rate_hz, self._tick_ns, self._most = rate_hz, tick_ns, most
+        self._orders = [counters.FrameOrder(1e9 / (rate_hz * tick_ns)) for _ in connections]
+        self._begun_by: list[PartReason] = []
+        self._has = dict.fromkeys(("belt", "edge", "time_error"), True)
+        for order, connection in zip(self._orders, connections, strict=True):
+            for stream in connection:
+                order.survey(stream.seq, stream.ticks, stream.n, stream.idents)
+                self.times_bytes = self.times_bytes or bool(stream.length.any())
+                for name in self._has:
+                    self._has[name] &= not len(stream.n) or getattr(stream, name) is not None
+        self._parts: dict[int, _Part] = {}
+        for samples, _, _, truth in self._unplaced(learn=True):
+            if len(truth.key):
+                self.truth.append(truth)
+            for part, here in parts_of(samples):
+                self._learn(part, samples, here)
+        if len(self._parts) > 1:
+            self._set_starts()
+
+    def __iter__(self) -> Iterator[Piece]:
+        late = 0
+        newest = -np.inf
+        part, offset = 0, 0
+        for samples, stream, frames, _ in self._unplaced():
+            late += int(stream.n.sum()) - len(samples)
+            samples = replace(samples, time=self._times(samples))
+            if len(samples):
+                advances = samples.time > np.maximum.accumulate(np.concatenate(([newest], samples.time)))[:-1]
+                newest = max(newest, float(samples.time.max()))
+                if not advances.all():
+                    late += int(np.count_nonzero(~advances))
+                    samples = samples.take(advances)
+            place = samples.index.copy()
+            for own, here in parts_of(samples):
+                if own != part:
+                    part, offset = own, round(float(samples.time[here.start]) * self._rate_hz)
+                place[here] += offset
+            if self._most is not None and len(place) and place.max() >= self._most:
+                samples, place = samples.take(place < self._most), place[place < self._most]
+            self.repeated = late
+            yield Piece(samples, stream, frames, place)
+
+    @property
+    def samples(self) -> "SamplePieces":
+        """The samples of the pieces alone."""
+        return SamplePieces(self)
+
+    def _unplaced(self, learn: bool = False) -> Iterator[tuple[Samples, decode.Stream, int, TruthRows]]:
+        """Yield the samples of each piece, without times, its frames and how many came before, its exact motion."""
+        frames = 0
+        parts = -1
+        for order, connection in zip(self._orders, self._connections, strict=True):
+            order.begin()
+            beside: _Beside | None = None
+            for stream in connection:
+                found = order.place(stream.seq, stream.ticks, stream.n, stream.idents)
+                if beside is None and len(stream.n):
+                    parts += 1
+                    if learn:
+                        self._begun_by.append("reopened")
+                part = parts + np.cumsum(found.restart)
+                if learn:
+                    jumps = found.jump[found.restart].tolist()
+                    self._begun_by += ["jumped" if jump else "restarted" for jump in jumps]
+                truth, beside = _truth(stream, found, part, beside)
+                yield self._samples(stream, found, part, frames), stream, frames, truth
+                frames += len(stream.n)
+                parts = int(part[-1]) if len(part) else parts
+
+    def _samples(self, stream: decode.Stream, order: counters.Order, part: NDArray[np.int64], frames: int) -> Samples:
+        """Return the samples of the frames that are kept, their times still to be set."""
+        frame = np.repeat(np.arange(len(stream.n)), stream.n)
+        within = np.arange(len(frame)) - stream.first[frame]
+        elapsed = np.cumsum(stream.dt, dtype=np.int64)
+        time_error = stream.time_error if self._has["time_error"] else None
+        made = Samples(
+            time=np.zeros(len(frame)),
+            part=part[frame],
+            begun_by=tuple(self._begun_by),
+            index=order.index[frame] + within,
+            ticks=order.ticks[frame] + elapsed - elapsed[stream.first[frame]],
+            frame=frames + frame,
+            stamp_ns=stream.stamp_ns[frame],
+            up=stream.up,
+            down=stream.down,
+            status=stream.status,
+            illegal=stream.illegal[frame].astype(np.uint16),
+            belt=stream.belt if self._has["belt"] else None,
+            edge=stream.edge if self._has["edge"] else None,
+            time_error=None if time_error is None else time_error[frame],
+        )
+        return made if np.all(order.keep) else made.take(order.keep[frame])
+
+    def _learn(self, number: int, samples: Samples, here: slice) -> None:
+        """Take a part's samples, or some of them, all of which come in order."""
+        part = self._parts.setdefault(number, _Part(int(samples.ticks[here.start]), 0, np.inf))
+        part.last_ticks = int(samples.ticks[here.stop - 1])
+        device = self._device(samples, here, part)
+        near = np.abs(device) <= PLACE_S
+        # Only a frame's last sample was taken right before the frame came in; the least difference finds such a one.
+        part.prompt_s = float(np.min(samples.stamp_ns[here][near] / 1e9 - device[near], initial=part.prompt_s))
+
+    def _device(self, samples: Samples, here: slice, part: _Part) -> NDArray[np.float64]:
+        return np.asarray((samples.ticks[here] - part.ticks) * self._tick_ns / 1e9)
+
+    def _times(self, samples: Samples) -> NDArray[np.float64]:
+        time = np.zeros(len(samples))
+        for number, here in parts_of(samples):
+            part = self._parts[number]
+            time[here] = part.start_s + self._device(samples, here, part)
+        return time
+
+    def _set_starts(self) -> None:
+        """Place every part after the first: by the host's clock, with the least delay on both sides of the gap."""
+        now, late_s = 0, np.inf  # the part, and the host's clock less its time, the least of its last seconds
+        for samples, _, _, _ in self._unplaced():
+            for number, here in parts_of(samples):
+                part, before = self._parts[number], self._parts[now]
+                before_s = before.start_s + (before.last_ticks - before.ticks) * self._tick_ns / 1e9
+                if number != now:
+                    part.start_s = self._start(number, before_s, float(before_s + late_s), before.last_ticks)
+                    now, late_s = number, np.inf
+                time = part.start_s + self._device(samples, here, part)
+                last_s = part.start_s + (part.last_ticks - part.ticks) * self._tick_ns / 1e9
+                near = np.abs(time - last_s) <= PLACE_S
+                late_s = float(np.min(samples.stamp_ns[here][near] / 1e9 - time[near], initial=late_s))
+
+    def _start(self, number: int, before_s: float, host_s: float, before_ticks: int) -> float:
+        """Return the time of a part's first sample; ``before_s``, ``host_s``: of the one before, on both clocks."""
+        part = self._parts[number]
+        start = float((0.0 + part.prompt_s) - (host_s - before_s))
+        moved_on = (part.ticks - before_ticks & 0xFFFFFFFF) * self._tick_ns / 1e9
+        by_device = before_s + moved_on
+        if self._begun_by[number] == "jumped" and moved_on > 0 and abs(by_device - start) < SAME_CLOCK_S:
+            return by_device
+        return max(start, before_s + 1 / self._rate_hz)
+
+
+@dataclass(frozen=True)
+class SamplePieces:
+    """The samples of a timeline's pieces, whenever they are iterated over."""
+
+    line: Timeline
+
+    def __iter__(self) -> Iterator[Samples]:
+        return (piece.samples for piece in self.line)
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """The last frame before a piece, which the truth at its beginning belongs to."""
+
+    seq: int
+    index: int
+    part: int
+    keep: bool
+
+
+def assemble(streams: list[decode.Stream], rate_hz: float, tick_ns: int) -> Samples:
     """Set the samples of all connections on one time axis; at least one of them must hold samples.
 
     ``rate_hz`` is the nominal rate, Hz; ``tick_ns`` the tick of the device's clock, ns.
     """
-    ticks_per_sample = 1e9 / (rate_hz * tick_ns)
-    flat: list[Samples] = []
-    truths: list[TruthRows] = []
-    parts = 0
-    frames = 0
-    begun_by: list[PartReason] = []
-    late = 0
-    for connection in streams:
-        order = counters.order_frames(
-            connection.seq, connection.ticks, connection.n, ticks_per_sample, connection.idents
-        )
-        part = parts + np.cumsum(order.restart)
-        if len(part):
-            flat.append(_samples(connection, order, part, frames))
-            truths.append(_truth(connection, order, part))
-            jumps = order.jump[order.restart].tolist()
-            begun_by += ["reopened", *("jumped" if jump else "restarted" for jump in jumps)]
-            parts = len(begun_by)
-        late += int(connection.n[~order.keep].sum())
-        frames += len(connection.n)
-    samples = _joined(flat, tuple(begun_by))
-    samples = replace(samples, time=_times(samples, rate_hz, tick_ns))
-    advances = np.ones(len(samples), dtype=np.bool_)
-    advances[1:] = samples.time[1:] > np.maximum.accumulate(samples.time)[:-1]
-    late += int(np.count_nonzero(~advances))
-    return replace(samples.take(advances) if late else samples, repeated=late), _joined_truth(truths)
-
-
-def run_index(samples: Samples, rate_hz: float) -> NDArray[np.int64]:
-    """Return the sample periods from the start of the run to each sample, (n,), lost samples and gaps included."""
-    place = samples.index.copy()
-    for part, first in parts_of(samples):
-        if part > 0:
-            place[first] += round(float(samples.time[first.start]) * rate_hz)
-    return place
+    line = Timeline([[stream] for stream in streams], rate_hz, tick_ns)
+    return replace(joined([piece.samples for piece in line]), repeated=line.repeated)
 
 
 def parts_of(samples: Samples) -> Iterator[tuple[int, slice]]:
     """Yield each part's number and the slice of its samples."""
     cuts = np.flatnonzero(np.diff(samples.part)) + 1
-    edges = [0, *cuts.tolist(), len(samples)]
-    for k, start in enumerate(edges[:-1]):
-        if edges[k + 1] > start:
-            yield int(samples.part[start]), slice(start, edges[k + 1])
+    for start, stop in pairwise([0, *cuts.tolist(), len(samples)]):
+        if stop > start:
+            yield int(samples.part[start]), slice(start, stop)
 
 
-def _samples(stream: decode.Stream, order: counters.Order, part: NDArray[np.int64], frames: int) -> Samples:
-    """Return the samples of the frames that are kept, their times still to be set."""
-    frame = np.repeat(np.arange(len(stream.n)), stream.n)
-    within = np.arange(len(frame)) - stream.first[frame]
-    elapsed = np.cumsum(stream.dt, dtype=np.int64)
-    made = Samples(
-        time=np.zeros(len(frame)),
-        part=part[frame],
-        begun_by=(),
-        index=order.index[frame] + within,
-        ticks=order.ticks[frame] + elapsed - elapsed[stream.first[frame]],
-        frame=frames + frame,
-        stamp_ns=stream.stamp_ns[frame],
-        up=stream.up,
-        down=stream.down,
-        status=stream.status,
-        illegal=stream.illegal[frame].astype(np.uint16),
-        belt=stream.belt,
-        edge=stream.edge,
-        time_error=None if stream.time_error is None else stream.time_error[frame],
-    )
-    return made if np.all(order.keep) else made.take(order.keep[frame])
+def joined(pieces: Sequence[Samples]) -> Samples:
+    """Return the samples of all pieces in order; those that have any have the same columns."""
+    pieces = [piece for piece in pieces if len(piece)] or pieces[:1]
+    if len(pieces) == 1:
+        return pieces[0]
+    columns = {name: [getattr(piece, name) for piece in pieces] for name in vars(pieces[0])}
+    whole: dict[str, Any] = {
+        name: np.concatenate(own) for name, own in columns.items() if isinstance(own[0], np.ndarray)
+    }
+    return replace(pieces[0], **whole)
 
 
-def _joined(flat: list[Samples], begun_by: tuple[PartReason, ...]) -> Samples:
-    """Return the samples of all connections in order; an optional column is kept only when all have it."""
-    columns: dict[str, Any] = {}
-    for field in fields(Samples):
-        pieces = [getattr(piece, field.name) for piece in flat]
-        if field.name not in ("begun_by", "repeated"):
-            whole = all(isinstance(piece, np.ndarray) for piece in pieces)
-            columns[field.name] = np.concatenate(pieces) if whole else None
-    return Samples(begun_by=begun_by, **columns)
+def sample_keys(part: NDArray[np.int64], index: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return one number for part and index: parts are few, and an index stays far below 2^48."""
+    return np.asarray(part << 48 | index)
 
 
-def _times(samples: Samples, rate_hz: float, tick_ns: int) -> NDArray[np.float64]:
-    """Return the time axis: device time in the first part, later parts placed after it by the host's clock."""
-    time = np.zeros(len(samples))
-    before: slice | None = None
-    for part, here in parts_of(samples):
-        device = (samples.ticks[here] - samples.ticks[here.start]) * tick_ns / 1e9
-        start = 0.0
-        if before is not None:
-            gone = _host_at(samples, before, time[before], last=True) - time[before.stop - 1]
-            back = _host_at(samples, here, device, last=False)
-            start = float(back - gone)
-            moved_on = (int(samples.ticks[here.start] - samples.ticks[before.stop - 1]) & 0xFFFFFFFF) * tick_ns / 1e9
-            by_device = float(time[before.stop - 1]) + moved_on
-            if samples.begun_by[part] == "jumped" and moved_on > 0 and abs(by_device - start) < SAME_CLOCK_S:
-                start = by_device
-            else:
-                start = max(start, float(time[before.stop - 1]) + 1 / rate_hz)
-        time[here] = start + device
-        before = here
-    return time
-
-
-def _host_at(samples: Samples, here: slice, device: NDArray[np.float64], last: bool) -> float:
-    """Return the host's clock (s) at a part's last or first sample, by the least delay of the seconds beside it."""
-    stamps = samples.stamp_ns[here] / 1e9
-    at = float(device[-1] if last else device[0])
-    near = np.abs(device - at) <= PLACE_S
-    # Only a frame's last sample was taken right before the frame came in; the least difference finds such a one.
-    return at + float(np.min(stamps[near] - device[near]))
-
-
-def _truth(stream: decode.Stream, order: counters.Order, part: NDArray[np.int64]) -> TruthRows:
-    """Return the rows of the exact motion, each placed by the sample frame before it."""
-    beside = np.clip(stream.truth_frame - 1, 0, None)
-    offset = (stream.truth_seq - stream.seq[beside] + 0x8000 & 0xFFFF) - 0x8000
-    placed = order.keep[beside]
-    return TruthRows(part[beside][placed], (order.index[beside] + offset)[placed], stream.truth[placed])
-
-
-def _joined_truth(truths: list[TruthRows]) -> TruthRows:
-    return TruthRows(
-        np.concatenate([t.part for t in truths]),
-        np.concatenate([t.index for t in truths]),
-        np.concatenate([t.rows for t in truths]),
-    )
-
-
-def first_ident(streams: list[decode.Stream]) -> wire.Ident | None:
-    """Return the board's first identification; one that cannot be true with the firmware's own counters and tick.
-
-    A recorder refuses such a board; a journal that holds one is read all the same.
-    """
-    ident = next((connection.ident for connection in streams if connection.ident is not None), None)
-    if ident is not None and ident.implausible:
-        return replace(ident, counter_bits=COUNTER_BITS, tick_ns=TICK_NS)
-    return ident
+def _truth(
+    stream: decode.Stream, order: counters.Order, part: NDArray[np.int64], before: _Beside | None
+) -> tuple[TruthRows, _Beside | None]:
+    """Return the rows of the exact motion, each placed by the sample frame before it; and the piece's last frame."""
+    seq, index, keep = stream.seq, order.index, order.keep
+    at = stream.truth_frame
+    if before is not None:
+        seq, index, part = (
+            np.concatenate(([first], rest))
+            for first, rest in ((before.seq, seq), (before.index, index), (before.part, part))
+        )
+        keep = np.concatenate(([before.keep], keep))
+        at = at + 1
+    last = before if len(seq) == 0 else _Beside(int(seq[-1]), int(index[-1]), int(part[-1]), bool(keep[-1]))
+    beside = np.clip(at - 1, 0, None) if len(seq) else at[:0]
+    offset = (stream.truth_seq[: len(beside)] - seq[beside] + 0x8000 & 0xFFFF) - 0x8000
+    placed = keep[beside]
+    key = sample_keys(part[beside][placed], (index[beside] + offset)[placed])
+    return TruthRows(key, stream.truth[: len(beside)][placed]), last

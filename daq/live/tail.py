@@ -13,7 +13,7 @@ import numpy as np
 from daq import protocols
 from daq.compute.arrays import Array
 from daq.errors import InputError
-from daq.finalise import timeline
+from daq.finalise import connections, timeline
 from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.run import calibration
 from daq.runfile import journal, journal_header, journal_records
@@ -154,13 +154,13 @@ class JournalTail:
             return []
         self._reads += new
         stream = self._backend.decode(self._reads, self.header)
-        self._ident = timeline.first_ident([stream]) or self._ident
+        self._ident = connections.first_ident([stream]) or self._ident
         self._calibrate(stream)
         self._reads = _last_lines(self._reads, self._backend.DELIMITER)
         if not len(stream.n):
             return []
         tick_ns = self._ident.tick_ns if self._ident else 1000
-        samples, _ = timeline.assemble([stream], self._rate_hz, tick_ns)
+        samples = timeline.assemble([stream], self._rate_hz, tick_ns)
         checked = check(
             samples, self._ident, self.rig, self._rate_hz, starts_at_phase=self.header["protocol"] == "frames"
         )

@@ -1,7 +1,7 @@
 """Binary frames (`daq.wire.frames`): boards with the project's firmware and the simulated rig, with the same bytes."""
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import DeviceError, InputError, check_known
@@ -13,6 +13,7 @@ from daq.wire import frames
 from daq.wire.counters import fits, is_late, signed
 
 if TYPE_CHECKING:
+    from daq.output.spill import Spill
     from daq.wire.decode import Stream
 
 BAUD = 115_200
@@ -33,6 +34,13 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     from daq.wire import decode
 
     return decode.decode(reads)
+
+
+def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], spill: "Spill") -> "Iterator[Stream]":
+    """Decode them piece by piece."""
+    from daq.wire import decode
+
+    return decode.pieces(reads, sessions.PIECE_BYTES)
 
 
 class Frames(Session):

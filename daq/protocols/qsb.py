@@ -18,7 +18,7 @@ how damage is detected.  Written from descriptions and other programs; not teste
 import re
 import time
 from binascii import unhexlify
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,6 +34,7 @@ from daq.wire import frames
 from daq.wire.splitter import Splitter
 
 if TYPE_CHECKING:
+    from daq.output.spill import Spill
     from daq.wire.decode import Stream
 
 BAUD = 230_400
@@ -115,6 +116,11 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     """Decode the reads of one connection."""
     period_ticks = TICK_HZ / float(header["rate_hz"])
     return lines.decode(reads, reader(), ident(header.get("decoder")), period_ticks, net=True)
+
+
+def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], spill: "Spill") -> "Iterator[Stream]":
+    """Decode them piece by piece."""
+    yield decode(reads, header)
 
 
 class Qsb(Session):

@@ -24,7 +24,7 @@ The rate is the sketch's own: it is measured before the recording starts.  Nothi
 """
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import chain, pairwise
@@ -42,6 +42,7 @@ from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
 
 if TYPE_CHECKING:
+    from daq.output.spill import Spill
     from daq.wire.decode import Stream
 
 BAUD = 115_200
@@ -101,6 +102,11 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
         net=form.net,
         resolution=MILLISECOND,
     )
+
+
+def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], spill: "Spill") -> "Iterator[Stream]":
+    """Decode them piece by piece."""
+    yield decode(reads, header)
 
 
 class Text(Session):

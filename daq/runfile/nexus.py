@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from daq.errors import InputError
+from daq.output.spill import BLOCK, Column
 from daq.version import VERSION
 
 CHUNK = 16384
@@ -55,7 +56,7 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
         Where it goes.
     name : str
         Its name.
-    data : array, number, str or sequence of str
+    data : array, Column, number, str or sequence of str
         Arrays are stored in their own type, chunked by 16384, with gzip, shuffle and a checksum per chunk.
     units : str, optional
         Stored as ``@units``; a float without units is refused; "" means dimensionless.
@@ -71,6 +72,10 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
         made = parent.create_dataset(name, data=data, dtype=h5py.string_dtype())
     elif isinstance(data, list | tuple) and data and isinstance(data[0], str):
         made = parent.create_dataset(name, data=list(data), dtype=h5py.string_dtype())
+    elif isinstance(data, Column):
+        made = column(parent, name, len(data), data.dtype.str, units)
+        for first in range(0, len(data), BLOCK):
+            made[first : first + BLOCK] = data[first : first + BLOCK]
     else:
         values = np.asarray(data)
         if values.dtype.kind == "f" and units is None:
@@ -88,14 +93,14 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
 
 
 def column(
-    parent: h5py.Group, name: str, n: int, dtype: str, units: str, *, growing: bool = False, **attributes: Any
+    parent: h5py.Group, name: str, n: int, dtype: str, units: str | None, *, growing: bool = False, **attributes: Any
 ) -> h5py.Dataset:
     """Make a column of ``n`` numbers yet to be written, stored as `field` stores one; a growing one begins empty."""
     shape, most = ((0,), (None,)) if growing else ((n,), None)
     made = parent.create_dataset(
         name, shape, dtype, maxshape=most, chunks=(min(n, CHUNK),), track_times=False, **FILTERS
     )
-    made.attrs.update({"units": units, **attributes})
+    made.attrs.update(attributes if units is None else {"units": units, **attributes})
     return made
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.output.lengths import shown_length, shown_range
+from daq.output.spill import BLOCK, blocks
 from daq.runfile.rig import Rig
 
 if TYPE_CHECKING:
@@ -268,9 +269,13 @@ def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.uint16]) -> int
 
 def first_disorder(time: NDArray[np.float64]) -> int | None:
     """Return the first sample whose time is not finite or not after the one before; None when there is none."""
-    wrong = ~np.isfinite(time)
-    wrong[1:] |= ~(np.diff(time) > 0)
-    return int(np.argmax(wrong)) if wrong.any() else None
+    before = -np.inf
+    for number, block in enumerate(blocks(time)):
+        wrong = ~np.isfinite(block) | ~(np.diff(block, prepend=before) > 0)
+        if wrong.any():
+            return number * BLOCK + int(np.argmax(wrong))
+        before = float(block[-1])
+    return None
 
 
 def impossible_motion(time: NDArray[np.float64], position: NDArray[np.float64]) -> str | None:

@@ -22,6 +22,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.output.spill import Column, blocks
 from daq.runfile import nexus
 from daq.runfile.recording import EVENT_NAMES, EVENTS, Recording, first_disorder
 from daq.runfile.rig import Measured
@@ -245,7 +246,8 @@ def digest(run: Recording) -> str:
     for name, values in columns.items():
         if values is not None:
             sha.update(f"{name} {values.dtype.str} {values.size}\n".encode())
-            sha.update(np.ascontiguousarray(values).tobytes())
+            for block in blocks(values):
+                sha.update(np.ascontiguousarray(block).data)
     return sha.hexdigest()
 
 
@@ -318,7 +320,7 @@ def _write_field(entry: h5py.Group, row: Field, value: Any, run: Recording) -> N
             if value.sd:
                 nexus.field(entry, f"{row.path}_errors", np.float64(value.sd), unit)
         case dtype:
-            stored = np.asarray(value, None if dtype == "u2 or u4" else dtype)
+            stored = value if dtype == "u2 or u4" or isinstance(value, Column) else np.asarray(value, dtype)
             nexus.field(entry, row.path, stored, unit if unit or not row.axis else None)
 
 
@@ -385,7 +387,7 @@ def check(run: Recording) -> None:
             name, length = first.setdefault(row.axis, (row.of, len(value)))
             if np.shape(value) != (length,):
                 raise ValueError(f"{row.of} has shape {np.shape(value)}; {name} has {length} values")
-    if not (np.isfinite(run.time).all() and np.isfinite(run.position).all()):
+    if not all(np.isfinite(block).all() for values in (run.time, run.position) for block in blocks(values)):
         raise ValueError("times and positions must be finite")
     if (at := first_disorder(run.time)) is not None:
         raise ValueError(f"time does not increase at sample {at}")

@@ -138,25 +138,78 @@ def order_frames(
     restarts : (r,) int64
         Frames before which the board is known to have restarted: it identified itself.
     """
-    keep, restart = _repeats(seq, ticks, n, ticks_per_sample, restarts)
-    kept = np.flatnonzero(keep)
-    known = np.zeros(len(seq), dtype=np.bool_)
-    known[restarts[restarts < len(seq)]] = True
-    forward = np.diff(ticks[kept]) & 0xFFFFFFFF
-    step = np.diff(seq[kept]) & 0xFFFF
-    before = n[kept[:-1]]
-    period, doubt = _pace(step, forward, before, ticks_per_sample)
-    step += 65536 * np.round((forward / period - step) / 65536).astype(np.int64)
-    again = restart[kept[1:]] | (step < before) | ((step != before) & ~fits(step, forward / period, doubt))
-    restart[kept[1:]] = again
-    restart[kept[:1]] = False
-    jump = restart & ~known
-    index = np.zeros(len(seq), dtype=np.int64)
-    placed = np.zeros(len(seq), dtype=np.int64)
-    starts = np.concatenate(([True], again)) if len(kept) else np.zeros(0, dtype=np.bool_)
-    index[kept] = _sum_from(starts, step, np.where(jump, 0, seq)[kept])
-    placed[kept] = _sum_from(starts, forward, ticks[kept])
-    return Order(keep, restart, jump, index, placed)
+    placing = FrameOrder(ticks_per_sample)
+    placing.survey(seq, ticks, n, restarts)
+    return placing.place(seq, ticks, n, restarts)
+
+
+class FrameOrder:
+    """`order_frames` for frames that come in pieces: all of them are surveyed first, then placed in the same order."""
+
+    def __init__(self, ticks_per_sample: float) -> None:
+        self._nominal = ticks_per_sample
+        self._pace = _Pace()
+        self._period, self._doubt = ticks_per_sample, 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin to place the frames, once more from the first one."""
+        self._surveyed = False
+        self._repeats = _Repeats(self._nominal)
+        self._last: tuple[int, int, int, int, int] | None = None  # kept: seq, ticks, n, and its place: index, ticks
+
+    def survey(
+        self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
+    ) -> None:
+        """Take the next frames, to learn the true sample period from all."""
+        self._surveyed = True
+        keep, _, _ = self._repeats.find(seq, ticks, n, restarts)
+        step, forward, before = self._steps(seq[keep], ticks[keep], n[keep])
+        self._pace.take(step, forward, before)
+        if keep.any():
+            self._last = (int(seq[keep][-1]), int(ticks[keep][-1]), int(n[keep][-1]), 0, 0)
+
+    def place(
+        self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
+    ) -> Order:
+        """Place the next frames."""
+        if self._surveyed:
+            self._period, self._doubt = self._pace.found(self._nominal)
+            self.begin()
+        keep, restart, known = self._repeats.find(seq, ticks, n, restarts)
+        kept = np.flatnonzero(keep)
+        step, forward, before = self._steps(seq[kept], ticks[kept], n[kept])
+        period = self._period
+        step += 65536 * np.round((forward / period - step) / 65536).astype(np.int64)
+        begun = 0 if self._last else 1  # the first frame of all follows none
+        again = restart[kept[begun:]]
+        again = again | (step < before) | ((step != before) & ~fits(step, forward / period, self._doubt))
+        restart[kept[begun:]] = again
+        restart[kept[:begun]] = False
+        jump = restart & ~known
+        index = np.zeros(len(seq), dtype=np.int64)
+        placed = np.zeros(len(seq), dtype=np.int64)
+        if len(kept):
+            first_index, first_ticks = np.where(jump, 0, seq)[kept], ticks[kept]
+            if self._last:
+                first_index = np.concatenate(([self._last[3]], first_index))
+                first_ticks = np.concatenate(([self._last[4]], first_ticks))
+            starts = np.concatenate(([True], again))
+            index[kept] = running_sum(starts, step, first_index)[1 - begun :]
+            placed[kept] = running_sum(starts, forward, first_ticks)[1 - begun :]
+            at = int(kept[-1])
+            self._last = (int(seq[at]), int(ticks[at]), int(n[at]), int(index[at]), int(placed[at]))
+        return Order(keep, restart, jump, index, placed)
+
+    def _steps(
+        self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Return the steps to each kept frame from the one before, in sequence and time, and the length of that one."""
+        if self._last:
+            seq, ticks, n = (
+                np.concatenate(([last], own)) for last, own in zip(self._last, (seq, ticks, n), strict=False)
+            )
+        return np.diff(seq) & 0xFFFF, np.diff(ticks) & 0xFFFFFFFF, n[:-1]
 
 
 def fits(
@@ -177,60 +230,95 @@ def is_late(back_in_seq: int, back: float, n: int) -> bool:
     return back_in_seq <= LATE_FRAMES * n and abs(back - back_in_seq) <= 2 + 0.05 * back_in_seq
 
 
-def _pace(
-    step: NDArray[np.int64], forward: NDArray[np.int64], before: NDArray[np.int64], nominal: float
-) -> tuple[float, float]:
-    """Return the ticks of a sample period between frames that follow each other, and how far off that frames are.
+class _Pace:
+    """The ticks of a sample period between frames that follow each other, and how far off that frames are.
 
-    Parameters
-    ----------
-    step, forward, before : (f - 1,) int64
-        Steps between frames in sequence and in time, and samples in the first of each two.
-    nominal : float
-        Ticks of a period, used where few frames follow each other.
+    Frames of one length and distance in time are counted together: a board has few such distances.
     """
-    follows = step == before
-    if np.count_nonzero(follows) < FEWEST_TO_PACE:
-        return nominal, 0.0
-    period = float(np.median(forward[follows] / step[follows]))
-    if not 0.5 * nominal < period < 2 * nominal:
-        return nominal, 0.0
-    return period, 2 * float(np.quantile(np.abs(forward[follows] / period - step[follows]), 0.99))
+
+    def __init__(self) -> None:
+        self._step = np.empty(0, dtype=np.int64)
+        self._forward = np.empty(0, dtype=np.int64)
+        self._count = np.empty(0, dtype=np.int64)
+
+    def take(self, step: NDArray[np.int64], forward: NDArray[np.int64], before: NDArray[np.int64]) -> None:
+        """Take steps between frames in sequence and in time, and the samples in the first of each two, all (f,)."""
+        follows = step == before
+        step, forward = (
+            np.concatenate((old, new[follows])) for old, new in ((self._step, step), (self._forward, forward))
+        )
+        count = np.concatenate((self._count, np.ones(np.count_nonzero(follows), dtype=np.int64)))
+        distinct, which = np.unique(forward << 16 | step, return_inverse=True)
+        self._forward, self._step = distinct >> 16, distinct & 0xFFFF
+        self._count = np.bincount(which, count, len(distinct)).astype(np.int64)
+
+    def found(self, nominal: float) -> tuple[float, float]:
+        """Return the period, and twice the deviation from it that 99 % of the frames keep to.
+
+        ``nominal``, ticks, is returned where few frames follow each other.
+        """
+        if self._count.sum() < FEWEST_TO_PACE:
+            return nominal, 0.0
+        period = _quantile(self._forward / self._step, self._count, 0.5)
+        if not 0.5 * nominal < period < 2 * nominal:
+            return nominal, 0.0
+        return period, 2 * _quantile(np.abs(self._forward / period - self._step), self._count, 0.99)
 
 
-def _repeats(
-    seq: NDArray[np.int64],
-    ticks: NDArray[np.int64],
-    n: NDArray[np.int64],
-    ticks_per_sample: float,
-    restarts: NDArray[np.int64],
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    keep = np.ones(len(seq), dtype=np.bool_)
-    restart = np.zeros(len(seq), dtype=np.bool_)
-    restart[restarts[restarts < len(seq)]] = True
-    forward = np.diff(ticks) & 0xFFFFFFFF
-    if np.all((forward > 0) & (forward < 1 << 31)):
-        return keep, restart
-    newest = 0
-    for frame in range(1, len(seq)):
-        ahead = (int(ticks[frame]) - int(ticks[newest])) & 0xFFFFFFFF
-        if 0 < ahead < 1 << 31 or restart[frame]:
-            newest = frame
-            continue
-        back = (-ahead & 0xFFFFFFFF) / ticks_per_sample
-        back_in_seq = (int(seq[newest]) - int(seq[frame])) & 0xFFFF
-        if is_late(back_in_seq, back, int(n[newest])):
-            keep[frame] = False
-        else:
-            restart[frame] = True
-            newest = frame
-    return keep, restart
+def _quantile(values: NDArray[np.float64], count: NDArray[np.int64], share: float) -> float:
+    """Return the quantile of values that occur so many times each, interpolated as by `np.quantile`."""
+    order = np.argsort(values)
+    values, ends = values[order], np.cumsum(count[order])
+    place = (int(ends[-1]) - 1) * share
+    low, high = values[np.searchsorted(ends, [int(place), min(int(place) + 1, int(ends[-1]) - 1)], side="right")]
+    return float(np.quantile([low, high], place - int(place)))
 
 
-def _sum_from(starts: NDArray[np.bool_], steps: NDArray[np.int64], first: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the running sum of ``steps`` (between neighbours), reset to ``first`` where ``starts`` is True."""
-    if len(starts) == 0:
-        return np.empty(0, dtype=np.int64)
+class _Repeats:
+    """Which frames are repeats or came late, and which begin the stream anew, of frames that come in pieces."""
+
+    def __init__(self, ticks_per_sample: float) -> None:
+        self._ticks_per_sample = ticks_per_sample
+        self._newest: tuple[int, int, int] | None = None  # seq, ticks, n
+        self._announced = False  # an identification came after the last frame
+
+    def find(
+        self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return which frames to keep, where a new stream begins, and where the board has announced that, (f,) each."""
+        keep = np.ones(len(seq), dtype=np.bool_)
+        known = np.zeros(len(seq), dtype=np.bool_)
+        known[restarts[restarts < len(seq)]] = True
+        known[: int(self._announced)] = True
+        self._announced = bool((restarts >= len(seq)).any()) or (self._announced and not len(seq))
+        restart = known.copy()
+        if len(seq) == 0:
+            return keep, restart, known
+        first = 0 if self._newest else 1
+        newest = self._newest or (int(seq[0]), int(ticks[0]), int(n[0]))
+        forward = np.diff(ticks[first:], prepend=newest[1]) & 0xFFFFFFFF
+        if np.all((forward > 0) & (forward < 1 << 31)):
+            self._newest = int(seq[-1]), int(ticks[-1]), int(n[-1])
+            return keep, restart, known
+        for frame in range(first, len(seq)):
+            sent = int(seq[frame]), int(ticks[frame]), int(n[frame])
+            ahead = (sent[1] - newest[1]) & 0xFFFFFFFF
+            if not (0 < ahead < 1 << 31 or restart[frame]):
+                back = (-ahead & 0xFFFFFFFF) / self._ticks_per_sample
+                if is_late((newest[0] - sent[0]) & 0xFFFF, back, newest[2]):
+                    keep[frame] = False
+                    continue
+                restart[frame] = True
+            newest = sent
+        self._newest = newest
+        return keep, restart, known
+
+
+def running_sum(starts: NDArray[np.bool_], steps: NDArray[np.int64], first: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the running sum of ``steps`` (between neighbours), reset to ``first`` where ``starts`` is True, (n,).
+
+    ``starts`` and ``first`` are (n,), n at least 1; the first of ``starts`` is True.
+    """
     total = np.concatenate(([0], np.cumsum(steps)))
     origin = np.flatnonzero(starts)[np.cumsum(starts) - 1]
     return np.asarray(total - total[origin] + first[origin], dtype=np.int64)

@@ -4,10 +4,12 @@ Lines of one length are checked and read as one array; `daq.wire.frames.FrameRea
 the tests hold this against.  Where the reads ended makes no difference but for the stamps.
 """
 
+import math
 from array import array
 from binascii import crc_hqx
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -90,37 +92,121 @@ class Stream:
 # SAMPLES frames by bytes of payload and declared samples: their lines (k,) and payloads (k, size).
 Groups = dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.uint8]]]
 FEWEST_TOGETHER = 192  # payloads of one length whose CRC is computed together: half costs 1.4 times as much there
+_READ_AT_ONCE = 1 << 20  # bytes of a read that are cut into lines at once: twice as many take 20 MB more
 _CRC_OF_BYTE = np.array([crc_hqx(bytes((byte,)), 0) for byte in range(256)], dtype=np.uint16)
 _HEAD = np.dtype([("kind", "u1"), ("version", "u1"), ("n", "u1"), ("seq", "<u2"), ("time", "<u4"), ("illegal", "<u2")])
 
 
+@dataclass(frozen=True)
+class _Lines:
+    """Lines that were read together, k of them, their CRCs checked.
+
+    Attributes
+    ----------
+    bodies : list of bytes
+        Payload and CRC of every line; a line is known by its place here.
+    sent_bytes, size : (k,) int64
+        Bytes of each on the line, and of its payload, 0 for a damaged line.
+    samples, others
+        Frames with samples (`Groups`), and the other frames with their lines.
+    ends : list of (int, int)
+        Of each read: its stamp, and how many lines it ended.
+    parts : list of (int, int, int)
+        Reads that ended inside a line: stamp, line, how many of its bytes were there.
+    dropped_bytes : int
+        Of endless lines.
+    """
+
+    bodies: list[bytes]
+    sent_bytes: NDArray[np.int64]
+    size: NDArray[np.int64]
+    samples: Groups
+    others: list[tuple[int, wire.Frame]]
+    ends: list[tuple[int, int]]
+    parts: list[tuple[int, int, int]]
+    dropped_bytes: int
+
+
 def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
-    """Decode the reads of one connection.
+    """Decode the reads of one connection at once.
 
     Parameters
     ----------
     reads : iterable of (int, bytes)
         Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
     """
-    splitter = Splitter(wire.DELIMITER, wire.LONGEST_LINE)
-    bodies: list[bytes] = []  # payload and CRC of every line; a line is known by its place here
-    length = array("q")
-    ends: list[tuple[int, int]] = []  # of each read: its stamp, and how many lines it ended
-    parts: list[tuple[int, int, int]] = []
-    for stamp, data in reads:
-        lines = list(filter(None, splitter.feed(data)))
-        bodies += wire.unstuff(lines)
-        length.extend(map(len, lines))
-        ends.append((stamp, len(lines)))
-        if splitter.pending_bytes:
-            parts.append((stamp, len(bodies), splitter.pending_bytes))
+    return next(pieces(reads, math.inf))
 
-    sent_bytes = np.array(length)
-    size, samples, rest = _groups(bodies)
-    others = [(line, frame) for line in rest if (frame := wire.decode_payload(bodies[line][:-2], False, False))]
-    ident = _governing(others, samples)
+
+def pieces(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[Stream]:
+    """Decode the reads of one connection piece by piece, each of about so many bytes; at least one piece.
+
+    Together they are what `decode` gives at once.  A read that ends inside a frame stands in the piece of that frame;
+    an identification behind a piece's last frame belongs to the first of the next one.
+
+    Parameters
+    ----------
+    reads : iterable of (int, bytes)
+        As of `decode`; with more than one piece, it must give the same whenever it is asked.
+    """
+    source = _lines(reads, most_bytes)
+    begun = next(source)
+    governing = _Governing()
+    governing.take(begun)
+    more = False
+    if governing.decided:
+        source = chain([begun], source)
+    else:
+        for lines in source:
+            more = True
+            governing.take(lines)
+            if governing.decided:
+                break
+        source = _lines(reads, most_bytes) if more else iter([begun])
+    first = True
+    for lines in source:
+        yield _stream(lines, governing.ident, first)
+        first = first and not lines.bodies
+
+
+def _lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[_Lines]:
+    """Yield the lines of one connection, in pieces; at least one, which may be empty."""
+    splitter = Splitter(wire.DELIMITER, wire.LONGEST_LINE)
+    bodies: list[bytes] = []
+    length = array("q")
+    ends: list[tuple[int, int]] = []
+    parts: list[tuple[int, int, int]] = []
+    dropped = taken = 0
+
+    def made() -> _Lines:
+        size, samples, rest = _groups(bodies)
+        others = [(line, frame) for line in rest if (frame := wire.decode_payload(bodies[line][:-2], False, False))]
+        return _Lines(bodies, np.array(length), size, samples, others, ends, parts, splitter.dropped_bytes - dropped)
+
+    for stamp, read in reads:
+        for at in range(0, len(read), _READ_AT_ONCE):
+            data = read[at : at + _READ_AT_ONCE]
+            lines = list(filter(None, splitter.feed(data)))
+            bodies += wire.unstuff(lines)
+            length.extend(map(len, lines))
+            ends.append((stamp, len(lines)))
+            if splitter.pending_bytes and at + len(data) == len(read):
+                parts.append((stamp, len(bodies), splitter.pending_bytes))
+            taken += len(data)
+            if taken >= most_bytes:
+                carried = [(when, 0, count) for when, line, count in parts if line == len(bodies)]
+                parts = [part for part in parts if part[1] < len(bodies)]
+                yield made()
+                dropped, taken = splitter.dropped_bytes, 0
+                bodies, length, ends, parts = [], array("q"), [], carried
+    yield made()
+
+
+def _stream(lines: _Lines, ident: wire.Ident | None, first_piece: bool) -> Stream:
+    """Return what some lines of a connection hold, from a board that has identified itself so."""
     row = _row(ident)
-    ours = {key: group for key, group in samples.items() if _fits(*key, row)}
+    size, others = lines.size, lines.others
+    ours = {key: group for key, group in lines.samples.items() if _fits(*key, row)}
     count = np.zeros(len(size), dtype=np.int64)  # samples in each line
     for (_, each), (where, _) in ours.items():
         count[where] = each
@@ -138,12 +224,14 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
     known[frame_line] = True
     known[[line for line, _ in others]] = True
     unknown = size[~known & (size > 0)]
-    damaged = np.flatnonzero(size[1:] == 0) + 1  # the first line's beginning may be missing
+    damaged = np.flatnonzero(size == 0)
+    if first_piece:
+        damaged = damaged[damaged > 0]  # the first line's beginning may be missing
 
     truths = [(line, frame) for line, frame in others if isinstance(frame, wire.TruthFrame)]
     truth_n = [len(frame.rows) for _, frame in truths]
     truth_seq = [seq & 0xFFFF for _, frame in truths for seq in range(frame.seq, frame.seq + len(frame.rows))]
-    part_ns, part_line, part_bytes = np.array(parts, dtype=np.int64).reshape(-1, 3).T
+    part_ns, part_line, part_bytes = np.array(lines.parts, dtype=np.int64).reshape(-1, 3).T
     inside = np.isin(part_line, frame_line)
     columns: dict[str, Any] = {name: rows[name].copy() for name in row.names or ()}
     return Stream(
@@ -152,7 +240,7 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
         seq=heads["seq"].astype(np.int64),
         ticks=heads["time"].astype(np.int64),
         illegal=heads["illegal"].astype(np.int64),
-        stamp_ns=np.repeat(*np.array(ends, dtype=np.int64).reshape(-1, 2).T)[frame_line],
+        stamp_ns=np.repeat(*np.array(lines.ends, dtype=np.int64).reshape(-1, 2).T)[frame_line],
         **columns,
         ident=ident,
         idents=before[np.array([line for line, frame in others if isinstance(frame, wire.Ident)], dtype=np.int64)],
@@ -164,8 +252,8 @@ def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
         crc_frame=before[damaged],
         crc_errors=len(damaged),
         unknown=len(unknown),
-        discarded_bytes=splitter.dropped_bytes + int(sent_bytes[size == 0].sum() + unknown.sum()),
-        length=sent_bytes[frame_line] + 1,
+        discarded_bytes=lines.dropped_bytes + int(lines.sent_bytes[size == 0].sum() + unknown.sum()),
+        length=lines.sent_bytes[frame_line] + 1,
         part_stamp_ns=part_ns[inside],
         part_frame=before[part_line[inside]],
         part_bytes=part_bytes[inside],
@@ -221,15 +309,33 @@ def _fits(size: int, n: int, row: np.dtype[np.void]) -> bool:
     return n > 0 and size == wire.SAMPLES_HEADER + n * row.itemsize
 
 
-def _governing(others: list[tuple[int, wire.Frame]], samples: Groups) -> wire.Ident | None:
-    """Return the last identification before the first sample frame: the decoder may have been set in between."""
-    chosen: wire.Ident | None = None
-    for line, frame in others:
-        if not isinstance(frame, wire.Ident):
-            continue
-        if chosen is not None and any(
-            _fits(*key, _row(chosen)) and lines[0] < line for key, (lines, _) in samples.items()
-        ):
-            break
-        chosen = frame
-    return chosen
+class _Governing:
+    """The last identification before the first sample frame: the decoder may have been set in between.
+
+    Attributes
+    ----------
+    ident : Ident or None
+        The identification, as far as the lines have been looked at.
+    decided : bool
+        No later line can change it.
+    """
+
+    def __init__(self) -> None:
+        self.ident: wire.Ident | None = None
+        self.decided = False
+        self._seen: set[tuple[int, int]] = set()  # bytes and samples of frames in the pieces before
+
+    def take(self, lines: _Lines) -> None:
+        """Look at the next lines."""
+        for line, frame in lines.others:
+            if not isinstance(frame, wire.Ident):
+                continue
+            here = {key for key, (where, _) in lines.samples.items() if where[0] < line}
+            if self._any_fits(self._seen | here):
+                break
+            self.ident = frame
+        self._seen |= set(lines.samples)
+        self.decided = self._any_fits(self._seen)
+
+    def _any_fits(self, seen: set[tuple[int, int]]) -> bool:
+        return self.ident is not None and any(_fits(*key, _row(self.ident)) for key in seen)

@@ -1,0 +1,123 @@
+"""Readings of the host's and the device's clock out of a run: at ends of frames, and of reads that ended in one."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.finalise.clock_sync import ClockPoints, ClockSync, Points, taken
+from daq.finalise.timeline import Piece, parts_of
+from daq.output.spill import Spill
+from daq.protocols.link_budget import BITS_PER_BYTE
+
+
+class PartClock:
+    """The clocks over one part of a run, whose pieces come in order.
+
+    Parameters
+    ----------
+    part : int
+        The part: the longest one of the run.
+    baud : int or None
+        On a serial line of known speed every byte has its time, so reads that ended inside a frame count as well.
+    by_bytes : bool
+        It is known how long the frames were: not of text lines.
+    spill : Spill
+        Where the points are put aside.
+    """
+
+    def __init__(self, part: int, baud: int | None, by_bytes: bool, spill: Spill) -> None:
+        self._part = part
+        self._byte_s = 0.0 if baud is None else BITS_PER_BYTE / baud
+        self._reads = baud is not None
+        self._by_bytes = by_bytes and self._reads
+        self._points = ClockPoints(spill)
+        self._first_ns = 0
+        self._samples = 0
+        self._last: _FrameEnds | None = None  # the last frame, of which the following is not known
+        self._held = Points(np.empty(0), np.empty(0), np.empty(0), np.empty(0, dtype=np.int64))  # not yet in order
+        self._held_kind = np.empty(0, dtype=np.int8)
+
+    def take(self, piece: Piece) -> None:
+        """Take the next piece."""
+        samples = piece.samples
+        if not self._samples and len(samples):
+            self._first_ns = int(samples.stamp_ns[0])
+        for part, here in parts_of(samples):
+            if part == self._part:
+                self._take(piece, here)
+        self._samples += len(samples)
+
+    def compared(self) -> ClockSync:
+        """Return how the clocks went together; ``index`` is the run's sample."""
+        if self._last is not None:
+            self._hold(self._last, np.array([np.nan]))
+            self._release(np.inf)
+        return self._points.compare(by_bytes=self._by_bytes)
+
+    def _take(self, piece: Piece, here: slice) -> None:
+        samples = piece.samples
+        last = here.start + np.flatnonzero(np.diff(samples.frame[here], append=-1) != 0)
+        frame = samples.frame[last]
+        sent_s = np.zeros(len(last))
+        if self._reads:
+            sent_s = piece.stream.length[frame - piece.frames] * self._byte_s
+        ends = _FrameEnds(samples.stamp_ns[last], samples.time[last], frame, self._samples + last, sent_s)
+        begun = piece.frames + piece.stream.part_frame if self._reads else np.empty(0, dtype=np.int64)
+        at = np.searchsorted(frame, begun)
+        known = (at < len(frame)) & (frame[np.minimum(at, len(frame) - 1)] == begun)
+        joined = ends if self._last is None else self._last.followed_by(ends)
+        # What had not come in yet: the next frame, where another read brought it.
+        following = np.where(np.diff(joined.host_ns) > 0, joined.time[1:], np.nan)
+        if self._by_bytes:
+            # The next byte; behind a frame that is the first of the next one, if no byte of it had come.
+            following[np.isin(joined.frame[1:], begun)] = np.nan
+            following += self._byte_s
+        self._hold(joined.without_last(), following)
+        if known.any():
+            part_s = piece.stream.part_bytes[known] * self._byte_s
+            inside = ends.at(at[known], piece.stream.part_stamp_ns[known], part_s)
+            after = inside.time + part_s + self._byte_s if self._by_bytes else np.full(len(part_s), np.nan)
+            self._hold(inside, after, kind=1)
+        self._last = joined.last()
+        self._release(float(self._last.time[0]))
+
+    def _hold(self, ends: "_FrameEnds", following: NDArray[np.float64], kind: int = 0) -> None:
+        new = Points((ends.host_ns - self._first_ns) / 1e9, ends.time + ends.sent_s, following, ends.sample)
+        names = ("host", "device", "following", "sample")
+        self._held = Points(*(np.concatenate((getattr(self._held, name), getattr(new, name))) for name in names))
+        self._held_kind = np.concatenate((self._held_kind, np.full(len(following), kind, dtype=np.int8)))
+
+    def _release(self, before_s: float) -> None:
+        """Hand on the points before a time that no later one comes before: in order, frames before parts of them."""
+        order = np.lexsort((self._held_kind, self._held.device))
+        done = self._held.device[order] < before_s
+        self._points.append(taken(self._held, order[done]))
+        self._held, self._held_kind = taken(self._held, order[~done]), self._held_kind[order[~done]]
+
+
+@dataclass(frozen=True)
+class _FrameEnds:
+    """Ends of frames, or of parts of them: stamp, last sample and its time, time of the bytes, (f,) each."""
+
+    host_ns: NDArray[np.int64]
+    time: NDArray[np.float64]
+    frame: NDArray[np.int64]
+    sample: NDArray[np.int64]
+    sent_s: NDArray[np.float64]
+
+    def followed_by(self, other: "_FrameEnds") -> "_FrameEnds":
+        """Return these and others."""
+        return _FrameEnds(*(np.concatenate((own, vars(other)[name])) for name, own in vars(self).items()))
+
+    def without_last(self) -> "_FrameEnds":
+        """Return all but the last."""
+        return _FrameEnds(*(own[:-1] for own in vars(self).values()))
+
+    def last(self) -> "_FrameEnds":
+        """Return the last one."""
+        return _FrameEnds(*(own[-1:] for own in vars(self).values()))
+
+    def at(self, where: NDArray[np.int64], host_ns: NDArray[np.int64], sent_s: NDArray[np.float64]) -> "_FrameEnds":
+        """Return parts of some of the frames."""
+        return _FrameEnds(host_ns, self.time[where], self.frame[where], self.sample[where], sent_s)

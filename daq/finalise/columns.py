@@ -1,0 +1,138 @@
+"""The columns of a run, gathered piece by piece: of each sample its motion, what was sent, and the exact motion."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.finalise import belt_counter
+from daq.finalise.belt_counter import BeltCount
+from daq.finalise.integrity import CheckedCounts
+from daq.finalise.timeline import Samples, TruthRows, parts_of, sample_keys
+from daq.output.spill import Column, Shelf, Spill
+from daq.runfile.recording import Raw, Truth
+from daq.runfile.rig import Rig
+from daq.wire import frames
+
+
+class RunColumns:
+    """The columns of a run whose pieces come in order.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its calibration.
+    tick_ns : int
+        Tick of the device's clock, ns.
+    truth : Shelf of TruthRows
+        The exact motion as sent.
+    spill : Spill
+        Where the columns are put aside.
+
+    Attributes
+    ----------
+    first_ns : int
+        Host's stamp of the first sample.
+    """
+
+    def __init__(self, rig: Rig, tick_ns: int, truth: Shelf[TruthRows], spill: Spill) -> None:
+        self.first_ns = 0
+        self._rig, self._tick_ns, self._spill = rig, tick_ns, spill
+        self._columns: dict[str, Column] = {}
+        self._starts: list[int] = []
+        self._samples = 0
+        self._belt = BeltCount(rig.counter_bits)
+        self._truth = truth
+        self._truth_keys = [(int(rows.key.min()), int(rows.key.max())) for rows in truth]
+        self._part, self._shift_s = -1, 0.0
+
+    def has(self, name: str) -> bool:
+        """Return whether the board sends such a column."""
+        return name in self._columns
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._columns[name].whole()
+
+    def take(self, samples: Samples, checked: CheckedCounts, position: NDArray[np.float64]) -> None:
+        """Take the next samples."""
+        if not len(samples):
+            return
+        if not self._samples:
+            self.first_ns = int(samples.stamp_ns[0])
+        sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
+        microseconds = sent * self._tick_ns // 1000
+        self._append("time", samples.time)
+        self._append("position", position)
+        self._append("count", checked.count)
+        self._append("segment", checked.segment)
+        self._append("sample", samples.index.astype(np.uint32))
+        self._append("count_up", samples.up)
+        self._append("count_down", samples.down)
+        self._append("device_time", (microseconds & 0xFFFFFFFF).astype(np.uint32))
+        self._append("levels", samples.status & np.uint8(frames.LEVELS))
+        self._append("flags", checked.flags)
+        self._append("illegal", samples.illegal)
+        self._append("belt_count", samples.belt)
+        self._append("edge_time", None if samples.edge is None else _edge_us(samples.edge, self._tick_ns))
+        if samples.belt is not None and self._rig.belt_metres_per_count is not None:
+            begins = np.zeros(len(samples), dtype=np.bool_)
+            begins[checked.starts - self._samples] = True
+            self._append("belt", self._belt.take(samples.belt, begins))
+        self._starts += checked.starts.tolist()
+        if self._truth_keys:
+            self._take_truth(samples)
+        self._samples += len(samples)
+
+    def raw(self) -> Raw:
+        """Return the samples as sent."""
+        names = ("sample", "count_up", "count_down", "device_time", "levels", "flags", "illegal")
+        optional = [name for name in ("belt_count", "edge_time") if self.has(name)]
+        return Raw(**{name: self._columns[name].whole() for name in (*names, *optional)})
+
+    def belt(self, rate_hz: float) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
+        """Return the belt's count and speed; None where the board sends none, or its metres per count are unknown."""
+        pitch = self._rig.belt_metres_per_count
+        if pitch is None or "belt" not in self._columns:
+            return None, None
+        count, speed = self._columns["belt"].whole(), Column(self._spill)
+        starts = np.array(self._starts, dtype=np.int64)
+        for piece in belt_counter.velocity_pieces(count, self["time"], starts, rate_hz, pitch.value):
+            speed.append(piece)
+        return count, speed.whole()
+
+    def truth(self, scene: str) -> Truth | None:
+        """Return the exact motion at the received samples, its time on the run's axis; None if none was sent."""
+        if not self._truth_keys:
+            return None
+        time, x, v, force = (self._columns[f"truth_{name}"].whole() for name in ("time", "x", "v", "F"))
+        return Truth(time, x, v, force, scene)
+
+    def _append(self, name: str, values: NDArray[np.generic] | None) -> None:
+        if values is not None:
+            self._columns.setdefault(name, Column(self._spill)).append(values)
+
+    def _take_truth(self, samples: Samples) -> None:
+        key = sample_keys(samples.part, samples.index)
+        least, most = int(key.min()), int(key.max())
+        near = [k for k, (low, high) in enumerate(self._truth_keys) if low <= most and high >= least]
+        sent = [self._truth[k] for k in near]
+        keys = np.concatenate([np.empty(0, dtype=np.int64), *(rows.key for rows in sent)])
+        rows = np.concatenate([np.empty((0, 4)), *(rows.rows for rows in sent)])
+        _, at, row = np.intersect1d(key, keys, return_indices=True)
+        shift = np.zeros(len(samples))
+        for part, here in parts_of(samples):
+            if part != self._part:
+                device_s = samples.ticks[here.start] * self._tick_ns / 1e9
+                self._part, self._shift_s = part, float(samples.time[here.start] - device_s)
+            shift[here] = self._shift_s
+        time, x, v, force = rows[row].T
+        self._append("truth_time", time + shift[at])
+        self._append("truth_x", x)
+        self._append("truth_v", v)
+        self._append("truth_F", force)
+
+
+def _edge_us(edge: NDArray[np.uint16], tick_ns: int) -> NDArray[np.uint16]:
+    """Return the time since the last edge in us; "none" keeps its value on the wire."""
+    us = edge.astype(np.int64) * tick_ns // 1000
+    return np.where(edge == frames.NO_EDGE, frames.NO_EDGE, us).astype(np.uint16)

@@ -1,0 +1,81 @@
+"""A run file is made piece by piece: what the pieces are makes no difference, and memory does not grow with the run."""
+
+import resource
+import subprocess
+import sys
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.finalise.run import run_data
+from daq.output import spill
+from daq.protocols import session
+from daq.runfile import journal, store
+
+FIXTURE = Path(__file__).parents[1] / "runfile/fixtures/damaged.h5.part"
+# Peak of a process that makes the run file of a journal, MB.
+MEASURE = """
+import resource, sys
+from pathlib import Path
+from daq.finalise.run import finalise
+resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[3]),) * 2)
+found = finalise(Path(sys.argv[1]), Path(sys.argv[2]), finished_by="test")
+print(found.samples, found.lost, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
+
+
+def assert_same(one, other, name=""):
+    """Compare two values of dataclasses, arrays inside; a column counts as an array."""
+    if is_dataclass(one):
+        for field in fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name), f"{name}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        whole = np.asarray(other)
+        assert one.dtype == whole.dtype, name
+        assert np.array_equal(one, whole, equal_nan=one.dtype.kind == "f"), name
+    else:
+        assert one == other, name
+
+
+def test_the_pieces_of_a_journal_make_no_difference(tmp_path, monkeypatch):
+    markers = journal.read_markers(journal.markers_path(FIXTURE))
+    whole, found = run_data(journal.read(FIXTURE), markers)
+    monkeypatch.setattr(session, "PIECE_BYTES", 2000)
+    monkeypatch.setattr(spill, "MEMORY_BYTES", 5000)
+    monkeypatch.setattr(spill, "BLOCK", 300)
+    run, again = run_data(journal.read(FIXTURE), markers, output=tmp_path / "run.h5")
+    assert isinstance(run.time, spill.Column)
+    assert_same(whole, run)
+    assert again == found
+    store.write(tmp_path / "run.h5", run)
+    store.write(tmp_path / "whole.h5", whole)
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["run.h5", "whole.h5"]
+    assert_same(store.load(tmp_path / "whole.h5").raw, store.load(tmp_path / "run.h5").raw)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the limit of a process's memory is Linux's")
+def test_memory_does_not_grow_with_the_run(tmp_path):
+    # It took 150 bytes a sample: 2755 MB for an hour at 5 kHz, and MemoryError under 2 GB.
+    read = journal.read(FIXTURE)
+    board = [record for record in read.records if record.kind == journal.RECEIVED]
+    peaks = []
+    for hundreds in (1, 5):
+        part = tmp_path / f"{hundreds}.h5.part"
+        writer = journal.Writer(part, read.header | {"samples": None})
+        for k in range(100 * hundreds):
+            for record in board:
+                stamp = record.stamp_ns + k * 60_000_000_000
+                writer.append(record.kind, stamp, record.data)
+            writer.append(journal.LOST, stamp + 1, b"gone")
+            writer.append(journal.REOPENED, stamp + 2, b"back")
+        writer.close()
+        limit = resource.getrlimit(resource.RLIMIT_AS)[1] if hundreds == 1 else 400 << 20
+        told = [sys.executable, "-c", MEASURE, str(part), str(tmp_path / f"{hundreds}.h5"), str(limit)]
+        done = subprocess.run(told, capture_output=True, text=True, check=True)
+        peaks.append([int(word) for word in done.stdout.split()])
+    (few, _, small), (many, _, large) = peaks
+    assert many > 4 * few
+    assert large - small < 60
