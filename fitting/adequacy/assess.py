@@ -1,6 +1,6 @@
 """`assess`: whether a law describes a record; the friction curve without a law; and what else acts where none does."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
 from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
+from fitting.adequacy.struck import left_out
 from fitting.adequacy.visible import smallest_visible
 from fitting.curve.measure import band_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
@@ -17,6 +18,8 @@ from fitting.departures.result import FoundDeparture
 from fitting.departures.strongest import score_departures
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
+from fitting.model.shooting import ShootingWindows
+from fitting.sensitivity.path import Path
 
 NUMBER_OF_LAWS = 6
 # Of the misfit of a law.  Drag and weak guides explain 0.84 to 1.0 of it, wrong departures of other truths up to 1.0:
@@ -147,12 +150,13 @@ def _first_adequate(members: Sequence[Fit], motions: Sequence[MeasuredMotion]) -
     first = None
     for fit in members:
         linearised = LinearisedFit.at(fit)
-        spoilt = fit.windows.spoilt(fit.residual)
-        usual = None if linearised is None else linearised.without(spoilt)
-        # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
-        residual, refit = (fit.residual, _unchanged) if usual is None else (usual.residual, usual.refit)
-        slips = judge(residual, refit, fit, motions, spoilt)
-        found = Judged(fit, linearised, usual, slips, *goodness_of_fit(slips, fit.residual, fit))
+        if linearised is None:
+            # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
+            usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)
+            slips = judge(fit.residual, _unchanged, fit, motions, nowhere)
+        else:
+            usual, slips = _judged_without_faults(linearised, fit.path, fit, fit.windows, motions)
+        found = Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
         if found.together.adequate:
             return found
         first = first or found
@@ -165,13 +169,29 @@ def _unchanged(residuals: Array) -> Array:
     return residuals
 
 
-def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
-    fit, linear = curve.spline_fit.fit, curve.linear
-    windows = curve.spline_fit.path.windows
+def _judged_without_faults(
+    linear: LinearisedFit,
+    path: Callable[[], Path | None],
+    fit: Fit,
+    windows: ShootingWindows,
+    motions: Sequence[MeasuredMotion],
+) -> tuple[LinearisedFit, tuple[RunSlips, ...]]:
+    """Return the fit of the cycles that are judged, without those that a fault of the record has spoilt; their slips.
+
+    ``path`` is asked for where a cycle fits badly; ``fit`` is that whose cycles they are.
+    """
     spoilt = windows.spoilt(linear.residual)
-    usual = linear.without(spoilt)
-    slips = judge(usual.residual, usual.refit, fit, motions, spoilt, windows)
-    return goodness_of_fit(slips, linear.residual, fit, windows)[0]
+    landings = np.array([cycle.landing for cycle in fit.cycles])
+    faults = left_out(path() if spoilt.any() else None, linear, landings, spoilt, windows.run)
+    usual = linear.without(faults)
+    return usual, judge(usual.residual, usual.refit, fit, motions, faults, windows)
+
+
+def _judge_curve(curve: MeasuredCurve, motions: Sequence[MeasuredMotion]) -> GoodnessOfFit:
+    spline = curve.spline_fit
+    path = spline.path
+    _, slips = _judged_without_faults(curve.linear, lambda: path, spline.fit, path.windows, motions)
+    return goodness_of_fit(slips)[0]
 
 
 def _departures(

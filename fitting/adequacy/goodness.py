@@ -2,8 +2,9 @@
 
 Null distribution: the fitted motion is read again and again with the record's own noise (`fitting.adequacy.noise`), all
 unknowns are fitted again, linearly, and the statistics of the slips (`fitting.adequacy.statistics`) are taken of what
-is left.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  The draws are seeded:
-the same record gives the same number.
+is left.  The other two statistics are of whole cycles, sticks included: the largest mean square over the usual one, and
+the rms of all.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  The draws are
+seeded: the same record gives the same number.
 """
 
 import math
@@ -16,10 +17,10 @@ import numpy as np
 from daq.compute.arrays import Array, Mask
 from daq.compute.distributions import gamma_tail, gamma_upper_quantile
 from fitting.adequacy.noise import PositionNoise, estimate_noise
-from fitting.adequacy.statistics import SlipBins, SlipStatistics
+from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, cycle_squares
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
-from fitting.model.shooting import ShootingWindows
+from fitting.model.shooting import SPOILT, ShootingWindows
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13
@@ -28,6 +29,10 @@ FEWEST_SLIPS = 2
 # Probability below which noise is not what made the residuals.  The tails are those of a gamma distribution with the
 # moments of 60 repetitions of a linearised refit, so small probabilities are rough; 1e-6 is five standard deviations.
 REJECTED = 1e-6
+TESTS = 4  # what repeats, what is smooth, the worst cycle, and the size of all
+# Times the noise by which all judged cycles together may exceed that of the repetitions: a noise that is not quite that
+# of the model is no misfit.  True laws leave 0.97 to 1.04.
+NOISE_KNOWN = 1.2
 
 
 @dataclass(frozen=True)
@@ -39,11 +44,13 @@ class GoodnessOfFit:
     noise_m : float
         Standard deviation of one position, from the record, m.
     misfit : float
-        Rms of the residuals of the inlier cycles over ``noise_m``.
+        Rms of the residuals of the judged cycles over ``noise_m``.
     lag1, repeat : float
         As in `fitting.adequacy.statistics.SlipStatistics`; 0 where no slip can be judged.
     p_value : float
         Probability of statistics at least as large by noise alone; 1 where no slip can be judged.
+    left_out : tuple of int
+        Numbers of the cycles that are not judged (`fitting.adequacy.struck`); of several runs together none.
     """
 
     noise_m: float
@@ -51,6 +58,7 @@ class GoodnessOfFit:
     lag1: float
     repeat: float
     p_value: float
+    left_out: tuple[int, ...] = ()
 
     @property
     def adequate(self) -> bool:
@@ -72,6 +80,10 @@ class RunSlips:
         Of the record.
     null_sums, null_squares : (bins, B) f8
         Sums of the residuals of the repetitions, and of their squares, in each bin.
+    cycles, null_cycles : CycleSquares
+        Of the record, and of the repetitions.
+    left_out : tuple of int
+        Numbers of the cycles that are not judged.
     """
 
     noise: PositionNoise
@@ -80,6 +92,9 @@ class RunSlips:
     seen: SlipStatistics
     null_sums: Array
     null_squares: Array
+    cycles: CycleSquares
+    null_cycles: CycleSquares
+    left_out: tuple[int, ...]
 
     @cached_property
     def null(self) -> SlipStatistics:
@@ -93,7 +108,7 @@ class RunSlips:
 
     def limits(self, p: float) -> tuple[float, float]:
         """Return the limits of `repeat`, from its least value, and of `smooth` at which noise is rejected."""
-        return limit(p / 2, self.null.repeat - least(self.bins)), limit(p / 2, self.null.smooth)
+        return limit(p / TESTS, self.null.repeat - least(self.bins)), limit(p / TESTS, self.null.smooth)
 
 
 def judge(
@@ -101,7 +116,7 @@ def judge(
     refit: Callable[[Array], Array],
     fit: Fit,
     motions: Sequence[MeasuredMotion],
-    spoilt: Mask,
+    left_out: Mask,
     windows: ShootingWindows | None = None,
 ) -> tuple[RunSlips, ...]:
     """Return the statistics of each run's slips beside those of their null distribution.
@@ -117,10 +132,10 @@ def judge(
         Whose cycles are judged, of all runs together.
     motions : sequence of MeasuredMotion
         Of each run.
-    spoilt : (cycles,) bool
-        Which cycles are not judged.  A slip that the belt's joint has struck pulls at the parameters that it shares
-        with the others, which then leave smooth residuals under the true law (p = 1e-15 with 6 slips): ``residual``
-        is that of a fit without them (`fitting.estimation.linearised.LinearisedFit.without`).
+    left_out : (cycles,) bool
+        Which cycles are not judged (`fitting.adequacy.struck`).  A slip that the belt's joint has struck pulls at the
+        parameters that it shares with the others, which then leave smooth residuals under the true law (p = 1e-15 with
+        6 slips): ``residual`` is that of a fit without them (`fitting.estimation.linearised.LinearisedFit.without`).
     windows : ShootingWindows, optional
         Of the same cycles, where the residuals are not those of the fit's own.
     """
@@ -134,9 +149,9 @@ def judge(
         velocity[own] = motion.velocity[windows.source[own]]
         noises.append(estimate_noise(windows, residual, fit.inlier_cycles, motion, run))
     landings = np.array([cycle.landing for cycle in fit.cycles])
-    judged = fit.inlier_cycles & ~spoilt
-    bins = [SlipBins.cut(windows, landings, judged, run) for run in range(len(motions))]
-    repeated: list[list[tuple[Array, Array]]] = [[] for _ in motions]
+    judged = [~left_out & (windows.run == run) for run in range(len(motions))]
+    bins = [SlipBins.cut(windows, landings, own, run) for run, own in enumerate(judged)]
+    repeated: list[list[tuple[Array, Array, Array]]] = [[] for _ in motions]
     rng = np.random.default_rng(SEED)
     at_once = max(1, min(REPETITIONS, MOST_AT_ONCE // position.size))
     for first in range(0, REPETITIONS, at_once):
@@ -148,34 +163,42 @@ def judge(
         left = refit(drawn)
         for run, cut in enumerate(bins):
             if cut.slips >= FEWEST_SLIPS:
-                repeated[run].append((cut.sums(left), cut.sums(left**2)))
+                squares = cycle_squares(left, windows.rows)[judged[run]]
+                repeated[run].append((cut.sums(left), cut.sums(left**2), squares))
+    seen_squares = cycle_squares(residual[:, None], windows.rows)
     found = []
     for run, (noise, cut, draws) in enumerate(zip(noises, bins, repeated, strict=True)):
-        sums, squares = (np.hstack(parts) for parts in zip(*draws, strict=True)) if draws else np.zeros((2, 0, 1))
-        seen = cut.statistics(residual[:, None]) if draws else SlipStatistics(*np.zeros((4, 1)))
-        found.append(RunSlips(noise, noise.sd(velocity[owner == run]), cut, seen, sums, squares))
+        parts = [np.hstack(part) for part in zip(*draws, strict=True)] if draws else [np.zeros((0, 1))] * 3
+        own = np.flatnonzero(windows.run == run)
+        found.append(
+            RunSlips(
+                noise=noise,
+                noise_m=noise.sd(velocity[owner == run]),
+                bins=cut,
+                seen=cut.statistics(residual[:, None]) if draws else SlipStatistics(*np.zeros((4, 1))),
+                null_sums=parts[0],
+                null_squares=parts[1],
+                cycles=CycleSquares(seen_squares[judged[run]]),
+                null_cycles=CycleSquares(parts[2]),
+                left_out=tuple(fit.cycles[k].number for k in own if left_out[k]),
+            )
+        )
     return tuple(found)
 
 
-def goodness_of_fit(
-    slips: Sequence[RunSlips], residual: Array, fit: Fit, windows: ShootingWindows | None = None
-) -> tuple[GoodnessOfFit, tuple[GoodnessOfFit, ...]]:
-    """Return the goodness of fit of all runs together, and of each; arguments as for `judge`."""
-    each = []
-    windows = fit.windows if windows is None else windows
-    run_of = windows.run
-    for run, own in enumerate(slips):
-        rows = [residual[part] for k, part in enumerate(windows.rows) if run_of[k] == run and fit.inlier_cycles[k]]
-        square = float(np.mean(np.concatenate(rows) ** 2)) if rows else 0.0
-        each.append(
-            GoodnessOfFit(
-                noise_m=own.noise_m,
-                misfit=math.sqrt(square) / own.noise_m if own.noise_m > 0 else math.inf,
-                lag1=float(own.seen.lag1[0]),
-                repeat=float(own.seen.repeat[0]),
-                p_value=probability(own),
-            )
+def goodness_of_fit(slips: Sequence[RunSlips]) -> tuple[GoodnessOfFit, tuple[GoodnessOfFit, ...]]:
+    """Return the goodness of fit of all runs together, and of each."""
+    each = [
+        GoodnessOfFit(
+            noise_m=own.noise_m,
+            misfit=float(own.cycles.rms[0]) / own.noise_m if own.noise_m > 0 else math.inf,
+            lag1=float(own.seen.lag1[0]),
+            repeat=float(own.seen.repeat[0]),
+            p_value=probability(own),
+            left_out=own.left_out,
         )
+        for own in slips
+    ]
     if len(each) == 1:
         return each[0], tuple(each)
     share = np.array([own.bins.slips for own in slips], float)
@@ -191,15 +214,18 @@ def goodness_of_fit(
 
 
 def probability(slips: RunSlips) -> float:
-    """Return the probability of the statistics by noise alone, corrected for there being two of them."""
+    """Return the probability of the statistics by noise alone, corrected for how many there are."""
     if not slips.judged:
         return 1.0
-    begin = least(slips.bins)
+    begin, cycles, null = least(slips.bins), slips.cycles, slips.null_cycles
+    worst = float(cycles.worst[0])
     found = (
         tail(float(slips.seen.repeat[0]) - begin, slips.null.repeat - begin),
         tail(float(slips.seen.smooth[0]), slips.null.smooth),
+        tail(worst, null.worst) if worst > SPOILT else 1.0,
+        tail(float(cycles.rms[0]) / NOISE_KNOWN, null.rms),
     )
-    return min(1.0, len(found) * min(found))
+    return min(1.0, TESTS * min(found))
 
 
 def least(bins: SlipBins) -> float:

@@ -5,6 +5,7 @@ them.  A law that is wrong leaves residuals that are smooth over a bin, and most
 a velocity step has spoilt must not count for more than the others.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,30 @@ class SlipStatistics:
     smooth: Array
     rms: Array
     lag1: Array
+
+
+@dataclass(frozen=True, eq=False)
+class CycleSquares:
+    """Mean squares of the judged cycles of a run, m^2, shape (cycles, B), of B sets of residuals."""
+
+    square: Array
+
+    @property
+    def worst(self) -> Array:
+        """Largest over the usual one, shape (B,)."""
+        return np.asarray(np.max(self.square, axis=0) / np.maximum(np.median(self.square, axis=0), 1e-300))
+
+    @property
+    def rms(self) -> Array:
+        """Of all cycles, each counting as one, m, shape (B,); 0 without a cycle."""
+        return np.sqrt(np.sum(self.square, axis=0) / max(self.square.shape[0], 1))
+
+
+def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
+    """Return the mean square of residuals (N, B) in each cycle, m^2, shape (cycles, B)."""
+    first = np.array([own.start for own in rows])
+    count = np.array([own.stop - own.start for own in rows])
+    return np.asarray(np.add.reduceat(residuals**2, first, axis=0) / count[:, np.newaxis])
 
 
 @dataclass(frozen=True, eq=False)

@@ -158,6 +158,7 @@ def rank(
         findings = (*seen, *contradicted[number])
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, findings, sustained=sustained)
         adequacy = assessed.runs[number]
+        said = (*said, *verdict.not_judged(adequacy))
         aged = find_ageing(events, run.cut) if adequate else None
         if aged is not None:
             adequacy = replace(adequacy, departures=(*adequacy.departures, aged))

@@ -218,6 +218,15 @@ def warnings(
     return tuple(warned)
 
 
+def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
+    """Return the warning of the cycles that do not count in the goodness of fit; none where all do."""
+    numbers = () if adequacy.goodness is None else adequacy.goodness.left_out
+    if not numbers:
+        return ()
+    listed = ", ".join(map(str, numbers))
+    return (f"cycles not judged: {listed} (a velocity step, as of the belt's joint, or another single disturbance)",)
+
+
 def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
     """Return the warnings of several runs: what holds for all of them once, the rest with the file's name before it."""
     common = [text for text in warned[0] if all(text in own for own in warned)]
