@@ -2,8 +2,9 @@
 
 The windows, their unknowns and the rules at a landing are those of `fitting.model.shooting.integrate_window`.  There
 the flow is exact and knows the six laws; here it is stepped, for any curve and any small force besides.  A step ends at
-every sample and every change of mode.  It is short enough for the fastest rate of the motion; a ramp so steep that its
-transient moves the mass by less than `NO_TRANSIENT` of the spring's stretch is followed without inertia (`CREEP`).
+every sample and every change of mode.  It is short enough for the fastest rate of the motion.  A ramp is followed with
+next to no inertia (`CREEP`), in steps as long as those of a stick, once its transient has died out, or where that moves
+the mass by less than `NO_TRANSIENT` of the spring's stretch.
 
 Every function runs as written or compiled (`daq.compute.compile`).
 """
@@ -42,6 +43,8 @@ LONGEST_STEP = 0.1
 # Of the spring's stretch under F.  At 1e-5 a ramp's creep would miss a micron of its transient; at 1e-9 a steep ramp
 # takes ten times as many steps.
 NO_TRANSIENT = 1e-7
+LEFT_OUT = 0.1  # of it, by the second order of the inertia in a creep
+SETTLED = 18.0  # time constants of a ramp after which its transient has died out: exp(-18) is 1.5e-8
 MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
 MOST_BISECTIONS = 60
 
@@ -108,6 +111,12 @@ def ramp_mode(w: Window, t: float) -> int:
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     stretch = w.contact.F * w.contact.at_rest / w.u[K]
     return CREEP if edge < w.no_transient * rise * stretch else RAMP
+
+
+def settled(w: Window, t: float, since: float) -> bool:
+    """Return whether a ramp entered at time ``since`` can creep: what is left out is of second order in K/rise^2."""
+    _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
+    return (w.u[K] / rise**2) ** 2 < LEFT_OUT * w.no_transient and (t - since) * rise > SETTLED
 
 
 def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
@@ -186,10 +195,15 @@ def follow_window(
         mode = NEGATIVE if e >= 0.0 else POSITIVE
     if mode == CREEP:
         v = bound_velocity(w, mode, t, x)
-    i, events, entered = 0, 0, True
+    i, events, entered, since = 0, 0, True, t
     while True:
         if m + 3 > points.shape[1] or s >= steps.shape[0]:
             return -1, 0
+        if mode == RAMP and not entered and settled(w, t, since):
+            mode = CREEP
+            v = bound_velocity(w, mode, t, x)
+            m += 1
+            entered = True
         if entered:
             store_point(w, mode, t, x, v, points, m)
             kinds[0, m], kinds[1, m] = mode, int(landed)
@@ -249,7 +263,7 @@ def follow_window(
             if before != STICK:
                 crossing(w, before, slope_before, mode, t, x, v, jumps[s - 1])
             m += 1
-            entered = True
+            entered, since = True, t
 
 
 def rates_at(w: Window, mode: int, t: float, x: float, v: float) -> tuple[float, float]:

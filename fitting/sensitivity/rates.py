@@ -104,11 +104,19 @@ def acceleration(w: Window, mode: int, t: float, x: float, v: float) -> float:
 
 
 def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
-    """Return x' (m/s) of a mode without inertia: the belt's in stick, that of balanced forces in creep."""
+    """Return x' (m/s) of a mode bound to the belt: the belt's in stick; in creep that of balanced forces.
+
+    In creep the inertia counts to first order, by the acceleration of the velocity that balances the other forces; of
+    a ripple of the belt to second order.
+    """
     if mode == STICK:
         return belt_speed(w, t)
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
-    return float((rise * belt_speed(w, t) + free_force(w, t, x)) / (rise + w.u[DAMPING]))
+    rate, belt = rise + w.u[DAMPING], belt_speed(w, t)
+    balanced = (rise * belt + free_force(w, t, x)) / rate
+    late = (rise * belt_acceleration(w, t, 1e-6) - w.u[K] * balanced) / rate**2
+    steady = w.u[V_DR] + between(w.extra.time, w.extra.belt, w.low, w.high, t)
+    return float(balanced - late - w.u[OMEGA] ** 2 * (belt - steady) / rate**2)
 
 
 def advance(w: Window, mode: int, t: float, x: float, v: float, h: float) -> tuple[float, float]:

@@ -5,7 +5,7 @@ one unit of it makes at every point of a path.  With K = k/m, c/m and the slope 
 
     dx'' = -K dx - (c + f') dx' + a_p + f' b_p        slip and ramp
     dx'  = b_p                                        stick
-    (c + f') dx' = -K dx + a_p + f' b_p               creep on a steep ramp
+    dx'' = -K dx - (c + f') dx' + a_p + f' b_p        creep on a ramp, to first order in the acceleration dx''
 
 by the same Runge-Kutta steps as the path.  Where the mode changes, the change comes later or earlier by what the column
 does there, and dx' jumps (saltation).
@@ -127,6 +127,11 @@ def integrate(
                         gm[j] += slope[a + 1] * belt[a + 1, j]
                         g1[j] += slope[a + 2] * belt[a + 2, j]
                 if mode[a] == CREEP:
+                    # dx'' is the rate of (a - K dx)/e, with a and e as in the equation above
+                    for j in range(k if h > 0.0 else 0):
+                        rate = (g1[j] - g0[j]) / (h * em)
+                        g0[j], gm[j], g1[j] = g0[j] - rate, gm[j] - rate, g1[j] - rate
+                    e0, em, e1 = e0 / (1.0 + K / e0**2), em / (1.0 + K / em**2), e1 / (1.0 + K / e1**2)
                     for j in range(k):
                         k1 = (g0[j] - K * x[j]) / e0
                         k2 = (gm[j] - K * (x[j] + 0.5 * h * k1)) / em

@@ -50,6 +50,9 @@ CASES = {
     "overtakes on a ramp": (LINEAR, True, {"shape": 0.4, "d": 0.01}, {"overtakes": 1}),
     "steep ramp": (HYPERBOLIC, True, {"shape": 9.6, "d": 1e-5}, {}),
     "stick on a steep ramp": (HYPERBOLIC, True, {"shape": 9.6, "d": 1e-5}, {"stick": 1}),
+    "ramp of 1 mm/s": (HYPERBOLIC, True, {"shape": 9.6, "d": 1e-3}, {}),
+    "stick on a ramp of 1 mm/s": (HYPERBOLIC, True, {"shape": 9.6, "d": 1e-3}, {"stick": 1}),
+    "ripple on a ramp": (LINEAR, True, {"shape": 0.4, "d": 2e-3, "cosine": 3e-3, "sine": -2e-3, "omega": 14.0}, {}),
     "break-away of a ramp": (HYPERBOLIC, True, {"shape": 9.6, "d": 0.06, "static": 1.2, "datum": -0.05}, {}),
     "compliant belt": (HYPERBOLIC, False, {"shape": 9.6, "compliance": 0.05}, {}),
     "ramp on a compliant belt": (LINEAR, True, {"shape": 0.8, "d": 0.02, "compliance": 0.05}, {}),
@@ -78,6 +81,14 @@ def test_positions_and_tangents_are_those_of_the_exact_flow(case):
     # one-sided differences err by the curvature
     error, size = np.abs(found - jacobian).max(axis=0), np.abs(jacobian).max(axis=0)
     assert (error <= 2e-4 * np.maximum(size, 1e-3)).all(), dict(zip([*active, *PerCycle], error, strict=True))
+
+
+@pytest.mark.parametrize("stick", [0, 1])
+def test_a_steep_ramp_takes_few_steps(stick):
+    """A ramp of 1 mm/s took 47 steps a sample, and a record whose law had one 80 s."""
+    windows, local = one_window(stick=stick), (STUCK if stick else SLIP)[None]
+    path = follow(windows, Curve(HYPERBOLIC, True), unknowns(shape=9.6, d=1e-3), local)
+    assert path.steps.shape[0] < 2 * windows.time.size
 
 
 def spline_of(function, fastest=0.9, pieces=13):
