@@ -40,7 +40,6 @@ FINAL: dict[str, Any] = {"max_steps": 10, "tolerance": 3e-5, "damping": 1e-10}  
 MISSED = 1.2  # times the noise: beyond, friction is no curve, and more steps would not make it one
 LOST = 3.0  # times the noise as it is assumed first: a start still so far off leads nowhere
 HOPELESS = 1e3  # times the lowest cost of a start, both as if the noise were larger: such a start is left out
-SEARCH_STEP = 0.4  # `flow.LONGEST_STEP` while searching: positions err by 0.1 um, which the last steps mend
 LEAST_SCATTER, INLIER = 0.01, 0.2
 
 
@@ -125,7 +124,7 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     thinned = trajectory.fitted_windows(problem, thinned=True)
 
     def task_from(start: CurveStart) -> LeastSquaresProblem:
-        return _task(fit, thinned, places, curve, basis, start, noise, SEARCH_STEP)
+        return _task(fit, thinned, places, curve, basis, start, noise, flow.SEARCH_STEP)
 
     best = None
     if fit.geometric_mean_rms < REACHED * math.exp(float(np.mean(np.log(noise[fit.windows.run])))):

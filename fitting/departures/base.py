@@ -11,6 +11,7 @@ from fitting.departures.definition.departure import Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.shooting import ShootingWindows
+from fitting.sensitivity.flow import SEARCH_STEP
 from fitting.sensitivity.path import Path, follow
 from fitting.sensitivity.tangents import tangents
 
@@ -66,7 +67,7 @@ class Base:
             source=whole.source[blocks.middle],
             rows=blocks.rows,
         )
-        path = follow(windows, self.path.curve, self.path.u, self.path.local)
+        path = follow(windows, self.path.curve, self.path.u, self.path.local, longest_step=SEARCH_STEP)
         if path is None:
             return self
         linear = replace(

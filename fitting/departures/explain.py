@@ -115,7 +115,8 @@ def confirm(
             break
         curves.add(fit.problem.curve)
         base = first if first is not None and fit is fits[0] else base_of(fit, records, revolution)
-        found = None if base is None else refit_with(Host.of_law(fit), base, *tested.at, noise)
+        reached = _reached(best, noise) is not None
+        found = None if base is None else refit_with(Host.of_law(fit), base, *tested.at, noise, hurried=reached)
         if found is not None and (best is None or found.usual_rms < best.usual_rms):
             best = found
     return _reached(best, noise)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.curve.spline_fit import SEARCH_STEP
 from fitting.departures.base import Base
 from fitting.departures.definition.departure import Departure, Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion
@@ -25,7 +24,7 @@ from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.trajectory import cycle_weights
 from fitting.model.parameters import PerCycle
 from fitting.sensitivity.columns import local_tangents
-from fitting.sensitivity.flow import LONGEST_STEP
+from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
 from fitting.sensitivity.path import Curve, Path, follow
 
 # Most steps of each pass, and the gain at which it stops.  After a pass the departure is evaluated anew.  The first
@@ -40,6 +39,7 @@ TIMES = 4  # that the motion is followed before the last pass, with all samples:
 # Free passes, and times the noise: a search that then errs more, or would at the rate of its last pass, is given up.
 # Refits of true departures are at 0.9 to 1.0 after one free pass; LuGre contacts went from 47 to 44 and stayed there.
 HOPELESS = 3, 4.0
+HURRIED = 1, 2.0  # the same where another law already describes the record with the departure
 LAST = 1e-3  # of the departure's size: a pass that changes it by less is the last
 PARTS = (1.0, 0.5, 0.25, 0.1)  # of the linear step, from which the search starts
 SCALE_STEP = 1e-4  # relative: derivative by the scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path
@@ -83,7 +83,9 @@ class Refit:
         return usual_rms(self.residual, self.linear.rows)
 
 
-def refit_with(host: Host, base: Base, departure: Departure, scale: float, size: Array, noise: float) -> Refit | None:
+def refit_with(
+    host: Host, base: Base, departure: Departure, scale: float, size: Array, noise: float, *, hurried: bool = False
+) -> Refit | None:
     """Fit a law or the free curve together with a departure.
 
     Parameters
@@ -99,6 +101,8 @@ def refit_with(host: Host, base: Base, departure: Departure, scale: float, size:
         The departure's coefficients as tested.
     noise : float
         Standard deviation of one measured position, m.
+    hurried : bool
+        Give up early and try one start alone: another law already describes the record with the departure.
 
     Returns
     -------
@@ -113,11 +117,9 @@ def refit_with(host: Host, base: Base, departure: Departure, scale: float, size:
     thinned = base.thinned()
     best: levenberg_marquardt.Solution | None = None
     least = math.inf
-    # A ramp of 10 mm/s takes 18 steps a block at the usual length, a steeper one 300.
-    longest_step = SEARCH_STEP if host.curve.ramp else LONGEST_STEP
-    for start in (_Model.tested, _Model.stepped):
-        model = _Model(host, thinned, departure, scale, longest_step)
-        found = _descend(model, *start(model, size), noise)
+    for start in (_Model.tested,) if hurried else (_Model.tested, _Model.stepped):
+        model = _Model(host, thinned, departure, scale, SEARCH_STEP)
+        found = _descend(model, *start(model, size), noise, HURRIED if hurried else HOPELESS)
         rms = math.inf if found is None else usual_rms(found.residual, model.rows)
         if rms < least:
             best, least = found, rms
@@ -129,11 +131,11 @@ def refit_with(host: Host, base: Base, departure: Departure, scale: float, size:
 
 
 def _descend(
-    model: "_Model", unknowns: Array, local: Array, held: int, noise: float
+    model: "_Model", unknowns: Array, local: Array, held: int, noise: float, hopeless: tuple[int, float] = HOPELESS
 ) -> levenberg_marquardt.Solution | None:
     """Search pass by pass; None where the motion cannot be followed, or where it stays far from the noise."""
     found, rms = None, math.inf
-    far = HOPELESS[1] * model.noise(noise)
+    far = hopeless[1] * model.noise(noise)
     for number in range(held + PASSES):
         found = model.search(unknowns, local, noise if number else 0.0, held=number < held)
         if found is None:
@@ -143,7 +145,7 @@ def _descend(
             continue
         last, rms = rms, usual_rms(found.residual, model.rows)
         settled = number > 0 and _settled(before, model.coefficients(unknowns))
-        left = max(held + HOPELESS[0] - number, 0)
+        left = max(held + hopeless[0] - number, 0)
         if rms > far and (settled or left == 0 or rms * (rms / last) ** left > far):
             return None
         if settled:

@@ -40,6 +40,7 @@ from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
 # Longest step times the fastest rate: at 100 Hz positions of the rig scene's slips err by 2e-8 m, doubled by 1e-7 m,
 # against microns of noise.  At 1 kHz one step a sample is shorter than that anyhow, but on steep ramps.
 LONGEST_STEP = 0.1
+SEARCH_STEP = 0.4  # the same while searching: positions err by 0.1 um, which the last steps mend
 # Of the spring's stretch under F.  At 1e-5 a ramp's creep would miss a micron of its transient; at 1e-9 a steep ramp
 # takes ten times as many steps.
 NO_TRANSIENT = 1e-7

@@ -188,7 +188,8 @@ def follow(
     reached = np.zeros(N, np.int64)
     first_point, first_step = np.zeros((2, rows + 1), np.int64)
     kernel = compiled(flow.follow_windows, KERNELS, _nrt=False)
-    size = int(1.2 * N) + 20 * rows
+    # On ramps a sample takes many steps: as many as along the earlier path.
+    size = int(1.2 * max(N, 0 if along is None else along.steps.shape[0])) + 20 * rows
     while True:
         points, kinds = np.empty((9, 2 * size)), np.empty((2, 2 * size), np.int64)
         steps, jumps = np.empty((size, 3), np.int64), np.empty((size, 3))

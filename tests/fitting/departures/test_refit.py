@@ -69,7 +69,12 @@ def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeyp
     left = {5: 1.005 * NOISE, 3: 0.97 * NOISE}
     monkeypatch.setattr(explain, "base_of", lambda fit, records, revolution: fit)
     monkeypatch.setattr(explain.Host, "of_law", lambda fit: fit)
-    monkeypatch.setattr(explain, "refit_with", lambda fit, *_: SimpleNamespace(law=fit.law, usual_rms=left[fit.law]))
+
+    def fitted_with(fit, *_, hurried):
+        assert hurried == (fit.law == 3 and left[5] < 1.05 * NOISE)
+        return SimpleNamespace(law=fit.law, usual_rms=left[fit.law])
+
+    monkeypatch.setattr(explain, "refit_with", fitted_with)
     tested = SimpleNamespace(at=())
     assert confirm(tested, fits, [], NOISE).law == 3
     left[3] = 1.2 * NOISE
