@@ -54,7 +54,7 @@ class CycleSquares:
     @property
     def rms(self) -> Array:
         """Of all cycles, each counting as one, m, shape (B,); 0 without a cycle."""
-        return np.sqrt(np.sum(self.square, axis=0) / max(self.square.shape[0], 1))
+        return np.asarray(np.sqrt(np.sum(self.square, axis=0) / max(self.square.shape[0], 1)))
 
 
 def cycle_squares(residuals: Array, rows: Sequence[slice]) -> Array:
