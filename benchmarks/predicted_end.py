@@ -2,7 +2,7 @@
 
 ``python benchmarks/predicted_end.py [SEEDS]`` (default 20): for each seed the rig with a damper is recorded for 20 s,
 without and with scatter of the friction level, fitted with law 5, and saved as a scene.  Draws from its section ``fit``
-then say at which damping stick-slip ends, as `rig-sim continue --draws` does.
+then say at which damping and at which belt speed stick-slip ends, as `rig-sim continue --draws` does.
 """
 
 import json
@@ -23,8 +23,11 @@ from rig_sim.scenes.scene import scene
 RESULTS = Path(__file__).resolve().parent / "results"
 DAMPER = 0.3
 CASES: dict[str, list[str]] = {"no scatter": ["--set", "scatter.Fs=0"], "3 % scatter": []}
-RANGES = {"damper.c": ParameterRange("damper.c", 0.3, 3.3, 7)}
-DRAWS = 40
+RANGES = {
+    "damper.c": ParameterRange("damper.c", 0.3, 3.3, 7),
+    "belt.speed": ParameterRange("belt.speed", 0.2, 2.6, 9),
+}
+DRAWS = 100
 
 
 def called(*words: str) -> Any:

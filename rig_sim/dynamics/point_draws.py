@@ -85,11 +85,15 @@ class MovingPoint:
 
 
 def interval(places: Sequence[float], alpha: float = 0.05) -> PointInterval:
-    """Return the interval between the quantiles alpha/2 and 1 - alpha/2 of ``places`` (`MovingPoint.for_draw`)."""
+    """Return the interval between the quantiles alpha/2 and 1 - alpha/2 of ``places`` (`MovingPoint.for_draw`).
+
+    The k-th of n draws in order is the quantile k/(n + 1), so that one draw more lies in the interval with probability
+    1 - alpha; fewer than 2/alpha - 1 draws give the interval from the least to the largest.
+    """
     ordered = sorted(places)
 
     def quantile(share: float) -> float | None:
-        place = share * (len(ordered) - 1)
+        place = min(max(share * (len(ordered) + 1) - 1.0, 0.0), len(ordered) - 1.0)
         low, high = ordered[math.floor(place)], ordered[math.ceil(place)]
         if math.isinf(low) or math.isinf(high):
             return None
