@@ -66,8 +66,13 @@ def finalise(
     if not (exists and not recorded.damaged and store.holds(output, run)):
         store.write(output, run, force=force)
     if not recorded.damaged:
-        markers.unlink(missing_ok=True)
-        remove()
+        try:
+            markers.unlink(missing_ok=True)
+            remove()
+        except OSError as error:
+            left = f"{error.filename or part} could not be removed ({error.strerror})"
+            kept = f"the run file is complete, but {left}: delete it"
+            found = replace(found, warnings=(*found.warnings, kept))
     return replace(found, file=output)
 
 

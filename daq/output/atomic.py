@@ -102,10 +102,11 @@ def _temporary(target: Path) -> tuple[Path, FileLock | None]:
             if not _is_being_written(target):
                 handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=folder)
                 os.close(handle)
+                made = target.with_name(Path(name).name)  # relative as the target is: a folder may be renamed meanwhile
                 try:
-                    return Path(name), FileLock(Path(name))
+                    return made, FileLock(made)
                 except OSError:  # no locks here
-                    return Path(name), None
+                    return made, None
         if time.monotonic() > until:
             raise InputError("another command is writing this file", str(target), "wait until that one has ended")
         time.sleep(LOOK_EVERY_S)

@@ -10,7 +10,7 @@ from daq.errors import EXIT_DEVICE, EXIT_INPUT
 
 from . import campaign, forked, tasks
 from .campaign import Result, Size
-from .forked import CREATE, EVERY, SYNC, TRUNCATE, WRITE, Ended, Server
+from .forked import CREATE, EVERY, RENAME, SYNC, TRUNCATE, WRITE, Ended, Server
 from .tasks import TASKS, Contents, Task
 
 BEFORE_THE_RUN = 6  # calls of a recording before it has started the board: the journal with its header, synced
@@ -126,12 +126,14 @@ class Trial:
         parent = self._folder.parent
         shutil.rmtree(parent)
         task.begin(self._sources, self._folder)
-        ended = self._server.run(list(task.line), self._folder, at=at, action=FOLDERS[how])
+        absolute = name == "record" and at % 2 == 1
+        line = [*task.line[:-1], str(self._folder / "new.h5")] if absolute else list(task.line)
+        ended = self._server.run(line, self._folder, at=at, action=FOLDERS[how])
         where = f"{' '.join(task.line)}, folder {how} before call {at} ({ended.name})"
         found = [f"{where}: {what}" for what in _badly_ended(ended, task, (EXIT_DEVICE, EXIT_INPUT))]
         if name == "record":
-            if at > BEFORE_THE_RUN:
-                found += [f"{where}: {what}" for what in _not_recorded(ended, parent)]
+            if BEFORE_THE_RUN < at <= self.calls(name).index(RENAME) + 1:  # after that it goes away with the run in it
+                found += [f"{where}: {what}" for what in _not_recorded(ended, parent, absolute)]
             return found
         away = self._folder.with_name(f"{self._folder.name}.away")
         if away.is_dir():
@@ -155,7 +157,7 @@ def _badly_ended(ended: Ended, task: Task, codes: tuple[int, ...]) -> list[str]:
     return found
 
 
-def _not_recorded(ended: Ended, parent: Path) -> list[str]:
+def _not_recorded(ended: Ended, parent: Path, absolute: bool) -> list[str]:
     """Return whether a recording whose folder went away is not whole, in one place, which was named."""
     runs = [path for path in parent.rglob("*") if path.is_file()]
     if len(runs) != 1 or runs[0].suffix != ".h5":
@@ -163,6 +165,6 @@ def _not_recorded(ended: Ended, parent: Path) -> list[str]:
     found = daq.load(runs[0]).time.size
     if found != tasks.SAMPLES:
         return [f"{found} of {tasks.SAMPLES} samples"]
-    if runs[0].parent != parent / "folder" and str(runs[0]) not in ended.out + ended.err:
+    if absolute and runs[0].parent != parent / "folder" and str(runs[0]) not in ended.out + ended.err:
         return [f"does not say that the run is {runs[0]}"]
     return []
