@@ -1,6 +1,6 @@
 # demo: the main job in one go; test: the quick checks; test-slow: the long ones; test-kernels: the fit under every BLAS
-# kernel that this processor runs; reliability: kills, full disks, signals, bad input, into docs/reliability.md; bench:
-# the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
+# kernel that this processor runs; reliability: kills, full disks, signals, bad input, into docs/reliability.md; audit:
+# known vulnerabilities of constraints.txt; bench: the benchmarks; docs: the pages.  Needs python3 >= 3.11 only.
 # test begins with static (ruff, imports, mypy) on one core and kernels (what the tests would compile) on the other.
 PYTHON ?= python3
 VENV ?= .venv
@@ -8,7 +8,7 @@ BIN = $(VENV)/bin
 PYTEST = $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 BLAS_KERNELS = Haswell Sandybridge Prescott $(shell grep -qsw avx512f /proc/cpuinfo && echo SkylakeX)
 
-.PHONY: demo test static kernels test-slow test-kernels reliability bench docs clean
+.PHONY: demo test static kernels test-slow test-kernels reliability audit bench docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/daq demo
@@ -35,6 +35,10 @@ test-kernels: $(VENV)/.installed-test
 
 reliability: $(VENV)/.installed-test
 	$(BIN)/python -m tests.reliability
+
+audit: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --group audit
+	$(BIN)/python tests/audit_dependencies.py
 
 bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --group bench

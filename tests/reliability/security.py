@@ -3,9 +3,11 @@
 import ast
 import http.client
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -67,7 +69,7 @@ METHODS = ("PUT", "DELETE", "PATCH", "OPTIONS", "TRACE")
 
 def security(size: Size, folder: Path) -> list[Result]:
     """Try what a page, a file or another user of the computer may do; ``size.amount`` requests to the live server."""
-    return [_sources(), _cache(folder), _server(size, folder / "server"), _pages(folder / "pages")]
+    return [_sources(), _dependencies(), _cache(folder), _server(size, folder / "server"), _pages(folder / "pages")]
 
 
 def _sources() -> Result:
@@ -100,6 +102,28 @@ def executes(source: str) -> Iterator[tuple[int, str]]:
                 yield node.lineno, name
             on = [word.arg for word in node.keywords if ast.unparse(word.value) != "False"]
             yield from ((node.lineno, f"{name}({word}=...)") for word in on if word in FORBIDDEN_KEYWORDS)
+
+
+def _dependencies() -> Result:
+    """Look whether constraints.txt names a version of every dependency, and no place to get it from."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [
+        *project["dependencies"],
+        *(text for texts in project["optional-dependencies"].values() for text in texts),
+    ]
+    names = {re.split(r"[\[<>=;]", text)[0].strip().lower() for text in wanted}
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    rows = [line for line in lines if not line.startswith("#")]
+    fixed = {line.partition("==")[0] for line in rows}
+    faults = [f"{name} is not in constraints.txt" for name in sorted(names - fixed)]
+    faults += [f"constraints.txt: {line}" for line in rows if not re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*", line)]
+    return Result(
+        "the versions that were tested are named",
+        f"{len(names)} dependencies of pyproject.toml, extras included, and theirs",
+        f"{len(rows)} versions in constraints.txt, looked up among known vulnerabilities by make audit",
+        campaign.test_of("security"),
+        tuple(faults),
+    )
 
 
 def _cache(folder: Path) -> Result:
