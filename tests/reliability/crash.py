@@ -25,7 +25,7 @@ def crash(size: Size, folder: Path) -> list[Result]:
         sources = folder / "sources"
         tasks.prepare(server, sources)
         found = {name: _kill_at_calls(server, name, sources, folder / name, size.amount) for name in TASKS}
-        lost_s, kill_faults = _kill_recordings(server, folder / "paced", size)
+        lost_s, synced_s, kill_faults = _kill_recordings(server, folder / "paced", size)
     points = sum(tried for tried, _, _ in found.values())
     calls = sum(calls for _, calls, _ in found.values())
     by_task = ", ".join(f"{name} {tried}" for name, (tried, _, _) in found.items())
@@ -41,10 +41,11 @@ def crash(size: Size, folder: Path) -> list[Result]:
             tuple(faults),
         ),
         Result(
-            "a recording that is killed loses less than a second",
+            "a recording that is killed, or whose computer loses its power, loses less than a second",
             f"{len(lost_s)} recordings of a board on a pseudo-terminal at 1 kHz, SIGKILL after "
             f"{KILLED_AFTER_S[0]} to {KILLED_AFTER_S[1]} s, then daq recover",
-            f"lost: median {np.median(lost_ms):.0f} ms, at most {lost_ms.max():.0f} ms; every other sample right",
+            f"lost: median {np.median(lost_ms):.0f} ms, at most {lost_ms.max():.0f} ms; every other sample right; "
+            f"at most {max(synced_s):.2f} s between two syncs of the journal to the disk",
             campaign.test_of("crash"),
             tuple(kill_faults),
         ),
@@ -90,10 +91,10 @@ def _kill_at_calls(server: Server, name: str, sources: Path, folder: Path, amoun
     return len(points), len(whole.calls), faults
 
 
-def _kill_recordings(server: Server, folder: Path, size: Size) -> tuple[list[float], list[str]]:
-    """Kill recordings in real time; return the seconds that each lost, and the faults."""
+def _kill_recordings(server: Server, folder: Path, size: Size) -> tuple[list[float], list[float], list[str]]:
+    """Kill recordings in real time; return the seconds that each lost, those between its syncs, and the faults."""
     chance = np.random.default_rng(size.seed)
-    lost_s, faults = [], []
+    lost_s, synced_s, faults = [], [], []
     for k in range(max(3, size.amount // RECORDS * len(TASKS))):
         place = folder / str(k)
         place.mkdir(parents=True)
@@ -101,7 +102,7 @@ def _kill_recordings(server: Server, folder: Path, size: Size) -> tuple[list[flo
         board.start()
         after = float(chance.uniform(*KILLED_AFTER_S))
         port = ["--port", str(board.path), "--duration", str(RECORDED_S)]
-        sent = _kill_while_recording(server, board, ["daq", "record", *port, "-o", "run.h5"], place, after)
+        sent, longest_s = _kill_while_recording(server, board, ["daq", "record", *port, "-o", "run.h5"], place, after)
         board.finish()
         ended = server.run(["daq", "recover", "run.h5.part"], place)
         where = f"recording {k} of seed {size.seed}, killed {after:.3f} s after its first sample"
@@ -112,20 +113,32 @@ def _kill_recordings(server: Server, folder: Path, size: Size) -> tuple[list[flo
         sample = np.round(run.time * board.rate_hz).astype(int)
         if not np.array_equal(sample, np.arange(run.time.size)):
             faults.append(f"{where}: samples are missing in the middle")
+        synced_s.append(longest_s)
         lost_s.append((sent - run.time.size) / board.rate_hz)
-        if lost_s[-1] >= 1.0:
-            faults.append(f"{where}: {lost_s[-1]:.2f} s lost")
-    return lost_s, faults
+        if max(lost_s[-1], longest_s) >= 1.0:
+            faults.append(f"{where}: {lost_s[-1]:.2f} s lost, {longest_s:.2f} s between two syncs")
+    return lost_s, synced_s, faults
 
 
-def _kill_while_recording(server: Server, board: FakeFrames, line: list[str], place: Path, after_s: float) -> int:
-    """Record, kill the recorder so long after the first sample, and return how many samples the board had sent."""
+def _kill_while_recording(
+    server: Server, board: FakeFrames, line: list[str], place: Path, after_s: float
+) -> tuple[int, float]:
+    """Record, and kill the recorder so long after the first sample.
+
+    Returns
+    -------
+    samples : int
+        What the board had sent.
+    longest_s : float
+        The longest time between two syncs of the journal, or from the last one to the end.
+    """
     child = server.start(line, place)
     until = time.monotonic() + 60
     while not board.k and time.monotonic() < until:
         time.sleep(0.001)
     time.sleep(after_s)
+    killed = time.monotonic()
     child.send(signal.SIGKILL)
     sent = board.k * board.unit
-    child.wait()
-    return sent
+    syncs = child.wait().syncs
+    return sent, float(np.diff([*syncs, killed]).max())
