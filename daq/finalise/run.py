@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import DataError, InputError
-from daq.finalise import connections, quality
+from daq.finalise import claim, connections, quality
 from daq.finalise.clock_points import PartClock
 from daq.finalise.columns import RunColumns
 from daq.finalise.events import RunEvents
@@ -53,7 +53,7 @@ def finalise(
         The journal holds no samples.  It is kept, as after every other error.
     """
     if remove is None:
-        with journal.claimed(part) as removing:
+        with claim.claimed(part) as removing:
             return finalise(part, output, finished_by=finished_by, force=force, remove=removing)
     exists = output.is_file() and not force
     if not exists:

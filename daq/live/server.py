@@ -27,6 +27,7 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from daq.finalise import claim
 from daq.live import assets
 from daq.live.motion import LiveFilter, LiveMotion
 from daq.live.tail import JournalTail
@@ -113,7 +114,7 @@ class LiveRun:
         if self.tail.ended:
             words = {journal.COMPLETE: "complete", journal.STOPPED: "stopped by the user"}
             self._end(f"the recording has ended: {words.get(self.tail.ended, self.tail.ended)}")
-        elif time.monotonic() - self._last_new > GONE_AFTER_S and not journal.is_locked(self.tail.path):
+        elif time.monotonic() - self._last_new > GONE_AFTER_S and not claim.is_locked(self.tail.path):
             self._end(f"the recording process is gone: daq recover {self.tail.path.name}")
 
     async def events(self, after: int) -> AsyncIterator[PageEvent]:

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq import protocols
 from daq.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from daq.finalise import claim
 from daq.output import disk, provenance
 from daq.protocols import link_budget
 from daq.protocols.request import RecordRequest
@@ -79,14 +80,14 @@ def check_request(request: RecordRequest) -> None:
     if request.calibration is not None:
         Rig.from_toml(request.calibration, "--rig")
     refuse_existing(request.output, request.force)
-    if request.part.exists() and not journal.remove_empty(request.part):
+    if request.part.exists() and not claim.remove_empty(request.part):
         raise _journal_exists(request.part)
 
 
 def _journal_exists(part: Path) -> InputError:
     """Return the error of a journal that is there already: another recorder's, or one that was left."""
-    if journal.is_locked(part):
-        what, do = journal.in_use(part)
+    if claim.is_locked(part):
+        what, do = claim.in_use(part)
         return InputError(what, str(part), f"give another -o, or {do}")
     return InputError(
         "an earlier recording was not finished: its journal still exists",

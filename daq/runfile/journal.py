@@ -24,11 +24,8 @@ import os
 import shutil
 import time
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import IO, Any, overload
 
@@ -264,82 +261,11 @@ def _create(path: Path) -> tuple[IO[bytes], FileLock | None]:
         return file, None
 
 
-def remove_empty(path: Path) -> bool:
-    """Remove a journal that was left before one byte was received; return whether it is gone."""
-    try:
-        lock = FileLock(path)
-    except OSError:
-        return not path.exists()
-    try:
-        with path.open("rb") as file:
-            content = file.read(HEADER_EVERY)
-        found = list(journal_records.scan(Content(content)))
-        rest = content[max((place.at + place.record.size for place in found), default=len(MAGIC)) :]
-        headers = all(place.record.kind == HEADER for place in found) and rest[:1] in (b"", bytes([HEADER]))
-        if MAGIC.startswith(content[: len(MAGIC)]) and headers and len(content) < HEADER_EVERY:
-            lock.remove(path)
-    except OSError:
-        return False
-    finally:
-        lock.release()
-    return not path.exists()
-
-
 def _close_quietly(file: IO[bytes]) -> None:
     try:
         file.close()
     except OSError:  # the buffered rest could not be written either; what is on the disk stays
         return
-
-
-@contextmanager
-def claimed(path: Path) -> Iterator[Callable[[], None]]:
-    """Hold a journal's lock, where the file system has locks; yield what removes the journal.
-
-    Raises
-    ------
-    InputError
-        A recording is writing it, another process is finishing it, or it does not exist.
-    """
-    try:
-        lock = FileLock(path)
-    except BlockingIOError as error:
-        what, do = in_use(path)
-        raise InputError(what, str(path), do) from error
-    except FileNotFoundError as error:
-        raise _missing(path) from error
-    except IsADirectoryError as error:
-        raise _a_folder(path) from error
-    except OSError:  # no locks here, or no right to open it for writing
-        yield path.unlink
-        return
-    try:
-        yield partial(lock.remove, path)
-    finally:
-        lock.release()
-
-
-def is_locked(path: Path) -> bool:
-    """Return whether another process is writing or finishing a journal."""
-    try:
-        FileLock(path).release()
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    return False
-
-
-def in_use(path: Path) -> tuple[str, str]:
-    """Return who holds a journal's lock, and what to do about it."""
-    who = "another process"
-    try:
-        started = beginning(path)
-        when = datetime.fromtimestamp(started["wall_ns"] / 1e9).astimezone()
-        who = f"process {started['pid']} on {started['host']}, since {when:%Y-%m-%d %H:%M:%S}"
-    except (OSError, InputError, KeyError, OverflowError, ValueError):
-        pass
-    return f"a recording is writing it ({who})", "wait until that recording ends, or stop it with Ctrl-C there"
 
 
 def beginning(path: Path) -> dict[str, Any]:
@@ -363,9 +289,9 @@ def read(path: Path) -> Journal:
     try:
         file = path.open("rb", buffering=0)
     except FileNotFoundError as error:
-        raise _missing(path) from error
+        raise missing(path) from error
     except IsADirectoryError as error:
-        raise _a_folder(path) from error
+        raise is_a_folder(path) from error
     with file:
         return _read(path, Content(file))
 
@@ -410,11 +336,13 @@ def end_reason(record: Record) -> str:
     return found if isinstance(found, str) else ""
 
 
-def _missing(path: Path) -> InputError:
+def missing(path: Path) -> InputError:
+    """Return the error of a journal that does not exist."""
     return InputError("no such journal", str(path), "give the .part file that the recording left")
 
 
-def _a_folder(path: Path) -> InputError:
+def is_a_folder(path: Path) -> InputError:
+    """Return the error of a folder in a journal's place."""
     return InputError("is a folder", str(path), "give the .part file that the recording left")
 
 

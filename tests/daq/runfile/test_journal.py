@@ -3,13 +3,12 @@
 import os
 import shutil
 import stat
-import time
 from pathlib import Path
 
 import pytest
 
 from daq.errors import InputError
-from daq.runfile import journal, journal_records
+from daq.runfile import journal
 
 HEADER = {"protocol": "frames", "rate_hz": 1000}
 RECORDS = [
@@ -117,21 +116,6 @@ def test_what_is_no_journal_is_refused(tmp_path, content, said):
         journal.read(path)
 
 
-def test_only_a_journal_without_received_bytes_makes_way(written):
-    # One that was left before its header was whole used to block the name until somebody deleted it.
-    whole = written.read_bytes()
-    received = next(
-        place.at for place in journal_records.scan(journal.Content(whole)) if place.record.kind == journal.RECEIVED
-    )
-    for size in (0, 5, len(journal.MAGIC), len(journal.MAGIC) + 7, received):
-        written.write_bytes(whole[:size])
-        assert journal.remove_empty(written), size
-    for content in (whole, whole[: received + 1], b"precious", whole[:30] + b"x" + whole[31:]):
-        written.write_bytes(content)
-        assert not journal.remove_empty(written)
-        assert written.read_bytes() == content
-
-
 def test_a_missing_journal_is_named(tmp_path):
     with pytest.raises(InputError, match=r"nothing\.part: no such journal"):
         journal.read(tmp_path / "nothing.part")
@@ -185,22 +169,6 @@ def test_a_journal_whose_header_is_beyond_repair_is_to_be_kept(written):
     with pytest.raises(InputError, match=r"2 records of received bytes.*keep it") as caught:
         journal.read(written)
     assert "delete" not in str(caught.value)
-
-
-def test_a_journal_is_locked_while_it_is_written_and_free_when_its_writer_is_gone(tmp_path):
-    path = tmp_path / "run.h5.part"
-    header = HEADER | {"wall_ns": time.time_ns(), "pid": 4711, "host": "lab"}
-    writer = journal.Writer(path, header)
-    assert journal.is_locked(path)
-    assert journal.read(path).header == header  # whoever only reads may
-    with pytest.raises(InputError, match="process 4711 on lab"), journal.claimed(path):
-        pytest.fail("the journal was given to somebody else")
-    writer.close()
-    assert not journal.is_locked(path)
-    with journal.claimed(path) as remove:
-        assert journal.is_locked(path)
-        remove()
-    assert not path.exists()
 
 
 def test_the_name_of_a_new_journal_is_on_the_disk(tmp_path, monkeypatch):

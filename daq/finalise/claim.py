@@ -1,0 +1,84 @@
+"""Who may finish or remove a journal: one process at a time, which holds its lock (`daq.output.lock`)."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+from daq.errors import InputError
+from daq.output.lock import FileLock
+from daq.runfile import journal, journal_records
+
+
+@contextmanager
+def claimed(path: Path) -> Iterator[Callable[[], None]]:
+    """Hold a journal's lock, where the file system has locks; yield what removes the journal.
+
+    Raises
+    ------
+    InputError
+        A recording is writing it, another process is finishing it, or it does not exist.
+    """
+    try:
+        lock = FileLock(path)
+    except BlockingIOError as error:
+        what, do = in_use(path)
+        raise InputError(what, str(path), do) from error
+    except FileNotFoundError as error:
+        raise journal.missing(path) from error
+    except IsADirectoryError as error:
+        raise journal.is_a_folder(path) from error
+    except OSError:  # no locks here, or no right to open it for writing
+        yield path.unlink
+        return
+    try:
+        yield partial(lock.remove, path)
+    finally:
+        lock.release()
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether another process is writing or finishing a journal."""
+    try:
+        FileLock(path).release()
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    return False
+
+
+def in_use(path: Path) -> tuple[str, str]:
+    """Return who holds a journal's lock, and what to do about it."""
+    who = "another process"
+    try:
+        started = journal.beginning(path)
+        when = datetime.fromtimestamp(started["wall_ns"] / 1e9).astimezone()
+        who = f"process {started['pid']} on {started['host']}, since {when:%Y-%m-%d %H:%M:%S}"
+    except (OSError, InputError, KeyError, OverflowError, ValueError):
+        pass
+    return f"a recording is writing it ({who})", "wait until that recording ends, or stop it with Ctrl-C there"
+
+
+def remove_empty(path: Path) -> bool:
+    """Remove a journal that was left before one byte was received; return whether it is gone."""
+    try:
+        lock = FileLock(path)
+    except OSError:
+        return not path.exists()
+    try:
+        with path.open("rb") as file:
+            content = file.read(journal.HEADER_EVERY)
+        found = list(journal_records.scan(journal.Content(content)))
+        whole = max((place.at + place.record.size for place in found), default=len(journal.MAGIC))
+        headers = all(place.record.kind == journal.HEADER for place in found)
+        headers = headers and content[whole : whole + 1] in (b"", bytes([journal.HEADER]))
+        own = journal.MAGIC.startswith(content[: len(journal.MAGIC)])
+        if own and headers and len(content) < journal.HEADER_EVERY:
+            lock.remove(path)
+    except OSError:
+        return False
+    finally:
+        lock.release()
+    return not path.exists()
