@@ -73,11 +73,11 @@ class Campaign:
 
 # The order is that of the table in docs/reliability.md.
 CAMPAIGNS: dict[str, Campaign] = {
-    "crash": Campaign("crash", "kill points per command", short=3, full=120),
-    "disk": Campaign("disk", "refusals", short=30, full=700),
-    "signals": Campaign("signals", "signals", short=12, full=600),
-    "concurrency": Campaign("concurrency", "rounds", short=1, full=25),
-    "security": Campaign("security", "requests", short=25, full=2000),
+    "crash": Campaign("crash", "kill points per command", short=3, full=60),
+    "disk": Campaign("disk", "refusals", short=30, full=480),
+    "signals": Campaign("signals", "signals", short=12, full=240),
+    "concurrency": Campaign("concurrency", "rounds", short=1, full=10),
+    "security": Campaign("security", "requests", short=25, full=1000),
     "bad_input": Campaign("bad_input", "pieces of streams, and files in proportion", short=20_000, full=1_000_000),
 }
 
