@@ -16,7 +16,6 @@ LEFT_OUT = (
     r"^## \S+ --install-completion\n.*?(?=^## |\Z)",
     r"^\* \[`--install-completion`\].*?\n",
     r"^\*\*Commands\*\*:\s+(?=\*\*)",  # an application without subcommands
-    r" \*\[default: False\]\*",
 )
 EXAMPLE = re.compile(r"^Example: (.*(?:\n(?!\n).*)*)", re.MULTILINE)
 

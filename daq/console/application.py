@@ -76,6 +76,11 @@ class Answer:
     exit_code: int = EXIT_DONE
 
 
+def shown_default(value: Any) -> str | None:
+    """Return the default of a flag as the help shows it; None for one that is off or empty."""
+    return None if value is None or value is False or value in ("", ()) else str(value)
+
+
 def application(name: str, summary: str = "", example: str = "", usage: str | None = None) -> cyclopts.App:
     """Return a cyclopts application with the settings common to all four commands; `main` runs it.
 
@@ -92,6 +97,7 @@ def application(name: str, summary: str = "", example: str = "", usage: str | No
         help_format="plaintext",
         result_action="return_value",
         suppress_keyboard_interrupt=False,
+        default_parameter=cyclopts.Parameter(show_default=shown_default),
     )
     made.register_install_completion_command(help="Install completion of this command's words in your shell, and exit.")
     return made

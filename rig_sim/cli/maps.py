@@ -31,6 +31,7 @@ def map_(
         list[str] | None,
         Parameter(
             allow_leading_hyphen=True,
+            negative=(),
             help="Stretch x2 - x1 while both masses stick; several as 0.05,0.1 or with several --d.",
         ),
     ] = None,

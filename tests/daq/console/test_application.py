@@ -47,6 +47,17 @@ def test_the_doctor_advises_only_what_is_needed_and_names_it(capsys):
     assert all("uninstall ;" not in check.do for check in setup._packages())
 
 
+def test_help_shows_the_defaults_that_say_something(capsys):
+    # Every flag that is off used to show "[default: False]".
+    from daq.cli.app import app
+
+    application.run(app, ["record", "--help"])
+    shown = capsys.readouterr().out
+    assert "[default: 20.0]" in shown
+    assert "False" not in shown
+    assert "None" not in shown
+
+
 @pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
 def test_completion_is_installed_and_completes_commands(tmp_path):
     home = {**os.environ, "HOME": str(tmp_path), "SHELL": shutil.which("bash"), "XDG_DATA_HOME": str(tmp_path / "data")}
