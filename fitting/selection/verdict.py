@@ -23,8 +23,8 @@ SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
     frozenset((3, 4)): f"a belt tachometer{OTHER_SPEEDS}",
     frozenset((5, 6)): f"a belt tachometer{OTHER_SPEEDS}",
-    frozenset((3, 5)): "a faster belt or a weaker spring, so that the slip spans more speed",
-    frozenset((4, 6)): "a faster belt or a weaker spring, so that the slip spans more speed",
+    frozenset((3, 5)): "slips over a wider range of speeds (a faster belt or a weaker spring)",
+    frozenset((4, 6)): "slips over a wider range of speeds (a faster belt or a weaker spring)",
 }
 
 

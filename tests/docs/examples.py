@@ -74,7 +74,8 @@ def commands(block: Block) -> list[Command]:
 def run(command: Command, folder: Path) -> None:
     """Run a command in a folder; AssertionError when its exit code or its output is not what the page says."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    environment = os.environ | {"PATH": path, "COLUMNS": "80"}
+    packages = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    environment = os.environ | {"PATH": path, "PYTHONPATH": packages.rstrip(os.pathsep), "COLUMNS": "80"}
     done = subprocess.run(
         ["bash", "-c", command.typed],
         cwd=folder,

@@ -25,7 +25,7 @@ TYPED = [
 TRIED = {
     name: examples.blocks(name, text, "console", "python", "pycon")
     for name, text in TEXTS.items()
-    if name.startswith(("docs/tutorial", "docs/how-to", "docs/explanation"))
+    if name.startswith(("docs/tutorial", "docs/how-to", "docs/explanation", "docs/reference"))
 }
 NOT_RUN = [block for found in TRIED.values() for block in found if block.reason]
 RUN = {name: [block for block in found if not block.reason] for name, found in TRIED.items()}
