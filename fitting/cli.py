@@ -111,7 +111,7 @@ def fit(
 
     Example: fit-friction run.h5 --from 5 --to "1.5 min" --no-report
 
-    Example: fit-friction run.h5 --save-scene rig.toml, then rig-sim continue rig.toml --over damper.c=0:0.5 --draws 200
+    Example: fit-friction run.h5 --save-scene rig.toml; rig-sim continue rig.toml --over damper.c=0:0.5 --draws 200
 
     Example: fit-friction --each monday/*.h5 --jobs 4
     """

@@ -38,7 +38,7 @@ def test_the_pages_were_read():
 
 @pytest.mark.parametrize("typed", TYPED)
 def test_every_command_and_flag_of_the_pages_exists(typed):
-    for part in re.split(r" && | \| ", typed):
+    for part in re.split(r" && |; | \| ", typed):
         words = shlex.split(part, comments=True)
         names = [word for word in words if word.rpartition("/")[2] in APPLICATIONS]
         if not names:
