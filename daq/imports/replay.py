@@ -20,7 +20,7 @@ from daq.imports import capture as decode
 from daq.imports import sigrok
 from daq.output import provenance
 from daq.runfile import store
-from daq.runfile.recording import EVENTS, Raw, Recording, lost_samples, positions
+from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, lost_samples, positions
 from daq.runfile.rig import Rig, quoted
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
@@ -169,9 +169,11 @@ def from_capture(
     where = str(capture.path)
     if capture.rate_hz is None:
         raise InputError("does not state its sample rate", where, "give it by --capture-rate, for example '1 MHz'")
-    if not 0 < rate_hz <= capture.rate_hz:
+    if not capture.samples / LONGEST_S <= capture.rate_hz <= sigrok.FASTEST_HZ:
+        raise InputError(f"{capture.samples} samples at {capture.rate_hz:g} Hz are no capture", where, "check the rate")
+    if not sigrok.SLOWEST_HZ <= rate_hz <= capture.rate_hz:
         what = f"--rate is {rate_hz:g} Hz, the capture was sampled at {capture.rate_hz:g} Hz"
-        raise InputError(what, where, f"give a rate up to {capture.rate_hz:g}")
+        raise InputError(what, where, f"give a rate of {sigrok.SLOWEST_HZ:g} up to {capture.rate_hz:g}")
     sampler = _Sampler(capture.rate_hz / rate_hz)
     before = decode.Totals(0, 0, 0, 0, 0)
     offset = 0
@@ -181,6 +183,8 @@ def from_capture(
         before = after
         offset += levels.size
         progress(offset)
+    if not offset:
+        raise InputError("holds no logic samples", where, "capture again")
     rig = replace(rig, decoder=wired.decoder, counter_bits=16)
     return _captured(capture, wired, rate_hz, rig, np.concatenate(rows)), before
 

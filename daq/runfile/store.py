@@ -173,6 +173,7 @@ def write(path: str | os.PathLike[str], run: Recording, *, force: bool = False) 
     run = replace(run, digest=schema.digest(run))
     with atomic.replacing(target, force) as temporary, disk.hdf5(temporary, "w") as file:
         schema.write(file, run, target.name)
+    trust.trust_own(target)
 
 
 def extend(
@@ -223,6 +224,7 @@ def extend(
             writer(entry)
             if default is not None:
                 entry.attrs["default"] = default
+    trust.trust_own(target)
 
 
 def holds(path: str | os.PathLike[str], run: Recording) -> bool:
@@ -280,6 +282,7 @@ def annotate(
         shutil.copyfile(target, temporary)
         with disk.hdf5(temporary, "r+") as file, trust.damage(target):
             schema.rewrite_notes(file, run)
+    trust.trust_own(target)
     return run
 
 

@@ -74,15 +74,25 @@ def check(path: Path, work: Callable[[Path], bytes]) -> None:
     InputError
         As `opened`, and what ``work`` raises.
     """
-    found = path.stat()
-    key = (work, found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+    key = _key(path, work)
     if key in _done:
         return
     try:
-        isolated(work, path, SECONDS + SECONDS_PER_BYTE * found.st_size, MEMORY)
+        isolated(work, path, SECONDS + SECONDS_PER_BYTE * path.stat().st_size, MEMORY)
     except BrokenOffError as error:
         raise InputError(f"is damaged: it {error}", str(path), AGAIN) from error
     _done.add(key)
+
+
+def trust_own(path: Path) -> None:
+    """Let no child read a file that this process has just written."""
+    with suppress(OSError):  # it is gone again
+        _done.add(_key(path, _visit))
+
+
+def _key(path: Path, work: Callable[[Path], bytes]) -> tuple[object, ...]:
+    found = path.stat()
+    return work, found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
 def _visit(path: Path) -> bytes:

@@ -211,6 +211,9 @@ def test_an_import_is_replayed_as_it_stands(app: cyclopts.App, tmp_path: Path) -
         (["swing.sr"], ["which probes", "0 A, 1 B"]),
         (["swing.sr", "--channels", "A=A,B=B", "--rate", "0"], ["--rate", "not positive"]),
         (["swing.sr", "--channels", "A=A,B=B", "--rate", "nope"], ["--rate", "'nope'"]),
+        (["swing.sr", "--channels", "A=A,B=B", "--rate", "1e-300"], ["1e-300 Hz"]),  # these three were tracebacks
+        (["swing.sr", "--channels", "A=A,B=B", "--capture-rate", "1e300"], ["1e+300 Hz"]),
+        (["swing.sr", "--channels", "A=A,B=B", "--capture-rate", "1e-300", "--rate", "1e-300"], ["1e-300 Hz"]),
     ],
 )
 def test_bad_requests_are_one_line_and_write_nothing(

@@ -253,6 +253,8 @@ METADATA = "[device 1]\ncapturefile=logic-1\nsamplerate=1 MHz\nunitsize=1\nprobe
         (METADATA, "logic-1-01", "no logic samples"),  # a KeyError
         (METADATA.replace("unitsize=1", f"unitsize={'9' * 5000}"), "logic-1", "unitsize"),  # a ValueError
         (METADATA + f"probe{'9' * 5000}=C\n" + ";" * 2_000_000, "logic-1", "of metadata"),
+        (METADATA.replace("1 MHz", "9" * 400), "logic-1", "samplerate"),  # times that were not numbers
+        (METADATA.replace("1 MHz", "0.0"), "logic-1", "samplerate"),
     ],
 )
 def test_small_files_that_claim_much_are_refused_at_once(path: Path, metadata: str, entry: str, what: str) -> None:

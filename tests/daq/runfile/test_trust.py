@@ -3,6 +3,7 @@
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from daq.compute import isolation
 from daq.errors import InputError
-from daq.runfile import store
+from daq.runfile import store, trust
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 
@@ -148,3 +149,23 @@ def test_an_own_run_and_its_stages_pass(run: Path) -> None:
 
     store.extend(run, "smooth", smooth)
     assert store.load(run).time.size == 50
+
+
+def test_a_child_reads_each_state_of_a_file_once_and_none_that_this_process_wrote(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    works: list[str] = []
+
+    def counted(work: Callable[[Path], bytes], *arguments: Any) -> bytes:
+        works.append(work.__name__)
+        return isolation.isolated(work, *arguments)
+
+    monkeypatch.setattr(trust, "isolated", counted)
+    store.load(run)
+    assert works == []
+    run.write_bytes(run.read_bytes())
+    for _ in range(3):
+        store.load(run)
+    store.annotate(run, {"title": "x"})
+    store.load(run)
+    assert works == ["_visit", "_change_notes"]
