@@ -159,7 +159,8 @@ def rank(
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, findings, sustained=sustained)
         adequacy = assessed.runs[number]
         said = (*said, *verdict.not_judged(adequacy))
-        aged = find_ageing(events, run.cut) if adequate else None
+        # a mass that merely grazes the belt does not break away from rest
+        aged = find_ageing(events, run.cut) if adequate and sustained else None
         if aged is not None:
             adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
         side = Ranking(words, chosen.members, own, events, said, run.motion, run.cut, adequacy, findings=findings)

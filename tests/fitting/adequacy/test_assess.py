@@ -9,6 +9,8 @@ import pytest
 
 from fitting import job
 from fitting.adequacy.result import NOT_OF_SPEED
+from fitting.departures.result import FoundDeparture
+from fitting.selection import ranking
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -57,6 +59,14 @@ def test_a_spring_that_hardens_is_no_function_of_speed(foreign, tmp_path):
     assert found.departures[0].name == "spring-nonlinear"
     assert found.as_json()["curve"]["k_over_m"]["lo"] is None
     assert ranking.verdict.startswith("none of the six laws describes this record")
+
+
+def test_a_mass_that_grazes_the_belt_does_not_age(synthetic, monkeypatch):
+    """Constant friction has no break-away from rest: 2 of 12 records of laws 1 and 2 were said to age by 4 and 8 %."""
+    aged = FoundDeparture("ageing", 9.0, "break-away level / Fs", 1.08, 0.01, "", "")
+    monkeypatch.setattr(ranking, "find_ageing", lambda *_: aged)
+    assert rank(smooth(synthetic.recording(law=2)), laws=(2,)).adequacy.departures == ()
+    assert rank(smooth(synthetic.recording(law=5, duration=12.0)), laws=(5,)).adequacy.departures == (aged,)
 
 
 @pytest.mark.slow
