@@ -9,6 +9,7 @@ import os
 import pickle
 import signal
 import socket
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -67,7 +68,11 @@ def _processes(number: int) -> Iterator[Map]:
     pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_follow_parent)
 
     def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        return _ordered(lambda item: pool.submit(function, item), lambda done: done.result(), items, AHEAD * number)
+        def submit(item: Any) -> Any:
+            with _without_interrupts():  # it may start a process
+                return pool.submit(function, item)
+
+        return _ordered(submit, lambda done: done.result(), items, AHEAD * number)
 
     try:
         yield each
@@ -80,6 +85,19 @@ def _processes(number: int) -> Iterator[Map]:
             raise DeviceError("a process of this command was killed", "--jobs", do) from None
         raise
     pool.shutdown()
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Hold Ctrl-C back: a process that is started here never gets one, and prints no traceback of its imports."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _follow_parent() -> None:
