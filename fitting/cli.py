@@ -116,6 +116,7 @@ def fit(
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
     from daq.console.units import measured, quantity, time_or_none
+    from daq.output import atomic
     from daq.runfile import joint
     from fitting import batch, job
     from fitting.report import comparison, table
@@ -150,7 +151,7 @@ def fit(
     if curve_csv is not None:
         if each:
             raise InputError("--curve-csv with --each", "command line", "fit the runs one at a time")
-        table.refuse_foreign_file(curve_csv, files, table.CURVE, force=force)
+        atomic.refuse_existing(curve_csv, force, *files, flag="--curve-csv")
     if save_scene is not None:
         if each:
             raise InputError("--save-scene with --each", "command line", "fit the runs one at a time")

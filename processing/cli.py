@@ -118,20 +118,23 @@ def inspect(
 ) -> Answer:
     """Show a run: contents, time series and phase portrait.
 
-    A run that has not been smoothed is smoothed in memory.
+    A run that has not been smoothed is smoothed in memory.  An older picture of the same run is replaced, any other
+    file only with --force.
 
     Example: process inspect run.h5 --plot portrait.png
     """
-    from daq.output import atomic
-    from daq.output.plot import save
-    from processing import statistics, summary
+    from daq.output.plot import check_place, save
+    from daq.runfile import store
+    from processing import stage, statistics, summary
     from processing.plot import inspection
+    from processing.smoothing import smooth as rebuild
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
-    if plot is not None:
-        atomic.refuse_existing(plot, force, file)
-    motion, now = _motion(file)
-    save(inspection(motion), target)
+    stored = stage.load(file)
+    recording = store.load(file) if stored is None else stored.recording
+    check_place(target, file, force=force, digest=recording.digest)
+    motion, now = (rebuild(recording), True) if stored is None else (stored, False)
+    save(inspection(motion), target, file, force=force, digest=recording.digest)
     counted = statistics.from_kinematics(motion)
     data = summary.run_as_json(motion) | {"statistics": counted.as_json(), "smoothed_in_memory": now, "plot": target}
     lines = summary.run_sentences(motion, file) + counted.sentences(motion.unit)

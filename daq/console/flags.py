@@ -14,6 +14,14 @@ Force = Annotated[bool, Parameter(name="--force", negative=(), help="Replace an 
 Plot = Annotated[Path | None, Parameter(name="--plot", help="Draw the result into this file (.png, .svg, .pdf).")]
 
 
+def check_plot(plot: Path | None, force: bool) -> None:
+    """Refuse a picture that could not be written before anything is computed: InputError of `daq.output.plot`."""
+    if plot is not None:
+        from daq.output.plot import check_place
+
+        check_place(plot, force=force)
+
+
 def measured(name: str, dimension: str, text: str, key: str = "") -> Parameter:
     """Return the flag ``name`` for a `daq.runfile.rig.Measured`: '300 g', '300 g +- 1 g'.
 

@@ -14,6 +14,8 @@ from daq.output import atomic
 
 STYLE = Path(__file__).with_name("stickslip.mplstyle")
 FORMATS = (".png", ".svg", ".pdf")
+MARK = "stickslip, sha256 of the raw record "  # before the run that a picture shows, among its metadata
+NAMED_IN = {"png": "Source", "svg": "Source", "pdf": "Subject"}
 MARKER = "#D55E00"
 SCREEN_DPI = 90  # of a figure in a notebook: 11.5 inches are then 1035 px wide
 
@@ -65,19 +67,45 @@ def lines_over_time(
     return drawn
 
 
-def save(figure: Figure, target: Path) -> None:
+def check_place(target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:
+    """Raise InputError where `save` would, so that nothing is computed in vain.
+
+    Parameters
+    ----------
+    target : Path
+        The picture: .png, .svg or .pdf.
+    *sources : Path
+        What is drawn: not even ``force`` lets the picture replace it.
+    force : bool
+        Replace an existing file.
+    digest : str
+        The sha256 of the run that is drawn: an older picture of it is replaced without ``force`` (not a PDF).
+    """
+    if target.suffix.lower() not in FORMATS:
+        kind = target.suffix or "file without an ending"
+        raise InputError(f"cannot draw a {kind}", str(target), "use .png, .svg or .pdf")
+    own = MARK + digest if digest else ""
+    atomic.refuse_existing(target, force, *sources, own=own, kind="picture of this run", flag="--plot")
+
+
+def save(figure: Figure, target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:
     """Write a figure; its format is the file's ending.
+
+    Parameters
+    ----------
+    figure : Figure
+    target, *sources, force, digest
+        As for `check_place`.
 
     Raises
     ------
     InputError
-        For an ending that is none of .png, .svg, .pdf.
+        What `check_place` refuses.
     RefusedError
         The disk refuses; what stood there before still does.
     """
-    if target.suffix.lower() not in FORMATS:
-        raise InputError(
-            f"cannot draw a {target.suffix or 'file without an ending'}", str(target), "use .png, .svg or .pdf"
-        )
+    check_place(target, *sources, force=force, digest=digest)
+    form = target.suffix.lower()[1:]
+    named = {NAMED_IN[form]: MARK + digest} if digest else {}
     with atomic.replacing(target, force=True) as temporary, mpl.rc_context(fname=STYLE):
-        figure.savefig(temporary, format=target.suffix.lower()[1:])
+        figure.savefig(temporary, format=form, metadata=named)

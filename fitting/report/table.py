@@ -12,24 +12,21 @@ from fitting.curve.result import MeasuredCurve
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")
 
 
-RANKING, CURVE = ("file,law,name,", "ranking", "--csv"), ("speed (m/s),", "friction curve", "--curve-csv")
+HEAD = "file,law,name,"
 
 
-def refuse_foreign_file(
-    path: Path, files: Sequence[Path], table: tuple[str, str, str] = RANKING, *, force: bool = False
-) -> None:
-    """Raise InputError when a table cannot go to ``path``: a folder, a run, without ``force`` what is not theirs.
+def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = False) -> None:
+    """Raise InputError when a ranking cannot go to ``path``: a folder, a run, without ``force`` what is not theirs.
 
-    Theirs is a table of that kind; a ranking that names other runs than ``files`` is not.
+    Theirs is a ranking that names no other runs than ``files``.
     """
-    own, kind, flag = table
-    atomic.refuse_existing(path, force, *files, own=own, kind=kind, flag=flag)
-    if path.exists() and not force and table is RANKING:
+    atomic.refuse_existing(path, force, *files, own=HEAD, kind="ranking", flag="--csv")
+    if path.exists() and not force:
         with path.open(newline="", encoding="utf-8", errors="replace") as file:
             others = {Path(row["file"]).name for row in csv.DictReader(file)} - {run.name for run in files}
         if others:
             what = f"exists and is the ranking of another run, {min(others)}"
-            raise InputError(what, str(path), f"give another name ({flag}), or --force to replace it")
+            raise InputError(what, str(path), "give another name (--csv), or --force to replace it")
 
 
 def write_curve(path: Path, curve: MeasuredCurve, unit: str) -> None:

@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from daq.console import application, flags
 from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force, Plot
+from daq.console.flags import Force, Plot, check_plot
 from daq.errors import InputError
 from rig_sim.flow.flow import LARGEST, SMALLEST
 
@@ -85,8 +85,8 @@ def shaker(
         f"stable amplifications at phi = {phi:g}: {_intervals(data['stable_amplifications'])}",
     ]
     if plot is not None:
+        from daq.output.plot import save
         from rig_sim.dynamics.control.shaker_plot import shaker_figure
-        from rig_sim.dynamics.maps.plot import save
 
         save(shaker_figure(plane, a, phi), plot, force=force)
         data["file"] = plot
@@ -139,6 +139,7 @@ def lock(
         raise InputError(f"is {events}", "--events", f"give 1 to {MOST_EVENTS}")
     if method == "search" and plot is not None:
         raise InputError("draws --method ogy alone", "--plot", "drop one of the two")
+    check_plot(plot, force)
     played = read(scene, **parse_changes(set_))
     flow = played.flow()
     if played.drive is None:
@@ -159,8 +160,8 @@ def lock(
         found = find_and_lock(f, first.state, period, budget, events)
         data |= _locked(f, found)
         if plot is not None and found.lock is not None:
+            from daq.output.plot import save
             from rig_sim.dynamics.control.lock_plot import lock_figure
-            from rig_sim.dynamics.maps.plot import save
 
             save(lock_figure(f, found.lock, period, budget), plot, force=force)
             data["file"] = plot

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force, Plot
+from daq.console.flags import Force, Plot, check_plot
 from daq.errors import InputError
 
 if TYPE_CHECKING:
@@ -115,6 +115,7 @@ def quench(
     from rig_sim.dynamics.forced.dither import quench as find
     from rig_sim.scenes.scene import parse_changes
 
+    check_plot(plot, force)
     flow, x, v = with_period(scene, parse_changes(set_))
     found = find(flow, x, v)
     data: dict[str, object] = asdict(found)
@@ -126,8 +127,8 @@ def quench(
     if found.linear_ripple is not None:
         lines.append(f"of spring and mass alone under the drive {found.linear_ripple:.4g}")
     if plot is not None:
+        from daq.output.plot import save
         from rig_sim.dynamics.forced.plot import quench_figure
-        from rig_sim.dynamics.maps.plot import save
 
         save(quench_figure(flow, x, v), plot, force=force)
         data["file"] = plot

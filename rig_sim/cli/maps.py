@@ -7,7 +7,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force, Plot
+from daq.console.flags import Force, Plot, check_plot
 from daq.errors import InputError
 from rig_sim.cli import forced
 
@@ -92,7 +92,8 @@ def map_(
             for orbit in orbits
         ] or [f"no orbit of period {iterate}"]
     if plot is not None:
-        from rig_sim.dynamics.maps.plot import map_figure, save
+        from daq.output.plot import save
+        from rig_sim.dynamics.maps.plot import map_figure
 
         save(map_figure(found, iterate), plot, force=force)
         data["file"] = plot
@@ -170,6 +171,7 @@ def basins(
 
     if not 2 <= cells <= MOST_CELLS:
         raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
+    check_plot(plot, force)
     f = stick_map(scene, set_)
     found = find(f, cells)
     data: dict[str, Any] = {
@@ -190,7 +192,8 @@ def basins(
     if found.nowhere or not found.attractors:
         lines.append(f"no global stick: {100.0 * found.nowhere:.3f} %")
     if plot is not None:
-        from rig_sim.dynamics.maps.plot import basins_figure, save
+        from daq.output.plot import save
+        from rig_sim.dynamics.maps.plot import basins_figure
 
         save(basins_figure(found), plot, force=force)
         data["file"] = plot

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force, Plot
+from daq.console.flags import Force, Plot, check_plot
 from daq.errors import InputError
 from rig_sim.cli import forced
 from rig_sim.cli.maps import SweptScene, checked
@@ -79,10 +79,7 @@ def sweep(
 
     if jobs < 1:
         raise InputError(f"is {jobs}", "--jobs", "give 1 or more")
-    if plot is not None:
-        from rig_sim.dynamics.maps.plot import check_place
-
-        check_place(plot, force=force)
+    check_plot(plot, force)
     span = parse(over)
     first, last = (read(scene, **{**parse_changes(set_), span.key: value}) for value in (span.start, span.stop))
     coupled = first.coupling is not None
@@ -129,7 +126,8 @@ def sweep(
         shown = few if row.outcome == "completed" else f"{few} ({row.outcome})".strip()
         lines.append(f"{row.value:14.8g}  {row.attractor:9}  {row.share:5.3f}  {period:>6}  {shown}")
     if plot is not None:
-        from rig_sim.dynamics.maps.plot import save, sweep_figure
+        from daq.output.plot import save
+        from rig_sim.dynamics.maps.plot import sweep_figure
 
         save(sweep_figure(rows, span.key, section, driven=not coupled), plot, force=force)
         data["file"] = plot

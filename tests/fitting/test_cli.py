@@ -233,8 +233,10 @@ def test_the_measured_curve_is_a_table(run, tmp_path):
 
 
 def test_a_foreign_file_is_not_replaced_by_the_curve(run, tmp_path):
+    # A curve was replaced by that of another run: it does not say of which run it is.
     mine = tmp_path / "mine.csv"
-    mine.write_text("my own table\n")
-    with pytest.raises(InputError, match="mine"):
-        cli.fit(run, laws="5", curve_csv=mine)
-    assert mine.read_text() == "my own table\n"
+    for text in ("my own table\n", "speed (m/s),friction (N),lo (N),hi (N)\n"):
+        mine.write_text(text)
+        with pytest.raises(InputError, match="mine"):
+            cli.fit(run, laws="5", curve_csv=mine)
+        assert mine.read_text() == text

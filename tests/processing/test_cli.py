@@ -152,10 +152,28 @@ def test_inspect_replaces_no_picture_unasked(typed, path, tmp_path):
     mine.write_text("precious")
     code, _, err = typed("inspect", path, "--plot", mine)
     assert code == 2
-    assert "the output file exists" in err
+    assert "no picture of this run" in err
     assert mine.read_text() == "precious"
     assert typed("inspect", path, "--plot", mine, "--force")[0] == 0
     assert typed("inspect", path, "--plot", tmp_path / "mine.gif")[0] == 2
+
+
+@pytest.mark.parametrize("ending", ["png", "svg"])
+def test_a_run_s_own_picture_is_drawn_again_and_that_of_another_run_kept(
+    typed, path, tmp_path, run_data, motion, ending
+):
+    # The default picture was replaced whatever it was, and the one that --plot names needed --force every time.
+    picture = tmp_path / f"picture.{ending}"
+    for _ in range(2):
+        assert typed("inspect", path, "--plot", picture)[0] == 0
+    other = path.with_name("other.h5")
+    store.write(other, run_data(motion(5, 5.0, start=0.5)))
+    before = picture.read_bytes()
+    assert typed("inspect", other, "--plot", picture)[0] == 2
+    assert picture.read_bytes() == before
+    other.with_name("other.inspect.png").write_text("precious")
+    assert typed("inspect", other)[0] == 2
+    assert other.with_name("other.inspect.png").read_text() == "precious"
 
 
 def test_export_writes_what_reads_back(typed, path, tmp_path):

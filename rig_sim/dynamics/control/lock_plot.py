@@ -1,7 +1,9 @@
 """Picture of a driven mass that is locked onto an unstable orbit: the thesis's figures 6.12 to 6.17."""
 
+import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from daq.output.plot import STYLE, figure
 from rig_sim.dynamics.control.landing_map import LandingMap
 from rig_sim.dynamics.control.ogy import Lock
 
@@ -10,10 +12,11 @@ BEFORE = 12  # landings of the motion without control that the phase portrait sh
 TURNS = 3  # of the orbit, drawn over time
 
 
+@mpl.rc_context(fname=STYLE)
 def lock_figure(f: LandingMap, found: Lock, period: int, budget: float) -> Figure:
     """Return a figure of the landings, the change of the amplitude, the phase portrait and the velocity."""
-    figure = Figure(figsize=(10.0, 7.0), layout="constrained")
-    ((landings, changes), (portrait, velocity)) = figure.subplots(2, 2)
+    page = figure(10.0, 7.0)
+    ((landings, changes), (portrait, velocity)) = page.subplots(2, 2)
     landings.plot(found.states[:, 1], ".", ms=3, color="#0072B2")
     landings.set(xlabel="landing", ylabel="x at landing (the scene's unit)", title="Landings")
     changes.plot(100.0 * found.changes / f.strength, ".-", ms=3, lw=0.8, color="#D55E00")
@@ -37,4 +40,4 @@ def lock_figure(f: LandingMap, found: Lock, period: int, budget: float) -> Figur
     time, _, v = f.motion(found.states[drawn], found.changes[drawn], SAMPLES / f.period)
     velocity.plot(time, v, color="#0072B2", lw=1.0)
     velocity.set(xlabel="time (the scene's unit)", ylabel="v (the scene's unit)", title="Velocity on the orbit")
-    return figure
+    return page

@@ -2,10 +2,12 @@
 
 import math
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
 from daq.compute.arrays import Array
+from daq.output.plot import STYLE, figure
 from rig_sim.dynamics.control.stability import ShakerPlane
 
 GROWTHS = (0.0, -0.1, -0.2)  # of sqrt(k/m), and
@@ -13,12 +15,13 @@ FREQUENCIES = (0.5, 0.9, 1.0, 1.1, 2.0)  # of sqrt(k/m): the curves of the thesi
 PHASES, LEVELS = 721, 501  # of the shaded region
 
 
+@mpl.rc_context(fname=STYLE)
 def shaker_figure(plane: ShakerPlane, a: float, phi: float) -> Figure:
     """Return a figure of the stable region with curves of constant growth rate and frequency; (a, phi) is marked."""
     rate = math.sqrt(plane.k / plane.m)
     top = 1.1 * max(a, 5.0 * math.sqrt(plane.m * plane.k), 2.0 * abs(plane.S))
-    figure = Figure(figsize=(8.6, 6.2), layout="constrained")
-    axes = figure.add_subplot()
+    drawn = figure(8.6, 6.2)
+    axes = drawn.add_subplot()
     phases, levels = np.linspace(0.0, 2.0 * math.pi, PHASES), np.linspace(0.0, top, LEVELS)
     stable = stable_region(plane, levels, phases)
     axes.contourf(phases, levels, stable, levels=[0.5, 1.5], colors=["#CFE8DF"])
@@ -39,7 +42,7 @@ def shaker_figure(plane: ShakerPlane, a: float, phi: float) -> Figure:
     within = "" if plane.band is None else " within the filter's band"
     axes.set_title(f"Shaded: the oscillation decays{within} (omega0 = {rate:.4g} rad/s)")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return figure
+    return drawn
 
 
 def stable_region(plane: ShakerPlane, a: Array, phi: Array) -> Array:

@@ -2,9 +2,11 @@
 
 import math
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from daq.output.plot import STYLE, figure
 from rig_sim.dynamics.forced.attractors import settled
 from rig_sim.dynamics.forced.dither import DECAY, linear_ripple, positions, swing, threshold
 from rig_sim.dynamics.forced.driven_mass import DrivenMass
@@ -15,10 +17,11 @@ SAMPLES = 40  # drawn of a drive period, or of an oscillation of the mass if tha
 RATIOS = (0.5, 1.5, 41)  # amplitudes over the threshold: from, to, how many
 
 
+@mpl.rc_context(fname=STYLE)
 def quench_figure(flow: Flow, x: float, v: float) -> Figure:
     """Return a figure of a motion with and without its drive, above, and of its swing over the amplitude, below."""
-    figure = Figure(figsize=(8.6, 7.2), layout="constrained")
-    above, below = figure.subplots(2)
+    drawn = figure(8.6, 7.2)
+    above, below = drawn.subplots(2)
     own, period = 2.0 * math.pi * math.sqrt(flow.m / flow.k), 2.0 * math.pi / abs(flow.omega)
     times = np.linspace(0.0, OSCILLATIONS * own, math.ceil(OSCILLATIONS * own / min(own, period) * SAMPLES))
     for u0, name, width in ((0.0, "without the drive", 0.8), (flow.u0, f"u0 = {flow.u0:.6g}", 1.6)):
@@ -45,4 +48,4 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
         ylabel="peak to peak of x (the scene's unit)",
         title="Swing over the amplitude; dashed: spring and mass alone",
     )
-    return figure
+    return drawn

@@ -1,19 +1,17 @@
-"""Pictures of maps and attractors; matplotlib is imported here and nowhere else in `rig_sim.dynamics`."""
+"""Pictures of maps and attractors; matplotlib is imported in modules of pictures alone."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from daq.errors import InputError
-from daq.output import atomic
+from daq.output.plot import STYLE, figure
 from rig_sim.dynamics.maps.basins import Basins
 from rig_sim.dynamics.maps.interval_map import IntervalMap
 from rig_sim.dynamics.maps.periodic_points import periodic_points
 from rig_sim.dynamics.maps.sweep import AttractorAt
 
-FORMATS = (".png", ".svg", ".pdf")
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
 PLACES = 4000  # drawn of a map
 ORDINATES = {  # of a sweep, by its section and whether the mass is driven
@@ -25,10 +23,11 @@ ORDINATES = {  # of a sweep, by its section and whether the mass is driven
 MOST_DRAWN = 5000  # points drawn as shapes; more become an image
 
 
+@mpl.rc_context(fname=STYLE)
 def map_figure(f: IntervalMap, times: int = 1) -> Figure:
     """Return a figure of the ``times``-th iterate of a map, with the points where it meets the diagonal."""
-    figure = Figure(figsize=(6.4, 6.2), layout="constrained")
-    axes = figure.add_subplot()
+    drawn = figure(6.4, 6.2)
+    axes = drawn.add_subplot()
     x = np.linspace(f.lo, f.hi, PLACES)
     y = f(x, times)
     jumps = np.abs(np.diff(y)) > 0.05 * (f.hi - f.lo)
@@ -52,13 +51,14 @@ def map_figure(f: IntervalMap, times: int = 1) -> Figure:
         title=f"Map {name} from stick to stick",
     )
     axes.set_aspect("equal")
-    return figure
+    return drawn
 
 
+@mpl.rc_context(fname=STYLE)
 def sweep_figure(rows: Sequence[AttractorAt], parameter: str, section: str, *, driven: bool = False) -> Figure:
     """Return a bifurcation diagram: the points of every attractor, of two masses or a ``driven`` one."""
-    figure = Figure(figsize=(8.6, 5.6), layout="constrained")
-    axes = figure.add_subplot()
+    drawn = figure(8.6, 5.6)
+    axes = drawn.add_subplot()
     for number in sorted({row.attractor for row in rows if row.points}):
         own = [row for row in rows if row.attractor == number]
         x = np.concatenate([np.full(len(row.points), row.value) for row in own])
@@ -69,13 +69,14 @@ def sweep_figure(rows: Sequence[AttractorAt], parameter: str, section: str, *, d
         axes.legend(markerscale=6)
     axes.set(xlabel=f"{parameter} (the scene's unit)", ylabel=f"{ORDINATES[section, driven]} (the scene's unit)")
     axes.set_title(f"Attractors over {parameter}")
-    return figure
+    return drawn
 
 
+@mpl.rc_context(fname=STYLE)
 def basins_figure(found: Basins) -> Figure:
     """Return a figure of which attractor each start d leads to, with the attractors' points above."""
-    figure = Figure(figsize=(8.6, 2.6), layout="constrained")
-    axes = figure.add_subplot()
+    drawn = figure(8.6, 2.6)
+    axes = drawn.add_subplot()
     half = 0.5 * (found.centres[1] - found.centres[0])
     for index, attractor in enumerate(found.attractors):
         colour = COLOURS[index % len(COLOURS)]
@@ -87,24 +88,4 @@ def basins_figure(found: Basins) -> Figure:
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     axes.set(xlim=(found.centres[0] - half, found.centres[-1] + half), ylim=(0.0, 1.3), yticks=[])
     axes.set(xlabel="d = x2 - x1 at the start (the scene's unit)", title="Basins; above, the attractors")
-    return figure
-
-
-def check_place(path: Path, *, force: bool = False) -> None:
-    """Raise InputError where `save` would, so that nothing is computed in vain."""
-    if path.suffix not in FORMATS:
-        raise InputError(f"ending {path.suffix!r}", str(path), f"name the file {', '.join(FORMATS)}")
-    atomic.refuse_existing(path, force)
-
-
-def save(figure: Figure, path: Path, *, force: bool = False) -> None:
-    """Write a figure; it appears whole or not at all.
-
-    Raises
-    ------
-    InputError
-        Another ending than `FORMATS`, or a file that exists.
-    """
-    check_place(path, force=force)
-    with atomic.replacing(path, force) as temporary:
-        figure.savefig(temporary, format=path.suffix[1:], dpi=150)
+    return drawn
