@@ -7,7 +7,6 @@ or the new one, whole, and a crash leaves at worst a ``.NAME.*.partial`` beside 
 Equal runs give equal bytes under the same file name and library versions: nothing here reads a clock.
 """
 
-import io
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -288,7 +287,7 @@ def annotate(
 
 def _add_stage(path: Path) -> bytes:
     """Do to a copy in memory what `extend` will do to the file."""
-    with trust.damage(path), h5py.File(io.BytesIO(path.read_bytes()), "r+") as file:
+    with trust.damage(path), disk.rehearsed(path) as file:
         entry = file["entry"]
         for name in list(entry):
             if name.split("_")[0] in STAGES[1:]:
@@ -302,7 +301,7 @@ def _add_stage(path: Path) -> bytes:
 
 def _change_notes(path: Path) -> bytes:
     """Do to a copy in memory what `annotate` will do to the file."""
-    with trust.damage(path), h5py.File(io.BytesIO(path.read_bytes()), "r+") as file:
+    with trust.damage(path), disk.rehearsed(path) as file:
         run = RunReader(file["entry"], path).load(slice(1))
         schema.rewrite_notes(file, replace(run, note="text", operator="text", tags={"name": "text"}))
     return b""
@@ -327,6 +326,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
         raise InputError("no such file", where, "check the path")
     if path.is_dir():
         raise InputError("is a folder", where, "give the run file in it")
+    if not path.is_file():
+        raise InputError("is a device, not a file", where, "give a run file")
     with _open(path) as file:
         found = trust.mark(file)
         if found is None and trust.is_joint(file):

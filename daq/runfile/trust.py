@@ -27,9 +27,9 @@ FREE_BYTES = 1 << 24  # that any file may declare
 SCHEMA, JOINT, JOINT_SCHEMA = "stickslip_schema", "stickslip_joint_fit", 1  # attributes of a run, of /entry/runs
 MOST_OBJECTS = 10_000  # a run file with all its stages has about 200
 FILTERS = (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32)  # in this order
-# CPU time of the check: of small files, and of each byte more.  An hour at 5 kHz (240 MB) takes 8 s.
-SECONDS, SECONDS_PER_BYTE = 8.0, 2e-7
-MEMORY = 1 << 30  # bytes
+# CPU time of a child, and for each byte of the file; half an hour at 1 kHz, 23 MB, takes 0.1 s.  And its memory, to
+# which the file's size is added.
+SECONDS, SECONDS_PER_BYTE, MEMORY = 8.0, 2e-7, 1 << 30
 DAMAGE = (
     OSError,
     RuntimeError,
@@ -63,7 +63,8 @@ def damage(path: Path) -> Iterator[None]:
     try:
         yield
     except DAMAGE as error:
-        raise InputError(f"is damaged: {str(error).splitlines()[0]}", str(path), AGAIN) from error
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"is damaged: {reason}", str(path), AGAIN) from error
 
 
 def check(path: Path, work: Callable[[Path], bytes]) -> None:
@@ -78,7 +79,8 @@ def check(path: Path, work: Callable[[Path], bytes]) -> None:
     if key in _done:
         return
     try:
-        isolated(work, path, SECONDS + SECONDS_PER_BYTE * path.stat().st_size, MEMORY)
+        size = path.stat().st_size
+        isolated(work, path, SECONDS + SECONDS_PER_BYTE * size, MEMORY + size)
     except BrokenOffError as error:
         raise InputError(f"is damaged: it {error}", str(path), AGAIN) from error
     _done.add(key)
