@@ -25,6 +25,7 @@ from daq.errors import InputError
 Work = Callable[[Path], bytes]
 # First byte of what came of a child; nothing came of one that crashed.
 DONE, REFUSED, FAULT, NO_MEMORY, TOO_LONG = b"=", b"!", b"?", b"m", b"t"
+CRASHED = "crashes the library that reads such files"
 # Seconds on the clock per second of CPU time that the child may use: a busy computer is no fault of the file.
 PATIENCE = 10
 
@@ -68,7 +69,7 @@ def isolated(work: Work, path: Path, seconds: float, memory: int) -> bytes:
         raise RuntimeError(content.decode())
     if kind == TOO_LONG:
         raise BrokenOffError(f"takes more than {seconds:.0f} s to read")
-    raise BrokenOffError("crashes the library that reads such files")
+    raise BrokenOffError(CRASHED)
 
 
 def _answer(work: Work, path: Path, seconds: float, memory: int) -> bytes:

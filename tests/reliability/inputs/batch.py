@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from daq.compute import isolation
 from daq.errors import StickslipError
 
 SECONDS, MEMORY = 10, 1 << 30  # that an input may take: CPU time, and bytes beyond those of the imported programs
@@ -35,10 +36,14 @@ FLAGS = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 @dataclass
 class Tried:
-    """What became of a number of inputs: how many were taken and how many refused, and the worst of each cost."""
+    """What became of a number of inputs, and the worst of each cost.
+
+    ``taken`` were read, and ``crashed`` crashed a child process of the program; the others were refused otherwise.
+    """
 
     inputs: int = 0
     taken: int = 0
+    crashed: int = 0
     slowest_s: float = 0.0
     most_bytes: int = 0
     cpu_s: float = 0.0
@@ -90,7 +95,8 @@ def _note(tried: Tried, line: str, together: int) -> None:
     if kind == "fault":
         tried.faults.append(rest.replace("\\n", "\n"))
         return
-    inputs, taken, slowest, most = rest.split()
+    inputs, taken, crashed, slowest, most = rest.split()
+    tried.crashed += int(crashed)
     tried.inputs += int(inputs) * together
     tried.taken += int(taken) * together
     tried.slowest_s = max(tried.slowest_s, float(slowest))
@@ -144,7 +150,7 @@ def _watch(folder: Path, shared: mmap.mmap) -> None:
 
 def _try(name: str, numbers: range, folder: Path, one: Callable[[int, Path], None], shared: mmap.mmap) -> Iterator[str]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    inputs, taken, slowest = 0, 0, 0.0
+    inputs, taken, crashed, slowest = 0, 0, 0, 0.0
     for number in numbers:
         shared[:9] = number.to_bytes(8, "little") + b"\0"
         signal.alarm(HANGS_S)
@@ -152,8 +158,8 @@ def _try(name: str, numbers: range, folder: Path, one: Callable[[int, Path], Non
         try:
             one(number, folder)
             taken += 1
-        except StickslipError:
-            pass
+        except StickslipError as error:
+            crashed += isolation.CRASHED in error.what
         except BaseException:
             yield "fault " + f"{name} {number}: {_short(traceback.format_exc())}".replace("\n", "\\n")
         used = _cpu() - began
@@ -165,8 +171,8 @@ def _try(name: str, numbers: range, folder: Path, one: Callable[[int, Path], Non
             yield f"fault {name} {number}: writes elsewhere, or starts a program"
         if number % REPORTED == 0 or number == numbers[-1]:
             most = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
-            yield f"done {inputs} {taken} {slowest} {most}"
-            inputs, taken, slowest = 0, 0, 0.0
+            yield f"done {inputs} {taken} {crashed} {slowest} {most}"
+            inputs, taken, crashed, slowest = 0, 0, 0, 0.0
     signal.alarm(0)
 
 
