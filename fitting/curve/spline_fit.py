@@ -13,13 +13,13 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.curve.coordinates import CurveCoordinates
-from fitting.curve.starts import BESIDE_BELT, CurveStart, own_start, weak_starts
+from fitting.curve.starts import CurveStart, own_start, weak_starts
 from fitting.estimation import levenberg_marquardt, trajectory
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem, Solution
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model import parameters
-from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
+from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import level_prior
 from fitting.model.shooting import ShootingWindows
 from fitting.sensitivity import flow
@@ -280,20 +280,8 @@ def _task(
         precision=np.concatenate((law.precision[kept], basis.precision)),
         local_prior=law.local_prior,
         local_precision=_local_precision(fit, law.local_precision, start.local),
-        local_upper=_slower_than_belt(fit, windows),
+        local_upper=np.inf if LAWS[fit.law].ramp else windows.fastest_starts(fit.u),
     )
-
-
-def _slower_than_belt(fit: Fit, windows: ShootingWindows) -> Array:
-    """Return upper bounds of the cycles' own unknowns: on a jump a slip starts slower than the belt.
-
-    A start beyond the belt's speed would meet friction in the other direction, and a curve could use that: a local
-    minimum at chi 1.07 with friction 7 % off.
-    """
-    found = np.full((len(windows.rows), PER_CYCLE), np.inf)
-    if not LAWS[fit.law].ramp:
-        found[:, PerCycle.V_SLIP] = BESIDE_BELT * fit.u.reshape(-1, PER_RUN)[windows.run, Global.V_DR]
-    return found
 
 
 def _task_weights(windows: ShootingWindows, noise: Array) -> Array:

@@ -16,7 +16,6 @@ from rig_sim.friction.law import LAWS
 
 LOW_SPEED = 0.06  # of the last knot: the weak form sees little below, and one start goes on straight from there
 STEEPEST_START = 0.3  # of the friction there, from one coefficient to the next
-BESIDE_BELT = 0.9995  # of the belt's speed: a start that the law put beyond it begins at the smoothed motion again
 PER_PIECE = 20  # speeds at which a law's curve is projected on the spline
 
 
@@ -39,9 +38,8 @@ def own_start(fit: Fit, curve: Curve) -> CurveStart:
     target = magnitude(law.curve_code, s, p.F, p.shape * p.F, p.shape)
     smoothed = fit.windows.starting_values(fit.problem.motions)
     local = fit.local.copy()
-    belt = fit.u.reshape(-1, PER_RUN)[fit.windows.run, Global.V_DR]
-    if not law.ramp:
-        beyond = local[:, PerCycle.V_SLIP] > BESIDE_BELT * belt
+    if not law.ramp:  # a start that the law put beyond the belt's speed begins at the smoothed motion again
+        beyond = local[:, PerCycle.V_SLIP] > fit.windows.fastest_starts(fit.u)[:, PerCycle.V_SLIP]
         local[beyond, : PerCycle.LEVEL] = smoothed[beyond, : PerCycle.LEVEL]
     return CurveStart(fit.u, np.einsum("ik,k->i", project(spline, s), np.asarray(target)), local)
 

@@ -7,12 +7,10 @@ import numpy as np
 from daq.compute.arrays import Array
 from fitting.curve.coordinates import CurveCoordinates
 from fitting.curve.spline_fit import SplineFit
-from fitting.curve.starts import BESIDE_BELT
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.trajectory import least_squares
 from fitting.model import parameters
-from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, law_curve, with_coefficients
 
@@ -52,10 +50,7 @@ class Host:
     @classmethod
     def of_law(cls, fit: Fit) -> "Host":
         """Join the fit of a law; on a jump a slip then starts slower than the belt, as it does for the free curve."""
-        fastest = np.full(fit.local.shape, np.inf)
-        if not fit.problem.ramp:
-            speed = fit.u.reshape(-1, PER_RUN)[fit.windows.run, Global.V_DR]
-            fastest[:, PerCycle.V_SLIP] = BESIDE_BELT * speed
+        free = np.full(fit.local.shape, np.inf)
         return cls(
             law=fit.law,
             shared=fit.u[list(fit.active)],
@@ -66,7 +61,7 @@ class Host:
             basis=None,
             task=least_squares(fit),
             first=fit.windows.starting_values(fit.problem.motions),
-            fastest=fastest,
+            fastest=free if fit.problem.ramp else fit.windows.fastest_starts(fit.u),
         )
 
     @classmethod

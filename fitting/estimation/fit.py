@@ -6,16 +6,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, autocorrelation_time
 from fitting.data.cycles import Cycle
 from fitting.estimation import levenberg_marquardt, wear
 from fitting.model import parameters
-from fitting.model.parameters import NUISANCE, PER_RUN, PerCycle
+from fitting.model.parameters import NUISANCE, PER_RUN, Global, PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import ShootingWindows
 from fitting.sensitivity.path import Path, follow, law_curve
 
 DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear
+INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 LEAST_FADE_SD = 1e-6  # 1/s
 
 
@@ -40,6 +41,19 @@ class PassState:
     def geometric_mean_rms(self) -> float:
         """Geometric mean of the cycles' errors, m."""
         return float(np.exp(np.mean(np.log(self.cycle_rms))))
+
+    def centred(self) -> "PassState":
+        """Return the same motion with logarithms of the levels that have the mean 0, and Fs/m changed by as much.
+
+        Only the prior of the levels distinguishes the two.  Where it is wide, the search would stop before their mean
+        is 0.  On a belt that slows under load the motion is another one, as its speed is per Fs.
+        """
+        levels = slice(PerCycle.LEVEL, PerCycle.NEXT_LEVEL + 1)
+        shift = float(np.mean(self.local[self.weights > INLIER_WEIGHT, PerCycle.LEVEL]))
+        u, local = self.u.copy(), self.local.copy()
+        u[Global.LOG_F :: PER_RUN] += shift
+        local[:, levels] -= shift
+        return replace(self, u=u, local=local)
 
     def gain_over(self, before: "PassState", windows: ShootingWindows) -> float:
         """Return by how much the cost has fallen, without what spoilt cycles have gained.
@@ -197,3 +211,10 @@ class Fit:
             windows=windows,
             cycles=tuple(self.cycles[k] for k in own),
         )
+
+
+def effective_sigma(residual: Array, rows: list[slice]) -> float:
+    """Return rms x sqrt(tau), tau their integrated autocorrelation time in samples, pooled over the cycles."""
+    parts = [residual[own] for own in rows]
+    square, count = sum(float(np.sum(r**2)) for r in parts), sum(r.size for r in parts)
+    return math.sqrt(square / count * autocorrelation_time(parts)) if square > 0 else 0.0

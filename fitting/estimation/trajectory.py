@@ -18,10 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, autocorrelation_time
+from daq.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import levenberg_marquardt
-from fitting.estimation.fit import Fit, PassState
+from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState, effective_sigma
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
@@ -47,6 +47,7 @@ STATIC_GAIN = 5.0  # least gain in log likelihood for which a ramp's break-away 
 # in six without a level of its own has as much.
 STATIC_HINT = 0.5
 FINE_PASS = (60, 1e-6)  # most steps, and the gain at which it stops; chosen by trial
+CENTRED_PASS = (5, 1e-6)
 CYCLE_PASS = (15, 1e-4)  # of the cycles' own unknowns alone
 CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
 
@@ -56,7 +57,6 @@ LOST_MINIMUM = 1.05  # times the error before: a pass that ends so much worse ha
 CONTAINED = 1.0005  # times its jump law's error: a ramp law that errs more is in a poor minimum
 SAME_MINIMUM = 1.001  # times the best start's error: a start that ends so near it has led to the same minimum
 OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
-INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 
 
 def coarse_fit(
@@ -180,6 +180,8 @@ def final_fit(fit: Fit) -> Fit:
         windows = fit.windows
     if last is None:
         return fit
+    if problem.level_prior > 1:  # the pass has moved the levels' mean a little
+        last = _minimise(problem, windows, last, *CENTRED_PASS) or last
     if trial:
         freed, gain = _with_static(problem, windows, last, FIRST_STATIC[1:], FINE_PASS)
         last = freed if gain > STATIC_GAIN else last
@@ -260,6 +262,8 @@ def _minimise(
 ) -> PassState | None:
     """Minimise once with the noise assumed so far."""
     index = list(_active(problem, state))
+    if problem.level_prior > 1 and Global.COMPLIANCE not in [place % PER_RUN for place in index]:
+        state = state.centred()
     task = _least_squares(problem, windows, state, index)
     solution = levenberg_marquardt.minimise(task, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance)
     if solution is None:
@@ -351,7 +355,13 @@ def _least_squares(
         precision=precision[index],
         local_prior=windows.starting_values(problem.motions),
         local_precision=1 / local_sd**2,
+        local_upper=windows.fastest_starts(state.u) if _is_bounded(problem) else np.inf,
     )
+
+
+def _is_bounded(problem: EstimationProblem) -> bool:
+    """Return whether slips start below the belt's speed: on a jump, where sticks show that speed from the first."""
+    return not problem.ramp and LAWS[problem.law].curve != "constant"
 
 
 def _active(problem: EstimationProblem, state: PassState) -> tuple[int, ...]:
@@ -388,10 +398,3 @@ def _reestimate_noise(
 def cycle_weights(errors: Array, usual: float) -> Array:
     """Return weights (cycles,) of cycles with these errors: 1, and less for one that fits worse than the usual one."""
     return np.minimum(2 / (1 + (errors / usual) ** 2), 1.0)
-
-
-def effective_sigma(residual: Array, rows: list[slice]) -> float:
-    """Return rms x sqrt(tau), tau their integrated autocorrelation time in samples, pooled over the cycles."""
-    parts = [residual[own] for own in rows]
-    square, count = sum(float(np.sum(r**2)) for r in parts), sum(r.size for r in parts)
-    return math.sqrt(square / count * autocorrelation_time(parts)) if square > 0 else 0.0

@@ -22,7 +22,8 @@ RIPPLE_FREQUENCY_SD = 0.1  # of a turn over the time in which it was seen: furth
 LARGEST_LOG_DROP = 30.0  # log: so far below its first value friction is none, and its exponential still a number
 LARGEST_STATIC = 5.0  # break-away level over Fs: dry contacts have 1 to 2
 # Of the levels' own scatter, without a datum: their prior would otherwise pull at the datum, as the larger Fs is, the
-# less the levels scatter relative to it.  Chosen by trial on camera tracks without calibration.
+# less the levels scatter relative to it.  On camera tracks under 1 mm of noise d of law 4 is 1 to 2 standard errors too
+# large; twice the limit halves that, but there, as at 25, some of a ramp's levels run off to another minimum.
 LOOSE_LEVELS = 5.0
 NARROWEST_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
 

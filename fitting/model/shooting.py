@@ -27,6 +27,7 @@ FADE_STEP_S = 0.05  # how often the level is lowered; what that leaves out is le
 # Mean square of a cycle over the usual one of its run, above which it is spoilt.  Noise alone gives up to 1.2; a joint
 # that steps by 10 mm/s gives 3 to 20.  At 3 slips that were struck lightly still pulled true laws to p = 1e-8.
 SPOILT = 1.5
+BESIDE_BELT = 0.9995  # of the belt's speed: the fastest start of a slip window
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
 # Slots and columns as plain integers, for the kernels.
 V_DR, COMPLIANCE, OMEGA = int(Global.V_DR), int(Global.COMPLIANCE), int(Global.OMEGA)
@@ -168,6 +169,26 @@ class ShootingWindows:
             local[k, column] = motion.position[at]
             local[k, column + 1] = motion.velocity[at]
         return local
+
+    def fastest_starts(self, u: Array) -> Array:
+        """Return upper bounds (cycles, 6) of the cycles' own unknowns: a slip starts slower than the belt.
+
+        A start beyond the belt's speed meets friction in the other direction.  Noise hides that, and curve, level and
+        damping can use it: local minima with Fs 15 % and friction 7 % off.
+
+        Parameters
+        ----------
+        u : (13 runs,) f8
+            The unknowns, for the belt's speed when each window starts.
+        """
+        found = np.full((len(self.rows), PER_CYCLE), np.inf)
+        for k, stick, first, _, _, run in self.table:
+            p = parameters.values(u[PER_RUN * run : PER_RUN * (run + 1)])
+            turn = p.omega * self.time[first]
+            belt = p.v_dr + p.cosine * math.cos(turn) + p.sine * math.sin(turn)
+            if not stick:
+                found[k, V_SLIP] = BESIDE_BELT * belt
+        return found
 
 
 def evaluator(
