@@ -67,7 +67,7 @@ class BlockSmoother:
         self._plateau_speeds: list[float] = []
         self._noises: list[float] = []
         self._faults: list[Fault] = []
-        self._step_sums = np.zeros(10)
+        self._step_sums = np.zeros(frames.SUMS)
         self._samples = 0
         self._unit = ""
         self._stated_speed: Measured | None = None

@@ -147,8 +147,10 @@ def test_frames_lost_among_even_times_are_reported(seen, imported, sensor):
     assert made.dropped_frames > 100
 
 
-def test_doubled_frames_are_reported(seen, imported):
-    recording, _ = seen(5e-5, law=3)
+@pytest.mark.parametrize("sensor", [5e-5, 2e-4, 1e-3])
+def test_doubled_frames_are_reported(seen, imported, sensor):
+    """Under 0.2 mm of noise they were reported of half of the laws, under 1 mm of none."""
+    recording, _ = seen(sensor, law=3)
     twice = np.repeat(recording.position, 1 + (np.random.default_rng(4).random(recording.time.size) < 0.05))
     made = smooth(imported(np.arange(twice.size) / 400.0, twice, 400.0))
     assert [finding.code for finding in made.findings] == ["doubled-frames"]
