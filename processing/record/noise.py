@@ -20,7 +20,10 @@ MOST = 2**12  # differences looked at, spread over the record: their median is k
 NEIGHBOURS = 1, 1  # samples: the gaps inside a difference, least and widest
 APART = 8, 16  # the same where readings are mostly rounding: up to 1.2 times what it adds; with 1, 3 up to 1.6 times
 ROUNDED = 1.0  # steps: a smaller scatter is mostly rounding, which neighbours of a steady motion share in a pattern
-EXACT = 1e-5  # steps: how near whole multiples of a step the changes of rounded readings are
+# Steps: how near whole multiples of a step the changes of rounded readings are, in the median; 0.25 where there is no
+# step.  Counts times a pitch that were printed again, to a twentieth of the pitch or finer, are within 0.015.
+NEAR_WHOLE = 0.02
+FEW, MANY = 30, 1000  # multiples of the smallest change, whose own printing is the error of these times as many
 VARIED = 0.05  # share of changes that must not be one step; those of a rounded motion differ
 GOLDEN = 0.6180339887498949  # its multiples modulo 1 are spread evenly
 NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal number
@@ -54,19 +57,27 @@ def position_noise(series: Series) -> float:
 
 
 def smallest_step(position: Array) -> float:
-    """Return the smallest change between neighbouring positions, m; 0 where the others are no multiples of it.
+    """Return the step that readings were rounded to, m; 0 where their changes are no multiples of one.
+
+    It is first the smallest change between neighbours.  Where counts were turned into metres and printed with few
+    decimals, that is off by a part of a decimal, and multiples of it by ever more: larger changes make it exact.
 
     A motion that changes by one and the same amount throughout, as a triangle does, shows no step.
     """
     steps = np.abs(np.diff(position))
-    np.copyto(steps, np.inf, where=steps == 0)
-    least = float(steps.min(initial=np.inf))
+    least = float(np.min(steps, where=steps > 0, initial=np.inf))
     if not math.isfinite(least):
         return 0.0
     some = steps[:: max(steps.size // MOST, 1)]
-    number = np.where(np.isfinite(some), some, 0.0) / least
-    multiple = np.rint(number)
-    rounded = np.median(np.abs(number - multiple)) < EXACT and np.mean(multiple != 1) > VARIED
+    changes = some[some > 0]
+    if not changes.size:
+        return least
+    for most in (FEW, MANY, math.inf):
+        near = changes[changes < most * least]
+        whole = np.rint(near / least)
+        least = float(np.sum(near * whole) / np.sum(whole**2)) if near.size else least
+    number = changes / least
+    rounded = np.median(np.abs(number - np.rint(number))) < NEAR_WHOLE and np.mean(np.rint(some / least) != 1) > VARIED
     return least if rounded else 0.0
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from processing.record import series
-from processing.record.noise import position_noise
+from processing.record.noise import position_noise, smallest_step
 
 CAMERA = {"duration": 30.0, "jitter": 0.0, "rate": 400.0}
 
@@ -38,6 +38,21 @@ def test_counts_err_by_their_rounding(motion, recorded, pitch, jitter):
     """Neighbouring roundings of a steady stick follow a pattern, which used to look like twice as much."""
     data = series.from_recording(recorded(motion(5, 30.0, jitter), pitch))
     assert pitch / np.sqrt(12) <= position_noise(data) < 1.3 * pitch / np.sqrt(12)
+
+
+@pytest.mark.parametrize("decimal", [1e-9, 1e-7, 1e-6])
+def test_counts_that_were_printed_in_metres_still_err_by_their_rounding(motion, noise_of, decimal):
+    """They used to pass for readings without a step: two thirds of the error, and every count was a step of the datum."""
+    true = motion(5, **CAMERA)
+    pitch = 0.22 / 400 / 25.0154  # the belt moves by hardly a whole number of counts a sample
+    printed = np.round(np.floor(true.x / pitch) * pitch / decimal) * decimal
+    assert smallest_step(printed) == pytest.approx(pitch, rel=1e-3)
+    assert noise_of(true.time, printed) == pytest.approx(pitch / np.sqrt(12), rel=0.1)
+
+
+def test_readings_that_are_not_rounded_have_no_step():
+    rng = np.random.default_rng(6)
+    assert smallest_step(np.cumsum(rng.standard_normal(10_000))) == 0.0
 
 
 def test_counts_at_rest_err_by_their_rounding(motion, recorded):
