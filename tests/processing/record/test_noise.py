@@ -42,7 +42,7 @@ def test_counts_err_by_their_rounding(motion, recorded, pitch, jitter):
 
 @pytest.mark.parametrize("decimal", [1e-9, 1e-7, 1e-6])
 def test_counts_that_were_printed_in_metres_still_err_by_their_rounding(motion, noise_of, decimal):
-    """They used to pass for readings without a step: two thirds of the error, and every count was a step of the datum."""
+    """They used to pass for readings without a step; every count was then a step of the position."""
     true = motion(5, **CAMERA)
     pitch = 0.22 / 400 / 25.0154  # the belt moves by hardly a whole number of counts a sample
     printed = np.round(np.floor(true.x / pitch) * pitch / decimal) * decimal
