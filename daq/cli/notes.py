@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
 WIDTH = 80  # columns of a terminal
+LONGEST_NOTE = 2 * WIDTH  # characters of a note in a list; 'daq note RUN.h5' prints all of it
 
 
 def _marker(type_: Any, tokens: Sequence[cyclopts.Token]) -> list[tuple[float, str]]:
@@ -124,6 +125,7 @@ def _lines(row: "RunRow") -> list[str]:
     lines = [
         ", ".join(text for known, text in facts if known is not None),
         ", ".join(text for text in about if text),
+        textwrap.shorten(row.note or "", LONGEST_NOTE, placeholder=" ..."),
         row.verdict,
         row.problem,
     ]

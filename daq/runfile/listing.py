@@ -24,9 +24,9 @@ class RunRow:
     ----------
     file : Path
         The run file, the journal of a recording that has not ended, or the file of a joint fit.
-    title, date, operator, sample : str or None
+    title, date, operator, sample, note : str or None
         Title, time of the first sample (ISO 8601 with zone; of a joint fit, of its first run), who recorded, what was
-        measured.
+        measured, remarks.
     duration : float or None
         s.
     rate : float or None
@@ -55,6 +55,7 @@ class RunRow:
     verdict: str | None = None
     operator: str | None = None
     sample: str | None = None
+    note: str | None = None
     tags: dict[str, str] = field(default_factory=dict)
     runs: int | None = None
     problem: str | None = None
@@ -105,7 +106,7 @@ def _joint_row(entry: h5py.Group, file: Path) -> RunRow:
 
 
 def _row(entry: h5py.Group, file: Path) -> RunRow:
-    wanted = ("title", "started", "rate_hz", "operator", "sample_name", "tags")
+    wanted = ("title", "started", "rate_hz", "operator", "sample_name", "note", "tags")
     known = schema.read(entry, (row for row in schema.FIELDS if row.of in wanted), file)
     time = nexus.read_dataset(entry, f"{schema.ENCODER_LOG}/time", file)
     lost = None
@@ -124,5 +125,6 @@ def _row(entry: h5py.Group, file: Path) -> RunRow:
         verdict=nexus.read_text(entry, VERDICT, file) if VERDICT in entry else None,
         operator=known.get("operator"),
         sample=known.get("sample_name"),
+        note=known.get("note"),
         tags=known.get("tags", {}),
     )

@@ -130,8 +130,11 @@ def test_the_commands_record_note_and_list(
     assert (first["sticks"], first["verdict"]) == (None, None)
     assert rows[2]["problem"] == "is not an HDF5 file"
     assert "daq recover" in rows[3]["problem"]
+    assert [row["note"] for row in rows] == ["dry", "dry", None, None]
     assert daq("list") == 0
-    assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines())
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line) <= 80 for line in lines)
+    assert lines.count("  dry") == 2
 
 
 def test_the_list_names_sticks_and_verdict_of_a_finished_run() -> None:
