@@ -25,19 +25,13 @@ AGAIN = "copy it again from its source, or daq recover its journal"
 MOST_EXPANSION = 300
 FREE_BYTES = 1 << 24  # that any file may declare
 SCHEMA, JOINT, JOINT_SCHEMA = "stickslip_schema", "stickslip_joint_fit", 1  # attributes of a run, of /entry/runs
-MOST_OBJECTS = 10_000  # a run file with all its stages has about 200
+MOST_OBJECTS = 10_000  # a run file with all its stages has about 400
 FILTERS = (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_FLETCHER32)  # in this order
 # CPU time of a child, and for each byte of the file; half an hour at 1 kHz, 23 MB, takes 0.1 s.  And its memory, to
 # which the file's size is added.
 SECONDS, SECONDS_PER_BYTE, MEMORY = 8.0, 2e-7, 1 << 30
-DAMAGE = (
-    OSError,
-    RuntimeError,
-    KeyError,
-    ValueError,
-    TypeError,
-    OverflowError,
-)  # what h5py raises for what it cannot read
+# What h5py raises for what it cannot read.
+DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError)
 
 _done: set[tuple[object, ...]] = set()  # what children of this process have done to which files
 
