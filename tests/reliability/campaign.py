@@ -77,6 +77,9 @@ CAMPAIGNS: dict[str, Campaign] = {
     "disk": Campaign("disk", "refusals", short=30, full=480),
     "signals": Campaign("signals", "signals", short=12, full=240),
     "concurrency": Campaign("concurrency", "rounds", short=1, full=10),
+    "load": Campaign("load", "seconds of recording at each rate", short=30, full=3600),
+    "clocks": Campaign("clocks", "samples of a run whose counters wrap", short=24, full=200),
+    "numerics": Campaign("numerics", "values for each number", short=2, full=14),
     "security": Campaign("security", "requests", short=25, full=1000),
     "bad_input": Campaign("bad_input", "pieces of streams, and files in proportion", short=20_000, full=1_000_000),
 }
