@@ -43,6 +43,9 @@ if TYPE_CHECKING:
 
 DEFAULT_MAX_STEPS = 1_000_000
 INTERPRETED_STEPS = 50_000  # some 1 to 2 s of CPU; a motion that needs more starts again in compiled code
+# Of one stretch of motion that an encoder reads: 80 MB a column.  A scene's own stretches have some thousand; half
+# refuses none of them, double takes a gigabyte before it refuses.
+MOST_NODES = 10_000_000
 MOST_EVENTS = 1_000_000  # in a list, which repeats without steps
 SamplePhase = Callable[..., Any]  # the signature of `rig_sim.integrate.phases.sample_phase`
 LEAST_FACTOR = 0.05  # of Fs: lower limit of the factor; scatter of 30 % reaches it at 3.2 standard deviations
@@ -306,7 +309,11 @@ def _refined(times: "NDArray[np.float64]", spacing: float) -> "tuple[NDArray[np.
     import numpy as np
 
     gaps = np.diff(times)
-    parts = np.maximum(1, np.ceil(gaps / spacing)).astype(np.int64)
+    wanted = np.maximum(1, np.ceil(gaps / spacing))
+    if not wanted.sum() <= MOST_NODES:
+        what = f"the motion changes within {spacing:.2g} s, too fast to be followed in steps of {gaps.max():.2g} s"
+        raise InputError(what, "scene", "raise mass.m, or lower spring.k, friction.Fs or friction.gamma")
+    parts = wanted.astype(np.int64)
     asked = np.concatenate(([0], np.cumsum(parts)))
     if asked[-1] == len(gaps):
         return times, asked

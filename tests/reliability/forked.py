@@ -100,6 +100,8 @@ class Server:
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._process.wait()
+        assert self._process.stdout is not None
+        self._process.stdout.close()
 
     def warm(self, line: list[str], cwd: Path) -> None:
         """Run a command in the server itself, so that its forks find everything imported and compiled."""

@@ -230,3 +230,11 @@ def test_an_impossible_end_is_refused(until: float) -> None:
 def test_settings_from_the_command_line_play() -> None:
     changes = parse_changes(["drive.u0=0.2", "drive.omega=0.3"])
     assert events(scene("base", **changes), 60.0).events[0].kind == "N>S"
+
+
+@pytest.mark.parametrize("change", ["mass.m=1e-9", "friction.Fs=1e9", "friction.gamma=1e9"])
+def test_a_motion_too_fast_to_be_followed_is_refused(change: str) -> None:
+    # It ended in a MemoryError: half a terabyte for the nodes of one millisecond.
+    player = ScenePlayer(scene("rig", **parse_changes([change])))
+    with pytest.raises(InputError, match="too fast to be followed"):
+        player.follow(np.arange(1, 9) / 1000)
