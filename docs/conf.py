@@ -14,6 +14,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
 html_theme = "furo"
 html_show_copyright = False
+smartquotes = False  # flags begin with two hyphens
 html_title = f"stickslip {version}"
 exclude_patterns = ["_build"]
 myst_heading_anchors = 3
