@@ -44,11 +44,13 @@ bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --group bench
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
 
-docs: $(VENV)/.installed
+docs: docs/atlas/atlas.md
 	$(BIN)/python -m pip install --quiet --group docs
-	$(BIN)/rig-sim atlas -o docs/atlas --force
 	$(BIN)/python -m sphinx -W -q -b html docs build/docs
 	@echo "open build/docs/index.html"
+
+docs/atlas/atlas.md: $(shell find rig_sim -name '*.py' -o -name '*.toml') | $(VENV)/.installed
+	$(BIN)/rig-sim atlas -o docs/atlas --force
 
 $(VENV)/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
