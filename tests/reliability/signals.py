@@ -2,7 +2,6 @@
 
 import json
 import os
-import pty
 import signal
 import subprocess
 import sys
@@ -35,6 +34,7 @@ WAYS: dict[str, tuple[int, ...]] = {
 
 def signals(size: Size, folder: Path) -> list[Result]:
     """Signal commands ``size.amount`` times in all while they start, run and end, and as often at their calls."""
+    _heed_signals()
     with Server(folder / "server") as server:
         sources = folder / "sources"
         tasks.prepare(server, sources)
@@ -67,16 +67,14 @@ def _line(line: Sequence[str]) -> list[str]:
 
 
 def _heed_signals() -> None:
-    """Undo what a shell does to the background jobs that may have started this campaign."""
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
+    """Undo what a shell does to its background jobs, for this process and those that it starts."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def _start(line: Sequence[str], folder: Path) -> "subprocess.Popen[str]":
     pipe = subprocess.PIPE
-    return subprocess.Popen(
-        _line(line), cwd=folder, stdout=pipe, stderr=pipe, text=True, preexec_fn=_heed_signals, start_new_session=True
-    )
+    return subprocess.Popen(_line(line), cwd=folder, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
 
 
 def _at_times(sources: Path, folder: Path, size: Size) -> tuple[int, list[str]]:
@@ -212,19 +210,17 @@ def _terminal_closes(folder: Path, after_s: float) -> list[str]:
     """Record on a terminal that closes so long after the first sample; return the faults."""
     TASKS["record"].begin(folder, folder)
     line = _line(["daq", "record", "--realtime", "--duration", "3", "-o", "new.h5"])
-    child, terminal = pty.fork()
-    if child == 0:
-        _heed_signals()
-        os.chdir(folder)
-        os.execv(line[0], line)
+    terminal, side = os.openpty()
+    on_terminal = "import os, sys; os.login_tty(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
+    child = subprocess.Popen([sys.executable, "-c", on_terminal, str(side), *line], cwd=folder, pass_fds=[side])
+    os.close(side)
     until = time.monotonic() + HANGS_S
     part = folder / "new.h5.part"
     while not (part.exists() and part.stat().st_size > 4000) and time.monotonic() < until:
         time.sleep(0.01)
     time.sleep(after_s)
     os.close(terminal)
-    _, status = os.waitpid(child, 0)
-    code = os.waitstatus_to_exitcode(status)
+    code = child.wait()
     left = sorted(path.name for path in folder.iterdir())
     if code != EXIT_DATA or left != ["new.h5"]:
         return [f"a terminal closed {after_s:.2f} s after the first sample: ended with {code} and left {left}"]
