@@ -86,16 +86,6 @@ def test_recover_and_a_second_recorder_beside_it_are_refused(board, tmp_path):
     assert not part.exists()
 
 
-def test_after_a_kill_the_journal_is_free_again(board, tmp_path):
-    output, part = tmp_path / "run.h5", tmp_path / "run.h5.part"
-    recorder = start(record_line(board, output, 20), part)
-    recorder.kill()
-    finish(recorder)
-    recover = run("recover", part, "--json")
-    assert recover.returncode == 0, recover.stderr
-    assert_whole(output, json.loads(recover.stdout)["samples"])
-
-
 @pytest.mark.parametrize("stream", ["closed", "full", "broken pipe"])
 @pytest.mark.parametrize("number", [1, 2])
 def test_a_stream_that_takes_nothing_costs_nothing(board, tmp_path, number, stream):

@@ -653,26 +653,6 @@ def test_the_first_ctrl_c_keeps_the_data_and_exits_0(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-def test_a_killed_recorder_loses_at_most_its_last_second(tmp_path):
-    process = run_daq("record", "--realtime", cwd=tmp_path)
-    wait_for_samples(tmp_path / "run.h5.part")
-    process.kill()
-    process.communicate()
-    assert not (tmp_path / "run.h5").exists()
-    again = run_daq("record", "--force", cwd=tmp_path)
-    _, err = again.communicate(timeout=HANGS_S)
-    assert again.returncode == 2
-    assert "daq recover run.h5.part" in err
-    process = run_daq("recover", "run.h5.part", "--json", cwd=tmp_path)
-    out, err = process.communicate(timeout=HANGS_S)
-    assert process.returncode == 0, err
-    answer = json.loads(out)
-    assert answer["samples"] > 500
-    assert answer["lost"] == 0
-    assert daq.load(tmp_path / "run.h5").count.size == answer["samples"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
