@@ -102,8 +102,9 @@ def quench(
     """Find whether a fast drive (dither) quenches stick-slip, and from which amplitude on: by formula and simulation.
 
     threshold is the amplitude u0 with which the mass alone reaches the belt's speed: v_belt abs(k - m omega^2 + i c
-    omega) / omega. simulated_threshold is the least u0 with which the simulated motion, from the scene's start, loses
-    its stick-slip; quenched says so for the scene's own u0.
+    omega) / omega; threshold_with_slope counts the slope of friction there as damping. simulated_threshold is the
+    least u0 with which the simulated motion, from the scene's start, loses its stick-slip; quenched says so for the
+    scene's own u0.
 
     Example: rig-sim quench forced --set drive.omega=20 --set drive.u0=1.75
 
@@ -119,10 +120,13 @@ def quench(
     flow, x, v = with_period(scene, parse_changes(set_))
     found = find(flow, x, v)
     data: dict[str, object] = asdict(found)
-    lines = [f"{found.outcome}: u0 = {flow.u0:.6g}, threshold {found.threshold:.6g} by formula"]
+    lines = [f"{found.outcome}: u0 = {flow.u0:.6g}"]
+    for name, value in (("by formula", found.threshold), ("with the slope of friction", found.threshold_with_slope)):
+        lines.append(f"threshold {name} {value:.6g}")
+        if found.simulated_threshold is not None and value > 0.0:
+            lines[-1] += f" (simulation {found.simulated_threshold / value - 1.0:+.2%})"
     if found.simulated_threshold is not None:
-        more = 100.0 * (found.simulated_threshold / found.threshold - 1.0)
-        lines.append(f"threshold by simulation {found.simulated_threshold:.6g} ({more:+.2f} %)")
+        lines.append(f"threshold by simulation {found.simulated_threshold:.6g}")
     lines.append(f"peak to peak of x {found.swing:.4g}; without the drive {found.free_swing:.4g}")
     if found.linear_ripple is not None:
         lines.append(f"of spring and mass alone under the drive {found.linear_ripple:.4g}")

@@ -13,7 +13,7 @@ from rig_sim.cli import forced
 
 if TYPE_CHECKING:
     from rig_sim.cli.parameter_range import ParameterRange
-    from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
+    from rig_sim.dynamics.maps.stick_map import StepBudget, StickEvent, StickMap
     from rig_sim.flow.two_mass import TwoMassFlow
     from rig_sim.scenes.model import Scene
 
@@ -118,10 +118,12 @@ class SweptScene:
 def continue_map(flow_at: SweptScene, name: str, span: "ParameterRange") -> Answer:
     """Return the answer of ``rig-sim continue`` for two masses."""
     from rig_sim.dynamics.maps.map_continuation import map_continuation
+    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL, StepBudget
 
+    budget = StepBudget(STEPS_IN_ALL)
     with application.progress("following", span.number) as show:
         branches, points = map_continuation(
-            lambda value: checked(flow_at(value), name), span.values().tolist(), progress=show
+            lambda value: checked(flow_at(value), name, budget), span.values().tolist(), progress=show
         )
     data = {
         "parameter": span.key,
@@ -256,23 +258,25 @@ def stick_map(name: str, changes: list[str] | None, events: int = 0) -> "StickMa
     InputError
         One mass, or a belt at rest.
     """
+    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL, StepBudget
     from rig_sim.scenes.scene import parse_changes, scene
 
-    return checked(scene(name, **parse_changes(changes)).two_mass_flow(), name, events)
+    budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events))
+    return checked(scene(name, **parse_changes(changes)).two_mass_flow(), name, budget)
 
 
-def checked(flow: "TwoMassFlow", name: str, events: int = 0) -> "StickMap":
-    """Return the map of two masses.
+def checked(flow: "TwoMassFlow", name: str, budget: "StepBudget | None" = None) -> "StickMap":
+    """Return the map of two masses, with integrator steps of its own or from a ``budget`` that maps share.
 
     Raises
     ------
     InputError
         They are not physical, or their belt is at rest.
     """
-    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL, StickMap
+    from rig_sim.dynamics.maps.stick_map import StickMap
 
     try:
-        return StickMap(flow, steps=max(STEPS_IN_ALL, STEPS_PER_EVENT * events))
+        return StickMap(flow, budget=budget)
     except ValueError as error:
         raise InputError(str(error), f"scene {name}", "change that value with --set") from None
 

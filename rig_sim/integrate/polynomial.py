@@ -98,8 +98,7 @@ def first_root(c: Buffer, at: int, degree: int, level: float, side: int, xi_end:
         # below rounding of the polynomial its sign at the piece's end is all there is to know
         monotone = abs(fall) > bound * h or h <= SHORTEST_PIECE * xi_end or bound * h * h <= rounding
         if rest <= 0.0 and monotone:
-            guess = start + h * margin / (margin - rest)  # of the chord; far better than the middle of a short piece
-            return polish(c, at, degree, zeros, level, side, start, end, guess)
+            return polish(c, at, degree, zeros, level, side, start, end)
         if rest > 0.0 and (monotone or min(rest, margin) > 0.125 * bound * h * h):
             if end >= xi_end:
                 return -1.0
@@ -111,15 +110,14 @@ def first_root(c: Buffer, at: int, degree: int, level: float, side: int, xi_end:
         total, slope = deflated(c, at, degree, zeros, level, end)
     # only a polynomial that hugs its level for the whole step comes here: its end decides
     total, slope = deflated(c, at, degree, zeros, level, xi_end)
-    if side * total < 0.0:
-        return -1.0
-    return polish(c, at, degree, zeros, level, side, start, xi_end, 0.5 * (start + xi_end))
+    return polish(c, at, degree, zeros, level, side, start, xi_end) if side * total >= 0.0 else -1.0
 
 
 def polish(
-    c: Buffer, at: int, degree: int, zeros: int, level: float, side: int, inside: float, outside: float, xi: float
+    c: Buffer, at: int, degree: int, zeros: int, level: float, side: int, inside: float, outside: float
 ) -> float:
-    """Return the root between ``inside`` and ``outside``: Newton from ``xi``, kept in its bracket."""
+    """Return the root between ``inside`` and ``outside``: Newton kept in its bracket."""
+    xi = 0.5 * (inside + outside)
     for _i in range(100):
         total, slope = deflated(c, at, degree, zeros, level, xi)
         if total == 0.0:

@@ -51,7 +51,7 @@ ENDS = {
 }
 # Degree and tolerance of the series: rounding; errors of the map below 1e-9; below 1e-5 (measured by
 # benchmarks/dynamics.py)
-EXACT, FINE, COARSE = (ORDER, 2.0**-53), (14, 1e-9), (11, 2.5e-5)
+EXACT, FINE, COARSE = (ORDER, 2.0**-53), (14, 1e-9), (11, 2e-5)
 
 
 def next_stick(
@@ -132,6 +132,16 @@ class StepLimitError(InputError):
     """The analysis of a map has taken more integrator steps than it may."""
 
 
+@dataclass
+class StepBudget:
+    """Integrator steps that an analysis may take in all, ``allowed``, and what is ``left``; its maps share it."""
+
+    allowed: float
+
+    def __post_init__(self) -> None:
+        self.left = self.allowed
+
+
 @dataclass(frozen=True)
 class StickEvent:
     """An event of two masses, from a global stick to the next.
@@ -164,8 +174,8 @@ class StickMap:
         The masses.
     precision : tuple of int and float
         Degree and tolerance of the series: `EXACT`, `FINE` or `COARSE`.
-    steps : float, optional
-        Integrator steps over the life of the map, after which it raises `StepLimitError`; default `STEPS_IN_ALL`.
+    budget : StepBudget, optional
+        Integrator steps, after which the map raises `StepLimitError`; default `STEPS_IN_ALL` of its own.
 
     Attributes
     ----------
@@ -178,7 +188,9 @@ class StickMap:
         The masses are not physical or not modelled; the belt is at rest.
     """
 
-    def __init__(self, flow: TwoMassFlow, precision: tuple[int, float] = EXACT, *, steps: float | None = None) -> None:
+    def __init__(
+        self, flow: TwoMassFlow, precision: tuple[int, float] = EXACT, *, budget: StepBudget | None = None
+    ) -> None:
         validate_two_masses(flow)
         if flow.mass.v_belt == 0.0:
             raise ValueError("the belt is at rest: no stick ends; need a belt speed")
@@ -187,7 +199,7 @@ class StickMap:
         self.lo = -self.hi
         self._frame = frame(flow.mass)
         self._precision = precision
-        self._steps = self._steps_left = STEPS_IN_ALL if steps is None else steps
+        self._budget = budget or StepBudget(STEPS_IN_ALL)
 
     def __call__(self, x: Array, times: int = 1) -> Array:
         """Return f(x), or the ``times``-th iterate, shape (n,): NaN where x is outside or no global stick follows.
@@ -220,17 +232,19 @@ class StickMap:
         fr, (degree, tolerance) = self._frame, self._precision
         allowed = min(STEPS_OF_EVENT + int(STEPS_PER_FREQUENCY * math.sqrt(1.0 + 2.0 * self.flow.a)), MOST_STEPS)
         work = new_pair(allowed if compiled else INTERPRETED_STEPS, compiled=compiled)
-        work[STEPS_LEFT] = self._steps_left
+        work[STEPS_LEFT] = self._budget.left
         starts = np.where(np.abs(starts) <= self.hi, fr.mirror * starts, np.nan)
         word = np.zeros(WORD)
         results, durations, outcomes = np.zeros((3, len(starts)))
         kernel = compiled_events() if compiled else events_from
         a, b = self.flow.a, self.flow.b
         letters = kernel(fr, a, b, starts, times, chained, degree, tolerance, work, word, results, durations, outcomes)
-        self._steps_left = work[STEPS_LEFT]
+        self._budget.left = work[STEPS_LEFT]
         if np.any(outcomes == STEP_LIMIT):
             do = "take a smaller coupling.a, or fewer cells, values or events"
-            raise StepLimitError(f"step limit: more than {self._steps:.0e} integrator steps", "map of two masses", do)
+            raise StepLimitError(
+                f"step limit: more than {self._budget.allowed:.0e} integrator steps", "map of two masses", do
+            )
         shown = "".join(str(int(letter)) for letter in word[: min(letters, WORD)]) + "..." * (letters > WORD)
         return fr.mirror * results, durations, outcomes, shown
 

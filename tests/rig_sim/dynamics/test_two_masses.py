@@ -163,6 +163,14 @@ def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
     assert [(row["attractor"], row["points"], row["outcome"]) for row in swept] == [(0, [], "step limit")] * 2
 
 
+def test_the_values_of_a_continuation_share_its_steps(capsys, monkeypatch):
+    """Each value, and each step towards a special point, used to have 10^8 steps of its own: hours for stiff pairs."""
+    monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 400_000)  # one value takes 150 000
+    command = ["continue", "two-mass", "--over", "belt.speed=0.15:0.153:4", "--json"]
+    assert application.run(cli.app, command) == 2
+    assert "step limit" in json.loads(capsys.readouterr().out)["error"]["what"]
+
+
 def test_many_iterates_are_compiled_and_the_same(capsys):
     # A thousand events used to be interpreted one by one: 100 000 took a quarter of an hour.
     few = answer(capsys, "map", "two-mass", "--d", "0.05", "--iterate", "9")
@@ -174,7 +182,7 @@ def test_many_iterates_are_compiled_and_the_same(capsys):
 def test_a_map_that_is_nowhere_defined_has_no_orbit_and_says_so_soon():
     f = StickMap(thesis(c=100.0))
     assert periodic_points(f, 2) == ()
-    assert f._steps - f._steps_left <= 200 * 2200  # 2000 places used to take ten times as long
+    assert f._budget.allowed - f._budget.left <= 200 * 2200  # 2000 places used to take ten times as long
 
 
 def test_a_belt_at_rest_has_no_map():
