@@ -11,9 +11,12 @@ import errno
 import io
 import mmap
 import os
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import DeviceError
@@ -55,13 +58,30 @@ def writing(path: Path) -> Iterator[None]:
 
 
 @contextmanager
+def _interrupts_later() -> Iterator[None]:
+    """Hold Ctrl-C back until the block has ended: within HDF5 its exception would be lost, and the file unsound."""
+    handler = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    for each in came:
+        handler(*each)
+
+
+@contextmanager
 def hdf5(path: Path, mode: str) -> "Iterator[h5py.File]":
     """Open an HDF5 file for writing, "w" or "r+"; OSError at the end if the disk refused any of it."""
     import h5py
 
     with path.open("w+b" if mode == "w" else "r+b", buffering=0) as file:
         sink = Sink(file)
-        with h5py.File(sink, mode) as made:
+        with _interrupts_later(), h5py.File(sink, mode) as made:
             yield made
         if sink.error is not None:
             raise sink.error
