@@ -6,6 +6,8 @@ out too small; the curvature at the noise level rms x sqrt(correlation time) is 
 more than its own residuals allow: the drag of a start-up alone shows the belt's speed under constant friction, so that
 no other cycle says how far a belt that ripples moves it.
 
+What the levels of the cycles inform must not come from their own errors (`without_level_errors`).
+
 Without a datum the prior of the friction levels is wider than their scatter (`EstimationProblem.level_prior`).  The
 curvature then understates what they inform, so the floor is the covariance of the estimate under the true scatter.
 """
@@ -18,13 +20,41 @@ import numpy as np
 from daq.compute.arrays import Array, autocorrelation_time
 from daq.runfile.rig import Measured
 from fitting.estimation.fit import Fit
-from fitting.estimation.levenberg_marquardt import SchurComplement, eigen
+from fitting.estimation.levenberg_marquardt import LeastSquaresProblem, SchurComplement, eigen, normal_equations
 from fitting.model.parameters import PerCycle
 
 # Times the variance that the fit assumes of a cycle's residuals: what they may have, since a correlation time from one
 # window is uncertain.  With 4 the error of the belt's speed from a drag on a rippling belt would be too small by 2.
 ALLOWED = 2.0
+# Standard errors of a mean square by which the levels must scatter more than their errors to inform anything.  Half of
+# it takes the levels of one contact in six without scatter for real, double loses scatter of three times the errors.
+SEEN = 3.0
 ROUNDING = 1e-14  # of a curvature: as little left of it after elimination is rounding; sums of 1e4 terms err by less
+
+
+def without_level_errors(fit: Fit, task: LeastSquaresProblem) -> Fit:
+    """Return a fit whose curvatures are those at the levels without their own errors; ``task`` is what it minimised.
+
+    Without a datum a ramp law knows Fs/d, v_dr - d and x0 + Fs/k alone, unless the friction level changes from cycle to
+    cycle: then the load follows Fs and the ramp follows Fs/d.  Levels that differ by their errors alone would pass for
+    such a change, and v_dr would get an interval a hundred times too narrow.
+    """
+    if fit.problem.level_prior <= 1 or not fit.inlier_cycles.any():
+        return fit
+    own = fit.inlier_cycles
+    local = fit.local.copy()
+    variances = np.einsum("cii->ci", np.linalg.inv(fit.solution.blocks.Hl))
+    for column in (PerCycle.LEVEL, PerCycle.NEXT_LEVEL):
+        level, error = fit.local[:, column], variances[:, column]
+        likely = float(np.mean(error[own])) * (1 + SEEN * math.sqrt(2 / own.sum()))
+        true = max(float(np.mean(level[own] ** 2)) - likely, 0.0)
+        local[:, column] = level * true / (true + error)
+    found = task.evaluate(fit.solution.u, local, True)
+    if found is None:
+        return fit
+    there, here = normal_equations(task, fit.solution.u, local, *found), fit.solution.blocks
+    blocks = replace(there, g=here.g, gl=here.gl, cycle_g=here.cycle_g)
+    return replace(fit, solution=replace(fit.solution, blocks=blocks))
 
 
 def covariance(fit: Fit, precision: Array) -> Array:

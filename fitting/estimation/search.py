@@ -10,6 +10,7 @@ from functools import partial
 
 from daq.compute.workers import workers
 from fitting.estimation import trajectory
+from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
@@ -146,7 +147,7 @@ def _keep_better(found: dict[int, Fit], law: int, fit: Fit | None) -> None:
 def _final(chain: Sequence[Fit], limit: float) -> list[Fit]:
     """Fit the laws of one curve whose error is below ``limit`` to every sample; the others stay as they are."""
     found = {fit.law: trajectory.final_fit(fit) if fit.geometric_mean_rms < limit else fit for fit in chain}
-    return _retried(found, limit, _final_from)
+    return [without_level_errors(fit, trajectory.least_squares(fit)) for fit in _retried(found, limit, _final_from)]
 
 
 def _final_from(problem: EstimationProblem, near: Fit) -> Fit | None:

@@ -16,6 +16,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
 from fitting.estimation import derived, trajectory
+from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem, Run
@@ -68,7 +69,10 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     start[Global.COMPLIANCE :: PER_RUN] = compliance
     compliant = [replace(run, motion=replace(run.motion, compliance=Measured(compliance, compliance))) for run in runs]
     fit = trajectory.fit_from(EstimationProblem.build(ramp - 1, compliant), replace(near, u=start))
-    return None if fit is None else trajectory.final_fit(fit)
+    if fit is None:
+        return None
+    found = trajectory.final_fit(fit)
+    return without_level_errors(found, trajectory.least_squares(found))
 
 
 def closed_ramps(fits: Sequence[Fit]) -> list[tuple[int, int]]:

@@ -79,6 +79,19 @@ def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cyc
     assert level.lo < 35.184 * 0.13068 < level.hi
 
 
+@pytest.mark.slow
+def test_levels_that_differ_by_their_errors_alone_do_not_show_the_belt_speed_of_a_ramp(synthetic):
+    """Without a datum and without scatter only v_dr - d is known; v_dr used to be off by a hundred standard errors."""
+    recording = replace(synthetic.recording(law=4, scatter=0.0), rig=Rig())
+    motion = frame.from_kinematics(smooth(recording), recording.rig, None)
+    (fit,) = search.fit_laws((4,), [Run(motion, cycles.segment_cycles(motion))], 1)
+    found = derived_parameters(fit, motion, 0.05)
+    assert found["v_dr"].lo < synthetic.Scene().belt < found["v_dr"].hi
+    assert found["v_dr"].stderr > 0.2 * found["d"].value
+    assert "Fs/m" not in found
+    assert "x0 + Fs/k" in found
+
+
 @pytest.mark.parametrize(("known", "unit"), [("mass", "k"), ("stiffness", "m")])
 def test_a_mass_gives_newtons_and_a_stiffness_gives_the_mass(ranked, known, unit):
     ranking = ranked(law=5)
