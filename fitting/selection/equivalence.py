@@ -71,8 +71,8 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     fit = trajectory.fit_from(EstimationProblem.build(ramp - 1, compliant), replace(near, u=start))
     if fit is None:
         return None
-    found = trajectory.final_fit(fit)
-    return without_level_errors(found, trajectory.least_squares(found))
+    final = trajectory.final_fit(fit)
+    return without_level_errors(final, trajectory.least_squares(final))
 
 
 def closed_ramps(fits: Sequence[Fit]) -> list[tuple[int, int]]:
