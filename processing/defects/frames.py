@@ -28,6 +28,9 @@ SHARE = 1e-3  # of the steps compared, at least; and
 FEWEST = 5
 SUMS, OF_KERNEL = 15, 10
 REPEATED = 2.0  # printed steps of noise, at least: at 1 the readings one to three steps apart mislead by 2 % of all
+# Readings one step apart over those two apart, at least: noise of 2 steps gives 1.2.  Where a few readings were
+# set half way between their neighbours, as spikes are, half of the printed step passes for it: odd steps are then rare.
+REGULAR = 0.8
 LONGEST_REPEAT = 3  # equal steps in a row: longer is a sensor that held its value, or a mass at rest
 UNLIKELY = 5.0  # standard deviations of the number of equal readings; none of 48 clean cameras has as many
 SHORT = 32  # samples: half of the shortest piece looked at
@@ -81,7 +84,9 @@ def count_frames(sums: Array) -> FrameCount:
     steps, equal, first, second, third = (float(value) for value in sums[OF_KERNEL:])
     usual = (15 * first - 6 * second + third) / 20  # each is those up and those down; the parabola of degree 4 at 0
     repeated = round(equal - usual)
-    if repeated > max(FEWEST, SHARE * steps, UNLIKELY * math.sqrt(2.3 * abs(usual) + equal)):
+    if first > REGULAR * second and repeated > max(
+        FEWEST, SHARE * steps, UNLIKELY * math.sqrt(2.3 * abs(usual) + equal)
+    ):
         return FrameCount(int(steps) - repeated, 0, repeated)
     if lost <= few and doubled <= few and sums[6] > 0 and compared < sums[7]:
         # Steps of twice the usual length skew the distribution by the share of frames lost; noise does not.  It is
