@@ -81,11 +81,11 @@ def check_place(target: Path, *sources: Path, force: bool = False, digest: str =
     digest : str
         The sha256 of the run that is drawn: an older picture of it is replaced without ``force`` (not a PDF).
     """
+    own = MARK + digest if digest else ""
+    atomic.refuse_existing(target, force, *sources, own=own, kind="picture of this run", flag="--plot")
     if target.suffix.lower() not in FORMATS:
         kind = target.suffix or "file without an ending"
         raise InputError(f"cannot draw a {kind}", str(target), "use .png, .svg or .pdf")
-    own = MARK + digest if digest else ""
-    atomic.refuse_existing(target, force, *sources, own=own, kind="picture of this run", flag="--plot")
 
 
 def save(figure: Figure, target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:
