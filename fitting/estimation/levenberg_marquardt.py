@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, Integers, Mask
+from daq.compute.arrays import Array, Integers
 from daq.compute.compile import compiled
 from fitting.estimation import elimination
 
@@ -29,7 +29,6 @@ CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
 PROBE_STEP = 0.1  # of the step: where the second derivative along it is measured
 OUTLIER_SHARE = 0.1  # of the cost increase of all cycles: a cycle with more is an outlier and is damped by itself
 FEW = 0.35  # of the cycles: where more are outliers, the shared parameters are damped instead
-STILL = 1e16  # times its curvature: the damping of an unknown that is to stand still
 LARGEST_CYCLE_DAMPING = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
 ROUNDED = 1e-13  # of the largest eigenvalue: weaker directions are rounding; not swept
 LARGEST_ACCELERATION = 0.75  # of the step: twice the acceleration may be as long, else the step is too long for it
@@ -173,9 +172,6 @@ class SchurComplement:
     blocks : NormalEquations
     damping : (cycles,) f8, optional
         Adds to the curvatures of the cycles' own unknowns; the least of it to those of the shared ones.
-    held : (cycles, q) bool, optional
-        Own unknowns that stand still: those on their bound that are pushed outward.  Merely cut off, they would leave
-        the others a step made for another place.
 
     Attributes
     ----------
@@ -183,14 +179,13 @@ class SchurComplement:
         The information on the shared unknowns with every cycle's own unknowns also fitted.
     """
 
-    def __init__(self, blocks: NormalEquations, damping: Array | None = None, held: Mask | None = None) -> None:
+    def __init__(self, blocks: NormalEquations, damping: Array | None = None) -> None:
         c, q = blocks.gl.shape
         p = blocks.g.size
         least, Hl = 0.0, blocks.Hl
         if damping is not None:
             least = float(damping.min())
-            own = np.tile(damping[:, None], q) if held is None else np.where(held, STILL, damping[:, None])
-            Hl = Hl + (own * np.einsum("cii->ci", Hl))[:, :, None] * np.eye(q)
+            Hl = Hl + (damping[:, None] * np.einsum("cii->ci", Hl))[:, :, None] * np.eye(q)
         self._cross = blocks.cross
         self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))
         self.H = blocks.H + least * np.diag(np.diag(blocks.H))
@@ -244,7 +239,7 @@ def minimise(
     damping : float
         Of the first step, times the curvatures: less where the start is known to be near.
     """
-    u, local = np.clip(u, problem.lower, problem.upper), np.minimum(local, problem.local_upper)
+    u = np.clip(u, problem.lower, problem.upper)
     first = problem.evaluate(u, local, True)
     if first is None:
         return None
@@ -340,7 +335,7 @@ def _accelerated_step(
     ``damping`` is the cycles' own (cycles,); the least of them is that of the shared unknowns.
     """
     p = u.size
-    damped = SchurComplement(blocks, damping, (local >= problem.local_upper) & (blocks.gl < 0))
+    damped = SchurComplement(blocks, damping)
     step = _step(problem, u, damped, blocks.g, blocks.gl)
     beside = np.minimum(local + PROBE_STEP * step.local, problem.local_upper)
     near = problem.evaluate(u + PROBE_STEP * step.u, beside, False)

@@ -355,13 +355,7 @@ def _least_squares(
         precision=precision[index],
         local_prior=windows.starting_values(problem.motions),
         local_precision=1 / local_sd**2,
-        local_upper=windows.fastest_starts(state.u) if _is_bounded(problem) else np.inf,
     )
-
-
-def _is_bounded(problem: EstimationProblem) -> bool:
-    """Return whether slips start below the belt's speed: on a jump, where sticks show that speed from the first."""
-    return not problem.ramp and LAWS[problem.law].curve != "constant"
 
 
 def _active(problem: EstimationProblem, state: PassState) -> tuple[int, ...]:

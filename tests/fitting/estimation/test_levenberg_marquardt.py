@@ -189,19 +189,3 @@ def test_a_search_next_to_a_bound_goes_on_along_it(linear):
     rest = np.linalg.lstsq(full[:, kept], data - full[:, 1] * lower[1], rcond=None)[0]
     assert found.u[1] == lower[1]
     assert found.u[[0, 2]] == pytest.approx(rest[:2], abs=1e-6)
-
-
-def test_own_unknowns_on_their_bounds_do_not_stop_the_search(linear):
-    # A step was merely cut off there, and from a start beyond the bound not a single one was taken.
-    evaluate, rows, full, data = linear
-    free = np.linalg.lstsq(full, data, rcond=None)[0]
-    own = SHARED + np.arange(0, CYCLES * LOCAL, LOCAL)  # the first own unknown of each cycle
-    upper = np.full((CYCLES, LOCAL), np.inf)
-    upper[:, 0] = free[own] - 0.5
-    task = problem(evaluate, rows, local_upper=upper)
-    start = np.zeros((CYCLES, LOCAL)) + 10.0
-    found = levenberg_marquardt.minimise(task, np.zeros(SHARED), start, max_steps=15, tolerance=1e-14)
-    kept = np.delete(np.arange(full.shape[1]), own)
-    rest = np.linalg.lstsq(full[:, kept], data - full[:, own] @ upper[:, 0], rcond=None)[0]
-    assert found.local[:, 0] == pytest.approx(upper[:, 0], abs=1e-9)
-    assert found.u == pytest.approx(rest[:SHARED], abs=1e-6)
