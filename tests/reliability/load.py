@@ -67,7 +67,7 @@ while True:
 
 # A recorder: its memory while it records, and at its peak.
 RECORDER = """
-import json, os, resource, sys, time
+import json, os, sys, time
 from pathlib import Path
 from daq.protocols.request import RecordRequest
 from daq.recorder import reader
@@ -93,7 +93,8 @@ journal.Writer.sync = slow
 began = time.monotonic()
 cpu = time.process_time()
 found = record(RecordRequest(port, Path(output), int(rate), float(seconds), baud=1_000_000), progress=resident)
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+# Not ru_maxrss: a new process inherits that of its parent.
+peak = 1024 * next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
 print(json.dumps(found.as_json() | {
     "file": None, "growth_mb": (max(sizes) - sizes[0]) / 1e6, "first_mb": sizes[0] / 1e6, "peak_mb": peak / 1e6,
     "cpu_us": 1e6 * (time.process_time() - cpu) / found.samples, "wall_s": time.monotonic() - began,
