@@ -10,6 +10,7 @@ from daq.console.application import Answer, Json
 from daq.errors import InputError
 
 if TYPE_CHECKING:
+    from daq.runfile.recording import Recording
     from processing.compare import MethodError
     from processing.record.kinematics import Kinematics, SmoothingSummary
 
@@ -124,21 +125,22 @@ def inspect(
     Example: process inspect run.h5 --plot portrait.png
     """
     from daq.output.plot import check_place, save
-    from daq.runfile import store
-    from processing import stage, statistics, summary
+    from processing import statistics, summary
     from processing.plot import inspection
-    from processing.smoothing import smooth as rebuild
 
     target = plot if plot is not None else file.with_name(f"{file.stem}.inspect.png")
-    stored = stage.load(file)
-    recording = store.load(file) if stored is None else stored.recording
+    recording, stored = _stored(file)
     check_place(target, file, force=force, digest=recording.digest)
-    motion, now = (rebuild(recording), True) if stored is None else (stored, False)
+    motion = _smoothed(recording) if stored is None else stored
     save(inspection(motion), target, file, force=force, digest=recording.digest)
     counted = statistics.from_kinematics(motion)
-    data = summary.run_as_json(motion) | {"statistics": counted.as_json(), "smoothed_in_memory": now, "plot": target}
+    data = summary.run_as_json(motion) | {
+        "statistics": counted.as_json(),
+        "smoothed_in_memory": stored is None,
+        "plot": target,
+    }
     lines = summary.run_sentences(motion, file) + counted.sentences(motion.unit)
-    if now:
+    if stored is None:
         lines.append("not smoothed yet, so smoothed in memory; keep it with: process smooth")
     return Answer(data, [*lines, f"picture: {target}"])
 
@@ -164,23 +166,28 @@ def export(
     if csv is None:
         raise InputError("nothing to write", "command line", "give --csv FILE")
     atomic.refuse_existing(csv, force, file)
-    motion, now = _motion(file)
+    recording, stored = _stored(file)
+    motion = _smoothed(recording) if stored is None else stored
     columns = tables.write_csv(motion, csv, force=force)
     rows = int(motion.time.size)
-    data = {"rows": rows, "columns": columns, "file": csv, "smoothed_in_memory": now}
+    data = {"rows": rows, "columns": columns, "file": csv, "smoothed_in_memory": stored is None}
     return Answer(data, f"{csv}: {rows} rows; columns {', '.join(columns)}")
 
 
-def _motion(file: Path) -> "tuple[Kinematics, bool]":
-    """Return the stored motion, or one smoothed in memory and True."""
+def _stored(file: Path) -> "tuple[Recording, Kinematics | None]":
+    """Return the recording of a run, and its motion where it has been smoothed."""
     from daq.runfile import store
     from processing import stage
+
+    motion = stage.load(file)
+    return (store.load(file), None) if motion is None else (motion.recording, motion)
+
+
+def _smoothed(recording: "Recording") -> "Kinematics":
+    """Return the motion, smoothed in memory."""
     from processing.smoothing import smooth as rebuild
 
-    stored = stage.load(file)
-    if stored is not None:
-        return stored, False
-    return rebuild(store.load(file)), True
+    return rebuild(recording)
 
 
 def _table(rows: "list[MethodError]", file: Path, unit: str, known: bool) -> Any:
