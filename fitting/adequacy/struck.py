@@ -8,6 +8,7 @@ the mass again within milliseconds, and a step of the position is left.
 import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
+from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.shooting import SPOILT
 from fitting.sensitivity.path import Path
@@ -55,7 +56,7 @@ def left_out(path: Path | None, linear: LinearisedFit, landings: Array, spoilt: 
 def _struck(path: Path, linear: LinearisedFit, landings: Array, spoilt: Mask, run: Integers) -> Mask:
     """Return the spoilt cycles of which one velocity step explains nearly all that they leave above the usual one."""
     columns = np.hstack([tangents(path, _impulses(path, landings, spoilt)), _position_steps(path, landings, spoilt)])
-    square = np.array([np.mean(linear.residual[rows] ** 2) for rows in linear.rows])
+    square = cycle_squares(linear.residual[:, np.newaxis], linear.rows)[:, 0]
     found = np.zeros_like(spoilt)
     for k in np.flatnonzero(spoilt):
         rows = linear.rows[k]

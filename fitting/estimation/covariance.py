@@ -26,8 +26,9 @@ from fitting.model.parameters import PerCycle
 # Times the variance that the fit assumes of a cycle's residuals: what they may have, since a correlation time from one
 # window is uncertain.  With 4 the error of the belt's speed from a drag on a rippling belt would be too small by 2.
 ALLOWED = 2.0
-# Standard errors of a mean square by which the levels must scatter more than their errors to inform anything.  Half of
-# it takes the levels of one contact in six without scatter for real, double loses scatter of three times the errors.
+# Standard errors of a mean square by which the levels must scatter more than their errors to inform anything.  With 20
+# cycles that is a scatter as large as the errors, which noise alone shows once in 150 contacts; with half of it once in
+# 13, with twice of it the scatter must be 1.4 times the errors.
 SEEN = 3.0
 ROUNDING = 1e-14  # of a curvature: as little left of it after elimination is rounding; sums of 1e4 terms err by less
 

@@ -145,7 +145,10 @@ def _keep_better(found: dict[int, Fit], law: int, fit: Fit | None) -> None:
 
 
 def _final(chain: Sequence[Fit], limit: float) -> list[Fit]:
-    """Fit the laws of one curve whose error is below ``limit`` to every sample; the others stay as they are."""
+    """Fit the laws of one curve whose error is below ``limit`` to every sample; the others stay as they are.
+
+    What all of them know is then without the errors of the levels.
+    """
     found = {fit.law: trajectory.final_fit(fit) if fit.geometric_mean_rms < limit else fit for fit in chain}
     return [without_level_errors(fit, trajectory.least_squares(fit)) for fit in _retried(found, limit, _final_from)]
 

@@ -25,7 +25,7 @@ LARGEST_STATIC = 5.0  # break-away level over Fs: dry contacts have 1 to 2
 # less the levels scatter relative to it.  On camera tracks under 1 mm of noise d of law 4 is 1 to 2 standard errors too
 # large; twice the limit halves that, but there, as at 25, some of a ramp's levels run off to another minimum.
 LOOSE_LEVELS = 5.0
-NARROWEST_RAMP = 1e-6  # of the belt's speed: a narrower ramp is a jump
+NARROWEST_RAMP = 1e-6  # of the belt's speed: no fit makes a ramp narrower
 
 
 @dataclass(frozen=True, eq=False)

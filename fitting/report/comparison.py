@@ -42,21 +42,13 @@ class ComparedRun:
     @property
     def decided(self) -> bool:
         """Whether one law is left that describes the record."""
-        return self.law is not None and len(self.document["set"]) == 1 and all(p.trusted for p in self.parameters())
-
-    def parameters(self, names: Sequence[str] = SHOWN) -> list[Parameter]:
-        """Return those of the best law's parameters that have one of the names, in their order."""
-        found = self._by_name()
-        return [found[name] for name in names if name in found]
+        found = (self.parameter(name) for name in SHOWN)
+        return self.law is not None and len(self.document["set"]) == 1 and all(p is None or p.trusted for p in found)
 
     def parameter(self, name: str) -> Parameter | None:
-        """Return a parameter of the best law."""
-        return self._by_name().get(name)
-
-    def _by_name(self) -> dict[str, Parameter]:
-        if self.law is None:
-            return {}
-        return {name: _parameter(item) for name, item in self.document["ranking"][0]["parameters"].items()}
+        """Return a parameter of the best law; None where it has none of this name."""
+        item = None if self.law is None else self.document["ranking"][0]["parameters"].get(name)
+        return None if item is None else _parameter(item)
 
 
 def _parameter(item: Mapping[str, Any]) -> Parameter:
@@ -117,7 +109,7 @@ def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:
         rows=[_row(number, run, names) for number, run in enumerate(runs, start=1)],
         names=[f"{name} ({symbols.pretty(units[name])})" for name in names],
         picture=Markup(draw(runs, names, units)) if names else "",
-        symbols=[(symbol, text) for symbol, text in symbols.symbols(names)],
+        symbols=symbols.symbols(names),
         summary=summary,
         confidence=f"{100 * (1 - alpha):g} %",
         version=VERSION,
