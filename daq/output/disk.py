@@ -100,7 +100,23 @@ def rehearsed(path: Path) -> "Iterator[h5py.File]":
         yield made
 
 
-class _Draft(io.RawIOBase):
+class _Stream(io.RawIOBase):
+    """A stream for reading, writing and seeking."""
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def seekable(self) -> bool:
+        """Return True."""
+        return True
+
+
+class _Draft(_Stream):
     """The content of a file with changes to it and additions behind it, of which the file knows nothing."""
 
     def __init__(self, content: mmap.mmap) -> None:
@@ -148,20 +164,8 @@ class _Draft(io.RawIOBase):
         self._added = self._added[:added] + bytes(max(0, added - len(self._added)))
         return wanted
 
-    def readable(self) -> bool:
-        """Return True."""
-        return True
 
-    def writable(self) -> bool:
-        """Return True."""
-        return True
-
-    def seekable(self) -> bool:
-        """Return True."""
-        return True
-
-
-class Sink(io.RawIOBase):
+class Sink(_Stream):
     """A file, until the disk refuses; then its content in memory, so that whoever writes need not know.
 
     Attributes
@@ -212,18 +216,6 @@ class Sink(io.RawIOBase):
         self._file.truncate(wanted)
         self.seek(place)
         return wanted
-
-    def readable(self) -> bool:
-        """Return True."""
-        return True
-
-    def writable(self) -> bool:
-        """Return True."""
-        return True
-
-    def seekable(self) -> bool:
-        """Return True."""
-        return True
 
     def _go_on_in_memory(self, error: OSError) -> None:
         self.error = self.error or error
