@@ -29,6 +29,7 @@ from daq.recorder import ports
 from daq.recorder.journal_place import JournalPlace
 from daq.recorder.reader import Reader
 from daq.runfile import journal
+from daq.runfile.journal_header import MOST_SAMPLES
 from daq.runfile.rig import Rig
 from daq.wire import frames
 
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality
 
 logger = logging.getLogger(__name__)
-MOST_SAMPLES = 2_000_000_000  # the run file's sample numbers (uint32) hold twice as many
 WAKE_S = 0.1  # how often the writer looks at the clock while nothing comes
 LEAVE_S = 3.0  # how long a leaving recorder waits for its reader
 
