@@ -73,8 +73,8 @@ def test_memory_does_not_grow_with_the_run(tmp_path):
             writer.append(journal.REOPENED, stamp + 2, b"back")
         writer.close()
         limit = resource.getrlimit(resource.RLIMIT_AS)[1] if hundreds == 1 else 400 << 20
-        told = [sys.executable, "-c", MEASURE, str(part), str(tmp_path / f"{hundreds}.h5"), str(limit)]
-        done = subprocess.run(told, capture_output=True, text=True, check=True)
+        command = [sys.executable, "-c", MEASURE, str(part), str(tmp_path / f"{hundreds}.h5"), str(limit)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
         peaks.append([int(word) for word in done.stdout.split()])
     (few, _, small), (many, _, large) = peaks
     assert many > 4 * few
