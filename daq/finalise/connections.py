@@ -25,7 +25,7 @@ def connections(taken: journal.Journal, spill: Spill) -> list[Shelf[decode.Strea
     found = []
     for reads in _reads(taken.records):
         shelf: Shelf[decode.Stream] = Shelf(spill)
-        for stream in backend.pieces(reads, taken.header, spill):
+        for stream in backend.pieces(reads, taken.header):
             shelf.append(stream)
         found.append(shelf)
     return found

@@ -13,7 +13,6 @@ from daq.wire import frames
 from daq.wire.counters import fits, is_late, signed
 
 if TYPE_CHECKING:
-    from daq.output.spill import Spill
     from daq.wire.decode import Stream
 
 BAUD = 115_200
@@ -36,7 +35,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     return decode.decode(reads)
 
 
-def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], spill: "Spill") -> "Iterator[Stream]":
+def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
     """Decode them piece by piece."""
     from daq.wire import decode
 

@@ -34,7 +34,6 @@ from daq.wire import frames
 from daq.wire.splitter import Splitter
 
 if TYPE_CHECKING:
-    from daq.output.spill import Spill
     from daq.wire.decode import Stream
 
 BAUD = 230_400
@@ -118,7 +117,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     return lines.decode(reads, reader(), ident(header.get("decoder")), period_ticks, net=True)
 
 
-def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], spill: "Spill") -> "Iterator[Stream]":
+def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
     """Decode them piece by piece."""
     yield decode(reads, header)
 

@@ -25,7 +25,6 @@ from daq.protocols.request import RecordRequest
 from daq.wire import frames
 
 if TYPE_CHECKING:
-    from daq.output.spill import Spill
     from daq.wire.decode import Stream
 
 ANSWER_S = 5.0  # an Arduino resets when its port is opened and boots for up to 2 s
@@ -242,7 +241,5 @@ class Backend(Protocol):
     def decode(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
         """Decode the reads of one connection out of a journal with this header."""
 
-    def pieces(
-        self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], spill: "Spill"
-    ) -> "Iterator[Stream]":
+    def pieces(self, reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
         """Decode them piece by piece, at least one; ``reads`` gives the same whenever it is asked."""

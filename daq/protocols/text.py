@@ -42,7 +42,6 @@ from daq.protocols.session import Identity, Plan, Port, Session
 from daq.wire import frames
 
 if TYPE_CHECKING:
-    from daq.output.spill import Spill
     from daq.wire.decode import Stream
 
 BAUD = 115_200
@@ -104,7 +103,7 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     )
 
 
-def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], spill: "Spill") -> "Iterator[Stream]":
+def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
     """Decode them piece by piece."""
     yield decode(reads, header)
 
