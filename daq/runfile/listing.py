@@ -84,15 +84,14 @@ def runs(folders: Sequence[Path]) -> list[RunRow]:
 
 def _run(file: Path) -> RunRow:
     try:
-        if file.name.endswith(joint.SUFFIX) and joint.recognised(file):
-            with joint.opened(file) as entry:
-                return _joint_row(entry, file)
-        with store.opened(file) as opened:
-            return _row(nexus.read_group(opened, "entry", file), file)
+        with trust.damage(file):
+            if file.name.endswith(joint.SUFFIX) and joint.recognised(file):
+                with joint.opened(file) as entry:
+                    return _joint_row(entry, file)
+            with store.opened(file) as opened:
+                return _row(nexus.read_group(opened, "entry", file), file)
     except InputError as error:
         return RunRow(file, problem=error.what)
-    except trust.DAMAGE as error:
-        return RunRow(file, problem=f"is damaged: {str(error).splitlines()[0]}")
 
 
 def _joint_row(entry: h5py.Group, file: Path) -> RunRow:
