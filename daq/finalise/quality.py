@@ -254,12 +254,15 @@ def _incomplete(found: RecordingQuality, totals: DataTotals) -> list[str]:
     return lines
 
 
-def _port_outages(records: Sequence[journal.Record]) -> list[str]:
+def _port_outages(records: journal.Records) -> list[str]:
     """Return one sentence for each time the port was lost, with how long it was away, or when it was lost for good."""
     first = heard = None
     lost = ""
     outages = []
-    for record in records:
+    # Of the reads, which are nearly the whole journal, the first one and the last ones before something else.
+    begun, after = records.kinds.find(journal.RECEIVED), records.kinds[1:] + bytes([journal.END])
+    pairs = enumerate(zip(records.kinds, after, strict=True))
+    for record in records.at(at for at, (kind, then) in pairs if at == begun or {kind, then} != {journal.RECEIVED}):
         if record.kind == journal.RECEIVED:
             if first is None:
                 first = record.stamp_ns

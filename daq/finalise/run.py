@@ -200,7 +200,7 @@ def _instants(path: Path, header: dict[str, Any], first_ns: int, span_s: float) 
 
 
 def _no_samples(recorded: journal.Journal) -> DataError:
-    size = sum(len(record.data) for record in recorded.records if record.kind == journal.RECEIVED)
+    size = sum(len(record.data) for record in recorded.records.of_kind(journal.RECEIVED))
     what = f"holds no samples: none can be read in the {size} bytes that were received" if size else "holds no samples"
     return DataError(
         what, str(recorded.path), "check that the board sends, and --baud and --protocol; delete it and record again"
@@ -208,10 +208,10 @@ def _no_samples(recorded: journal.Journal) -> DataError:
 
 
 def calibration(
-    records: Iterable[journal.Record], streams: Sequence[decode.Stream], ident: frames.Ident | None
+    configurations: Iterable[journal.Record], streams: Sequence[decode.Stream], ident: frames.Ident | None
 ) -> tuple[str, Rig, list[str]]:
     """Return the configuration's text, the rig it describes, and warnings; the decoder is what the board reports."""
-    given = [record.data.decode(errors="replace") for record in records if record.kind == journal.CONFIGURATION]
+    given = [record.data.decode(errors="replace") for record in configurations]
     sent = next((stream.configs for stream in streams if stream.configs), ())
     config = (*given, *(text for _, text in sent), "")[0]
     warnings = []
