@@ -104,11 +104,11 @@ def run_data(
     line = Timeline(shelves, rate_hz, tick_ns, header["samples"], spill)
     config, rig, warnings = calibration(recorded.records.of_kind(journal.CONFIGURATION), streams, ident)
     checking = CountCheck(ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
-    counted = _PartLengths()
-    checking.survey(counted.counting(line.samples))
-    if not counted.of:
+    pieces = _CountedPieces(line)
+    checking.survey(pieces)
+    if not pieces.lengths:
         raise _no_samples(recorded)
-    clock = PartClock(counted.longest, header["baud"], line.times_bytes, spill)
+    clock = PartClock(max(pieces.lengths, key=pieces.lengths.__getitem__), header["baud"], line.times_bytes, spill)
     totals, events, columns = DataTotals(), RunEvents(markers, rate_hz), RunColumns(rig, tick_ns, line.truth, spill)
     for piece in line:
         checked = checking.take(piece.samples)
@@ -157,35 +157,25 @@ def run_data(
     return run, replace(found, warnings=tuple(warnings))
 
 
-class _PartLengths:
-    """How many samples each part of a run has."""
+class _CountedPieces:
+    """The samples of a timeline's pieces, whenever they are iterated over.
 
-    def __init__(self) -> None:
-        self.of: dict[int, int] = {}
+    Attributes
+    ----------
+    lengths : dict of int to int
+        How many samples each part of the run has; after the last piece.
+    """
 
-    @property
-    def longest(self) -> int:
-        """The longest part, the first of equal ones."""
-        return max(self.of, key=self.of.__getitem__)
-
-    def counting(self, pieces: Iterable[Samples]) -> "_Counting":
-        """Return the pieces, counted when they are iterated over for the first time."""
-        return _Counting(pieces, self)
-
-
-class _Counting:
-    """Pieces that are counted."""
-
-    def __init__(self, pieces: Iterable[Samples], lengths: _PartLengths) -> None:
-        self._pieces, self._lengths = pieces, lengths
+    def __init__(self, line: Timeline) -> None:
+        self.lengths: dict[int, int] = {}
+        self._line = line
 
     def __iter__(self) -> Iterator[Samples]:
-        found: dict[int, int] = {}
-        for samples in self._pieces:
-            for part, here in parts_of(samples):
-                found[part] = found.get(part, 0) + here.stop - here.start
-            yield samples
-        self._lengths.of = found
+        self.lengths = {}
+        for piece in self._line:
+            for part, here in parts_of(piece.samples):
+                self.lengths[part] = self.lengths.get(part, 0) + here.stop - here.start
+            yield piece.samples
 
 
 def _instants(path: Path, header: dict[str, Any], first_ns: int, span_s: float) -> tuple[datetime, datetime]:

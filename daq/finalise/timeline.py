@@ -213,11 +213,6 @@ class Timeline:
             self.repeated = late
             yield Piece(samples, stream, frames, place)
 
-    @property
-    def samples(self) -> "SamplePieces":
-        """The samples of the pieces alone."""
-        return SamplePieces(self)
-
     def _unplaced(self, learn: bool = False) -> Iterator[tuple[Samples, decode.Stream, int, TruthRows]]:
         """Yield the samples of each piece, without times, its frames and how many came before, its exact motion."""
         frames = 0
@@ -307,16 +302,6 @@ class Timeline:
         if self._begun_by[number] == "jumped" and moved_on > 0 and abs(by_device - start) < SAME_CLOCK_S:
             return by_device
         return max(start, before_s + 1 / self._rate_hz)
-
-
-@dataclass(frozen=True)
-class SamplePieces:
-    """The samples of a timeline's pieces, whenever they are iterated over."""
-
-    line: Timeline
-
-    def __iter__(self) -> Iterator[Samples]:
-        return (piece.samples for piece in self.line)
 
 
 @dataclass(frozen=True)
