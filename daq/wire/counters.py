@@ -113,38 +113,20 @@ class Order:
     ticks: NDArray[np.int64]
 
 
-def order_frames(
-    seq: NDArray[np.int64],
-    ticks: NDArray[np.int64],
-    n: NDArray[np.int64],
-    ticks_per_sample: float,
-    restarts: NDArray[np.int64],
-) -> Order:
+class FrameOrder:
     """Place the frames of a stream: undo roll-over, measure gaps, find repeats and restarts.
 
-    Device time determines how often the sequence number rolled over between two frames, so a gap may have any length
-    below 2^31 ticks (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by
-    `LATE_FRAMES` at most, is a repeat or came late.  Any other step back, of either, and a gap on whose length the two
-    do not agree (`fits`), is a jump.
+    The frames come in pieces: all of them are surveyed first, then placed in the same order.  Device time determines
+    how often the sequence number rolled over between two frames, so a gap may have any length below 2^31 ticks
+    (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by `LATE_FRAMES` at most,
+    is a repeat or came late.  Any other step back, of either, and a gap on whose length the two do not agree (`fits`),
+    is a jump.
 
     Parameters
     ----------
-    seq, ticks : (f,) int64
-        As sent: modulo 2^16 and 2^32.
-    n : (f,) int64
-        Samples in each frame.
     ticks_per_sample : float
         Nominal sample interval.
-    restarts : (r,) int64
-        Frames before which the board is known to have restarted: it identified itself.
     """
-    placing = FrameOrder(ticks_per_sample)
-    placing.survey(seq, ticks, n, restarts)
-    return placing.place(seq, ticks, n, restarts)
-
-
-class FrameOrder:
-    """`order_frames` for frames that come in pieces: all of them are surveyed first, then placed in the same order."""
 
     def __init__(self, ticks_per_sample: float) -> None:
         self._nominal = ticks_per_sample
@@ -161,7 +143,17 @@ class FrameOrder:
     def survey(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
     ) -> None:
-        """Take the next frames, to learn the true sample period from all."""
+        """Take the next frames, to learn the true sample period from all.
+
+        Parameters
+        ----------
+        seq, ticks : (f,) int64
+            As sent: modulo 2^16 and 2^32.
+        n : (f,) int64
+            Samples in each frame.
+        restarts : (r,) int64
+            Frames before which the board is known to have restarted: it identified itself.
+        """
         self._surveyed = True
         keep, _, _ = self._repeats.find(seq, ticks, n, restarts)
         step, forward, before = self._steps(seq[keep], ticks[keep], n[keep])
@@ -172,7 +164,7 @@ class FrameOrder:
     def place(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64], restarts: NDArray[np.int64]
     ) -> Order:
-        """Place the next frames."""
+        """Place the next frames, given as to `survey`."""
         if self._surveyed:
             self._period, self._doubt = self._pace.found(self._nominal)
             self.begin()

@@ -130,7 +130,7 @@ def test_a_line_that_comes_twice_is_no_late_one():
     lines = [b"%d,%d\n" % (k, 30 * k) for k in range(200)]
     lines.insert(100, lines[100])
     stream = text.decode([(0, b"".join(lines))], {"columns": "ms,count", "rate_hz": 1000.0})
-    assert np.count_nonzero(np.diff(stream.ticks) == 0) == 1  # left out by `counters.order_frames`
+    assert np.count_nonzero(np.diff(stream.ticks) == 0) == 1  # left out by `counters.FrameOrder`
     assert not stream.time_error.any()
 
 

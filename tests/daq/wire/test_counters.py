@@ -43,6 +43,13 @@ def test_the_longest_safe_gap_is_the_counters_range_over_the_rate():
     assert counters.longest_gap_s(0, 1, 16) == float("inf")
 
 
+def placed(seq, ticks, n, ticks_per_sample, restarts):
+    """Return the order of frames that come in one piece."""
+    order = counters.FrameOrder(ticks_per_sample)
+    order.survey(seq, ticks, n, restarts)
+    return order.place(seq, ticks, n, restarts)
+
+
 def sent(true_index, n, ticks_per_sample=1000, start_ticks=0):
     index = np.asarray(true_index)
     return index % 65536, (start_ticks + index * ticks_per_sample) % (1 << 32), np.full(len(index), n)
@@ -52,7 +59,7 @@ def sent(true_index, n, ticks_per_sample=1000, start_ticks=0):
 def test_gaps_of_any_length_are_sized_with_the_device_time(gaps, start_ticks):
     """A gap of 65,536 samples leaves no trace in the sequence number; the time tells."""
     true = np.cumsum([0, *(8 + gap for gap in gaps)])
-    order = counters.order_frames(*sent(true, 8, start_ticks=start_ticks), 1000.0, NONE)
+    order = placed(*sent(true, 8, start_ticks=start_ticks), 1000.0, NONE)
     assert order.keep.all()
     assert not order.restart.any()
     assert np.array_equal(order.index, true)
@@ -63,7 +70,7 @@ def test_gaps_of_any_length_are_sized_with_the_device_time(gaps, start_ticks):
 def test_a_frame_that_comes_again_is_left_out(at, late):
     true = np.arange(60) * 8
     true = np.insert(true, at + late, true[at])
-    order = counters.order_frames(*sent(true, 8), 1000.0, NONE)
+    order = placed(*sent(true, 8), 1000.0, NONE)
     assert np.flatnonzero(~order.keep).tolist() == [at + late]
     assert not order.restart.any()
     assert np.array_equal(order.index[order.keep], np.arange(60) * 8)
@@ -72,7 +79,7 @@ def test_a_frame_that_comes_again_is_left_out(at, late):
 def test_a_board_that_begins_anew_is_a_restart():
     first, again = sent(np.arange(50) * 8, 8), sent(np.arange(30) * 8, 8, start_ticks=77)
     seq, ticks, n = (np.concatenate(pair) for pair in zip(first, again, strict=True))
-    order = counters.order_frames(seq, ticks, n, 1000.0, NONE)
+    order = placed(seq, ticks, n, 1000.0, NONE)
     assert np.flatnonzero(order.restart).tolist() == [50]
     assert order.index.tolist() == [*(np.arange(50) * 8), *(np.arange(30) * 8)]
     assert order.ticks[50] == 77
@@ -81,16 +88,16 @@ def test_a_board_that_begins_anew_is_a_restart():
 def test_a_restart_is_found_by_its_sequence_when_time_went_on():
     first, again = sent(np.arange(50) * 8, 8), sent(np.arange(30) * 8, 8, start_ticks=900_000)
     seq, ticks, n = (np.concatenate(pair) for pair in zip(first, again, strict=True))
-    assert np.flatnonzero(counters.order_frames(seq, ticks, n, 1000.0, NONE).restart).tolist() == [50]
+    assert np.flatnonzero(placed(seq, ticks, n, 1000.0, NONE).restart).tolist() == [50]
 
 
 def test_an_identification_in_mid_stream_is_a_restart():
-    order = counters.order_frames(*sent(np.arange(20) * 8, 8), 1000.0, np.array([0, 12, 20]))
+    order = placed(*sent(np.arange(20) * 8, 8), 1000.0, np.array([0, 12, 20]))
     assert np.flatnonzero(order.restart).tolist() == [12]
 
 
 def test_no_frames_have_no_order():
-    assert len(counters.order_frames(NONE, NONE, NONE, 1000.0, NONE).keep) == 0
+    assert len(placed(NONE, NONE, NONE, 1000.0, NONE).keep) == 0
 
 
 @given(st.integers(-100_000, 100_000), st.lists(st.integers(-3000, 3000), max_size=40))
@@ -129,7 +136,7 @@ def frames_of(*stretches, n=8, period=1000):
 )
 def test_a_sequence_that_jumps_against_the_clock_begins_a_new_part(seq, ticks):
     # It used to be trusted: +40,000 turned 4 s into 30 s, and a silent reset ended a run early.
-    order = counters.order_frames(*frames_of((0, 0, 50), (seq, ticks, 50)), 1000.0, np.array([], dtype=np.int64))
+    order = placed(*frames_of((0, 0, 50), (seq, ticks, 50)), 1000.0, np.array([], dtype=np.int64))
     assert order.keep.all()
     assert np.flatnonzero(order.restart).tolist() == [50]
     assert np.flatnonzero(order.jump).tolist() == [50]
@@ -143,7 +150,7 @@ def test_a_gap_on_which_sequence_and_clock_agree_is_a_gap(lost, off):
     period = round(1000 * (1 + off))
     step = 400 + 8 * lost
     frames = frames_of((0, 0, 50), (step, step * period, 50), period=period)
-    order = counters.order_frames(*frames, 1000.0, np.array([], dtype=np.int64))
+    order = placed(*frames, 1000.0, np.array([], dtype=np.int64))
     assert order.keep.all()
     assert not order.restart.any()
     assert order.index[50] - order.index[49] == 8 + 8 * lost
