@@ -53,7 +53,7 @@ class ClockSync:
     Attributes
     ----------
     index : (c,) int64
-        The points with the least delay of their second.
+        Samples at the points with the least delay of their second.
     offset : (c,) float64
         Host minus device there, s: of the byte that came, or, `by_bytes`, of the middle between it and the next.
     ppm : float or None
@@ -72,37 +72,21 @@ class ClockSync:
     offset_error: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
-def compare(
-    host: NDArray[np.float64],
-    device: NDArray[np.float64],
-    following: NDArray[np.float64] | None = None,
-    *,
-    by_bytes: bool = False,
-) -> ClockSync:
-    """Compare the two clocks.
-
-    Parameters
-    ----------
-    host : (f,) float64
-        When each frame, or part of a frame, had come in, s.
-    device : (f,) float64
-        The device's time when it had sent that much, s, not decreasing.
-    following : (f,) float64, optional
-        The device's time when it had sent more, of which nothing had come in yet; NaN where that is not known.
-    by_bytes : bool
-        Both times are those of bytes on a serial line, which come in as they are sent or at the next poll.  Then a wide
-        interval means polls in step with the host, for which every line within is as likely: the middle is taken, of
-        drift and offset.  Whole frames that come at once leave a wide interval, too, and there the line below is right.
-    """
-    collected = ClockPoints(Spill())
-    following = np.full(len(device), np.nan) if following is None else following
-    collected.append(Points(host, device, following, np.arange(len(device))))
-    return collected.compare(by_bytes=by_bytes)
-
-
 @dataclass(frozen=True)
 class Points:
-    """Readings of both clocks, s, k of them (`compare`), and the samples that they belong to."""
+    """Readings of both clocks, k of them, and the samples that they belong to.
+
+    Attributes
+    ----------
+    host : (k,) float64
+        When each frame, or part of a frame, had come in, s.
+    device : (k,) float64
+        The device's time when it had sent that much, s, not decreasing.
+    following : (k,) float64
+        The device's time when it had sent more, of which nothing had come in yet; NaN where that is not known.
+    sample : (k,) int64
+        The sample.
+    """
 
     host: NDArray[np.float64]
     device: NDArray[np.float64]
@@ -141,7 +125,16 @@ class ClockPoints:
         self._shelf.append(points)
 
     def compare(self, *, by_bytes: bool) -> ClockSync:
-        """Compare the clocks, as `compare`; ``index`` of the answer is the sample."""
+        """Compare the two clocks.
+
+        Parameters
+        ----------
+        by_bytes : bool
+            Both times are those of bytes on a serial line, which come in as they are sent or at the next poll.  Then a
+            wide interval means polls in step with the host, for which every line within is as likely: the middle is
+            taken, of drift and offset.  Whole frames that come at once leave a wide interval, too, and there the line
+            below is right.
+        """
         nothing = ClockSync(np.empty(0, dtype=np.int64), np.empty(0), None)
         if self.n < 2:
             return nothing
@@ -170,7 +163,7 @@ class ClockPoints:
             return np.asarray(points.delay - robust * points.device >= lowest)
 
         kept = taken(least, true(least))
-        hull = _LowerHull()
+        hull = LowerHull()
         for points in self._shelf:
             here = true(points)
             hull.take(points.device[here], points.delay[here])
@@ -263,18 +256,8 @@ def _slopes(
         read_latency *= 2
 
 
-def supporting_slope(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Return the slope of the line below all points that is highest at their mean x; x not decreasing, not all equal.
-
-    An edge of the lower convex hull (monotone chain).
-    """
-    hull = _LowerHull()
-    hull.take(x, y)
-    return hull.slope()
-
-
-class _LowerHull:
-    """The lower convex hull of points that come in order of x."""
+class LowerHull:
+    """The lower convex hull of points that come in order of x, by a monotone chain."""
 
     def __init__(self) -> None:
         self._hull: list[tuple[float, float]] = []
@@ -295,7 +278,7 @@ class _LowerHull:
         self._n += len(x)
 
     def slope(self) -> float:
-        """Return the slope of the edge at the mean x."""
+        """Return the slope of the line below all points that is highest at their mean x; not all x are equal."""
         hull, middle = self._hull, self._sum / self._n
         edge = next(i for i in range(1, len(hull)) if hull[i][0] >= middle or i == len(hull) - 1)
         (x0, y0), (x1, y1) = hull[edge - 1], hull[edge]
