@@ -1,11 +1,13 @@
-"""Array types by their element, runs of a mask, stretches without a gap, and the integrated autocorrelation time.
+"""Array types by their element, dataclasses of columns, runs of a mask, and the integrated autocorrelation time.
 
 Source of the autocorrelation time: A. Sokal, Monte Carlo Methods in Statistical Mechanics (1997), section 3; the sum is
 cut at the first negative estimate.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,24 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Columns = TypeVar("Columns", bound="DataclassInstance")
+
 HOLE = 3.5  # sample intervals: longer than any jitter or a missing sample or two, shorter than a lost frame of eight
+
+
+def rows(columns: Columns, where: NDArray[Any] | slice) -> Columns:
+    """Return a dataclass with some rows of its arrays; what is no array stays as it is."""
+    own = {name: value[where] for name, value in vars(columns).items() if isinstance(value, np.ndarray)}
+    return replace(columns, **own)
+
+
+def joined(pieces: Sequence[Columns]) -> Columns:
+    """Return dataclasses as one, their arrays one behind the other; what is no array is that of the first one."""
+    names = [name for name, value in vars(pieces[0]).items() if isinstance(value, np.ndarray)]
+    return replace(pieces[0], **{name: np.concatenate([vars(piece)[name] for piece in pieces]) for name in names})
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:

@@ -1,11 +1,12 @@
 """Readings of the host's and the device's clock out of a run: at ends of frames, and of reads that ended in one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.finalise.clock_sync import ClockPoints, ClockSync, Points, taken
+from daq.compute.arrays import joined, rows
+from daq.finalise.clock_sync import ClockPoints, ClockSync, Points
 from daq.finalise.timeline import Piece, parts_of
 from daq.output.spill import Spill
 from daq.protocols.link_budget import BITS_PER_BYTE
@@ -66,34 +67,33 @@ class PartClock:
         begun = piece.frames + piece.stream.part_frame if self._reads else np.empty(0, dtype=np.int64)
         at = np.searchsorted(frame, begun)
         known = (at < len(frame)) & (frame[np.minimum(at, len(frame) - 1)] == begun)
-        joined = ends if self._last is None else self._last.followed_by(ends)
+        whole = ends if self._last is None else joined([self._last, ends])
         # What had not come in yet: the next frame, where another read brought it.
-        following = np.where(np.diff(joined.host_ns) > 0, joined.time[1:], np.nan)
+        following = np.where(np.diff(whole.host_ns) > 0, whole.time[1:], np.nan)
         if self._by_bytes:
             # The next byte; behind a frame that is the first of the next one, if no byte of it had come.
-            following[np.isin(joined.frame[1:], begun)] = np.nan
+            following[np.isin(whole.frame[1:], begun)] = np.nan
             following += self._byte_s
-        self._hold(joined.without_last(), following)
+        self._hold(rows(whole, slice(-1)), following)
         if known.any():
             part_s = piece.stream.part_bytes[known] * self._byte_s
-            inside = ends.at(at[known], piece.stream.part_stamp_ns[known], part_s)
+            inside = replace(rows(ends, at[known]), host_ns=piece.stream.part_stamp_ns[known], sent_s=part_s)
             after = inside.time + part_s + self._byte_s if self._by_bytes else np.full(len(part_s), np.nan)
             self._hold(inside, after, kind=1)
-        self._last = joined.last()
+        self._last = rows(whole, slice(-1, None))
         self._release(float(self._last.time[0]))
 
     def _hold(self, ends: "_FrameEnds", following: NDArray[np.float64], kind: int = 0) -> None:
         new = Points((ends.host_ns - self._first_ns) / 1e9, ends.time + ends.sent_s, following, ends.sample)
-        names = ("host", "device", "following", "sample")
-        self._held = Points(*(np.concatenate((getattr(self._held, name), getattr(new, name))) for name in names))
+        self._held = joined([self._held, new])
         self._held_kind = np.concatenate((self._held_kind, np.full(len(following), kind, dtype=np.int8)))
 
     def _release(self, before_s: float) -> None:
         """Hand on the points before a time that no later one comes before: in order, frames before parts of them."""
         order = np.lexsort((self._held_kind, self._held.device))
         done = self._held.device[order] < before_s
-        self._points.append(taken(self._held, order[done]))
-        self._held, self._held_kind = taken(self._held, order[~done]), self._held_kind[order[~done]]
+        self._points.append(rows(self._held, order[done]))
+        self._held, self._held_kind = rows(self._held, order[~done]), self._held_kind[order[~done]]
 
 
 @dataclass(frozen=True)
@@ -105,19 +105,3 @@ class _FrameEnds:
     frame: NDArray[np.int64]
     sample: NDArray[np.int64]
     sent_s: NDArray[np.float64]
-
-    def followed_by(self, other: "_FrameEnds") -> "_FrameEnds":
-        """Return these and others."""
-        return _FrameEnds(*(np.concatenate((own, vars(other)[name])) for name, own in vars(self).items()))
-
-    def without_last(self) -> "_FrameEnds":
-        """Return all but the last."""
-        return _FrameEnds(*(own[:-1] for own in vars(self).values()))
-
-    def last(self) -> "_FrameEnds":
-        """Return the last one."""
-        return _FrameEnds(*(own[-1:] for own in vars(self).values()))
-
-    def at(self, where: NDArray[np.int64], host_ns: NDArray[np.int64], sent_s: NDArray[np.float64]) -> "_FrameEnds":
-        """Return parts of some of the frames."""
-        return _FrameEnds(host_ns, self.time[where], self.frame[where], self.sample[where], sent_s)

@@ -28,11 +28,11 @@ the run (temperature), and the constant part of the delay, which one-way data ca
 
 from dataclasses import InitVar, dataclass, field
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.arrays import joined, rows
 from daq.output.spill import Shelf, Spill
 
 MOST_POINTS = 600  # the pairwise slopes of so many take 180,000 values; longer runs get wider bins
@@ -162,7 +162,7 @@ class ClockPoints:
         def true(points: Points) -> NDArray[np.bool_]:
             return np.asarray(points.delay - robust * points.device >= lowest)
 
-        kept = taken(least, true(least))
+        kept = rows(least, true(least))
         hull = LowerHull()
         for points in self._shelf:
             here = true(points)
@@ -185,7 +185,7 @@ class ClockPoints:
         for points in self._shelf:
             chosen.take(points, bins(points), open_s(points))
         sharpest = chosen.by_bin()
-        sharpest = taken(sharpest, np.isfinite(open_s(sharpest)))
+        sharpest = rows(sharpest, np.isfinite(open_s(sharpest)))
         if len(sharpest.device) < 2:
             return ClockSync(kept.sample, kept.delay, ppm)
         below = sharpest.delay - (sharpest.following - sharpest.device)
@@ -202,11 +202,6 @@ class ClockPoints:
         return ClockSync(kept.sample, kept.delay - (0.5 * gap if by_bytes else 0.0), ppm, error, offset_error)
 
 
-def taken(points: Points, where: NDArray[Any]) -> Points:
-    """Return some of the points."""
-    return Points(points.host[where], points.device[where], points.following[where], points.sample[where])
-
-
 class _Cheapest:
     """Of each bin the point of the least cost, the first of equal ones; points come in order."""
 
@@ -220,21 +215,17 @@ class _Cheapest:
         for at in order[np.concatenate(([True], np.diff(bins[order]) > 0))].tolist():
             known = self._best.get(int(bins[at]))
             if known is None or cost[at] < known[0] or (np.isnan(known[0]) and not np.isnan(cost[at])):
-                own = taken(points, slice(at, at + 1))  # type: ignore[arg-type]
+                own = rows(points, slice(at, at + 1))
                 self._best[int(bins[at])] = float(cost[at]), self._n + at, own
         self._n += len(bins)
 
     def by_bin(self) -> Points:
         """Return the points in order of their bins."""
-        return self._points([self._best[number] for number in sorted(self._best)])
+        return joined([self._best[number][2] for number in sorted(self._best)])
 
     def by_number(self) -> Points:
         """Return the points in the order in which they came."""
-        return self._points(sorted(self._best.values(), key=itemgetter(1)))
-
-    def _points(self, found: list[tuple[float, int, Points]]) -> Points:
-        names = ("host", "device", "following", "sample")
-        return Points(*(np.concatenate([getattr(point, name) for _, _, point in found]) for name in names))
+        return joined([point for _, _, point in sorted(self._best.values(), key=itemgetter(1))])
 
 
 def _slopes(

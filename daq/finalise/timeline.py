@@ -7,13 +7,14 @@ seconds before and the first seconds after the gap; after a jump that the device
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute import arrays
 from daq.output.spill import Shelf, Spill
 from daq.wire import counters, decode
 
@@ -75,12 +76,7 @@ class Samples:
 
     def take(self, where: NDArray[np.bool_]) -> "Samples":
         """Return the samples for which ``where``, (n,), is True."""
-        chosen: dict[str, Any] = {}
-        for field in fields(self):
-            column = getattr(self, field.name)
-            if isinstance(column, np.ndarray):
-                chosen[field.name] = column[where]
-        return replace(self, **chosen)
+        return arrays.rows(self, where)
 
 
 @dataclass(frozen=True)
@@ -334,13 +330,7 @@ def parts_of(samples: Samples) -> Iterator[tuple[int, slice]]:
 def joined(pieces: Sequence[Samples]) -> Samples:
     """Return the samples of all pieces in order; those that have any have the same columns."""
     pieces = [piece for piece in pieces if len(piece)] or pieces[:1]
-    if len(pieces) == 1:
-        return pieces[0]
-    columns = {name: [getattr(piece, name) for piece in pieces] for name in vars(pieces[0])}
-    whole: dict[str, Any] = {
-        name: np.concatenate(own) for name, own in columns.items() if isinstance(own[0], np.ndarray)
-    }
-    return replace(pieces[0], **whole)
+    return arrays.joined(pieces) if len(pieces) > 1 else pieces[0]
 
 
 def sample_keys(part: NDArray[np.int64], index: NDArray[np.int64]) -> NDArray[np.int64]:
