@@ -215,7 +215,7 @@ class _Cheapest:
         for at in order[np.concatenate(([True], np.diff(bins[order]) > 0))].tolist():
             known = self._best.get(int(bins[at]))
             if known is None or cost[at] < known[0] or (np.isnan(known[0]) and not np.isnan(cost[at])):
-                own = rows(points, slice(at, at + 1))
+                own = rows(points, np.array([at]))  # a copy: a slice would keep all of the points in memory
                 self._best[int(bins[at])] = float(cost[at]), self._n + at, own
         self._n += len(bins)
 
