@@ -11,7 +11,7 @@ import pytest
 
 from daq.compute import isolation
 from daq.errors import InputError
-from daq.runfile import store, trust
+from daq.runfile import listing, store, trust
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig
 
@@ -134,6 +134,15 @@ def test_a_damaged_stage_is_reported_and_the_run_is_still_read(run: Path) -> Non
     content[place + 100] ^= 1
     run.write_bytes(content)
     assert store.load(run).time.size == 50
+
+
+def test_damage_without_words_is_listed(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # An error of the library without a message was a traceback of 'daq list'.
+    def damaged(*_: Any) -> None:
+        raise ValueError
+
+    monkeypatch.setattr(listing, "_row", damaged)
+    assert [row.problem for row in listing.runs([run.parent])] == ["is damaged: ValueError"]
 
 
 def test_links_within_the_file_hang_nothing(run: Path) -> None:
