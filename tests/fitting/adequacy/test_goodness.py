@@ -97,7 +97,7 @@ def test_slips_that_a_joint_has_struck_spoil_no_others(synthetic):
 
 @pytest.mark.parametrize("every", [3, 12])
 def test_slips_that_no_velocity_step_explains_are_judged(synthetic, every):
-    """Every third slip was 10 times the noise off, and the law adequate at 2.3 times the noise: none was judged."""
+    """Cycles with 1.5 times the usual mean square used to be left out, however many there were: here every third."""
     recording = synthetic.recording(law=5)
     cycles = rank(smooth(recording), laws=(5,)).cut.cycles
     position = recording.position.copy()
