@@ -1,7 +1,7 @@
 """Look the versions of constraints.txt, or of the file named, up among known vulnerabilities, with pip-audit.
 
 A vulnerability that was found is an error.  Where the advisory service does not answer, as on a machine without a
-network, nothing is audited; that is said, and is no error.
+network, nothing is audited; a line reports this, and the exit code is 0.
 """
 
 import json
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-# What pip-audit says of a service that does not answer.  Every other failure is an error.
+# Words of pip-audit's error where the service does not answer.  Every other failure is an error.
 UNREACHABLE = ("ConnectionError", "Could not connect", "timed out", "Timeout", "ProxyError", "SSLError", "503 ", "502 ")
 
 
