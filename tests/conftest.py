@@ -8,6 +8,7 @@ import sys
 import time
 import zipfile
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,13 @@ hypothesis.settings.load_profile("stickslip")
 # A shell ignores SIGINT for what it runs in the background, and the commands under test would inherit that.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def need(there: object, what: str) -> None:
+    """Skip where a tool is missing, or fail where every tool must be there."""
+    if not there:
+        assert "STICKSLIP_REQUIRE_TOOLS" not in os.environ, what
+        pytest.skip(what, allow_module_level=True)
 
 
 @pytest.fixture(scope="session")
@@ -106,9 +114,14 @@ def _capture(
 
 
 @pytest.fixture(scope="session")
-def cluster() -> Iterator[str]:
+def dask() -> None:
+    """Need dask.distributed."""
+    need(find_spec("distributed"), "dask.distributed is not installed")
+
+
+@pytest.fixture(scope="session")
+def cluster(dask: None) -> Iterator[str]:
     """Start a scheduler and two workers of one thread, in processes of their own; give the address."""
-    pytest.importorskip("distributed", reason="dask.distributed is not installed")
     script = (
         "from distributed import LocalCluster\n"
         "if __name__ == '__main__':\n"
@@ -128,9 +141,8 @@ def cluster() -> Iterator[str]:
 
 
 @pytest.fixture
-def own_scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+def own_scheduler(dask: None, tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """Start a scheduler that a test may kill; give the process and the address."""
-    pytest.importorskip("distributed", reason="dask.distributed is not installed")
     contact = tmp_path / "scheduler.json"
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard"]
     with subprocess.Popen([*command, "--scheduler-file", str(contact)], stderr=subprocess.DEVNULL) as run:

@@ -1,13 +1,12 @@
 """The live view in a real browser, while a recording runs in real time."""
 
 import json
-import os
 import re
-import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,26 +16,17 @@ import pytest
 
 from daq.runfile import store
 
+from ..conftest import need
+
 pytestmark = pytest.mark.slow
 DURATION_S = 14
 
 
 @pytest.fixture(scope="module")
-def chromium() -> str:
-    path = shutil.which("chromium")
-    missing = [] if path else ["chromium"]
+def chromium(chromium: str) -> str:
     for name in ("playwright", "starlette", "uvicorn", "uplot"):
-        missing += [name] if shutil.which(name) is None and not _installed(name) else []
-    if missing:
-        assert "STICKSLIP_REQUIRE_TOOLS" not in os.environ, f"not installed: {missing}"
-        pytest.skip(f"not installed: {', '.join(missing)}")
-    return str(path)
-
-
-def _installed(name: str) -> bool:
-    from importlib.util import find_spec
-
-    return find_spec(name) is not None
+        need(find_spec(name), f"{name} is not installed")
+    return chromium
 
 
 @pytest.fixture

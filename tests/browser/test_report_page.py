@@ -1,25 +1,18 @@
 """The report in a real browser: it draws, and asks nothing of the network."""
 
-import os
 import re
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import matplotlib.image
 import pytest
 
+from ..conftest import need
+
 SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    path = shutil.which("chromium")
-    if path is None:
-        assert "STICKSLIP_REQUIRE_TOOLS" not in os.environ, "chromium is not installed"
-        pytest.skip("chromium is not installed")
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +36,10 @@ def test_the_report_has_no_outside_reference(report):
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
 def test_the_first_screen_holds_verdict_ranking_and_six_orbits(report, chromium, width, height):
     # The ranking used to begin on the second screen, and the page was 722 px wide on a phone.
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as browsers:
+    need(find_spec("playwright"), "playwright is not installed")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as browsers:
         browser = browsers.chromium.launch(executable_path=chromium)
         page = browser.new_page(viewport={"width": width, "height": height})
         page.goto(report.as_uri())

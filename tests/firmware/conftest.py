@@ -1,7 +1,6 @@
 """The tools of these tests, and what they make: the firmware built anew, the emulator, the bench around both."""
 
 import importlib.util
-import os
 import shutil
 import subprocess
 import sys
@@ -9,22 +8,17 @@ from pathlib import Path
 
 import pytest
 
+from ..conftest import need
+
 HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parents[1] / "firmware"
 COMPILER = "5.4.0"  # of the committed .hex files; another one makes other bytes
 
-# Tests have no packages: the module beside this file is loaded by its path.
+# The module beside this file is loaded by its path.
 _spec = importlib.util.spec_from_file_location("firmware_bench", HERE / "bench.py")
 _bench = importlib.util.module_from_spec(_spec)
 sys.modules["firmware_bench"] = _bench
 _spec.loader.exec_module(_bench)
-
-
-def need(there, what):
-    """Skip where a tool is missing, or fail where every tool must be there."""
-    if not there:
-        assert "STICKSLIP_REQUIRE_TOOLS" not in os.environ, what
-        pytest.skip(what)
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import time
-from importlib.util import find_spec
 from pathlib import Path
 
 import h5py
@@ -22,7 +21,6 @@ from fitting.batch import BatchRow, Failure
 from processing.smoothing import smooth
 
 pytestmark = pytest.mark.usefixtures("undrawn_reports")
-needs_dask = pytest.mark.skipif(find_spec("distributed") is None, reason="dask.distributed is not installed")
 
 
 @pytest.fixture(scope="module")
@@ -195,14 +193,14 @@ def test_without_dask_the_extra_is_named(folder, monkeypatch):
         cli.fit(folder / "five.h5", scheduler="tcp://127.0.0.1:8786")
 
 
-@needs_dask
+@pytest.mark.usefixtures("dask")
 @pytest.mark.parametrize("address", ["nonsense", "foo://1:2", "tcp://host:port", "tcp://:8786"])
 def test_what_is_no_address_is_refused(folder, address):
     with pytest.raises(InputError, match="is not an address"):
         cli.fit(folder / "five.h5", scheduler=address)
 
 
-@needs_dask
+@pytest.mark.usefixtures("dask")
 def test_an_address_where_nothing_listens_is_refused_at_once(folder):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -211,7 +209,6 @@ def test_an_address_where_nothing_listens_is_refused_at_once(folder):
 
 
 @pytest.mark.slow
-@needs_dask
 def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
     files = [folder / "five.h5", folder / "none.h5", folder / "three.h5"]
     code, document = documents(capsys, "--each", *files, "--laws", "3,5", "--scheduler", cluster)
@@ -222,7 +219,6 @@ def test_a_scheduler_gives_the_same_batch(folder, capsys, cluster, alone):
 
 
 @pytest.mark.slow
-@needs_dask
 def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
     from fitting.selection.ranking import rank
 
@@ -232,7 +228,6 @@ def test_a_scheduler_shares_out_the_curves_of_a_joint_fit(synthetic, cluster):
     assert [row.parameters for row in there.rows] == [row.parameters for row in here.rows]
 
 
-@needs_dask
 @pytest.mark.slow
 def test_a_scheduler_killed_in_the_middle_leaves_the_finished_runs(folder, capsys, own_scheduler, worker, monkeypatch):
     """Used to end in a traceback, without a table, though the first run was fitted and stored."""
@@ -256,7 +251,6 @@ def test_a_scheduler_killed_in_the_middle_leaves_the_finished_runs(folder, capsy
     assert str(folder / "five.h5") in table.read_text()
 
 
-@needs_dask
 @pytest.mark.slow
 def test_workers_that_cannot_import_the_fit_are_named(folder, capsys, own_scheduler, worker, tmp_path):
     """Used to end in a traceback: another distribution's package `fitting` hides ours there."""

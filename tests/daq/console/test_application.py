@@ -11,6 +11,8 @@ import pytest
 from daq.console import application
 from daq.errors import EXIT_DEVICE
 
+from ...conftest import need
+
 
 def test_a_system_error_without_a_file_name_is_a_json_document_too(capsys):
     # It used to be taken for a stdout that cannot be written to, and reported on stderr alone.
@@ -58,8 +60,8 @@ def test_help_shows_the_defaults_that_say_something(capsys):
     assert "None" not in shown
 
 
-@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
 def test_completion_is_installed_and_completes_commands(tmp_path):
+    need(shutil.which("bash"), "bash is not installed")
     home = {**os.environ, "HOME": str(tmp_path), "SHELL": shutil.which("bash"), "XDG_DATA_HOME": str(tmp_path / "data")}
     line = [sys.executable, "-m", "daq.cli.app", "--install-completion"]
     done = subprocess.run(line, env=home, capture_output=True, text=True, check=True)

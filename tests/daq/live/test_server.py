@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -17,7 +18,9 @@ import pytest
 from daq.live import assets
 from daq.runfile import journal, store
 
-pytest.importorskip("starlette", reason="the extra live is not installed")
+from ...conftest import need
+
+need(find_spec("starlette"), "the extra live is not installed")
 
 
 class Viewer:

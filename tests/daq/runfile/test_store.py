@@ -21,6 +21,8 @@ from daq.runfile import nexus, schema, store
 from daq.runfile.recording import EVENTS, Raw, Recording, Truth, positions
 from daq.runfile.rig import Measured, Rig
 
+from ...conftest import need
+
 DOCS = Path(__file__).parents[3] / "docs"
 RIG = Rig(
     name="bench 2",
@@ -308,7 +310,9 @@ def test_data_are_links_not_copies(tmp_path: Path) -> None:
 
 
 def test_xarray_reads_tables_over_time(tmp_path: Path) -> None:
-    xarray = pytest.importorskip("xarray")
+    need(importlib.util.find_spec("xarray"), "xarray is not installed")
+    import xarray
+
     path = tmp_path / "run.h5"
     data = run()
     store.write(path, data)
