@@ -121,7 +121,7 @@ class Rounds:
         with _board(place / "tty") as board:
             line = ["daq", "record", "--port", str(board.path), "--duration", "1000", "-o", "run.h5"]
             recorder = self._server.start(line, place)
-            _wait_for(place / "run.h5.part")
+            tasks.wait_for_journal(place / "run.h5.part")
             for beside, code in UNFINISHED.items():
                 ended = self._server.run(list(beside), place)
                 if ended.code != code or ended.traceback:
@@ -207,12 +207,6 @@ def _board(path: Path) -> Iterator[FakeFrames]:
         yield board
     finally:
         board.finish()
-
-
-def _wait_for(part: Path) -> None:
-    until = time.monotonic() + 60
-    while not (part.exists() and part.stat().st_size > 8000) and time.monotonic() < until:
-        time.sleep(0.02)
 
 
 def _incomplete(path: Path, samples: int | None = 1000 * int(LINE_S)) -> list[str]:

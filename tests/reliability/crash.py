@@ -64,13 +64,11 @@ def chosen(calls: tuple[int, ...], amount: int) -> list[int]:
 def _kill_at_calls(server: Server, name: str, sources: Path, folder: Path, amount: int) -> tuple[int, int, list[str]]:
     """Return how many kill points were tried, how many calls there are, and the faults."""
     task = TASKS[name]
-    task.begin(sources, folder)
-    before = tasks.contents(folder)
-    whole = server.run(list(task.line), folder)
-    after = tasks.contents(folder)
+    known = tasks.undisturbed(server, task, sources, folder)
+    whole, left = known.ended, sorted(known.after)
     faults = []
-    if (whole.code, set(after)) != (task.ends, task.leaves):
-        faults.append(f"{' '.join(task.line)}: undisturbed it ended with {whole.code} and {sorted(after)}: {whole.err}")
+    if (whole.code, left) != (task.ends, sorted(task.leaves)):
+        faults.append(f"{' '.join(task.line)}: undisturbed it ended with {whole.code} and {left}: {whole.err}")
     points = chosen(whole.calls, amount)
     recovered = 0
     for at in points:
@@ -79,11 +77,8 @@ def _kill_at_calls(server: Server, name: str, sources: Path, folder: Path, amoun
         where = f"{' '.join(task.line)}, killed before call {at} ({killed.name})"
         if killed.code != -signal.SIGKILL:
             faults.append(f"{where}: ended with {killed.code}: {killed.err}")
-        faults += [f"{where}: {what}" for what in tasks.spoiled(task, folder, before, after)]
-        following, samples = tasks.follow(server, task, folder, after)
-        faults += [f"{where}, then {what}" for what in following]
-        wrong = tasks.differences(tasks.contents(folder), after, name == "record")
-        faults += [f"{where}: after the next command: {what}" for what in wrong]
+        found, samples = tasks.aftermath(server, task, folder, known, where)
+        faults += found
         if samples is not None:
             if samples < recovered:
                 faults.append(f"{where}: {samples} samples, {recovered} of a shorter journal")

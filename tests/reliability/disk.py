@@ -11,7 +11,7 @@ from daq.errors import EXIT_DEVICE, EXIT_INPUT
 from . import campaign, forked, tasks
 from .campaign import Result, Size
 from .forked import CREATE, EVERY, RENAME, SYNC, TRUNCATE, WRITE, Ended, Server
-from .tasks import TASKS, Contents, Task
+from .tasks import TASKS, Task
 
 BEFORE_THE_RUN = 6  # calls of a recording before it has started the board: the journal with its header, synced
 
@@ -90,39 +90,27 @@ class Trial:
 
     def __init__(self, server: Server, sources: Path, folder: Path) -> None:
         self._server, self._sources, self._folder = server, sources, folder
-        self._known: dict[str, tuple[Contents, Contents, tuple[int, ...]]] = {}
-        for name, task in TASKS.items():
-            task.begin(sources, folder)
-            before = tasks.contents(folder)
-            whole = server.run(list(task.line), folder)
-            self._known[name] = before, tasks.contents(folder), whole.calls
+        self._known = {name: tasks.undisturbed(server, task, sources, folder) for name, task in TASKS.items()}
 
     def calls(self, name: str) -> tuple[int, ...]:
         """Return the kinds of an undisturbed command's calls."""
-        return self._known[name][2]
+        return self._known[name].ended.calls
 
     def refuse(self, name: str, how: str, at: int) -> list[str]:
         """Refuse calls of a command from one on; return the faults."""
         task, way = TASKS[name], DISKS[how]
-        before, after, _ = self._known[name]
         task.begin(self._sources, self._folder)
         spoil = {"kinds": way.kinds, "error": way.error, "action": way.action}
         ended = self._server.run(list(task.line), self._folder, at=at, **spoil)
         where = f"{' '.join(task.line)}, disk {how} from call {at} ({ended.name}) on"
         found = [f"{where}: {what}" for what in _badly_ended(ended, task, (EXIT_DEVICE,))]
-        found += [f"{where}: {what}" for what in tasks.spoiled(task, self._folder, before, after)]
         if how not in ("read-only", "failing once"):  # which let nothing be removed
             found += [f"{where}: {path.name} is left" for path in self._folder.glob(".*.partial")]
-        following, _ = tasks.follow(self._server, task, self._folder, after)
-        found += [f"{where}, then {what}" for what in following]
-        now = tasks.contents(self._folder)
-        found += [f"{where}: repeated: {what}" for what in tasks.differences(now, after, name == "record")]
-        return found
+        return found + tasks.aftermath(self._server, task, self._folder, self._known[name], where)[0]
 
     def take_away(self, name: str, how: str, at: int) -> list[str]:
         """Take the folder of a command away; return the faults."""
         task = TASKS[name]
-        before, after, _ = self._known[name]
         parent = self._folder.parent
         shutil.rmtree(parent)
         task.begin(self._sources, self._folder)
@@ -137,10 +125,7 @@ class Trial:
             return found
         away = self._folder.with_name(f"{self._folder.name}.away")
         if away.is_dir():
-            found += [f"{where}: {what}" for what in tasks.spoiled(task, away, before, after)]
-            following, _ = tasks.follow(self._server, task, away, after)
-            found += [f"{where}, then {what}" for what in following]
-            found += [f"{where}: repeated: {what}" for what in tasks.differences(tasks.contents(away), after, False)]
+            found += tasks.aftermath(self._server, task, away, self._known[name], where)[0]
         found += [f"{where}: {path.name} is left in the folder above" for path in parent.iterdir() if path.is_file()]
         return found
 

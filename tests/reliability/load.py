@@ -15,7 +15,7 @@ import daq
 from daq.runfile import store
 
 from ..contract.conftest import FakeFrames, motion
-from . import campaign
+from . import campaign, tasks
 from .campaign import Result, Size
 
 MOST_GROWTH_MB, MOST_FINALISING_MB = 20, 300
@@ -117,7 +117,7 @@ def _long(rate_hz: int, size: Size, folder: Path) -> Result:
     """Record as fast as the line goes."""
     samples = size.amount * rate_hz
     output = folder / f"{rate_hz}.h5"
-    found = _recorded(output, rate_hz, samples, pause_s=0.0)
+    found = _recorded(output, rate_hz, samples)
     faults = []
     if (found["samples"], found["lost"], found["crc_errors"], found["segments"]) != (samples, 0, 0, 1):
         faults.append(f"{found['samples']} of {samples} samples, {found['lost']} lost, {found['segments']} segments")
@@ -164,8 +164,7 @@ def _asleep(seconds: int, folder: Path) -> Result:
     command += ["--duration", str(seconds + 3), "-o", str(output)]
     recorder = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        part = output.with_name(output.name + ".part")
-        _wait_for_samples(recorder, part)
+        tasks.wait_for_journal(output.with_name(output.name + ".part"), lambda: recorder.poll() is not None)
         recorder.send_signal(signal.SIGSTOP)
         try:
             recorder.wait(seconds)
@@ -219,16 +218,7 @@ def _unplugged(times: int, folder: Path) -> Result:
     )
 
 
-def _wait_for_samples(recorder: "subprocess.Popen[str]", part: Path) -> None:
-    """Wait until a recorder's journal holds samples, or it has ended."""
-    while recorder.poll() is None and not (part.exists() and part.stat().st_size > 8000):
-        try:
-            recorder.wait(0.02)
-        except subprocess.TimeoutExpired:
-            continue
-
-
-def _recorded(output: Path, rate_hz: int, samples: int, pause_s: float) -> dict[str, Any]:
+def _recorded(output: Path, rate_hz: int, samples: int) -> dict[str, Any]:
     """Record a board that sends as fast as it is read; return what the recorder found."""
     from daq.wire import frames
 
@@ -239,7 +229,7 @@ def _recorded(output: Path, rate_hz: int, samples: int, pause_s: float) -> dict[
     line = [sys.executable, "-c", BOARD, frames.encode_ident(ident).hex(), str(samples), str(1_000_000 // rate_hz)]
     board = subprocess.Popen(line, stdin=master, stdout=master)
     try:
-        return _run(RECORDER, os.ttyname(slave), output, rate_hz, samples / rate_hz, pause_s, 0)
+        return _run(RECORDER, os.ttyname(slave), output, rate_hz, samples / rate_hz, 0.0, 0)
     finally:
         board.kill()
         board.wait()

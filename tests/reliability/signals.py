@@ -155,11 +155,9 @@ def _recording_faults(code: int, out: str, err: str, folder: Path, numbers: Sequ
 def _at_calls(server: Server, sources: Path, folder: Path, size: Size) -> tuple[int, list[str]]:
     """Interrupt every command before its calls; return how often, and the faults."""
     tried, faults = 0, []
-    for name, task in TASKS.items():
-        task.begin(sources, folder)
-        before = tasks.contents(folder)
-        calls = server.run(list(task.line), folder).calls
-        after = tasks.contents(folder)
+    for task in TASKS.values():
+        known = tasks.undisturbed(server, task, sources, folder)
+        calls = known.ended.calls
         for at in tasks.spread(list(range(1, len(calls) + 1)), max(2, size.amount // len(TASKS))):
             task.begin(sources, folder)
             ended = server.run(list(task.line), folder, at=at, action=SEND, error=signal.SIGINT)
@@ -167,11 +165,7 @@ def _at_calls(server: Server, sources: Path, folder: Path, size: Size) -> tuple[
             where = f"{' '.join(task.line)}, INT before call {at} of {len(calls)}"
             if ended.traceback or ended.hung or ended.code not in (task.ends, EXIT_INTERRUPTED):
                 faults.append(f"{where}: ended with {ended.code}: {ended.err}")
-            faults += [f"{where}: {what}" for what in tasks.spoiled(task, folder, before, after)]
-            following, _ = tasks.follow(server, task, folder, after)
-            faults += [f"{where}, then {what}" for what in following]
-            wrong = tasks.differences(tasks.contents(folder), after, name == "record")
-            faults += [f"{where}: after the next command: {what}" for what in wrong]
+            faults += tasks.aftermath(server, task, folder, known, where)[0]
     return tried, faults
 
 
@@ -214,10 +208,7 @@ def _terminal_closes(folder: Path, after_s: float) -> list[str]:
     on_terminal = "import os, sys; os.login_tty(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
     child = subprocess.Popen([sys.executable, "-c", on_terminal, str(side), *line], cwd=folder, pass_fds=[side])
     os.close(side)
-    until = time.monotonic() + HANGS_S
-    part = folder / "new.h5.part"
-    while not (part.exists() and part.stat().st_size > 4000) and time.monotonic() < until:
-        time.sleep(0.01)
+    tasks.wait_for_journal(folder / "new.h5.part")
     time.sleep(after_s)
     os.close(terminal)
     code = child.wait()

@@ -1,6 +1,7 @@
 """The commands that the campaigns break off and spoil, with the files they start from and those they must end with."""
 
 import shutil
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import daq
 from daq.errors import EXIT_DATA
 
-from .forked import KILL, RENAME, Server
+from .forked import HANGS_S, KILL, RENAME, Ended, Server
 
 CYCLES_S = "9"  # as short a run as the laws can be ranked on
 SAMPLES = 2000  # of a recording that is broken off, at 1 kHz
@@ -42,6 +43,11 @@ class Task:
     makes: tuple[str, ...]
     consumes: tuple[str, ...] = ()
     ends: int = 0
+
+    @property
+    def records(self) -> bool:
+        """Whether it records: a recording is never the same twice."""
+        return self.line[1] == "record"
 
     @property
     def leaves(self) -> set[str]:
@@ -118,9 +124,43 @@ Item = TypeVar("Item")
 Contents = dict[str, "dict[str, bytes] | bytes"]
 
 
-def contents(folder: Path, read: Callable[[Path], dict[str, bytes] | bytes] = content) -> Contents:
+def contents(folder: Path) -> Contents:
     """Return what every file of a folder holds, by name."""
-    return {path.name: read(path) for path in sorted(folder.iterdir())}
+    return {path.name: content(path) for path in sorted(folder.iterdir())}
+
+
+@dataclass(frozen=True)
+class Undisturbed:
+    """What the folder of an undisturbed command holds before and after it, and how the command ended."""
+
+    before: Contents
+    after: Contents
+    ended: Ended
+
+
+def undisturbed(server: Server, task: Task, sources: Path, folder: Path) -> Undisturbed:
+    """Run a command in a folder of its own."""
+    task.begin(sources, folder)
+    before = contents(folder)
+    ended = server.run(list(task.line), folder)
+    return Undisturbed(before, contents(folder), ended)
+
+
+def aftermath(server: Server, task: Task, folder: Path, known: Undisturbed, where: str) -> tuple[list[str], int | None]:
+    """Look at the files that a disturbed command left, do what a person would do next, and look again.
+
+    Returns
+    -------
+    faults : list of str
+        Each begins with ``where``.
+    samples : int or None
+        Those of the journal that was left, if any.
+    """
+    found = [f"{where}: {what}" for what in spoiled(task, folder, known.before, known.after)]
+    following, samples = _follow(server, task, folder, known.after)
+    found += [f"{where}, then {what}" for what in following]
+    wrong = _differences(contents(folder), known.after, task.records)
+    return found + [f"{where}: after the next command: {what}" for what in wrong], samples
 
 
 def spoiled(task: Task, folder: Path, before: Contents, after: Contents) -> list[str]:
@@ -128,14 +168,14 @@ def spoiled(task: Task, folder: Path, before: Contents, after: Contents) -> list
     found = []
     for path in folder.iterdir():
         if path.name.endswith((".partial", ".part")):
-            continue  # `follow` shows what they are good for
+            continue  # `_follow` shows whether they can be used
         try:
             held = content(path)
         except OSError as error:
             found.append(f"half a file {path.name}: {error}")
             continue
-        if task.line[1] == "record" and _is_run(path):
-            continue  # a recording is never the same twice; `differences` looks at its samples
+        if task.records and _is_run(path):
+            continue  # `_differences` looks at its samples
         if held not in (before.get(path.name), after.get(path.name)):
             found.append(f"{path.name} is neither as before nor as after")
     gone = [name for name in before if not (folder / name).exists()]
@@ -147,7 +187,7 @@ def _is_run(path: Path) -> bool:
     return daq.load(path).time.size > 0
 
 
-def follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[list[str], int | None]:
+def _follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[list[str], int | None]:
     """Do what a person would do next; return what is wrong with that, and the samples of a journal that was left."""
     part, run = folder / "new.h5.part", folder / "new.h5"
     if part.exists():
@@ -159,9 +199,7 @@ def follow(server: Server, task: Task, folder: Path, after: Contents) -> tuple[l
             return [f"{' '.join(line)} ended with {ended.code}: {ended.err}"], None
         if ended.code == EXIT_DATA:  # the board had not sent a sample
             part.unlink()
-    elif all((folder / name).exists() for name in task.makes) and (
-        task.line[1] == "record" or _holds(folder, task.leaves, after)
-    ):
+    elif all((folder / name).exists() for name in task.makes) and (task.records or _holds(folder, task.leaves, after)):
         return [], None  # it has done its work
     ended = server.run(list(task.line), folder)
     if ended.code != task.ends or ended.traceback or ended.hung:
@@ -173,7 +211,7 @@ def _holds(folder: Path, names: set[str], after: Contents) -> bool:
     return all((folder / name).exists() and content(folder / name) == after[name] for name in names)
 
 
-def differences(now: Contents, after: Contents, recording: bool) -> list[str]:
+def _differences(now: Contents, after: Contents, recording: bool) -> list[str]:
     """Return how a folder differs from that of a command that was not killed."""
     found = [f"{name} is left over" for name in now if name not in after]
     found += [f"{name} is missing" for name in after if name not in now]
@@ -188,6 +226,13 @@ def _shortened(now: object, after: object) -> list[str]:
     if isinstance(now, dict) and isinstance(after, dict) and not after[counts].startswith(now[counts]):
         return ["its counts are not the beginning of the undisturbed run's"]
     return []
+
+
+def wait_for_journal(part: Path, ended: Callable[[], bool] = lambda: False) -> None:
+    """Wait until a recording's journal holds samples, its recorder has ended, or `HANGS_S` have passed."""
+    until = time.monotonic() + HANGS_S
+    while not (part.exists() and part.stat().st_size > 8000) and not ended() and time.monotonic() < until:
+        time.sleep(0.02)
 
 
 def spread(values: list[Item], amount: int) -> list[Item]:
