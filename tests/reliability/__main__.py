@@ -40,7 +40,7 @@ def main() -> int:
         found = _run_beside(name, asked.size)
         if asked.size == "full":
             with writing:
-                page.replace_rows(ROOT / "docs/reliability.md", [found])
+                page.replace_rows(ROOT / "docs/reliability.md", found)
         return found
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:

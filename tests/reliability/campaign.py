@@ -1,6 +1,6 @@
 """Campaigns: long trials of what the programs promise, each at two sizes, and the table of all of them.
 
-A campaign is a function ``NAME(size, folder)`` in the module of its kind.  It tries, measures and returns one `Result`
+A campaign is a function ``NAME(size, folder)`` in the module of its name.  It tries, measures and returns one `Result`
 per promise.  It asserts nothing: what went wrong stands in ``faults``, each with what to run to see it again.  The same
 size gives the same trials: whatever is drawn by chance comes from ``size.seed``.
 """
@@ -58,9 +58,8 @@ class Size:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A row of `CAMPAIGNS`: where the function is, what ``amount`` counts, and how much of it the sizes take."""
+    """A row of `CAMPAIGNS`: what ``amount`` counts, and how much of it the sizes take."""
 
-    module: str
     counts: str
     short: int
     full: int
@@ -73,24 +72,23 @@ class Campaign:
 
 # The order is that of the table in docs/reliability.md.
 CAMPAIGNS: dict[str, Campaign] = {
-    "crash": Campaign("crash", "kill points per command", short=3, full=60),
-    "disk": Campaign("disk", "refusals", short=30, full=480),
-    "signals": Campaign("signals", "signals", short=12, full=240),
-    "concurrency": Campaign("concurrency", "rounds", short=1, full=10),
-    "load": Campaign("load", "seconds of recording at each rate", short=30, full=3600),
-    "clocks": Campaign("clocks", "samples of a run whose counters wrap", short=24, full=200),
-    "numerics": Campaign("numerics", "values for each number", short=2, full=14),
-    "security": Campaign("security", "requests", short=25, full=1000),
-    "bad_input": Campaign("bad_input", "pieces of streams, and files in proportion", short=20_000, full=1_000_000),
+    "crash": Campaign("kill points per command", short=3, full=60),
+    "disk": Campaign("refusals", short=30, full=480),
+    "signals": Campaign("signals", short=12, full=240),
+    "concurrency": Campaign("rounds", short=1, full=10),
+    "load": Campaign("seconds of recording at each rate", short=30, full=3600),
+    "clocks": Campaign("samples of a run whose counters wrap", short=24, full=200),
+    "numerics": Campaign("values for each number", short=2, full=14),
+    "security": Campaign("requests", short=25, full=1000),
+    "bad_input": Campaign("pieces of streams, and files in proportion", short=20_000, full=1_000_000),
 }
 
 
 def run(name: str, size: str, folder: Path) -> list[Result]:
     """Run a campaign in an empty folder."""
-    campaign = CAMPAIGNS[name]
-    module = importlib.import_module(f"..{campaign.module}", __name__)
+    module = importlib.import_module(f"..{name}", __name__)
     function = cast(Callable[[Size, Path], list[Result]], getattr(module, name))
-    return function(campaign.size(size), folder)
+    return function(CAMPAIGNS[name].size(size), folder)
 
 
 def test_of(name: str) -> str:

@@ -25,8 +25,8 @@ class Rows:
     minutes: float
 
 
-def replace_rows(path: Path, found: Iterable[Rows]) -> None:
-    """Put the rows of campaigns into the page, in the order of `CAMPAIGNS`.
+def replace_rows(path: Path, found: Rows) -> None:
+    """Put the rows of a campaign into the page, in the order of `CAMPAIGNS`.
 
     Raises
     ------
@@ -39,8 +39,7 @@ def replace_rows(path: Path, found: Iterable[Rows]) -> None:
         before, inside, after = _parts(text, begin, end)
         kept = [line for line in inside.splitlines() if line.startswith("| ")][1:]
         rows = {name: [line for line in kept if line.startswith(f"| {name} |")] for name in CAMPAIGNS}
-        for each in found:
-            rows[each.name] = _results(each) if table == "results" else [_run(each)]
+        rows[found.name] = _results(found) if table == "results" else [_run(found)]
         lines = [_row(headings), "|---" * len(headings) + "|", *(line for name in rows for line in rows[name])]
         text = "\n".join([before + begin, "", *lines, "", end + after])
     path.write_text(text, encoding="utf-8")
