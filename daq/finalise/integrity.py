@@ -148,8 +148,7 @@ class CountCheck:
         n = len(window)
         if n == 0:
             return _nothing_checked(self.peak_count_rate)
-        first = window.up.astype(np.int64) - window.down + (1 << bits - 1)
-        first = (first & (1 << bits) - 1) - (1 << bits - 1)
+        first = counters.signed(window.up.astype(np.int64) - window.down, bits)
         if own.start:
             begins[0], first[0] = True, count_before
         ups, downs = (counters.increments(column, bits) for column in (window.up, window.down))

@@ -353,7 +353,7 @@ def _truth(
         at = at + 1
     last = before if len(seq) == 0 else _Beside(int(seq[-1]), int(index[-1]), int(part[-1]), bool(keep[-1]))
     beside = np.clip(at - 1, 0, None) if len(seq) else at[:0]
-    offset = (stream.truth_seq[: len(beside)] - seq[beside] + 0x8000 & 0xFFFF) - 0x8000
+    offset = counters.signed(stream.truth_seq[: len(beside)] - seq[beside], 16)
     placed = keep[beside]
     key = sample_keys(part[beside][placed], (index[beside] + offset)[placed])
     return TruthRows(key, stream.truth[: len(beside)][placed]), last

@@ -12,11 +12,14 @@ The host's checks are in the high byte of a sample's flags; the low byte is the 
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.wire.quadrature import PHASE
+
+Whole = TypeVar("Whole", int, NDArray[np.int64])
 
 # A frame up to so many frames back is a repeat or came late; further back, the board has restarted.  A line repeats or
 # delays only a few: half would take some of them for restarts, double more restarts for repeats.  Not swept.
@@ -43,14 +46,18 @@ def increments(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
     return np.asarray(whole[1:] - whole[:-1] & (1 << bits) - 1, dtype=np.int64)
 
 
+def signed(value: Whole, bits: int) -> Whole:
+    """Return ``value`` modulo 2^bits as the number nearest to zero: -2^(bits-1) to 2^(bits-1) - 1."""
+    half = 1 << (bits - 1)
+    return (value + half & (1 << bits) - 1) - half
+
+
 def moves(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
     """Return the signed increments between neighbouring readings, (n,), of an up-and-down counter, (n - 1,).
 
     Of the two directions the shorter one is taken: each is -2^(bits-1) to 2^(bits-1) - 1.
     """
-    half = 1 << (bits - 1)
-    whole = values.astype(np.int64)
-    return np.asarray((whole[1:] - whole[:-1] + half & (1 << bits) - 1) - half, dtype=np.int64)
+    return signed(increments(values, bits), bits)
 
 
 def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
@@ -61,12 +68,6 @@ def unwrap(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
         np.cumsum(increments(values, bits), out=out[1:])
         out[1:] += out[0]
     return out
-
-
-def signed(value: int, bits: int) -> int:
-    """Return ``value`` modulo 2^bits as the number nearest to zero: -2^(bits-1) to 2^(bits-1) - 1."""
-    half = 1 << (bits - 1)
-    return (value + half) % (1 << bits) - half
 
 
 def net_count(up: NDArray[np.unsignedinteger], down: NDArray[np.unsignedinteger], bits: int) -> NDArray[np.int64]:
