@@ -87,14 +87,14 @@ class RunColumns:
         """Return the samples as sent."""
         names = ("sample", "count_up", "count_down", "device_time", "levels", "flags", "illegal")
         optional = [name for name in ("belt_count", "edge_time") if self.has(name)]
-        return Raw(**{name: self._columns[name].whole() for name in (*names, *optional)})
+        return Raw(**{name: self[name] for name in (*names, *optional)})
 
     def belt(self, rate_hz: float) -> tuple[NDArray[np.int64], NDArray[np.float64]] | tuple[None, None]:
         """Return the belt's count and speed; None where the board sends none, or its metres per count are unknown."""
         pitch = self._rig.belt_metres_per_count
-        if pitch is None or "belt" not in self._columns:
+        if pitch is None or not self.has("belt"):
             return None, None
-        count, speed = self._columns["belt"].whole(), Column(self._spill)
+        count, speed = self["belt"], Column(self._spill)
         starts = np.array(self._starts, dtype=np.int64)
         for piece in belt_counter.velocity_pieces(count, self["time"], starts, rate_hz, pitch.value):
             speed.append(piece)
@@ -104,7 +104,7 @@ class RunColumns:
         """Return the exact motion at the received samples, its time on the run's axis; None if none was sent."""
         if not self._truth_keys:
             return None
-        time, x, v, force = (self._columns[f"truth_{name}"].whole() for name in ("time", "x", "v", "F"))
+        time, x, v, force = (self[f"truth_{name}"] for name in ("time", "x", "v", "F"))
         return Truth(time, x, v, force, scene)
 
     def _append(self, name: str, values: NDArray[np.generic] | None) -> None:
