@@ -18,9 +18,10 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import cyclopts
@@ -29,7 +30,6 @@ from daq.console import log
 from daq.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
 
 if TYPE_CHECKING:
-    import rich.progress
     from rich.table import Table
 
 # New objects between two searches for cyclic garbage.  Python's 700 costs a short command 4 % of its CPU time.
@@ -315,18 +315,16 @@ def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
 class Progress:
     """What a long job calls with the amount done so far; it draws nothing where no bar is shown."""
 
-    def __init__(self, bar: "rich.progress.Progress | None" = None, task: "rich.progress.TaskID | None" = None) -> None:
-        self._bar, self._task = bar, task
+    def __init__(self, update: Callable[..., None] = lambda **changes: None) -> None:
+        self._update = update
 
     def __call__(self, done: float) -> None:
         """Show the amount done."""
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, completed=done)
+        self._update(completed=done)
 
     def status(self, words: str) -> None:
         """Show words in place of the rate."""
-        if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, words=words)
+        self._update(words=words)
 
 
 @contextmanager
@@ -361,4 +359,4 @@ def progress(description: str, total: float | None, unit: str = "") -> Iterator[
     )
     with bar:
         task = bar.add_task(description, total=total, words="")
-        yield Progress(bar, task)
+        yield Progress(partial(bar.update, task))
