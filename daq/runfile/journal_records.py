@@ -86,8 +86,9 @@ class Content:
         first, last, _ = where.indices(self._size)
         if self._file is not None and not self._begin <= first <= last <= self._begin + len(self._window):
             self._file.seek(first)
-            # The window only moves on: whoever looks far ahead and comes back reads without it.
-            if not self._begin + len(self._window) <= first < self._begin + len(self._window) + _WINDOW:
+            # The window begins anywhere and only moves on: whoever looks far ahead and comes back reads without it.
+            ahead = first - self._begin - len(self._window)
+            if self._window and not 0 <= ahead < _WINDOW:
                 return self._file.read(last - first)
             self._window, self._begin = self._file.read(max(last - first, _WINDOW)), first
         return self._window[first - self._begin : last - self._begin]
