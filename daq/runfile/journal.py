@@ -24,10 +24,10 @@ import os
 import shutil
 import time
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, overload
+from typing import IO, Any
 
 from daq.errors import InputError
 from daq.output import disk
@@ -61,7 +61,7 @@ HEADER_EVERY = 1 << 16
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
 
 
-class Records(Sequence[Record]):
+class Records:
     """Records of a journal, read from its file each time they are looked at: their bytes are in no memory."""
 
     def __init__(self, path: Path, places: "array[int]", kinds: bytes) -> None:
@@ -87,22 +87,6 @@ class Records(Sequence[Record]):
     def of_kind(self, *kinds: int) -> Iterator[Record]:
         """Yield the records of these kinds."""
         return self.at(number for number, kind in enumerate(self.kinds) if kind in kinds)
-
-    @overload
-    def __getitem__(self, number: int) -> Record: ...
-    @overload
-    def __getitem__(self, number: slice) -> "Records": ...
-    def __getitem__(self, number: int | slice) -> "Record | Records":
-        if isinstance(number, slice):
-            return Records(self.path, self._places[number], self.kinds[number])
-        return next(self.at([range(len(self))[number]]))
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Records):
-            return NotImplemented
-        return self.kinds == other.kinds and all(a == b for a, b in zip(self, other, strict=True))
-
-    __hash__ = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)

@@ -137,13 +137,14 @@ def test_one_wrong_byte_in_the_header_costs_nothing(written, version):
         shutil.copy(Path(__file__).with_name("fixtures") / "clean.h5.part", written)
     whole = written.read_bytes()
     right = journal.read(written)
+    header, records = right.header, as_tuples(right)  # now: they are read from the file
     end = len(journal.MAGIC) + 13 + int.from_bytes(whole[21:25], "little") + 4
     assert whole[20:21] == b"H"
     for at in [*range(40), *range(40, end, 1 + end // 40), *range(end - 5, end)]:
         for flip in (0x01, 0x80, 0xFF):
             written.write_bytes(whole[:at] + bytes([whole[at] ^ flip]) + whole[at + 1 :])
             read = journal.read(written)
-            assert (read.header, read.records) == (right.header, right.records), (at, flip)
+            assert (read.header, as_tuples(read)) == (header, records), (at, flip)
             assert read.damaged > 0  # so the journal is kept
 
 
