@@ -36,7 +36,7 @@ DOWN = np.cumsum(np.maximum(-STEPS, 0))  # UP - DOWN is the motion; each of them
 
 
 class Fake(threading.Thread):
-    """A board; `path` is its port."""
+    """A board; `path` is its port.  A context manager: it runs inside of `with`."""
 
     protocol = ""
     rate_hz = 1000
@@ -73,6 +73,13 @@ class Fake(threading.Thread):
         self.path.unlink()
         os.close(self._master)
         os.close(self._slave)
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *error):
+        self.finish()
 
     def finish(self):
         self._over.set()

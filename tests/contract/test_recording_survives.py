@@ -26,10 +26,8 @@ COMMAND = [sys.executable, "-m", "daq.cli.app"]
 
 @pytest.fixture
 def board(tmp_path):
-    fake = FakeFrames(tmp_path / "ttyFAKE", paced=True)
-    fake.start()
-    yield fake
-    fake.finish()
+    with FakeFrames(tmp_path / "ttyFAKE", paced=True) as fake:
+        yield fake
 
 
 def record_line(board, output, duration):

@@ -2,8 +2,6 @@
 
 import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
@@ -104,7 +102,7 @@ class Rounds:
     def one_port(self, k: int) -> list[str]:
         """Record from one port twice at once; return the faults."""
         place = self._place(f"port{k}")
-        with _board(place / "tty") as board:
+        with FakeFrames(place / "tty", paced=True) as board:
             line = ["daq", "record", "--port", str(board.path), "--duration", LINE_S, "-o"]
             ended = self._together([[*line, "0.h5"], [*line, "1.h5"]], place)
         codes = sorted(each.code for each in ended)
@@ -118,7 +116,7 @@ class Rounds:
         """Use a run that is being recorded; return the faults."""
         place = self._place("unfinished")
         found = []
-        with _board(place / "tty") as board:
+        with FakeFrames(place / "tty", paced=True) as board:
             line = ["daq", "record", "--port", str(board.path), "--duration", "1000", "-o", "run.h5"]
             recorder = self._server.start(line, place)
             tasks.wait_for_journal(place / "run.h5.part")
@@ -197,16 +195,6 @@ class Rounds:
 
     def _together(self, lines: list[list[str]], place: Path) -> list[Ended]:
         return [fork.wait() for fork in self._started(lines, place)]
-
-
-@contextmanager
-def _board(path: Path) -> Iterator[FakeFrames]:
-    board = FakeFrames(path, paced=True)
-    board.start()
-    try:
-        yield board
-    finally:
-        board.finish()
 
 
 def _incomplete(path: Path, samples: int | None = 1000 * int(LINE_S)) -> list[str]:

@@ -93,12 +93,10 @@ def _kill_recordings(server: Server, folder: Path, size: Size) -> tuple[list[flo
     for k in range(max(3, size.amount // RECORDS * len(TASKS))):
         place = folder / str(k)
         place.mkdir(parents=True)
-        board = FakeFrames(folder / f"tty{k}", paced=True)
-        board.start()
         after = float(chance.uniform(*KILLED_AFTER_S))
-        port = ["--port", str(board.path), "--duration", str(RECORDED_S)]
-        sent, longest_s = _kill_while_recording(server, board, ["daq", "record", *port, "-o", "run.h5"], place, after)
-        board.finish()
+        with FakeFrames(folder / f"tty{k}", paced=True) as board:
+            line = ["daq", "record", "--port", str(board.path), "--duration", str(RECORDED_S), "-o", "run.h5"]
+            sent, longest_s = _kill_while_recording(server, board, line, place, after)
         ended = server.run(["daq", "recover", "run.h5.part"], place)
         where = f"recording {k} of seed {size.seed}, killed {after:.3f} s after its first sample"
         if ended.code or [path.name for path in place.iterdir()] != ["run.h5"]:

@@ -139,12 +139,8 @@ def _long(rate_hz: int, size: Size, folder: Path) -> Result:
 def _stuck(seconds: int, folder: Path) -> Result:
     """Let the disk take a while for one write: the line is read meanwhile."""
     samples, output = (seconds + 3) * 1000, folder / "stuck.h5"
-    board = FakeFrames(folder / "ttySTUCK", paced=True)
-    board.start()
-    try:
+    with FakeFrames(folder / "ttySTUCK", paced=True) as board:
         found = _run(RECORDER, board.path, output, 1000, samples / 1000, 0.02, seconds)
-    finally:
-        board.finish()
     faults = [] if (found["samples"], found["lost"]) == (samples, 0) else [f"{found['samples']} of {samples} samples"]
     return Result(
         "a disk that does not take anything for a while costs no sample",
@@ -158,12 +154,10 @@ def _stuck(seconds: int, folder: Path) -> Result:
 def _asleep(seconds: int, folder: Path) -> Result:
     """Stop the recorder as a computer that sleeps does, in front of a board that waits for its line."""
     samples, output = (seconds + 3) * 1000, folder / "asleep.h5"
-    board = FakeFrames(folder / "ttyASLEEP", paced=True)
-    board.start()
-    command = [sys.executable, "-m", "daq.cli.app", "record", "--port", str(board.path), "--json"]
-    command += ["--duration", str(seconds + 3), "-o", str(output)]
-    recorder = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
+    with FakeFrames(folder / "ttyASLEEP", paced=True) as board:
+        command = [sys.executable, "-m", "daq.cli.app", "record", "--port", str(board.path), "--json"]
+        command += ["--duration", str(seconds + 3), "-o", str(output)]
+        recorder = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         tasks.wait_for_journal(output.with_name(output.name + ".part"), lambda: recorder.poll() is not None)
         recorder.send_signal(signal.SIGSTOP)
         try:
@@ -171,8 +165,6 @@ def _asleep(seconds: int, folder: Path) -> Result:
         except subprocess.TimeoutExpired:
             recorder.send_signal(signal.SIGCONT)
         out, err = recorder.communicate(timeout=HANGS_S)
-    finally:
-        board.finish()
     found = json.loads(out) if out.startswith("{") else {"samples": 0, "lost": 0, "segments": 0}
     whole = (recorder.returncode, found["samples"], found["lost"], found["segments"]) == (0, samples, 0, 1)
     faults = [] if whole else [f"exit {recorder.returncode}, {found['samples']} of {samples} samples: {err[-200:]}"]
@@ -188,13 +180,9 @@ def _asleep(seconds: int, folder: Path) -> Result:
 def _unplugged(times: int, folder: Path) -> Result:
     """Unplug the board again and again, every `UNPLUGGED_S` of its own time."""
     units = UNPLUGGED_S * FakeFrames.rate_hz // BLOCK
-    board = FakeFrames(folder / "ttyPLUG", {units * (k + 1): "unplug" for k in range(times)})
     samples, output = (times + 1) * UNPLUGGED_S * FakeFrames.rate_hz, folder / "unplugged.h5"
-    board.start()
-    try:
+    with FakeFrames(folder / "ttyPLUG", {units * (k + 1): "unplug" for k in range(times)}) as board:
         found = _run(RECORDER, board.path, output, FakeFrames.rate_hz, samples / FakeFrames.rate_hz, 0.0, 0)
-    finally:
-        board.finish()
     faults = []
     if (found["lost"], found["segments"]) != (0, times + 1):
         faults.append(f"{found['lost']} samples lost, {found['segments']} segments after {times} unplugs")
