@@ -45,7 +45,8 @@ def main() -> int:
 
     with ThreadPoolExecutor(AT_A_TIME) as pool:
         rows = list(pool.map(run, asked.only))
-    _say(f"all campaigns: {(time.monotonic() - began) / 60:.1f} min")
+    minutes, cpu = (time.monotonic() - began) / 60, sum(found.cpu_minutes for found in rows)
+    _say(f"all campaigns: {minutes:.1f} min, {cpu:.1f} min of CPU time")
     faults = [f"{found.name}: {fault}" for found in rows for result in found.results for fault in result.faults]
     for fault in faults:
         _say(f"FAULT {fault}")
@@ -53,9 +54,11 @@ def main() -> int:
 
 
 def _run_here(name: str, size: str, rows: Path) -> int:
-    with tempfile.TemporaryDirectory(prefix=f"reliability-{name}-") as folder:
+    with tempfile.TemporaryDirectory(prefix=f"reliability-{name}-", dir=CAMPAIGNS[name].folder) as folder:
         results = campaign.run(name, size, Path(folder))
-    rows.write_text(json.dumps([asdict(result) for result in results]))
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    cpu_s = sum(each.ru_utime + each.ru_stime for each in used)
+    rows.write_text(json.dumps({"cpu_s": cpu_s, "results": [asdict(result) for result in results]}))
     return 0
 
 
@@ -64,22 +67,23 @@ def _run_beside(name: str, size: str) -> page.Rows:
     from daq.version import VERSION
 
     _say(f"{name}: begins")
-    began, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    began = time.monotonic()
     again = f"python -m tests.reliability --only {name} --size {size}"
     with tempfile.NamedTemporaryFile(suffix=".json") as file:
         done = subprocess.run([sys.executable, *again.split()[1:], "--rows", file.name], cwd=ROOT, check=False)
         content = Path(file.name).read_text()
+    cpu_s = float("nan")
     if done.returncode == 0 and content:
-        results = tuple(Result(**row | {"faults": tuple(row["faults"])}) for row in json.loads(content))
+        found = json.loads(content)
+        cpu_s = found["cpu_s"]
+        results = tuple(Result(**row | {"faults": tuple(row["faults"])}) for row in found["results"])
     else:
         fault = f"the campaign itself ended with {done.returncode}: {again}"
         results = (Result("the campaign runs to its end", name, fault, campaign.test_of(name), (fault,)),)
     minutes = (time.monotonic() - began) / 60
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)  # of both campaigns that run at a time
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     faults = sum(len(result.faults) for result in results)
-    _say(f"{name}: {faults} faults, {minutes:.1f} min (with the one beside it {cpu / 60:.1f} CPU min)")
-    return page.Rows(name, results, f"{date.today()}", VERSION, _processor(), minutes)
+    _say(f"{name}: {faults} faults, {minutes:.1f} min, {cpu_s / 60:.1f} min of CPU time")
+    return page.Rows(name, results, f"{date.today()}", VERSION, _processor(), minutes, cpu_s / 60)
 
 
 def _processor() -> str:

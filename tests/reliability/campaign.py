@@ -6,10 +6,13 @@ size gives the same trials: whatever is drawn by chance comes from ``size.seed``
 """
 
 import importlib
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
+
+IN_MEMORY = "/dev/shm"
 
 
 @dataclass(frozen=True)
@@ -58,12 +61,31 @@ class Size:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A row of `CAMPAIGNS`: what ``amount`` counts, and how much of it the sizes take."""
+    """A row of `CAMPAIGNS`.
+
+    Attributes
+    ----------
+    counts : str
+        What ``amount`` counts.
+    short, full : int
+        How much of it the sizes take.
+    on_disk : bool
+        Whether it needs a disk: it measures times between syncs, or writes more than memory should hold.  The others
+        work in memory where the system offers a folder there, since they would mostly wait for the disk.
+    seed : int
+        Of everything that is drawn by chance.
+    """
 
     counts: str
     short: int
     full: int
+    on_disk: bool = False
     seed: int = 1
+
+    @property
+    def folder(self) -> str | None:
+        """The folder in which to make temporary ones; None for the usual one."""
+        return None if self.on_disk or not os.access(IN_MEMORY, os.W_OK) else IN_MEMORY
 
     def size(self, name: str) -> Size:
         """Return the size of this name."""
@@ -72,11 +94,11 @@ class Campaign:
 
 # The order is that of the table in docs/reliability.md.
 CAMPAIGNS: dict[str, Campaign] = {
-    "crash": Campaign("kill points per command", short=3, full=60),
-    "disk": Campaign("refusals", short=30, full=480),
-    "signals": Campaign("signals", short=12, full=240),
+    "crash": Campaign("kill points per command", short=3, full=100, on_disk=True),
+    "disk": Campaign("refusals", short=30, full=760),
+    "signals": Campaign("signals", short=12, full=350),
     "concurrency": Campaign("rounds", short=1, full=10),
-    "load": Campaign("seconds of recording at each rate", short=30, full=3600),
+    "load": Campaign("seconds of recording at each rate", short=30, full=3600, on_disk=True),
     "clocks": Campaign("samples of a run whose counters wrap", short=24, full=200),
     "numerics": Campaign("values for each number", short=2, full=14),
     "security": Campaign("requests", short=25, full=1000),

@@ -65,7 +65,7 @@ def compiled(folder: Path) -> Path:
         There is no C compiler.
     """
     library = folder / "preload.so"
-    line = ["cc", "-std=gnu11", "-O2", "-Wall", "-shared", "-fPIC", "-o", str(library), str(SOURCE), "-ldl"]
+    line = ["cc", "-std=gnu11", "-O2", "-Wall", "-shared", "-fPIC", "-o", str(library), str(SOURCE), "-ldl", "-lrt"]
     subprocess.run(line, check=True)
     return library
 

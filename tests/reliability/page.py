@@ -9,7 +9,7 @@ from .campaign import CAMPAIGNS, Result
 BEGIN, END = "<!-- begin: {} -->", "<!-- end: {} -->"
 TABLES = {
     "results": ("campaign", "promise", "tried", "measured", "test"),
-    "runs": ("campaign", "date", "version", "processor", "minutes"),
+    "runs": ("campaign", "date", "version", "processor", "minutes", "CPU minutes"),
 }
 
 
@@ -23,6 +23,7 @@ class Rows:
     version: str
     processor: str
     minutes: float
+    cpu_minutes: float
 
 
 def replace_rows(path: Path, found: Rows) -> None:
@@ -42,7 +43,23 @@ def replace_rows(path: Path, found: Rows) -> None:
         rows[found.name] = _results(found) if table == "results" else [_run(found)]
         lines = [_row(headings), "|---" * len(headings) + "|", *(line for name in rows for line in rows[name])]
         text = "\n".join([before + begin, "", *lines, "", end + after])
-    path.write_text(text, encoding="utf-8")
+    path.write_text(_with_total(text), encoding="utf-8")
+
+
+def _with_total(text: str) -> str:
+    """State below the table of the runs how much CPU time all of them took."""
+    begin, end = BEGIN.format("total"), END.format("total")
+    before, _, after = _parts(text, begin, end)
+    runs = _parts(text, BEGIN.format("runs"), END.format("runs"))[1]
+    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in runs.splitlines()]
+    minutes = {row[0]: float(row[-1]) for row in cells if row and row[0] in CAMPAIGNS and row[-1] != "nan"}
+    missing = [name for name in CAMPAIGNS if name not in minutes]
+    but = f", without {', '.join(missing)}" if missing else ""
+    line = (
+        f"All campaigns together took {sum(minutes.values()):.1f} minutes of CPU time{but}; the longest one "
+        f"{max(minutes.values(), default=0.0):.1f}."
+    )
+    return "\n".join([before + begin, "", line, "", end + after])
 
 
 def _parts(text: str, begin: str, end: str) -> tuple[str, str, str]:
@@ -66,4 +83,6 @@ def _results(found: Rows) -> list[str]:
 
 
 def _run(found: Rows) -> str:
-    return _row((found.name, found.date, found.version, found.processor, f"{found.minutes:.1f}"))
+    return _row(
+        (found.name, found.date, found.version, found.processor, f"{found.minutes:.1f}", f"{found.cpu_minutes:.1f}")
+    )

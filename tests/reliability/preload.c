@@ -68,6 +68,21 @@ long preload_syncs(double *times) {
   return n;
 }
 
+/* Signals for a whole process, from its loading on: RELIABILITY_SIGNALS="SECONDS NUMBER ..." sends them when it has used
+   so much processor time.  That is exact however busy the computer is. */
+__attribute__((constructor)) static void send_in_time(void) {
+  char *rest = getenv("RELIABILITY_SIGNALS");
+  if (!rest) return;
+  double after = strtod(rest, &rest);
+  struct itimerspec when = {.it_value = {(time_t)after, 1 + (long)(1e9 * (after - (time_t)after))}};
+  for (long number = strtol(rest, &rest, 10); number; number = strtol(rest, &rest, 10)) {
+    struct sigevent event = {.sigev_notify = SIGEV_SIGNAL, .sigev_signo = (int)number};
+    timer_t timer;
+    if (timer_create(CLOCK_PROCESS_CPUTIME_ID, &event, &timer) || timer_settime(timer, 0, &when, NULL)) abort();
+  }
+  unsetenv("RELIABILITY_SIGNALS");
+}
+
 static int remove_one(const char *path, const struct stat *st, int type, struct FTW *walk) {
   (void)st, (void)type, (void)walk;
   return remove(path);

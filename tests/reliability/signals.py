@@ -2,11 +2,15 @@
 
 import json
 import os
+import resource
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 
@@ -15,11 +19,14 @@ from daq.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, EXIT_INTERRUPTED
 
 from . import campaign, tasks
 from .campaign import Result, Size
-from .forked import HANGS_S, SEND, Server
+from .forked import HANGS_S, SEND, Server, compiled
 from .tasks import TASKS
 
 ENTRIES = {"daq": "daq", "process": "process", "fit-friction": "fit_friction"}
-EVERY_S = 0.025
+EVERY_S = 0.025  # of CPU time: on an idle computer that of a clock, since a command works while it starts and ends
+WHILE_RECORDING_S = (0.0, 0.3, 0.6, 0.9)
+STOPPED_S = 0.05
+AT_A_TIME = 3
 RECORD = ("daq", "record", "--realtime", "--duration", "1", "-o", "new.h5", "--json")
 SAMPLES = 1000
 WAYS: dict[str, tuple[int, ...]] = {
@@ -38,15 +45,15 @@ def signals(size: Size, folder: Path) -> list[Result]:
     with Server(folder / "server") as server:
         sources = folder / "sources"
         tasks.prepare(server, sources)
-        timed, timed_faults = _at_times(sources, folder / "timed", size)
+        timed, timed_faults = _at_times(compiled(folder), sources, folder / "timed", size)
         called, called_faults = _at_calls(server, sources, folder / "called", size)
     streams, stream_faults = _streams(sources, folder / "streams", size)
     return [
         Result(
             "a signal at any moment ends a command without a traceback; what was recorded is in the run file, and "
             "other files are as before or as after",
-            f"{timed} processes signalled every {1e3 * EVERY_S:.0f} ms from their start to their end "
-            f"({'; '.join(WAYS)}), and Ctrl-C before {called} calls that change a file",
+            f"{timed} processes signalled every {1e3 * EVERY_S:.0f} ms of CPU time from start to end, and while they "
+            f"record ({'; '.join(WAYS)}), and Ctrl-C before {called} calls that change a file",
             f"{timed + called - len(timed_faults) - len(called_faults)} as promised, none hung",
             campaign.test_of("signals"),
             (*timed_faults, *called_faults),
@@ -72,56 +79,87 @@ def _heed_signals() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-def _start(line: Sequence[str], folder: Path) -> "subprocess.Popen[str]":
+@dataclass(frozen=True)
+class Moment:
+    """When to signal: after so much CPU time of the command, or so long after its journal holds samples."""
+
+    cpu_s: float | None = None
+    recording_s: float = 0.0
+
+    def __str__(self) -> str:
+        if self.cpu_s is None:
+            return f"{self.recording_s:.1f} s after the first samples"
+        return f"at {self.cpu_s:.3f} s of CPU time"
+
+
+def _start(line: Sequence[str], folder: Path, **variables: str) -> "subprocess.Popen[str]":
     pipe = subprocess.PIPE
-    return subprocess.Popen(_line(line), cwd=folder, stdout=pipe, stderr=pipe, text=True, start_new_session=True)
+    return subprocess.Popen(
+        _line(line), cwd=folder, stdout=pipe, stderr=pipe, text=True, start_new_session=True, env=os.environ | variables
+    )
 
 
-def _at_times(sources: Path, folder: Path, size: Size) -> tuple[int, list[str]]:
-    """Signal recordings and smoothings at equal steps of time; return how many, and the faults."""
-    lasts_s = _duration(RECORD, sources, folder)
-    moments = [k * EVERY_S for k in range(int(lasts_s / EVERY_S))]
-    trials = [(way, after) for way in WAYS for after in moments]
-    trials = tasks.spread(trials, size.amount)
-    faults = []
-    for way, after in trials:
-        TASKS["record"].begin(sources, folder)
-        code, out, err = _signalled(RECORD, folder, WAYS[way], after)
-        where = f"{' '.join(RECORD)}, {way} after {after:.3f} s"
-        faults += [f"{where}: {what}" for what in _recording_faults(code, out, err, folder, WAYS[way])]
+def _at_times(library: Path, sources: Path, folder: Path, size: Size) -> tuple[int, list[str]]:
+    """Signal recordings and smoothings at equal steps of their CPU time; return how many, and the faults."""
+    moments = _moments(RECORD, sources, folder) + [Moment(recording_s=after) for after in WHILE_RECORDING_S]
+    trials = tasks.spread([(way, moment) for way in WAYS for moment in moments], size.amount)
     smooth = TASKS["smooth"]
     smooth.begin(sources, folder)
     before = tasks.contents(folder)
-    lasts_s = _duration(smooth.line, sources, folder)
-    after_contents = tasks.contents(folder)
-    steps = tasks.spread([k * EVERY_S for k in range(int(lasts_s / EVERY_S))], max(3, size.amount // len(WAYS)))
-    for after in steps:
+    steps = tasks.spread(_moments(smooth.line, sources, folder), max(3, size.amount // len(WAYS)))
+    after = tasks.contents(folder)
+
+    def record(number: int) -> list[str]:
+        way, moment = trials[number]
+        place = folder / str(number)
+        TASKS["record"].begin(sources, place)
+        code, out, err = _signalled(library, RECORD, place, WAYS[way], moment)
+        found = _recording_faults(code, out, err, place, WAYS[way])
+        shutil.rmtree(place)
+        return [f"{' '.join(RECORD)}, {way} {moment}: {what}" for what in found]
+
+    with ThreadPoolExecutor(AT_A_TIME) as pool:  # a recording in real time mostly waits
+        faults = [fault for found in pool.map(record, range(len(trials))) for fault in found]
+    for moment in steps:
         smooth.begin(sources, folder)
-        code, _, err = _signalled(smooth.line, folder, (signal.SIGINT,), after)
-        where = f"{' '.join(smooth.line)}, INT after {after:.3f} s"
+        code, _, err = _signalled(library, smooth.line, folder, (signal.SIGINT,), moment)
+        where = f"{' '.join(smooth.line)}, INT {moment}"
         if "Traceback" in err or code not in (EXIT_DONE, EXIT_INTERRUPTED, -signal.SIGINT):
             faults.append(f"{where}: ended with {code}: {err}")
-        faults += [f"{where}: {what}" for what in tasks.spoiled(smooth, folder, before, after_contents)]
+        faults += [f"{where}: {what}" for what in tasks.spoiled(smooth, folder, before, after)]
         faults += [f"{where}: {path.name} is left" for path in folder.glob(".*")]
     return len(trials) + len(steps), faults
 
 
-def _duration(line: Sequence[str], sources: Path, folder: Path) -> float:
-    """Return how long a command lasts from its start to its end, s."""
+def _moments(line: Sequence[str], sources: Path, folder: Path) -> list[Moment]:
+    """Return equal steps of the CPU time that a command takes from its start to its end."""
     next(task for task in TASKS.values() if task.line[1] == line[1]).begin(sources, folder)
-    began = time.monotonic()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     _start(line, folder).communicate()
-    return time.monotonic() - began
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    lasts_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return [Moment(k * EVERY_S) for k in range(int(lasts_s / EVERY_S) + 1)]
 
 
-def _signalled(line: Sequence[str], folder: Path, numbers: Sequence[int], after_s: float) -> tuple[int, str, str]:
-    """Run a command, send it signals after a time; return its exit code and what it printed."""
-    process = _start(line, folder)
-    time.sleep(after_s)
-    for number in numbers:
-        process.send_signal(number)
-        if number == signal.SIGSTOP:
-            time.sleep(0.05)
+def _signalled(
+    library: Path, line: Sequence[str], folder: Path, numbers: Sequence[int], moment: Moment
+) -> tuple[int, str, str]:
+    """Run a command, send it signals at a moment; return its exit code and what it printed."""
+    if moment.cpu_s is None:
+        process = _start(line, folder)
+        tasks.wait_for_journal(folder / "new.h5.part", lambda: process.poll() is not None)
+        time.sleep(moment.recording_s)
+        for number in numbers:
+            process.send_signal(number)
+            if number == signal.SIGSTOP:
+                time.sleep(STOPPED_S)
+    else:
+        own = [number for number in numbers if number != signal.SIGCONT]
+        asked = " ".join([f"{moment.cpu_s:.3f}", *(f"{number:d}" for number in own)])
+        process = _start(line, folder, LD_PRELOAD=str(library), RELIABILITY_SIGNALS=asked)
+        if signal.SIGCONT in numbers and _stops(process.pid):
+            time.sleep(STOPPED_S)
+            process.send_signal(signal.SIGCONT)
     try:
         out, err = process.communicate(timeout=HANGS_S)
     except subprocess.TimeoutExpired:
@@ -129,6 +167,17 @@ def _signalled(line: Sequence[str], folder: Path, numbers: Sequence[int], after_
         out, err = process.communicate()
         return -signal.SIGKILL, out, f"hung; {err}"
     return process.returncode, out, err
+
+
+def _stops(pid: int) -> bool:
+    """Wait until a process stops or has ended; return whether it stops."""
+    until = time.monotonic() + HANGS_S
+    while time.monotonic() < until:
+        seen = os.waitid(os.P_PID, pid, os.WSTOPPED | os.WEXITED | os.WNOHANG | os.WNOWAIT)
+        if seen is not None:
+            return seen.si_code == os.CLD_STOPPED
+        time.sleep(0.005)
+    return False
 
 
 def _recording_faults(code: int, out: str, err: str, folder: Path, numbers: Sequence[int]) -> list[str]:
@@ -158,7 +207,7 @@ def _at_calls(server: Server, sources: Path, folder: Path, size: Size) -> tuple[
     for task in TASKS.values():
         known = tasks.undisturbed(server, task, sources, folder)
         calls = known.ended.calls
-        for at in tasks.spread(list(range(1, len(calls) + 1)), max(2, size.amount // len(TASKS))):
+        for at in tasks.spread(list(range(1, len(calls) + 1)), max(2, size.amount // 10)):
             task.begin(sources, folder)
             ended = server.run(list(task.line), folder, at=at, action=SEND, error=signal.SIGINT)
             tried += 1
