@@ -53,3 +53,15 @@ def test_what_is_no_matlab_file_is_refused(tmp_path):
         track.read(tmp_path / "empty.mat", ImportOptions())
     with pytest.raises(InputError, match="no such file"):
         track.read(tmp_path / "missing.mat", ImportOptions())
+
+
+def test_a_file_that_crashes_the_matlab_library_is_refused(tmp_path):
+    # One in 400 damaged files ended the command with a segmentation fault: this one says that its numbers are complex.
+    target = tmp_path / "run.mat"
+    savemat(target, {"t": np.arange(40) / 100, "x": np.arange(40.0)})
+    content = bytearray(target.read_bytes())
+    assert content[144:146] == b"\x06\x00"  # class and flags of the first variable
+    content[145] |= 8
+    target.write_bytes(content)
+    with pytest.raises(InputError, match="it crashes the library"):
+        track.read(target, ImportOptions())

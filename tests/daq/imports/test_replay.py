@@ -1,6 +1,7 @@
 """Replay: a capture sampled as a board would, a run decoded anew, a journal through its finaliser."""
 
 import json
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -107,6 +108,15 @@ def test_counters_of_a_capture_roll_over_at_16_bits(tmp_path: Path, write_captur
     assert run.raw is not None
     assert run.raw.count_up.tolist() == [int(n) & 0xFFFF for n in count[::100]]
     assert run.position.tolist() == [n / 1024 for n in count[::100]]
+
+
+def test_a_probe_of_any_name_is_kept(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
+    # A quote in a name made the stored settings no TOML.
+    names = {0: 'A" = 1', 1: "B\\"}
+    path = write_capture(tmp_path / "swing.sr", GRAY[SWING[:200] & 3], names, rate="10 kHz")
+    run, _ = replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig())
+    kept = tomllib.loads(run.config_toml)["replay"]
+    assert (kept["a"], kept["b"]) == (names[0], names[1])
 
 
 def test_step_pulses_become_two_counters(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
