@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from daq.compute.arrays import Array
 from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
 from daq.runfile import joint
 from daq.runfile import store as runfile
@@ -22,6 +23,9 @@ from processing import stage
 from processing.record.kinematics import Kinematics
 from processing.smoothing import smooth
 from processing.statistics import StickSlipStatistics, from_kinematics, pooled
+
+# Of a run's duration, at either end, that may be missing from the whole: samples left out there as spikes are fewer.
+AT_THE_ENDS = 0.01
 
 
 @dataclass(frozen=True)
@@ -50,13 +54,15 @@ class FitOptions:
 class LoadedRun:
     """A run as it was read: smoothed already, where its file holds that stage; with the calibration to use.
 
-    ``stage`` is the digest of the smoothed stage that its file held (`processing.stage.digest`).
+    ``stage`` is the digest of the smoothed stage that its file held (`processing.stage.digest`); ``whole`` holds the
+    times (s) of the file's first and last sample.
     """
 
     recording: Recording
     kinematics: Kinematics | None
     rig: Rig
     stage: str
+    whole: tuple[float, float]
 
     @property
     def named(self) -> FittedRun:
@@ -69,7 +75,8 @@ class LoadedRun:
 class FitOutput:
     """A ranking, the statistics of each run's stick-slip, which runs they are, and the page, where one is wanted.
 
-    ``stages`` are the digests of the smoothed stages beside which the runs were read.
+    ``stages`` are the digests of the smoothed stages beside which the runs were read; ``part`` says in words what was
+    left out: of the runs, of the laws, of the cycles; empty where nothing was.
     """
 
     ranking: Ranking
@@ -77,6 +84,7 @@ class FitOutput:
     runs: tuple[FittedRun, ...]
     stages: tuple[str, ...]
     page: str | None
+    part: str
 
     def as_json(self) -> dict[str, Any]:
         """Return the document of the ranking, with the statistics of stick-slip of all runs together and of each."""
@@ -98,9 +106,9 @@ class FitOutput:
         """
         files = [run.file for run in self.runs]
         if len(files) > 1:
-            store.save_joint(self.ranking, self.runs, joint.beside(files), force=force)
+            store.save_joint(self.ranking, self.runs, joint.beside(files), self.part, force=force)
         else:
-            store.save(self.ranking, files[0], self.runs[0].digest, self.stages[0])
+            store.save(self.ranking, files[0], self.runs[0].digest, self.stages[0], self.part)
         if place is not None and self.page is not None:
             report.write(self.page, place, [run.digest for run in self.runs], force=force)
 
@@ -125,7 +133,8 @@ def load_run(path: Path, options: FitOptions) -> LoadedRun:
         beside = stage.digest(file["entry"])  # before the rest: what replaces it later is another one
     kinematics = stage.load(path) if own == EVERY else None  # of a part, the smoothing is its own
     recording = runfile.load(path, own) if kinematics is None else kinematics.recording
-    return LoadedRun(recording, kinematics, _rig(recording.rig, options), beside)
+    time = runfile.times(path)
+    return LoadedRun(recording, kinematics, _rig(recording.rig, options), beside, (float(time[0]), float(time[-1])))
 
 
 def fit_runs(
@@ -165,7 +174,23 @@ def fit_runs(
         raise
     page = report.render(ranking, motions, counted, options.alpha) if options.report else None
     stages = tuple(run.stage for run in runs)
-    return FitOutput(ranking, counted, tuple(run.named for run in runs), stages, page)
+    part = fitted_part(runs, [motion.time for motion in motions], options)
+    return FitOutput(ranking, counted, tuple(run.named for run in runs), stages, page, part)
+
+
+def fitted_part(runs: Sequence[LoadedRun], times: Sequence[Array], options: FitOptions) -> str:
+    """Return in words what a fit leaves out: of the runs, whose fitted times (s) are given, the laws and the cycles."""
+    said = []
+    for run, time in zip(runs, times, strict=True):
+        first, last = run.whole
+        if max(time[0] - first, last - time[-1]) > AT_THE_ENDS * (last - first):
+            name = f"{run.recording.source.name}: " if len(runs) > 1 else ""
+            said.append(f"{name}{round(time[0], 2):g} to {round(time[-1], 2):g} s")
+    if options.laws != ALL_LAWS:
+        said.append(f"law{'s' * (len(options.laws) > 1)} {', '.join(str(law) for law in options.laws)}")
+    if options.excluded:
+        said.append(f"without cycle{'s' * (len(options.excluded) > 1)} {', '.join(map(str, options.excluded))}")
+    return "; ".join(said)
 
 
 def _rig(rig: Rig, options: FitOptions) -> Rig:

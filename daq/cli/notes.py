@@ -98,7 +98,8 @@ def list_runs(
 ) -> Answer:
     """List the runs in folders, oldest first: title, date, duration, rate, lost samples, sticks and verdict.
 
-    A joint fit stands among them with its date, its runs and its verdict.
+    A joint fit stands among them with its date, its runs and its verdict. Of a fit that left something out (--from,
+    --to, --laws, --exclude-cycles) it says what was fitted.
 
     Example: daq list measurements
     """
@@ -126,6 +127,7 @@ def _lines(row: "RunRow") -> list[str]:
         ", ".join(text for known, text in facts if known is not None),
         ", ".join(text for text in about if text),
         textwrap.shorten(row.note or "", LONGEST_NOTE, placeholder=" ..."),
+        f"fitted: {row.part}" if row.part else "",
         row.verdict,
         row.problem,
     ]

@@ -315,11 +315,23 @@ def table(title: str, headings: Sequence[str], left: int = 1) -> "Table":
 class Progress:
     """What a long job calls with the amount done so far; it draws nothing where no bar is shown."""
 
-    def __init__(self, update: Callable[..., None] = lambda **changes: None) -> None:
-        self._update = update
+    def __init__(
+        self,
+        update: Callable[..., None] = lambda **changes: None,
+        restart: Callable[..., None] = lambda **changes: None,
+    ) -> None:
+        self._update, self._restart = update, restart
+        self._stage = ""
 
     def __call__(self, done: float) -> None:
         """Show the amount done."""
+        self._update(completed=done)
+
+    def stage(self, description: str, done: float, total: float) -> None:
+        """Show how much is done of one stage of the job; rate and ETA begin anew with every stage."""
+        if description != self._stage:
+            self._restart(description=description, total=total)
+            self._stage = description
         self._update(completed=done)
 
     def status(self, words: str) -> None:
@@ -359,4 +371,4 @@ def progress(description: str, total: float | None, unit: str = "") -> Iterator[
     )
     with bar:
         task = bar.add_task(description, total=total, words="")
-        yield Progress(partial(bar.update, task))
+        yield Progress(partial(bar.update, task), partial(bar.reset, task))

@@ -13,7 +13,7 @@ from daq.runfile.recording import lost_samples
 
 # Its lock is not tried: for a moment that would hold the lock of a recording that just begins.
 UNFINISHED = "a journal: still recording, or left by one that was killed (daq recover)"
-VERDICT = "fit/parameters/verdict"
+VERDICT, PART = "fit/parameters/verdict", "fit/parameters/part"
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,8 @@ class RunRow:
         None before ``process smooth``.
     verdict : str or None
         None before ``fit-friction``.
+    part : str or None
+        What was fitted, where it was not the whole run, all laws and all cycles.
     tags : dict
         Named values.
     runs : int or None
@@ -53,6 +55,7 @@ class RunRow:
     lost: int | None = None
     sticks: int | None = None
     verdict: str | None = None
+    part: str | None = None
     operator: str | None = None
     sample: str | None = None
     note: str | None = None
@@ -100,6 +103,7 @@ def _joint_row(entry: h5py.Group, file: Path) -> RunRow:
         title=nexus.read_text(entry, "title", file),
         date=nexus.read_text(entry, "start_time", file),
         verdict=nexus.read_text(entry, VERDICT, file),
+        part=nexus.read_text(entry, PART, file) if PART in entry else None,
         runs=len(nexus.read_texts(entry, "runs/sha256_raw", file)),
     )
 
@@ -122,6 +126,7 @@ def _row(entry: h5py.Group, file: Path) -> RunRow:
         lost=lost,
         sticks=int(nexus.read_number(entry, sticks, file)) if sticks in entry else None,
         verdict=nexus.read_text(entry, VERDICT, file) if VERDICT in entry else None,
+        part=nexus.read_text(entry, PART, file) if PART in entry else None,
         operator=known.get("operator"),
         sample=known.get("sample_name"),
         note=known.get("note"),

@@ -6,7 +6,8 @@ what differs between the runs stand once for each: cycles_run1 ..., parameters_r
 ::
 
     fit               NXprocess   @default=ranking; program, version, date, sequence_index
-      parameters      NXparameters  verdict, adequacy, warnings, cpu_time; begin and end of what was fitted;
+      parameters      NXparameters  verdict, adequacy, warnings, cpu_time; begin and end of what was fitted; part: in
+                                    words, where it is not the whole run, all laws and all cycles;
                                     sha256_smooth: of the velocity in the smoothed stage beside it
       ranking         NXdata      one row a law: score, weight, in_set, rms, cycles, orbit_distance; law_name beside it
       cycles          NXdata      one row a break-away: t, static_level, kinetic_scale
@@ -32,7 +33,7 @@ from fitting.selection.result import LawResult, Ranking
 from processing import stage as smoothed_stage
 
 
-def save(ranking: Ranking, path: Path, record: str, smoothed: str) -> None:
+def save(ranking: Ranking, path: Path, record: str, smoothed: str, part: str = "") -> None:
     """Write the stage into the run file, replacing an earlier one.
 
     Parameters
@@ -44,6 +45,8 @@ def save(ranking: Ranking, path: Path, record: str, smoothed: str) -> None:
     record, smoothed : str
         The sha256 of the raw data and of the smoothed stage (`processing.stage.digest`) that the file held when it
         was read.
+    part : str
+        What was fitted, in words, where something was left out.
 
     Raises
     ------
@@ -59,18 +62,20 @@ def save(ranking: Ranking, path: Path, record: str, smoothed: str) -> None:
             if now != before:
                 what = f"it was {done} anew while it was fitted; the fit was not stored"
                 raise InputError(what, str(path), f"run: fit-friction {path.name}")
-        _write(entry, ranking)
+        _write(entry, ranking, part)
         if smoothed:
             nexus.field(entry["fit/parameters"], "sha256_smooth", smoothed)
 
     store.extend(path, names, write, default="fit")
 
 
-def save_joint(ranking: Ranking, runs: Sequence[joint.FittedRun], path: Path, *, force: bool = False) -> None:
-    """Write the file of a joint fit; InputError where something else stands, without ``force``."""
+def save_joint(
+    ranking: Ranking, runs: Sequence[joint.FittedRun], path: Path, part: str = "", *, force: bool = False
+) -> None:
+    """Write the file of a joint fit; InputError where something else stands, without ``force``; ``part`` as `save`."""
 
     def write(entry: h5py.Group) -> None:
-        _write(entry, ranking)
+        _write(entry, ranking, part)
         about = entry["runs"]
         for name, place in (("begin", 0), ("end", -1)):
             nexus.field(about, name, np.array([side.motion.time[place] for side in ranking.runs]), "s")
@@ -82,11 +87,13 @@ def save_joint(ranking: Ranking, runs: Sequence[joint.FittedRun], path: Path, *,
     joint.write(path, runs, write, force=force)
 
 
-def _write(entry: h5py.Group, ranking: Ranking) -> None:
+def _write(entry: h5py.Group, ranking: Ranking, part: str) -> None:
     fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking" if ranking.rows else "parameters")
     about = nexus.group(fit, "parameters", "NXparameters")
     nexus.field(about, "verdict", ranking.verdict)
     nexus.field(about, "adequacy", ranking.adequacy.verdict)
+    if part:
+        nexus.field(about, "part", part)
     nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")
     if not ranking.runs:
         for name, time in zip(("begin", "end"), ranking.motion.time[[0, -1]], strict=True):

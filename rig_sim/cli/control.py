@@ -155,9 +155,11 @@ def lock(
     if first.outcome != "completed":
         data |= {"outcome": first.outcome, "advice": "the motion does not reach a stick: change the drive or the belt"}
     elif method == "search":
-        data |= _searched(f, first.state, period, budget)
+        with application.progress("raising the amplitude", 100) as show:
+            data |= _searched(f, first.state, period, budget, show)
     else:
-        found = find_and_lock(f, first.state, period, budget, events)
+        with application.progress("following the motion", events) as show:
+            found = find_and_lock(f, first.state, period, budget, events, show.stage)
         data |= _locked(f, found)
         if plot is not None and found.lock is not None:
             from daq.output.plot import save
@@ -197,11 +199,13 @@ def _orbit_row(f: "LandingMap", orbit: "UnstableOrbit") -> dict[str, Any]:
     }
 
 
-def _searched(f: "LandingMap", start: "Array", period: int, budget: float) -> dict[str, Any]:
+def _searched(
+    f: "LandingMap", start: "Array", period: int, budget: float, show: application.Progress
+) -> dict[str, Any]:
     """Return what the thesis's search-and-lock has found, as JSON keys."""
     from rig_sim.dynamics.control.search_and_lock import search_and_lock
 
-    found = search_and_lock(f, start, period, budget)
+    found = search_and_lock(f, start, period, budget, progress=show.stage)
     if found.change is None or found.points is None:
         advice = "the section did not repeat with this period: raise the budget"
         return {"outcome": "not locked", "advice": advice, "events": found.events, "du_max": budget * f.strength}

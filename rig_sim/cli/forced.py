@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
+from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force, Plot, check_plot
 from daq.errors import InputError
@@ -76,11 +77,12 @@ def driven_lyapunov(name: str, changes: dict[str, object], events: int) -> Answe
 
     per = "landing"
     mass = driven_mass(name, changes, "landing")
-    found = exponent(mass, events)
-    if found.outcome == "no stick":
-        per = "drive period"
-        mass = driven_mass(name, changes, "poincare")
-        found = exponent(mass, events)
+    with application.progress("following the motion", events) as show:
+        found = exponent(mass, events, show.stage)
+        if found.outcome == "no stick":
+            per = "drive period"
+            mass = driven_mass(name, changes, "poincare")
+            found = exponent(mass, events, show.stage)
     data = {**asdict(found), "per": per}
     if found.outcome != "completed":
         return Answer(data, f"{found.outcome}: no exponent; list the events instead")
@@ -118,7 +120,8 @@ def quench(
 
     check_plot(plot, force)
     flow, x, v = with_period(scene, parse_changes(set_))
-    found = find(flow, x, v)
+    with application.progress("settling", 2) as show:
+        found = find(flow, x, v, show.stage)
     data: dict[str, object] = asdict(found)
     lines = [f"{found.outcome}: u0 = {flow.u0:.6g}"]
     for name, value in (("by formula", found.threshold), ("with the slope of friction", found.threshold_with_slope)):

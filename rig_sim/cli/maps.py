@@ -175,7 +175,8 @@ def basins(
         raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
     check_plot(plot, force)
     f = stick_map(scene, set_)
-    found = find(f, cells)
+    with application.progress("mapping cells", cells) as show:
+        found = find(f, cells, show.stage)
     data: dict[str, Any] = {
         "range": [f.lo, f.hi],
         "shares": [attractor.share for attractor in found.attractors],
@@ -242,7 +243,8 @@ def lyapunov(
     start = stretch(read(scene, **changes))
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
-    found = find(f, start, events)
+    with application.progress("following the motion", events) as show:
+        found = find(f, start, events, show.stage)
     data = {**asdict(found), "per": "event"}
     if found.outcome != "completed":
         return Answer(data, f"{found.outcome}: the motion stops sticking; list its events instead")

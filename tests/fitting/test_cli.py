@@ -11,7 +11,7 @@ import pytest
 
 from daq.console import application
 from daq.errors import InputError
-from daq.runfile import store
+from daq.runfile import listing, store
 from daq.runfile.recording import Recording
 from fitting import cli, job
 from fitting.report import table
@@ -97,6 +97,17 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp
         cli.fit(path, laws="5", no_report=True)
         with h5py.File(path) as file:
             assert file["entry/fit/parameters/sha256_smooth"].asstr()[()] == stage.digest(file["entry"])
+
+
+def test_the_list_says_which_part_of_a_run_was_fitted(run, tmp_path):
+    # The verdict of a part of a run, or of some laws, used to stand in the list as that of the run.
+    path = tmp_path / "run.h5"
+    shutil.copy(run, path)
+    parts = []
+    for options in ({"end": "9 s"}, {"laws": "1-6"}):
+        cli.fit(path, **{"laws": "5"} | options, no_report=True)
+        parts += [row.part for row in listing.runs([tmp_path])]
+    assert parts == ["0 to 9 s; law 5", None]
 
 
 def test_the_report_goes_beside_the_run(fitted):

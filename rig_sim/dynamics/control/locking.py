@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from daq.compute.arrays import Array
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
-from rig_sim.dynamics.control.ogy import Lock, lock
+from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
 from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit, periodic_orbits
 from rig_sim.dynamics.period import period_of
+from rig_sim.dynamics.stages import Stages, parts, silent
 
 # Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
 # periods 1 to 5 of the thesis's two motions come out of 1000 already.
@@ -46,7 +49,9 @@ class Locking:
     lock: Lock | None
 
 
-def find_and_lock(f: ControlledMap, start: Array, period: int, budget: float, events: int) -> Locking:
+def find_and_lock(
+    f: ControlledMap, start: Array, period: int, budget: float, events: int, progress: Stages = silent
+) -> Locking:
     """Search a motion for orbits of a period and lock it onto the least unstable one.
 
     Parameters
@@ -59,17 +64,24 @@ def find_and_lock(f: ControlledMap, start: Array, period: int, budget: float, ev
         Largest change of the parameter, relative to its strength; 0 or more.
     events : int
         Applications of the map after which the control gives up.
+    progress : callable
+        Called with the stage and what is done of it.
     """
-    states = orbit(f, start, TRANSIENT + SEARCHED)[TRANSIENT:]
+    pieces = [start[None, :]]
+    for begin, end in parts("following the motion", TRANSIENT + SEARCHED, progress, REPORTED):
+        pieces.append(orbit(f, pieces[-1][-1], end - begin))
+        if len(pieces[-1]) < end - begin:
+            break
+    states = np.concatenate(pieces[1:])[TRANSIENT:]
     if len(states) <= period:
         return _locking("no orbit", (), None, None)
     regular = period_of(difference(f, states, states[-1]), REGULAR)
-    orbits = tuple(periodic_orbits(f, states, period))
+    orbits = tuple(periodic_orbits(f, states, period, progress))
     if not orbits:
         return _locking("no orbit" if regular is None else "regular motion", (), regular, None)
     if budget == 0.0 and orbits[0].unstable_directions > 0:
         return _locking("no budget", orbits, regular, None)
-    found = lock(f, orbits[0], start, budget, events)
+    found = lock(f, orbits[0], start, budget, events, progress)
     outcome = "regular motion" if found.outcome == "not locked" and regular is not None else found.outcome
     return _locking(outcome, orbits, regular, found)
 

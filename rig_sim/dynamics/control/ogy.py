@@ -18,6 +18,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference
 from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit
+from rig_sim.dynamics.stages import Stages, silent
 
 # Of r_i, within which control begins: rounding and the map's curvature take the rest.  0.8 takes 1.5 times as long.
 CERTAIN = 0.95
@@ -27,6 +28,7 @@ REACH = 0.1
 # Controls in a row that make a lock, at least, and turns of the orbit: a motion that only passes by needs a change
 # beyond the budget after 1 to 3.
 HELD, TURNS_HELD = 40, 4
+REPORTED = 100  # applications between two reports of progress, some 5 ms
 TURNS_AHEAD = 50  # of the orbit; a multiplier of 1.5 leaves 1e-9 of the rest
 
 
@@ -58,7 +60,9 @@ class Lock:
         return self.outcome in ("locked", "stable orbit")
 
 
-def lock(f: ControlledMap, orbit: UnstableOrbit, start: Array, budget: float, events: int) -> Lock:
+def lock(
+    f: ControlledMap, orbit: UnstableOrbit, start: Array, budget: float, events: int, progress: Stages = silent
+) -> Lock:
     """Lock the motion from a state onto an orbit.
 
     Parameters
@@ -71,6 +75,8 @@ def lock(f: ControlledMap, orbit: UnstableOrbit, start: Array, budget: float, ev
         Largest change of the parameter, relative to its strength; 0 or more.
     events : int
         Applications of the map after which the attempt ends.
+    progress : callable
+        Called with the stage and what is done of it.
     """
     directions = orbit.unstable_directions
     if directions > 1:
@@ -100,6 +106,8 @@ def lock(f: ControlledMap, orbit: UnstableOrbit, start: Array, budget: float, ev
             return Lock("motion ended", None, np.array(states), np.array(changes))
         states.append(state)
         changes.append(change * f.strength)
+        if len(changes) % REPORTED == 0:
+            progress("controlling", len(changes), events)
     if controlled < held:
         return Lock("not locked", None, np.array(states), np.array(changes))
     return Lock("locked", len(changes) - held, np.array(states), np.array(changes))

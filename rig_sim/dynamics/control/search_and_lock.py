@@ -13,6 +13,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
 from rig_sim.dynamics.period import period_of
+from rig_sim.dynamics.stages import Stages, silent
 
 TRANSIENT = 400  # applications at every step before the section is judged; a window's edge may take longer
 JUDGED = 130  # applications that are judged: twice the longest period that is recognised
@@ -50,7 +51,14 @@ class SearchAndLock:
 
 
 def search_and_lock(
-    f: ControlledMap, start: Array, period: int, budget: float, *, steps: int = 100, near: float = 0.01
+    f: ControlledMap,
+    start: Array,
+    period: int,
+    budget: float,
+    *,
+    steps: int = 100,
+    near: float = 0.01,
+    progress: Stages = silent,
 ) -> SearchAndLock:
     """Raise the parameter from 0 up to the budget until the section repeats with ``period``, then remove the change.
 
@@ -66,10 +74,13 @@ def search_and_lock(
         Steps from 0 to the budget; as many motions are followed.
     near : float
         Of the scales; see ``kept``.
+    progress : callable
+        Called with the stage and what is done of it.
     """
     state = start
     events = 0
     for step in range(steps + 1):
+        progress("raising the amplitude", step, steps)
         change = step / steps * budget * f.strength
         states = orbit(f, state, TRANSIENT + JUDGED, change)
         events += len(states)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from rig_sim.dynamics.control.controlled_map import ControlledMap, derivatives, difference
+from rig_sim.dynamics.stages import Stages, parts, silent
 
 # Of the closest returns, from which Newton's method starts.  200 find up to a quarter more orbits of the thesis's
 # motions, 50 up to a quarter fewer; the least unstable one is always among them.
@@ -77,10 +78,15 @@ def close_returns(f: ControlledMap, states: Array, period: int) -> NDArray[np.in
     return order
 
 
-def periodic_orbits(f: ControlledMap, states: Array, period: int) -> list[UnstableOrbit]:
-    """Return the orbits of exactly this period that a motion, (n, d), has passed: the least unstable first."""
+def periodic_orbits(f: ControlledMap, states: Array, period: int, progress: Stages = silent) -> list[UnstableOrbit]:
+    """Return the orbits of exactly this period that a motion, (n, d), has passed: the least unstable first.
+
+    ``progress`` is called with the stage and what is done of it.
+    """
     found: list[UnstableOrbit] = []
-    for begin in close_returns(f, states, period)[:CANDIDATES]:
+    candidates = close_returns(f, states, period)[:CANDIDATES]
+    for number, _ in parts("searching orbits", len(candidates), progress, 1):
+        begin = candidates[number]
         piece = states[begin : begin + period]
         gap = float(np.linalg.norm(difference(f, states[begin + period], piece[0])))
         if any(separation(f, piece[0], other) < gap for other in found):  # passed the same orbit

@@ -22,6 +22,7 @@ import numpy as np
 from daq.compute.arrays import Array
 from rig_sim.dynamics.forced.attractors import TRANSIENTS, Settled, settled
 from rig_sim.dynamics.forced.driven_mass import DrivenMass
+from rig_sim.dynamics.stages import Stages, silent
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame, friction_slope
@@ -76,8 +77,10 @@ class Quench:
     free_swing: float
 
 
-def quench(flow: Flow, x: float, v: float) -> Quench:
+def quench(flow: Flow, x: float, v: float, progress: Stages = silent) -> Quench:
     """Return whether the drive quenches the stick-slip of a mass that starts at x (m) with velocity v (m/s).
+
+    ``progress`` is called with the stage and what is done of it.
 
     Raises
     ------
@@ -85,7 +88,9 @@ def quench(flow: Flow, x: float, v: float) -> Quench:
         The flow is not physical, or its drive has no period.
     """
     fr = frame(flow)
+    progress("settling", 0, 2)
     motion = settled(DrivenMass(flow, x, v))
+    progress("settling", 1, 2)
     still = flow._replace(u0=0.0)
     free = settled(DrivenMass(still, x, v))
     free_swing = swing(still, free)
@@ -108,7 +113,7 @@ def quench(flow: Flow, x: float, v: float) -> Quench:
         abs(flow.u0) / least if least > 0.0 else None,
         is_fast and abs(flow.u0) > least > 0.0,
         quenched and self_excited and flow.u0 != 0.0,
-        simulated_threshold(flow, x, v) if is_fast and self_excited else None,
+        simulated_threshold(flow, x, v, progress) if is_fast and self_excited else None,
         swing(flow, motion),
         linear_ripple(flow),
         free_swing,
@@ -140,8 +145,11 @@ def is_quenched(flow: Flow, motion: Settled) -> bool:
     return motion.period == 1 and ripple is not None and swing(flow, motion) <= MOST_RIPPLE * ripple
 
 
-def simulated_threshold(flow: Flow, x: float, v: float) -> float | None:
-    """Return the least u0 (N), to `PRECISION`, from which on the simulated motion is quenched; None without one."""
+def simulated_threshold(flow: Flow, x: float, v: float, progress: Stages = silent) -> float | None:
+    """Return the least u0 (N), to `PRECISION`, from which on the simulated motion is quenched; None without one.
+
+    ``progress`` is called with the stage and what is done of it.
+    """
 
     def quenched(u0: float) -> bool:
         driven = flow._replace(u0=u0)
@@ -150,9 +158,11 @@ def simulated_threshold(flow: Flow, x: float, v: float) -> float | None:
     least = threshold(flow)
     if not least > 0.0:
         return None
-    lo, hi = 0.0, FIRST * least
+    most = math.ceil(math.log(LAST / FIRST) / math.log(FACTOR)) + 1
+    lo, hi, tried = 0.0, FIRST * least, 0
     while not quenched(hi):
-        lo, hi = hi, hi * FACTOR
+        lo, hi, tried = hi, hi * FACTOR, tried + 1
+        progress("trying amplitudes", tried, most)
         if hi > LAST * least:
             return None
     while hi - lo > PRECISION * least:

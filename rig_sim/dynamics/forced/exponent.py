@@ -11,13 +11,16 @@ from rig_sim.dynamics.forced.attractors import GROWING, SAME, is_growing
 from rig_sim.dynamics.forced.system import Passages, System
 from rig_sim.dynamics.maps.lyapunov import BLOCKS, Exponent, mean_growth
 from rig_sim.dynamics.period import period_of
+from rig_sim.dynamics.stages import Stages, parts, silent
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
 
 TRANSIENT = 1000  # passages before the mean; twice as many cost 1000 passages more
 
 
-def exponent(system: System, events: int) -> Exponent:
+def exponent(system: System, events: int, progress: Stages = silent) -> Exponent:
     """Return the exponent over ``events`` passages, after `TRANSIENT`; on a periodic orbit exact, over one period.
+
+    ``progress`` is called with the stage and what is done of it.
 
     Raises
     ------
@@ -28,7 +31,7 @@ def exponent(system: System, events: int) -> Exponent:
         raise ValueError(f"{events} events; need {BLOCKS} or more")
     found = system.follow(TRANSIENT, tangent=True)
     if found.outcome == OUTCOMES[COMPLETED]:
-        found = system.follow(events, tangent=True)
+        found = followed(system, events, progress)
     if found.outcome != OUTCOMES[COMPLETED]:
         return Exponent(np.nan, np.nan, 0, None, found.outcome.name)
     tenth = max(len(found.states) // 10, 1)
@@ -43,6 +46,19 @@ def exponent(system: System, events: int) -> Exponent:
         return Exponent(float(np.mean(found.growth[-period:])), 0.0, period, period, "completed")
     # complex multipliers: the deviation turns, and its growth swings about the mean
     return Exponent(smooth_mean(found.growth), 0.0, len(found.growth), period, "completed")
+
+
+def followed(system: System, events: int, progress: Stages) -> Passages:
+    """Return the next passages with the growth of a deviation, up to where the motion ends."""
+    found: list[Passages] = []
+    for begin, end in parts("following the motion", events, progress):
+        found.append(system.follow(end - begin, tangent=True))
+        if found[-1].outcome != OUTCOMES[COMPLETED]:
+            break
+    times, states, growth = (
+        np.concatenate([getattr(piece, name) for piece in found]) for name in ("times", "states", "growth")
+    )
+    return Passages(times, states, growth, found[-1].outcome)
 
 
 def passages_per_period(found: Passages, system: System) -> int | None:

@@ -12,6 +12,7 @@ import numpy as np
 from daq.compute.arrays import Array, Integers
 from rig_sim.dynamics.maps.interval_map import IntervalMap
 from rig_sim.dynamics.period import period_of
+from rig_sim.dynamics.stages import Stages, parts, silent
 
 # Iterates of the map itself from each cycle before its attractor counts as reached: twice as many double the cost of a
 # sweep.  Near a period doubling an orbit may still be 1e-3 of the interval away after as many.
@@ -65,8 +66,8 @@ class Basins:
     cycles: int
 
 
-def basins(f: IntervalMap, cells: int) -> Basins:
-    """Return the attractors of a map and their basins.
+def basins(f: IntervalMap, cells: int, progress: Stages = silent) -> Basins:
+    """Return the attractors of a map and their basins; ``progress`` is called with the stage and what is done of it.
 
     Raises
     ------
@@ -77,9 +78,11 @@ def basins(f: IntervalMap, cells: int) -> Basins:
         raise ValueError(f"{cells} cells; need 2 or more")
     width = (f.hi - f.lo) / cells
     centres: Array = f.lo + width * (np.arange(cells, dtype=np.float64) + 0.5)
-    following = cell_of(f(centres), f, cells)
+    mapped = [f(centres[begin:end]) for begin, end in parts("mapping cells", cells, progress)]
+    following = cell_of(np.concatenate(mapped), f, cells)
     cycle_of, entries = cell_cycles(following)
-    orbits = [settled(f, float(centres[entry])) for entry in entries]
+    cycles = parts("following cycles", len(entries), progress, 1)
+    orbits = [settled(f, float(centres[entries[number]])) for number, _ in cycles]
     visited = [set(cell_of(np.array(orbit[0]), f, cells).tolist()) for orbit in orbits]
     leader = merged(visited)
     kept = [index for index in range(len(entries)) if leader[index] == index and NOWHERE not in visited[index]]

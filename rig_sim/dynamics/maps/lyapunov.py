@@ -9,6 +9,7 @@ from daq.compute.arrays import Array
 from rig_sim.dynamics.maps.basins import SAME, TRANSIENT
 from rig_sim.dynamics.maps.interval_map import IntervalMap, slope
 from rig_sim.dynamics.period import period_of
+from rig_sim.dynamics.stages import Stages, parts, silent
 
 BLOCKS = 20  # of the orbit, whose means give the standard error; below 20 it would itself err by more than 16 %
 
@@ -37,8 +38,10 @@ class Exponent:
     outcome: str
 
 
-def lyapunov(f: IntervalMap, start: float, events: int) -> Exponent:
+def lyapunov(f: IntervalMap, start: float, events: int, progress: Stages = silent) -> Exponent:
     """Return the exponent on the orbit that ``start`` leads to, after `TRANSIENT` applications of the map.
+
+    ``progress`` is called with the stage and what is done of it.
 
     Raises
     ------
@@ -47,12 +50,18 @@ def lyapunov(f: IntervalMap, start: float, events: int) -> Exponent:
     """
     if events < BLOCKS:
         raise ValueError(f"{events} events; need {BLOCKS} or more")
-    orbit = f.orbit(start, TRANSIENT + events)[TRANSIENT:]
+    orbit = np.empty(TRANSIENT + events)
+    for begin, end in parts("following the motion", len(orbit), progress):
+        orbit[begin:end] = f.orbit(start, end - begin)
+        start = float(orbit[end - 1])
+    orbit = orbit[TRANSIENT:]
     if not np.all(np.isfinite(orbit)):
         return Exponent(math.nan, math.nan, 0, None, "no attractor")
     period = period_of(orbit, SAME * (f.hi - f.lo))
+    orbit = orbit if period is None else orbit[-period:]
+    slopes = [slope(f, orbit[begin:end]) for begin, end in parts("slopes on its orbit", len(orbit), progress)]
     with np.errstate(divide="ignore"):  # a slope of 0: the exponent of a superstable orbit is minus infinity
-        growth = np.log(np.abs(slope(f, orbit if period is None else orbit[-period:])))
+        growth = np.log(np.abs(np.concatenate(slopes)))
     if period is not None:
         return Exponent(float(np.mean(growth)), 0.0, period, period, "completed")
     return mean_growth(growth)

@@ -84,3 +84,30 @@ def test_a_number_with_a_unit_is_the_bare_number_in_si(app, command, typed, bare
         document = json.loads(capsys.readouterr().out)
         found.append({key: value for key, value in document.items() if not key.startswith("clock_ppm")})
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize(
+    ("command", "stages"),
+    [
+        ("basins two-mass --cells 2000", ["mapping cells", "following cycles"]),
+        ("lyapunov two-mass --events 1000 --set belt.speed=0.08075", ["following the motion", "slopes on its orbit"]),
+        ("lyapunov forced --events 1000", ["following the motion"]),
+        ("lock forced --period 1 --budget 0.02 --events 200", ["following the motion", "searching orbits"]),
+        ("quench forced --set drive.omega=20", ["settling", "trying amplitudes"]),
+    ],
+)
+def test_every_stage_of_a_long_analysis_shows_its_progress_in_a_terminal_alone(command, stages, monkeypatch, capsys):
+    # These four commands used to show nothing for as long as they worked.
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
+    answers = []
+    for stream in (Terminal(), io.StringIO()):
+        monkeypatch.setattr(sys, "stderr", stream)
+        assert application.run(rig_sim, [*command.split(), "--json"]) == 0
+        answers.append(json.loads(capsys.readouterr().out))
+        drawn = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue())
+        lines = re.split(r"[\r\n]+", drawn)
+        shown = [stage for stage in stages if any(stage in line and "ETA" in line for line in lines)]
+        assert shown == (stages if stream.isatty() else [])
+        assert max(map(len, lines)) <= 80
+    assert answers[0] == answers[1]
