@@ -6,7 +6,7 @@ x and v are continuous and the acceleration drops to 0; at a break-away the jerk
 break-away level differs from sliding friction).  A stick on an uneven belt is smoothed like a slip.
 
 1. A first motion (`processing.kalman.white_jerk`) shows sticks (`processing.segmentation.plateaus`), and rest before
-   the belt starts.
+   the belt starts; the likelihood shows the corners that plateaus do not (`processing.segmentation.missed_corners`).
 2. Noise levels (`processing.segmentation.noise_levels`) and switching times
    (`processing.segmentation.switching_estimate`) are made more likely in turns.
 3. Model selection keeps the sticks that the record supports (`processing.segmentation.model_selection`).
@@ -45,8 +45,8 @@ from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.segmentation import line_fit, model_selection, plateaus
 from processing.segmentation.landing_snap import with_mean_snap
+from processing.segmentation.missed_corners import misfits, with_ends, with_overtaking
 from processing.segmentation.noise_levels import Workspace, first_levels, reestimate_noise, smooth_stretch
-from processing.segmentation.overtaking import misfits, with_overtaking
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, sticks_of, stretches
 
@@ -74,12 +74,18 @@ def segmented(
         return None
     first = replace(first, unit=estimates.once("unit", lambda: first.unit))
     workspace = Workspace()
-    levels = estimates.once("first levels", lambda: first_levels(series, noise, pilot, first.unit))
-    times = refine_switching_times(series, workspace, first, levels, 1.0)
-    times = with_overtaking(series, workspace, times, levels, estimates)
-    early = times, levels
+    crude = estimates.once("first levels", lambda: first_levels(series, noise, pilot, first.unit))
+    times = refine_switching_times(series, workspace, first, crude, 1.0)
+    times = with_overtaking(series, workspace, times, crude, estimates)
     first = _with_overtakes_of(first, times)
-    levels = estimates.once("levels", lambda: _estimated(series, workspace, *early))
+    levels = estimates.once("levels", lambda: _estimated(series, workspace, times, crude))
+    speed = found.plateau_speed if setting.belt_speed is None else setting.belt_speed
+    ended = with_ends(series, workspace, first, times, levels, speed, estimates)
+    missed = ended is not first
+    if missed:
+        first, times = ended, refine_switching_times(series, workspace, ended, crude, 1.0)
+    early = times, crude
+    levels = estimates.once("levels with ends", lambda: _estimated(series, workspace, *early) if missed else levels)
     times = refine_switching_times(series, workspace, times, levels, 0.25)
     if gated:
         kept = model_selection.accept_sticks(series, workspace, times, levels, noise, first, estimates.part("gate"))

@@ -1,4 +1,4 @@
-"""A stick that does not fit, and a landing that overtakes the belt, leave the rest of the record its corners."""
+"""Sticks that do not fit, overtaking landings, and sticks or slips cut short leave the rest of a record its corners."""
 
 from dataclasses import replace
 
@@ -50,6 +50,68 @@ def test_a_disturbed_stick_is_smoothed_by_itself(recorded, motion, pitch):
     assert rms((made.velocity - tapped.v)[away]) < 0.5 * rms((plain.velocity - tapped.v)[away])
     inside = np.abs(made.velocity - tapped.v) <= 2 * made.velocity_errors
     assert inside[~away].mean() > 0.85
+
+
+def part(true, begin, end):
+    """Return the motion from one time to another, s, without the sticks."""
+    own = slice(*np.searchsorted(true.time, (begin, end)))
+    return replace(true, time=true.time[own], x=true.x[own] - true.x[own.start], v=true.v[own], sticks=())
+
+
+@pytest.mark.parametrize(("late", "least"), [(4, 0.9), (8, 0.6), (15, 0.3), (30, 0.3)])
+@pytest.mark.parametrize("length", [3.0, 12.0])
+def test_a_landing_just_before_the_end_of_a_record_is_one(recorded, motion, length, late, least):
+    """From 15 to 35 ms of stick were smoothed as slip: 1.3 to 3.6 mm/s in the last 100 ms.
+
+    After 30 ms that stick also took all others their corners, in a short record.
+    """
+    true = motion(5, 20.0)
+    landing = true.sticks[7][0]
+    cut = part(true, landing + late * 1e-3 - length, landing + late * 1e-3)
+    made = smooth(recorded(cut))
+    assert made.method == "segment"
+    error = made.velocity - cut.v
+    assert rms(error[-100:]) < least
+    assert rms(error[100:-100]) < 0.06
+    assert cut.time[0] + made.sticks[-1].start == pytest.approx(landing, abs=1.5e-3)
+    assert made.sticks[-1].end == made.time[-1]
+
+
+@pytest.mark.parametrize("late", [20, 30])
+def test_a_break_away_just_before_the_end_of_a_record_is_one(recorded, motion, late):
+    """The first 30 ms of a slip were smoothed as stick: 1.3 mm/s in the last 100 ms, all outside their errors."""
+    true = motion(5, 20.0)
+    onset = true.sticks[7][1]
+    cut = part(true, onset + late * 1e-3 - 12.0, onset + late * 1e-3)
+    made = smooth(recorded(cut))
+    assert made.phases[-1].kind == "slip"
+    assert cut.time[0] + made.phases[-1].start == pytest.approx(onset, abs=0.012)
+    error = made.velocity - cut.v
+    assert rms(error[-100:]) < 0.3
+    assert np.mean(np.abs(error[-100:]) <= 2 * made.velocity_errors[-100:]) > 0.7
+
+
+@pytest.mark.parametrize("early", [4, 6, 20])
+def test_a_landing_just_after_the_beginning_of_a_record_is_one(recorded, motion, early):
+    """A slip of 6 ms before a stick was smoothed as stick: up to 6 mm/s in the first 100 ms."""
+    true = motion(5, 20.0)
+    landing = true.sticks[3][0]
+    cut = part(true, landing - early * 1e-3, landing + 9.0)
+    made = smooth(recorded(cut))
+    assert made.phases[0].kind == "slip"
+    assert cut.time[0] + made.sticks[0].start == pytest.approx(landing, abs=1.5e-3)
+    assert rms((made.velocity - cut.v)[:100]) < 1.0
+
+
+@pytest.mark.parametrize("law", [2, 4, 6])
+def test_a_stick_in_which_the_mass_creeps_does_not_break_away_where_the_record_ends(recorded, motion, law):
+    true = motion(law, 20.0)
+    sticks = [stick for stick in true.sticks if np.ptp(stick) > 0.25][-3:]
+    for begin, end in sticks:
+        cut = part(true, max(end - 10.0, 0.0), 0.4 * begin + 0.6 * end)
+        made = smooth(recorded(cut))
+        assert made.phases[-1].kind == "stick"
+        assert cut.time[0] + made.sticks[-1].start == pytest.approx(begin, abs=0.03)
 
 
 @pytest.mark.parametrize("counts_per_second", [3.0, 300.0])
