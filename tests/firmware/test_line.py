@@ -89,8 +89,7 @@ def test_it_finds_the_rate_of_its_host(bench, switch_on, first, second):
     with switch_on("uno", speed=4) as board:
         for baud in (first, second):
             with serial.Serial(board.port, baud, timeout=0.05) as port:
-                # Ten questions are what daq asks before it gives up.
-                bench.ask(port, b"I\n", lambda heard: b"stickslip" in heard, patience=2.0)
+                bench.ask(port, b"I\n", lambda heard: b"stickslip" in heard)
         report = board.stop()
     assert report["baud"] == pytest.approx(second, rel=0.025)
 
