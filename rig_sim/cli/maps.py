@@ -1,5 +1,6 @@
 """The commands of ``rig-sim`` about maps of two masses: map, basins, lyapunov; and what continue answers for them."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
 
 MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
-STEPS_PER_EVENT = 1000  # of lyapunov, whose slopes take four events more; the thesis's take 30 each
+STEPS_PER_EVENT = 1000  # of basins and of lyapunov, whose slopes take four events more; the thesis's take 30 each
+STEPS_PER_VALUE = 1_000_000  # of continue; those of the thesis take 300 000
 MANY_EVENTS = 500  # interpreted some seconds; above, compiled code is faster with its compilation
 
 
@@ -78,7 +80,8 @@ def map_(
         lines = [f"{'d':>22} {'f(d)':>22}  word"]
         for row in zip(*(data[key] for key in ("d", "f", "word", "outcome", "advice")), strict=True):
             ended = "" if row[3] == "completed" else f"  {row[3]} ({row[4]})"
-            lines.append(f"{row[0]:22.15g} {row[1]:22.15g}  {row[2]}{ended}")
+            result = "-" if math.isnan(row[1]) else f"{row[1]:.15g}"
+            lines.append(f"{row[0]:22.15g} {result:>22}  {row[2]}{ended}")
         if not several:
             data = {key: values[0] for key, values in data.items()}
     if periodic:
@@ -120,7 +123,7 @@ def continue_map(flow_at: SweptScene, name: str, span: "ParameterRange") -> Answ
     from rig_sim.dynamics.maps.map_continuation import map_continuation
     from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL, StepBudget
 
-    budget = StepBudget(STEPS_IN_ALL)
+    budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
     with application.progress("following", span.number) as show:
         branches, points = map_continuation(
             lambda value: checked(flow_at(value), name, budget), span.values().tolist(), progress=show
@@ -174,7 +177,7 @@ def basins(
     if not 2 <= cells <= MOST_CELLS:
         raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
     check_plot(plot, force)
-    f = stick_map(scene, set_)
+    f = stick_map(scene, set_, cells)
     with application.progress("mapping cells", cells) as show:
         found = find(f, cells, show.stage)
     data: dict[str, Any] = {

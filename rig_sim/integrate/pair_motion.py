@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from daq.compute.arrays import Array
+from daq.compute.compile import pointer
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import COMPLETED, LIST_FULL, OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses
@@ -39,6 +40,7 @@ def list_motion(
     """Go on through n times (s), or until ``rows`` is full; return (outcome, rows stored, times served)."""
     count = 0
     served = 0
+    work = pointer(work)
     while served < n:
         if count == capacity:
             return LIST_FULL, count, served

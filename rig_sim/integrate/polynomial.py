@@ -33,18 +33,32 @@ def deflated(c: Buffer, at: int, degree: int, zeros: int, level: float, xi: floa
     return total, slope
 
 
-def spread(c: Buffer, at: int, degree: int, zeros: int, xi: float) -> float:
-    """Return a bound on how far `deflated` strays from its first term over [0, xi]."""
-    even = odd = 0.0  # powers apart: two chains of sums that do not wait for each other
+def spread(c: Buffer, at: int, degree: int, xi: float) -> float:
+    """Return a bound on how far a polynomial strays from its first term over [0, xi]."""
+    even = odd = 0.0
     square = xi * xi
     last = at + degree
-    if (degree - zeros) % 2 == 1:
+    if degree % 2 == 1:
         odd = abs(c[last])
         last -= 1
-    for j in range(last, at + zeros, -2):
+    for j in range(last, at, -2):
         even = even * square + abs(c[j])
         odd = odd * square + abs(c[j - 1])
     return float((even * xi + odd) * xi)
+
+
+def rise(c: Buffer, at: int, degree: int, zeros: int, side: int, xi: float) -> float:
+    """Return a bound on how far ``side`` times `deflated` rises above its first term over [0, xi]."""
+    even = odd = 0.0  # twice the terms above 0; powers apart: two chains of sums that do not wait for each other
+    square = xi * xi
+    last = at + degree
+    if (degree - zeros) % 2 == 1:
+        odd = side * c[last] + abs(c[last])
+        last -= 1
+    for j in range(last, at + zeros, -2):
+        even = even * square + (side * c[j] + abs(c[j]))
+        odd = odd * square + (side * c[j - 1] + abs(c[j - 1]))
+    return float(0.5 * (even * xi + odd) * xi)
 
 
 def survey(c: Buffer, at: int, degree: int, zeros: int, level: float, xi: float) -> tuple[float, float, float]:
@@ -84,7 +98,7 @@ def first_root(c: Buffer, at: int, degree: int, level: float, side: int, xi_end:
             return 0.0
         if lead == 0.0:
             return -1.0
-    if lead > spread(c, at, degree, zeros, xi_end):
+    if lead > rise(c, at, degree, zeros, side, xi_end):
         return -1.0
     rounding = EPS * (lead if zeros > 0 else max(abs(level), abs(c[at])))
     total, slope, bound = survey(c, at, degree, zeros, level, xi_end)
@@ -98,7 +112,8 @@ def first_root(c: Buffer, at: int, degree: int, level: float, side: int, xi_end:
         # below rounding of the polynomial its sign at the piece's end is all there is to know
         monotone = abs(fall) > bound * h or h <= SHORTEST_PIECE * xi_end or bound * h * h <= rounding
         if rest <= 0.0 and monotone:
-            return polish(c, at, degree, zeros, level, side, start, end)
+            guess = start + h * margin / (margin - rest)  # of the chord; far better than the middle of a short piece
+            return polish(c, at, degree, zeros, level, side, start, end, guess)
         if rest > 0.0 and (monotone or min(rest, margin) > 0.125 * bound * h * h):
             if end >= xi_end:
                 return -1.0
@@ -110,14 +125,15 @@ def first_root(c: Buffer, at: int, degree: int, level: float, side: int, xi_end:
         total, slope = deflated(c, at, degree, zeros, level, end)
     # only a polynomial that hugs its level for the whole step comes here: its end decides
     total, slope = deflated(c, at, degree, zeros, level, xi_end)
-    return polish(c, at, degree, zeros, level, side, start, xi_end) if side * total >= 0.0 else -1.0
+    if side * total < 0.0:
+        return -1.0
+    return polish(c, at, degree, zeros, level, side, start, xi_end, 0.5 * (start + xi_end))
 
 
 def polish(
-    c: Buffer, at: int, degree: int, zeros: int, level: float, side: int, inside: float, outside: float
+    c: Buffer, at: int, degree: int, zeros: int, level: float, side: int, inside: float, outside: float, xi: float
 ) -> float:
-    """Return the root between ``inside`` and ``outside``: Newton kept in its bracket."""
-    xi = 0.5 * (inside + outside)
+    """Return the root between ``inside`` and ``outside``: Newton from ``xi``, kept in its bracket."""
     for _i in range(100):
         total, slope = deflated(c, at, degree, zeros, level, xi)
         if total == 0.0:

@@ -23,19 +23,22 @@ from rig_sim.integrate.taylor import INVERSE
 
 SERIES = ORDER + 2
 # Series of the relative velocities (m/s), the positions (m), the friction over the mass (m/s in a unit of the series'
-# time), the friction's inverse over its first coefficient, and the load on the contact of the mass that sticks (N); the
+# time; coefficient n stands n places before the first one) and the load on the contact of the mass that sticks (N); the
 # first coefficients of W1 ... Y2 are the state
-W1, W2, Y1, Y2, F1, F2, Q1, Q2, LOAD = range(0, 9 * SERIES, SERIES)
+W1, W2, Y1, Y2, LOAD, F1, F2 = (*range(0, 5 * SERIES, SERIES), 6 * SERIES - 1, 7 * SERIES - 1)
 # Single numbers: the modes, the time, steps taken and allowed, events in a row without time passing, the unit of time
 # of the last step, where the section's crossings are wanted 1, and steps that a caller may still take in all
-MODE1, MODE2, TIME, STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, SECTION, STEPS_LEFT = range(9 * SERIES, 9 * SERIES + 9)
-PAIR = 9 * SERIES + 9
+MODE1, MODE2, TIME, STEPS, STEPS_ALLOWED, RAPID, TIME_SCALE, SECTION, STEPS_LEFT = range(7 * SERIES, 7 * SERIES + 9)
+PAIR = 7 * SERIES + 9
 
 # Events besides the end of the time allowed: which mass, times the side its velocity or load leaves by
 FIRST, SECOND, CROSSING = 1, 2, 3  # CROSSING: the first mass's velocity over ground passes 0
 ROUNDING = 16.0 * EPS  # of the largest term of a force, within which it counts as at its level; not swept
 BEYOND = 1e-300  # m/s: next to nothing
 LONGEST = 4.0  # of a step in units of TIME_SCALE, as in `rig_sim.integrate.taylor`
+# Of TIME_SCALE, sqrt(m/k).  Masses that have come to rest exactly take steps each LONGEST times as long as the one
+# before, up to this one, as nothing but overflow would end them; steps of a motion are a billion times shorter.
+LONGEST_SCALE = 1e9
 
 
 def new_pair(max_steps: int, *, compiled: bool = False) -> Buffer:
@@ -78,7 +81,7 @@ def place(fr: Frame, a: float, b: float, y1: float, w1: float, y2: float, w2: fl
 
 
 def begin_slip(
-    fr: Frame, ratio: float, a: float, mode: int, W: int, Y: int, F: int, other: int, T: float, work: Buffer
+    fr: Frame, ratio: float, a: float, mode: int, W: int, Y: int, F: int, other: int, inertia: float, work: Buffer
 ) -> float:
     """Store a slipping mass's friction and first coefficients at the start of a step; return its friction's bend (s/m).
 
@@ -101,88 +104,102 @@ def begin_slip(
     balance = force - fr.c * fr.v - damping * w - held + pulled
     if w == 0.0 and (sign * balance > 0.0 or abs(balance) <= ROUNDING * (abs(force) + abs(held) + abs(pulled))):
         balance = 0.0
-    work[F] = force / fr.m * T
-    work[W + 1] = balance / fr.m * T
-    work[Y + 1] = (w + fr.v) * T
+    work[F] = force * inertia
+    work[W + 1] = balance * inertia
     return bend
 
 
-def friction_term(Q: int, F: int, n: int, work: Buffer) -> float:
-    """Return coefficient n of the friction: F (1 - Q) is its first coefficient."""
-    total = 0.0
-    i = F + n - 1
-    whole = Q + 1 + n - n % 4
-    for j in range(Q + 1, whole, 4):  # four terms a turn: shorter chains of sums
-        total += (work[j] * work[i] + work[j + 1] * work[i - 1]) + (
-            work[j + 2] * work[i - 2] + work[j + 3] * work[i - 3]
-        )
-        i -= 4
-    for j in range(whole, Q + n + 1):
-        total += work[j] * work[i]
-        i -= 1
-    work[F + n] = total
-    return total
+def inner_terms(W: int, F: int, n: int, work: Buffer) -> float:
+    """Return the sum of w_j F_(n - j) over j from 2 to n - 1, for n of 2 and more.
+
+    The terms w_1 F_(n - 1) and w_n F_0 are left to the caller: their newest factors are known last, and no longer sum
+    has to wait for them.
+    """
+    even = odd = 0.0
+    i = F - n + 2
+    whole = W + n - n % 2
+    for j in range(W + 2, whole, 2):
+        even += work[j] * work[i]
+        odd += work[j + 1] * work[i + 1]
+        i += 2
+    if n % 2 == 1:
+        even += work[W + n - 1] * work[F - 1]
+    return even + odd
 
 
 def expand(fr: Frame, a: float, b: float, degree: int, tolerance: float, work: Buffer) -> float:
     """Fill in the series of a step in which one mass slips, or both; return its length in units of TIME_SCALE.
 
-    That unit is the length of the step before, so that no coefficient overflows.
+    That unit is the length of the step before, so that no coefficient overflows.  The friction over the mass obeys
+    F_n = -bend (w_1 F_(n - 1) + ... + w_n F_0), and w_(n + 1) = (F_n + forces of springs and damper) / (n + 1).
     """
     mode1, mode2 = int(work[MODE1]), int(work[MODE2])
     T = work[TIME_SCALE]
+    inertia = T / fr.m
     work[W1 + 1] = work[W2 + 1] = 0.0
     work[Y1 + 1] = work[Y2 + 1] = fr.v * T
     bend1 = bend2 = 0.0
     if mode1 != STICK:
-        bend1 = begin_slip(fr, 1.0, a, mode1, W1, Y1, F1, Y2, T, work)
+        bend1 = begin_slip(fr, 1.0, a, mode1, W1, Y1, F1, Y2, inertia, work)
+        work[Y1 + 1] = (work[W1] + fr.v) * T
     if mode2 != STICK:
-        bend2 = begin_slip(fr, b, a, mode2, W2, Y2, F2, Y1, T, work)
+        bend2 = begin_slip(fr, b, a, mode2, W2, Y2, F2, Y1, inertia, work)
+        work[Y2 + 1] = (work[W2] + fr.v) * T
     w1, y1, w2, y2 = work[W1 + 1], work[Y1 + 1], work[W2 + 1], work[Y2 + 1]
-    work[Q1 + 1] = -bend1 * w1
-    work[Q2 + 1] = -bend2 * w2
+    lead1 = -bend1 * w1
+    scaled1 = -bend1 * work[F1]
+    f1 = scaled1 * w1
+    work[F1 - 1] = f1
+    lead2 = -bend2 * w2
+    scaled2 = -bend2 * work[F2]
+    f2 = scaled2 * w2
+    work[F2 - 1] = f2
     curved = fr.curve == HYPERBOLIC
-    inertia = T / fr.m
     damping1 = (fr.c - fr.G if fr.curve == LINEAR else fr.c) * inertia
     damping2 = (fr.c - b * fr.G if fr.curve == LINEAR else fr.c) * inertia
     own = fr.k * (1.0 + a) * inertia
     coupling = fr.k * a * inertia
     for n in range(1, degree):
         share = INVERSE[n + 1]
-        pull1 = coupling * y2 - own * y1
-        pull2 = coupling * y1 - own * y2
+        sum1 = coupling * y2 - own * y1 - damping1 * w1
+        sum2 = coupling * y1 - own * y2 - damping2 * w2
         y1 = y2 = 0.0
         if mode1 != STICK:
             y1 = T * w1 * share
-            if curved:
-                pull1 += friction_term(Q1, F1, n, work)
-            w1 = (pull1 - damping1 * w1) * share
+            sum1 += f1
+            w1 = sum1 * share
             work[W1 + n + 1] = w1
-            work[Q1 + n + 1] = -bend1 * w1
+            if curved:
+                f1 = lead1 * f1 - bend1 * inner_terms(W1, F1, n + 1, work) + scaled1 * share * sum1
+                work[F1 - n - 1] = f1
         if mode2 != STICK:
             y2 = T * w2 * share
-            if curved:
-                pull2 += friction_term(Q2, F2, n, work)
-            w2 = (pull2 - damping2 * w2) * share
+            sum2 += f2
+            w2 = sum2 * share
             work[W2 + n + 1] = w2
-            work[Q2 + n + 1] = -bend2 * w2
+            if curved:
+                f2 = lead2 * f2 - bend2 * inner_terms(W2, F2, n + 1, work) + scaled2 * share * sum2
+                work[F2 - n - 1] = f2
         work[Y1 + n + 1] = y1
         work[Y2 + n + 1] = y2
-    ratio = 0.0
+    growth = math.inf
     if mode1 != STICK:
-        ratio = decline(fr, W1, degree, work)
+        growth = allowance(fr, W1, degree, tolerance, work)
     if mode2 != STICK:
-        ratio = max(ratio, decline(fr, W2, degree, work))
-    if ratio == 0.0:
-        return LONGEST
-    return min(math.exp(math.log(tolerance / ratio) * INVERSE[degree]), LONGEST)
+        growth = min(growth, allowance(fr, W2, degree, tolerance, work))
+    if not growth > 0.0:  # the last terms have overflown
+        return 0.0
+    return min(math.exp2(math.log2(growth) * INVERSE[degree]), LONGEST)
 
 
-def decline(fr: Frame, W: int, degree: int, work: Buffer) -> float:
-    """Return the largest of a series' last two coefficients relative to the belt's speed or its first three."""
+def allowance(fr: Frame, W: int, degree: int, tolerance: float, work: Buffer) -> float:
+    """Return by how much the terms of highest degree may grow until ``tolerance`` of the first ones is reached.
+
+    The larger of the last two coefficients is compared with the belt's speed or the largest of the first three.
+    """
     last = max(abs(work[W + degree]), abs(work[W + degree - 1]))
     first = max(abs(work[W]), abs(work[W + 1]), abs(work[W + 2]), fr.v)
-    return last / first if last > 0.0 else 0.0
+    return tolerance * first / last if last > 0.0 else math.inf
 
 
 def fill_load(fr: Frame, a: float, ratio: float, own: int, other: int, degree: int, work: Buffer) -> None:
@@ -210,7 +227,7 @@ def first_event(fr: Frame, a: float, b: float, degree: int, end: float, work: Bu
     elif mode2 == STICK:
         fill_load(fr, a, b, Y2, Y1, degree, work)
         level = b * fr.B
-    if abs(work[LOAD]) + spread(work, LOAD, degree, 0, end) < level:
+    if level < math.inf and abs(work[LOAD]) + spread(work, LOAD, degree, end) < level:
         level = math.inf
     event = 0
     for candidate in range(7):
@@ -334,7 +351,7 @@ def pair_event(
             scale = work[TIME_SCALE]
             if not scale * step > 0.0:
                 return 0, NOT_FINITE
-            work[TIME_SCALE] = scale * step
+            work[TIME_SCALE] = min(scale * step, LONGEST_SCALE / fr.omega0)
             event, xi = first_event(fr, a, b, degree, min(step, rest / scale), work)
             move(degree, xi, work)
             tau = xi * scale

@@ -32,3 +32,12 @@ def slope(f: IntervalMap, x: Array) -> Array:
     x = np.asarray(x, dtype=np.float64)
     values = f((x[:, None] + h * np.array([-2.0, -1.0, 1.0, 2.0])).ravel()).reshape(-1, 4)
     return (values @ np.array([1.0, -8.0, 8.0, -1.0])) / (12.0 * h)  # type: ignore[no-any-return]
+
+
+def survey(f: IntervalMap, x: Array, times: int = 1) -> Array:
+    """Return the ``times``-th iterate of each x to see its sign and place: by a faster way where the map has one.
+
+    That is a method ``survey``.
+    """
+    values: Array = getattr(f, "survey", f)(x, times)
+    return values

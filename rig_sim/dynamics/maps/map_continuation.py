@@ -18,10 +18,10 @@ import numpy as np
 from rig_sim.dynamics.continuation import SpecialPoint
 from rig_sim.dynamics.maps.basins import settled
 from rig_sim.dynamics.maps.interval_map import IntervalMap
-from rig_sim.dynamics.maps.periodic_points import PeriodicPoint, periodic_points
+from rig_sim.dynamics.maps.periodic_points import PeriodicPoint, orbits_of_periods, periodic_points
 
 MapAt = Callable[[float], IntervalMap]
-PERIODS = (1, 2)
+PERIODS = 2  # orbits of periods 1 to so many are followed
 NEAR = 0.08  # of the interval: an orbit moves less from value to value; more values allow less
 PLACES = 400  # at which an orbit is looked for about where it was
 HALVINGS = 6  # of the step in which two orbits vanish, before the place where they meet is looked for
@@ -49,7 +49,7 @@ def map_continuation(
     previous = values[0]
     for done, value in enumerate(values, 1):
         f = map_at(value)
-        orbits = [orbit for period in PERIODS for orbit in periodic_points(f, period)]
+        orbits = orbits_of_periods(f, PERIODS)
         pairs = matched(before, orbits, NEAR * (f.hi - f.lo))
         points += special_points(map_at, (previous, value), before, orbits, pairs)
         earlier = {id(new): old for old, new in pairs}

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
-from rig_sim.dynamics.maps.interval_map import IntervalMap, slope
+from rig_sim.dynamics.maps.interval_map import IntervalMap, slope, survey
 
 # Places at which f^n(x) - x is compared with 0.  Two periodic points between neighbouring places are not seen: twice as
 # many halve the distance at which they are.
@@ -53,10 +53,30 @@ def periodic_points(
     if period < 1:
         raise ValueError(f"period is {period}; need 1 or more")
     lo, hi = within or (f.lo, f.hi)
-    if within is None and np.all(np.isnan(f(np.linspace(f.lo, f.hi, FEW)))):
+    if within is None and np.all(np.isnan(survey(f, np.linspace(f.lo, f.hi, FEW)))):
         return ()
     x = np.linspace(max(lo, f.lo), min(hi, f.hi), places)
-    gain = f(x, period) - x
+    return orbits_among(f, period, x, survey(f, x, period))
+
+
+def orbits_of_periods(f: IntervalMap, periods: int) -> list[PeriodicPoint]:
+    """Return the orbits of periods 1 to ``periods``, each as `periodic_points` finds them, at the cost of the longest.
+
+    A place from which no stick follows, the costliest one, is tried once.
+    """
+    if np.all(np.isnan(survey(f, np.linspace(f.lo, f.hi, FEW)))):
+        return []
+    places = iterate = np.linspace(f.lo, f.hi, PLACES)
+    found: list[PeriodicPoint] = []
+    for period in range(1, periods + 1):
+        iterate = survey(f, iterate)
+        found += orbits_among(f, period, places, iterate)
+    return found
+
+
+def orbits_among(f: IntervalMap, period: int, x: Array, iterate: Array) -> tuple[PeriodicPoint, ...]:
+    """Return the orbits of exactly this period with a point between neighbours of ``x``, whose iterates are known."""
+    gain = iterate - x
     found: list[PeriodicPoint] = []
     for i in np.flatnonzero(np.sign(gain[:-1]) * np.sign(gain[1:]) <= 0.0):
         root = return_point(f, period, float(x[i]), float(x[i + 1]))

@@ -16,7 +16,7 @@ import numpy as np
 
 from rig_sim.dynamics.maps.basins import NOWHERE, basins
 from rig_sim.dynamics.maps.section import section_points
-from rig_sim.dynamics.maps.stick_map import StepLimitError, StickMap
+from rig_sim.dynamics.maps.stick_map import StepBudget, StepLimitError, StickMap
 from rig_sim.flow.modes import OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow
 
@@ -30,6 +30,9 @@ SAME_POINT = 1e-7  # of the interval: points of the section closer than this are
 TASK_S = 0.2
 # Of the number of values in a task: the next value may take 1000 times longer than one without a drive, done at once.
 MOST_GROWTH = 2
+
+# Integrator steps at one value, 10 s.  Values of the thesis take 200 000 to 500 000, levels in the ratio of 10^5 10^7.
+STEPS_OF_VALUE = 20_000_000
 
 Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -158,7 +161,7 @@ def attractors_at(flow_at: Callable[[float], TwoMassFlow], section: str, value: 
         Of the parameter.
     """
     flow = flow_at(value)
-    f = StickMap(flow)
+    f = StickMap(flow, budget=StepBudget(STEPS_OF_VALUE))
     try:
         found = basins(f, CELLS)
     except StepLimitError:

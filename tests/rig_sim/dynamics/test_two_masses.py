@@ -10,9 +10,10 @@ import pytest
 from daq.console import application
 from daq.errors import InputError
 from rig_sim.cli import app as cli
+from rig_sim.cli import maps
 from rig_sim.comparison.two_masses import next_stick
 from rig_sim.dynamics.fixed_point import two_mass_fixed_point
-from rig_sim.dynamics.maps import stick_map
+from rig_sim.dynamics.maps import stick_map, sweep
 from rig_sim.dynamics.maps.periodic_points import periodic_points
 from rig_sim.dynamics.maps.stick_map import COARSE, FINE, StickMap
 from rig_sim.flow.flow import Flow
@@ -106,6 +107,14 @@ def test_masses_on_the_fixed_point_stay():
     assert (y1, y2, w1, w2) == pytest.approx((*point.x, -0.4, -0.4), abs=1e-14)
 
 
+def test_masses_at_rest_to_the_last_bit_do_not_overflow():
+    # With every coefficient of the series 0 each step was four times as long as the one before: soon the time was
+    # infinite, and the motion 'completed' there.
+    motion = PairMotion(thesis(curve=CONSTANT, a=1.0, b=1.0), (1.0, 0.0, 1.0, 0.0), 1000)
+    assert not list(motion.rows([math.inf], SAMPLES))
+    assert motion.outcome.name == "step limit"
+
+
 @pytest.mark.parametrize("case", REFERENCE["map_fixed_points"], ids=lambda case: str(case["V"]))
 def test_fixed_points_of_the_map_and_their_slopes(case):
     orbits = periodic_points(StickMap(thesis(case["V"])))
@@ -122,6 +131,13 @@ def test_orbits_of_period_two(case):
     if "d_unstable" in case:
         unstable = [orbit for orbit in orbits if not orbit.stable]
         assert any(orbit.points == pytest.approx(case["d_unstable"], abs=case["tol"]) for orbit in unstable)
+
+
+def test_a_map_without_an_event_shows_no_number_that_is_none(capsys):
+    # It used to print nan.
+    assert application.run(cli.app, ["map", "two-mass", "--d", "0.1", "--set", "coupling.b=0"]) == 0
+    assert "                      -  21111" in (out := capsys.readouterr().out)
+    assert "nan" not in out
 
 
 def test_lower_precision_keeps_its_promise():
@@ -155,7 +171,8 @@ def test_every_event_ends_in_a_named_outcome(flow, d, outcome):
 
 def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
     # Basins at coupling.a = 1e6 used to take days: 50 000 steps an event, hundreds of attractors.
-    monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 2000)
+    for place, name in ((stick_map, "STEPS_IN_ALL"), (maps, "STEPS_PER_EVENT"), (sweep, "STEPS_OF_VALUE")):
+        monkeypatch.setattr(place, name, 2000 if place is not maps else 1)
     command = ["basins", "two-mass", "--cells", "300", "--json"]
     assert application.run(cli.app, command) == 2
     assert "step limit" in json.loads(capsys.readouterr().out)["error"]["what"]
@@ -165,7 +182,8 @@ def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
 
 def test_the_values_of_a_continuation_share_its_steps(capsys, monkeypatch):
     """Each value, and each step towards a special point, used to have 10^8 steps of its own: hours for stiff pairs."""
-    monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 400_000)  # one value takes 150 000
+    monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 400_000)  # one value takes 200 000
+    monkeypatch.setattr(maps, "STEPS_PER_VALUE", 100_000)
     command = ["continue", "two-mass", "--over", "belt.speed=0.15:0.153:4", "--json"]
     assert application.run(cli.app, command) == 2
     assert "step limit" in json.loads(capsys.readouterr().out)["error"]["what"]
