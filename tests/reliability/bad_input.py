@@ -19,30 +19,37 @@ from .inputs import batch, files, streams
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of input: what tries some of it, the sound ones, its share of a million, and its name in the table."""
+    """One kind of input: what tries some of it, the sound ones, how many at full size, and its name in the table."""
 
     one: Callable[[random.Random, Path], None]
     sound: Callable[[], object]
-    share: int
+    full: int
     name: str
 
 
-KINDS = {
+STREAMS = {
     "frames": Kind(streams.damaged_frames, streams.payloads, 400_000, "frames"),
     "text": Kind(streams.damaged_text, streams.payloads, 250_000, "lines of text"),
     "qsb": Kind(streams.damaged_qsb, streams.payloads, 250_000, "records of a QSB"),
     "journal": Kind(streams.damaged_journal, streams.payloads, 100_000, "records of a journal"),
+}
+FILES = {
     "toml": Kind(files.damaged_toml, files.tomls, 60_000, "TOML and --set"),
     "csv": Kind(files.damaged_csv, files.tables, 40_000, "tables (.csv)"),
-    "h5": Kind(files.damaged_h5, files.runs, 5_000, "run files (.h5)"),
-    "mat": Kind(files.damaged_mat, files.mats, 7_500, "MATLAB files (.mat)"),
-    "sr": Kind(files.damaged_sr, files.captures, 7_500, "captures (.sr)"),
+    "h5": Kind(files.damaged_h5, files.runs, 4_000, "run files (.h5)"),
+    "mat": Kind(files.damaged_mat, files.mats, 6_000, "MATLAB files (.mat)"),
+    "sr": Kind(files.damaged_sr, files.captures, 10_000, "captures (.sr)"),
 }
 
 
-def bad_input(size: Size, folder: Path) -> list[Result]:
-    """Try damaged inputs of every kind; ``size.amount`` of streams, and the others in proportion."""
-    return [_tried(name, size, folder) for name in KINDS]
+def bad_streams(size: Size, folder: Path) -> list[Result]:
+    """Try ``size.amount`` damaged pieces of streams, of every protocol and of journals."""
+    return [_tried(name, "bad_streams", size, folder) for name in STREAMS]
+
+
+def bad_files(size: Size, folder: Path) -> list[Result]:
+    """Try ``size.amount`` damaged files and texts of every kind."""
+    return [_tried(name, "bad_files", size, folder) for name in FILES]
 
 
 def again(name: str, number: int, seed: int = 1) -> None:
@@ -51,13 +58,13 @@ def again(name: str, number: int, seed: int = 1) -> None:
         _one(name, seed, number, Path(folder))
 
 
-def _tried(name: str, size: Size, folder: Path) -> Result:
-    kind = KINDS[name]
+def _tried(name: str, campaign_name: str, size: Size, folder: Path) -> Result:
+    kinds, together = (STREAMS, streams.TOGETHER) if name in STREAMS else (FILES, 1)
+    kind = kinds[name]
     place = folder / name
     place.mkdir()
     kind.sound()  # made here once, not in each child
-    together = streams.TOGETHER if kind.one.__module__ == streams.__name__ else 1
-    calls = max(1, size.amount * kind.share // 1_000_000 // together)
+    calls = max(1, size.amount * kind.full // sum(each.full for each in kinds.values()) // together)
     found = batch.run(name, calls, place, functools.partial(_one, name, size.seed), together)
     crashed = f", of them {found.crashed} after a crash of the child process" if found.crashed else ""
     return Result(
@@ -66,11 +73,11 @@ def _tried(name: str, size: Size, folder: Path) -> Result:
         f"{found.inputs} by chance, seed {size.seed}",
         f"{found.taken} read, {found.inputs - found.taken} refused{crashed}; the slowest took "
         f"{found.slowest_s:.2f} s, memory grew by {found.most_bytes >> 20} MB; {found.cpu_s:.0f} s of CPU time",
-        campaign.test_of("bad_input"),
+        campaign.test_of(campaign_name),
         tuple(found.faults),
     )
 
 
 def _one(name: str, seed: int, number: int, folder: Path) -> None:
     provenance._commit = lambda folder: {}  # the one program that a command starts: git, for the commit of a checkout
-    KINDS[name].one(random.Random(f"{seed} {name} {number}"), folder)
+    (STREAMS | FILES)[name].one(random.Random(f"{seed} {name} {number}"), folder)

@@ -74,6 +74,8 @@ class Campaign:
         work in memory where the system offers a folder there, since they would mostly wait for the disk.
     seed : int
         Of everything that is drawn by chance.
+    module : str
+        Which module has its function, where that is not the module of its name.
     """
 
     counts: str
@@ -81,6 +83,7 @@ class Campaign:
     full: int
     on_disk: bool = False
     seed: int = 1
+    module: str = ""
 
     @property
     def folder(self) -> str | None:
@@ -102,13 +105,14 @@ CAMPAIGNS: dict[str, Campaign] = {
     "clocks": Campaign("samples of a run whose counters wrap", short=24, full=200),
     "numerics": Campaign("values for each number", short=2, full=14),
     "security": Campaign("requests", short=25, full=1000),
-    "bad_input": Campaign("pieces of streams, and files in proportion", short=20_000, full=1_000_000),
+    "bad_streams": Campaign("pieces of streams", short=20_000, full=1_000_000, module="bad_input"),
+    "bad_files": Campaign("files", short=2_400, full=120_000, module="bad_input"),
 }
 
 
 def run(name: str, size: str, folder: Path) -> list[Result]:
     """Run a campaign in an empty folder."""
-    module = importlib.import_module(f"..{name}", __name__)
+    module = importlib.import_module(f"..{CAMPAIGNS[name].module or name}", __name__)
     function = cast(Callable[[Size, Path], list[Result]], getattr(module, name))
     return function(CAMPAIGNS[name].size(size), folder)
 
