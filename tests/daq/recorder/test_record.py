@@ -351,11 +351,19 @@ def test_a_board_without_calibration_records_counts(tmp_path, attach):
     assert any("positions are counts" in warning for warning in found.warnings)
 
 
-def test_a_calibration_that_cannot_be_read_costs_the_calibration_not_the_run(tmp_path, attach):
-    attach(FakeBoard(config="[rig]\nmess = 1\n"))
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ("[rig]\nmess = 1\n", "mess"),
+        ("a = " + "[" * 1500, "nested too deeply"),  # these two ended the recording in a traceback
+        ("[rig]\nmass = 0x" + "f" * 1500, "too many digits"),
+    ],
+)
+def test_a_calibration_that_cannot_be_read_costs_the_calibration_not_the_run(tmp_path, attach, config, said):
+    attach(FakeBoard(config=config))
     found = record(request(tmp_path))
     assert found.samples == 800
-    assert any("mess" in warning for warning in found.warnings)
+    assert any(said in warning for warning in found.warnings)
 
 
 def test_what_the_recorder_itself_could_not_keep_is_counted(tmp_path, attach, monkeypatch):
