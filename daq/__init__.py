@@ -1,8 +1,9 @@
 """Recording: the board's wire, decoders, the recorder and the run file.  ``daq.load(path)`` reads a run."""
 
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # not from typing: until its entry point guards it, a command must import as little as can be
 if TYPE_CHECKING:
+    from typing import Any
+
     from daq.runfile.recording import Recording as Recording
     from daq.runfile.store import load as load
 
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
 __all__ = ["Recording", "__version__", "load"]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Import the run-file reader when it is first asked for: ``import daq`` alone loads nothing."""
     if name == "__version__":
         from daq.version import VERSION

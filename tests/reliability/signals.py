@@ -19,13 +19,14 @@ from daq.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, EXIT_INTERRUPTED
 
 from . import campaign, tasks
 from .campaign import Result, Size
-from .forked import HANGS_S, SEND, Server, compiled
+from .forked import HANGS_S, ROOT, SEND, Server, compiled
 from .tasks import TASKS
 
 ENTRIES = {"daq": "daq", "process": "process", "fit-friction": "fit_friction"}
 EVERY_S = 0.025  # of CPU time: on an idle computer that of a clock, since a command works while it starts and ends
 WHILE_RECORDING_S = (0.0, 0.3, 0.6, 0.9)
 STOPPED_S = 0.05
+PACKAGES = ("daq", "processing", "fitting", "rig_sim")
 AT_A_TIME = 3
 RECORD = ("daq", "record", "--realtime", "--duration", "1", "-o", "new.h5", "--json")
 SAMPLES = 1000
@@ -124,7 +125,7 @@ def _at_times(library: Path, sources: Path, folder: Path, size: Size) -> tuple[i
         smooth.begin(sources, folder)
         code, _, err = _signalled(library, smooth.line, folder, (signal.SIGINT,), moment)
         where = f"{' '.join(smooth.line)}, INT {moment}"
-        if "Traceback" in err or code not in (EXIT_DONE, EXIT_INTERRUPTED, -signal.SIGINT):
+        if _ended_badly(code, err, {EXIT_DONE, EXIT_INTERRUPTED}):
             faults.append(f"{where}: ended with {code}: {err}")
         faults += [f"{where}: {what}" for what in tasks.spoiled(smooth, folder, before, after)]
         faults += [f"{where}: {path.name} is left" for path in folder.glob(".*")]
@@ -180,13 +181,27 @@ def _stops(pid: int) -> bool:
     return False
 
 
+def _ended_badly(code: int, err: str, known: set[int]) -> bool:
+    """Return whether a command ended with another exit code, hung, or printed a traceback.
+
+    At a Ctrl-C before it has come to our modules the interpreter ends as it does, with a traceback of its own.
+    """
+    ours = any(f"{ROOT / package}{os.sep}" in err for package in PACKAGES)
+    if not ours and (code == -signal.SIGINT or "init_import_site" in err):
+        return False
+    return code not in known or "Traceback" in err or "hung" in err
+
+
 def _recording_faults(code: int, out: str, err: str, folder: Path, numbers: Sequence[int]) -> list[str]:
     """Return what is wrong with the end of a recording that got signals."""
     found = []
-    allowed = {EXIT_DONE, EXIT_DATA, EXIT_INTERRUPTED, *(-number for number in numbers if number != signal.SIGSTOP)}
-    if code not in allowed or "Traceback" in err or "hung" in err:
+    killed = {-number for number in numbers if number != signal.SIGSTOP}
+    if _ended_badly(code, err, {EXIT_DONE, EXIT_DATA, EXIT_INTERRUPTED, *killed}):
         found.append(f"ended with {code}: {err}")
     left = sorted(path.name for path in folder.iterdir())
+    if code in killed and left == ["new.h5"]:  # the recording was over, and the command about to print its result
+        samples = daq.load(folder / "new.h5").time.size
+        return found if samples == SAMPLES else [*found, f"{samples} of {SAMPLES} samples"]
     if code in (EXIT_DONE, EXIT_DATA) and left == ["new.h5"]:
         samples = daq.load(folder / "new.h5").time.size
         if samples != json.loads(out)["samples"]:

@@ -1,8 +1,11 @@
 """The beginning and the end of a command's process."""
 
+import importlib
 import signal
 import subprocess
 import sys
+import time
+import weakref
 
 import pytest
 
@@ -22,12 +25,39 @@ def test_an_interrupt_while_modules_are_imported_is_no_traceback(monkeypatch, ca
     def interrupted(name):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(start, "import_module", interrupted)
+    monkeypatch.setattr(importlib, "import_module", interrupted)
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     monkeypatch.setattr(signal, "signal", lambda *arguments: None)
     with pytest.raises(SystemExit) as ended:
         start.daq()
     assert ended.value.code == 130
     assert capfd.readouterr().err == "daq: interrupted\n"
+
+
+def test_an_entry_point_imports_nothing_before_it_is_guarded():
+    # Ctrl-C 25 ms after the start met the import of `typing`, and ended in a traceback.
+    line = "import sys; before = set(sys.modules); import daq.console.start; print(*sorted(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", line], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["daq", "daq.console", "daq.console.start"]
+
+
+def test_an_interrupt_that_a_callback_loses_comes_again(monkeypatch, capfd):
+    # In a callback of the import system or of LLVM it was printed as "Exception ignored", and the command went on.
+    monkeypatch.setattr(sys, "unraisablehook", start.interrupt_again)
+
+    class Thing:
+        pass
+
+    def lose():
+        thing = Thing()
+        watch = weakref.ref(thing, lambda gone: signal.raise_signal(signal.SIGINT))
+        del thing
+        assert watch() is None
+        time.sleep(10)
+
+    with pytest.raises(KeyboardInterrupt):
+        lose()
+    assert capfd.readouterr().err == ""
 
 
 def test_a_signal_within_the_handler_of_another_is_not_the_first():
