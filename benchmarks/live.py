@@ -3,7 +3,7 @@
 ``python benchmarks/live.py [SECONDS]`` (default 20).  Needs chromium, playwright and the extra `live`.  The recording
 is `daq record --live` of the simulated rig in real time.  The server's share of a core is its CPU time, start excluded,
 over the time of measurement; a second recording of the same length without a viewer gives the recorder's own CPU time
-for comparison.
+for comparison.  The page as it looks at the end is kept as `results/live.png`: the picture of the documentation.
 """
 
 import json
@@ -56,6 +56,8 @@ def measure(seconds: float, chromium: str) -> dict[str, float]:
         span = time.monotonic() - began
         shown = int(page.evaluate("document.body.dataset.frames")) - frames
         busy = cpu_s(server) - cpu
+        RESULTS.mkdir(exist_ok=True)
+        page.screenshot(path=RESULTS / "live.png")
         browser.close()
         found = json.loads(run.communicate()[0])
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -82,7 +84,6 @@ def main() -> None:
     found = measure(seconds, chromium)
     for name, value in found.items():
         print(f"{name:22} {value:10.4g}")
-    RESULTS.mkdir(exist_ok=True)
     (RESULTS / "live.json").write_text(json.dumps(found, indent=1) + "\n")
 
 

@@ -48,8 +48,10 @@ def test_the_first_screen_holds_verdict_ranking_and_six_orbits(report, chromium,
         }
         titles = page.locator(".top figure svg text", has_text=re.compile("^law [1-6]")).count()
         wide = page.evaluate("document.documentElement.scrollWidth")
+        pictures = page.evaluate("[...document.querySelectorAll('.wide svg')].map(svg => svg.clientWidth)")
         browser.close()
     assert titles == 6
+    assert min(pictures) >= 600, "a picture of several panels has shrunk"  # to 360 px on a phone
     assert wide <= width
     for name, box in lowest.items():
         assert box["y"] + box["height"] <= height, name
