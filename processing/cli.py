@@ -101,7 +101,8 @@ def compare(file: Run, /, *, json: Json = False) -> Answer:
     from processing import compare as comparison
 
     recording = store.load(file)
-    rows = comparison.rows(recording, store.truth(file))
+    with application.progress("comparing", 100, "%") as show:
+        rows = comparison.rows(recording, store.truth(file), show)
     known = any(row.rms_error is not None for row in rows)
     return Answer({"rows": [vars(row) for row in rows], "truth": known}, _table(rows, file, recording.unit, known))
 

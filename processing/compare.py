@@ -6,6 +6,7 @@ The true errors are stated only where the run file of a simulated rig holds the 
 
 import math
 import time as clock
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,9 @@ class MethodError:
     max_error: float | None
 
 
-def rows(recording: Recording, truth: Truth | None) -> list[MethodError]:
+def rows(
+    recording: Recording, truth: Truth | None, progress: Callable[[float], None] = lambda share: None
+) -> list[MethodError]:
     """Run every method on the recording.
 
     Parameters
@@ -55,6 +58,8 @@ def rows(recording: Recording, truth: Truth | None) -> list[MethodError]:
         The run.
     truth : Truth or None
         Its exact motion, where it is known.
+    progress : callable
+        Called after each row with the percentage of rows done.
 
     Returns
     -------
@@ -64,16 +69,25 @@ def rows(recording: Recording, truth: Truth | None) -> list[MethodError]:
     for method in ("sg", "segment"):  # compiles what it needs now
         registry.estimate(method, series.from_recording(recording), Setting())
     true = velocity_at(recording, truth) if truth is not None else None
-    found = []
+    found: list[MethodError] = []
     for times in reversed(series.TIMES):
         data = series.from_recording(recording, times)
-        found.append(_row("fd", times, data, Setting(), true))
         longest = max(piece.stop - piece.start for piece in data.pieces)
-        for window in (length for length in WINDOWS if length <= longest):
-            found.append(_row("sg", f"{window},{ORDER} {times}", data, Setting(window, ORDER), true))
-        found.append(_row("sg", f"auto {times}", data, parse_window("auto", None, data), true))
-        found += [_row(method, times, data, Setting(), true) for method in ("rts", "segment", "auto")]
+        windows = [f"{length},{ORDER}" for length in WINDOWS if length <= longest]
+        asked = [("fd", times), *(("sg", f"{window} {times}") for window in (*windows, "auto"))]
+        asked += [(method, times) for method in ("rts", "segment", "auto")]
+        for method, setting in asked:
+            found.append(_row(method, setting, data, _setting(method, setting, data), true))
+            progress(100.0 * len(found) / (len(series.TIMES) * len(asked)))
     return found
+
+
+def _setting(method: str, setting: str, data: Series) -> Setting:
+    """Return the setting of a row: of ``sg`` its window, which stands first in its name."""
+    if method != "sg":
+        return Setting()
+    window = setting.split()[0]
+    return parse_window("auto", None, data) if window == "auto" else Setting(int(window.split(",")[0]), ORDER)
 
 
 def _row(method: str, setting: str, data: Series, asked: Setting, true: Array | None) -> MethodError:

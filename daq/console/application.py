@@ -359,13 +359,16 @@ def progress(description: str, total: float | None, unit: str = "") -> Iterator[
             each = f"{speed:.3g} {unit}/s" if speed and unit and unit != "%" else ""
             return Text(task.fields["words"] or each)
 
+    class TimeLeft(TimeRemainingColumn):
+        def render(self, task: Task) -> Text:
+            return Text("") if task.finished else Text("ETA ") + super().render(task)
+
     bar = Bar(
         TextColumn("{task.description}"),
         BarColumn(bar_width=BAR),
         TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit if total else "{task.completed:.0f} " + unit),
         Rate(),
-        TextColumn("ETA"),
-        TimeRemainingColumn(compact=True),
+        TimeLeft(compact=True),
         console=Console(stderr=True),
         transient=True,
     )
