@@ -13,18 +13,14 @@ from fitting.adequacy.visible import smallest_visible
 from fitting.curve.measure import band_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
-from fitting.departures.explain import explain_misfit
+from fitting.departures.explain import explain_beside_curve, explain_misfit
 from fitting.departures.result import FoundDeparture
-from fitting.departures.strongest import score_departures
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.shooting import ShootingWindows
 from fitting.sensitivity.path import Path
 
 NUMBER_OF_LAWS = 6
-# Of the misfit of a law.  Drag and weak guides explain 0.84 to 1.0 of it, wrong departures of other truths up to 1.0:
-# these have a published form.
-MOSTLY_EXPLAINED = 0.8
 # Times the noise: a curve that leaves so much beside an adequate law has not been found, as where the mass never sticks
 # for long; then its k/m has no interval.  Curves of the six laws leave 0.98 to 1.02.
 MISSED = 1.1
@@ -206,20 +202,11 @@ def _departures(
 ) -> tuple[FoundDeparture, ...]:
     """Return what would explain the misfit: of law and curve, or of the law alone where the curve hides it.
 
-    Drag and a weak guide are nearly functions of the relative speed.  A curve that is none of the published forms may
-    be a law with such a departure; it is reported where it explains most of what the law leaves.
+    A curve that describes the record but is none of the published forms may be a law with a departure.
     """
+    fits, noise_m = [chosen.fit, *others], float(np.max(noise))
     if not of_speed:
-        fits = [chosen.fit, *others]
-        return explain_misfit(fits, motions, float(np.max(noise)), curve=curve, revolution=revolution)
-    if any(form.inside_band for form in curve.forms) or chosen.linearised is None:
+        return explain_misfit(fits, motions, noise_m, curve=curve, revolution=revolution)
+    if any(form.inside_band for form in curve.forms):
         return ()
-    fit, linear = chosen.fit, chosen.linearised
-    path = fit.path()
-    if path is None:
-        return ()
-    owner = np.repeat(path.windows.table[:, 5], path.windows.table[:, 3])
-    found = score_departures(linear, path, motions, noise=noise[owner], revolution=revolution)
-    if found and found[0].explained < MOSTLY_EXPLAINED:
-        return ()
-    return found
+    return explain_beside_curve(fits, motions, noise_m, revolution)

@@ -21,6 +21,9 @@ REACHED = 1.05
 # Of the gain of the linear step: a refit of the free curve that gains less has not come to its end.  A curve often is
 # near the noise without the departure, so its error alone does not tell.
 LEAST_PART = 0.5
+# Of the misfit of a law.  Drag and weak guides explain 0.84 to 1.0 of it, wrong departures of other truths up to 1.0:
+# these have a published form.
+MOSTLY_EXPLAINED = 0.8
 MOST_LAWS = 2  # that a departure is fitted with: the best, and the best of another curve
 
 
@@ -64,19 +67,59 @@ def explain_misfit(
     if free is not None:
         lists.append(_list(free, records, noise, curve))
     lists = sorted((one for one in lists if one.tested), key=lambda one: -one.found[0].explained)
+    tried: set[str] = set()
     for one in lists:
-        refit = confirm(one.tested[0], fits, records, noise, revolution, law)
-        if refit is None and one.curve is not None:
+        found = _with_laws(one, fits, records, noise, revolution, law, tried)
+        if found is None and one.curve is not None:
             refit = confirm_on_curve(one.tested[0], one.base, one.curve, noise)
-        if refit is not None:
-            first = describe(refitted(one.tested[0], refit), records[0], 0.0)
-            return (replace(first, explained=one.found[0].explained, refitted=True, law=refit.law), *one.found[1:])
+            found = None if refit is None else one.with_first(0, refit, records)
+        if found is not None:
+            return found
     found = lists[0].found if lists else ()
     if free is not None and not described:
         explained = max((one.found[0].explained for one in lists if one.curve is not None), default=0.0)
         memory = suspect_memory(free, explained)
         found = found if memory is None else (memory, *found)
     return found
+
+
+def explain_beside_curve(
+    fits: Sequence[Fit], records: Sequence[MeasuredMotion], noise: float, revolution: float | None = None
+) -> tuple[FoundDeparture, ...]:
+    """Return the departures of the best law where the free curve describes the record, which no law does.
+
+    Drag and a weak guide are nearly functions of the relative speed.  They are reported where the strongest departure
+    explains most of what the law leaves.  The arguments are those of `explain_misfit`.
+    """
+    base = base_of(fits[0], records, revolution)
+    one = None if base is None else _list(base, records, noise)
+    if one is None or not one.tested or one.found[0].explained < MOSTLY_EXPLAINED:
+        return ()
+    return _with_laws(one, fits, records, noise, revolution, base, set()) or one.found
+
+
+def _with_laws(
+    one: "_List",
+    fits: Sequence[Fit],
+    records: Sequence[MeasuredMotion],
+    noise: float,
+    revolution: float | None,
+    first: Base | None,
+    tried: set[str],
+) -> tuple[FoundDeparture, ...] | None:
+    """Return a list with the departure first that describes the record together with a law; None where none does.
+
+    Besides the strongest, drags are tried: their test, on a law that has ended far away without them, is a poor guess,
+    and their refit does not start there.  Names are added to ``tried``, so that no list tries them again.
+    """
+    for place, tested in enumerate(one.tested):
+        name, drag = tested.departure.name, tested.departure.drag is not None
+        if place == 0 or (drag and name not in tried):
+            refit = confirm(tested, fits, records, noise, revolution, first, hurried=place > 0)
+            if refit is not None:
+                return one.with_first(place, refit, records)
+            tried.add(name)
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +130,12 @@ class _List:
     tested: list[Tested]
     found: tuple[FoundDeparture, ...]
     curve: MeasuredCurve | None
+
+    def with_first(self, place: int, refit: Refit, records: Sequence[MeasuredMotion]) -> tuple[FoundDeparture, ...]:
+        """Return what was found, the one at ``place`` first and as fitted."""
+        own, others = self.found[place], (*self.found[:place], *self.found[place + 1 :])
+        first = describe(refitted(self.tested[place], refit), records[0], 0.0)
+        return (replace(first, explained=own.explained, refitted=True, law=refit.law), *others)
 
 
 def _list(base: Base, records: Sequence[MeasuredMotion], noise: float, curve: MeasuredCurve | None = None) -> _List:
@@ -101,10 +150,12 @@ def confirm(
     noise: float,
     revolution: float | None = None,
     first: Base | None = None,
+    *,
+    hurried: bool = False,
 ) -> Refit | None:
     """Fit a departure with the best laws; return the fit that leaves least where it reaches the noise, else None.
 
-    ``first`` is the base of the best law, where it has been made.
+    ``first`` is the base of the best law, where it has been made; ``hurried`` as in `refit_with`.
     """
     curves: set[int] = set()
     best: Refit | None = None
@@ -115,8 +166,8 @@ def confirm(
             break
         curves.add(fit.problem.curve)
         base = first if first is not None and fit is fits[0] else base_of(fit, records, revolution)
-        reached = _reached(best, noise) is not None
-        found = None if base is None else refit_with(Host.of_law(fit), base, *tested.at, noise, hurried=reached)
+        quick = hurried or _reached(best, noise) is not None
+        found = None if base is None else refit_with(Host.of_law(fit), base, *tested.at, noise, hurried=quick)
         if found is not None and (best is None or found.usual_rms < best.usual_rms):
             best = found
     return _reached(best, noise)

@@ -11,6 +11,7 @@ from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.trajectory import least_squares
 from fitting.model import parameters
+from fitting.model.problem import EstimationProblem
 from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, law_curve, with_coefficients
 
@@ -34,6 +35,8 @@ class Host:
         Its priors and bounds.
     first, fastest : (cycles, 6) f8
         The cycles' own unknowns by the smoothed motion, and their upper bounds.
+    problem : EstimationProblem
+        Of the law, or of that whose windows a free curve has.
     """
 
     law: int | None
@@ -46,6 +49,7 @@ class Host:
     task: LeastSquaresProblem
     first: Array
     fastest: Array
+    problem: EstimationProblem
 
     @classmethod
     def of_law(cls, fit: Fit) -> "Host":
@@ -62,6 +66,7 @@ class Host:
             task=least_squares(fit),
             first=fit.windows.starting_values(fit.problem.motions),
             fastest=free if fit.problem.ramp else fit.windows.fastest_starts(fit.u),
+            problem=fit.problem,
         )
 
     @classmethod
@@ -78,6 +83,7 @@ class Host:
             task=fit.task,
             first=fit.solution.local,
             fastest=np.broadcast_to(fit.task.local_upper, fit.solution.local.shape),
+            problem=fit.fit.problem,
         )
 
     def apart(self, shared: Array) -> tuple[Array, Curve]:

@@ -1,7 +1,6 @@
 """Which departures would explain what a fit leaves over, the strongest first."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,6 @@ from fitting.departures.scan import best_scale
 from fitting.departures.scores import Score, score, sigmas
 from fitting.departures.table import departures
 from fitting.estimation.linearised import LinearisedFit
-from fitting.sensitivity.path import Path
 
 # Least standard deviations and least fall of the cost of a departure that is reported.  On six records that one of
 # the six laws describes, the best of all departures reached a gain of 6.
@@ -49,45 +47,13 @@ class Tested:
         return self.departure.columns + (1 if math.isfinite(self.scale) else 0)
 
 
-def score_departures(
-    linear: LinearisedFit,
-    path: Path,
-    records: Sequence[MeasuredMotion],
-    *,
-    noise: Array | float = 0.0,
-    revolution: float | None = None,
-) -> tuple[FoundDeparture, ...]:
-    """Test every departure of the table on a fit, and return those that a record shows, the strongest first.
-
-    To be asked where the fit does not describe the record: on a fit that does, there is nothing to explain.
-
-    Parameters
-    ----------
-    linear : LinearisedFit
-        Of the best law, or of the free curve.
-    path : Path
-        Of the same fit, along the same windows.
-    records : sequence of MeasuredMotion
-        The runs.
-    noise : float or (N,) f8
-        Standard deviation of the measured positions, m.
-    revolution : float, optional
-        Travel per revolution of the encoder, m; scanned where it is not known.
-
-    Returns
-    -------
-    tuple of FoundDeparture
-        Ordered by how far the cost falls.  Those within 4 % of the best explain the record equally well: of them the
-        one with the fewest parameters is first.
-    """
-    base = Base.of(linear, path, records, revolution)
-    found = strongest(base)
-    excess = misfit_beyond_noise(linear, noise)
-    return tuple(describe(tested, records[0], excess) for tested in found)
-
-
 def strongest(base: Base) -> list[Tested]:
-    """Return the departures that the record shows, ordered as in `score_departures`."""
+    """Test every departure of the table on a fit, and return those that the record shows, the strongest first.
+
+    To be asked where the fit, of a law or of the free curve, does not describe the record: on one that does, there is
+    nothing to explain.  They are ordered by how far the cost falls.  Those within 4 % of the best explain the record
+    equally well: of them the one with the fewest parameters is first.
+    """
     thin, every = base.thinned(), departures()
     chosen = []
     for departure in every:

@@ -1,7 +1,7 @@
 """What stays the same while one law is fitted: starting values, scales, bounds, and the calibrations as priors."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,13 +60,8 @@ class EstimationProblem:
         """
         kind = LAWS[law]
         motions = tuple(run.motion for run in runs)
-        first = [
-            starts.regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_calibration(run.motion))
-            for run in runs
-        ]
-        K, F, first_shape, d = (
-            float(np.median([getattr(own, name) for own in first])) for name in ("K", "F", "shape", "d")
-        )
+        first, _ = _regressed(law, runs)
+        K, first_shape = first[0].K, first[0].shape
         omega = math.sqrt(K)
         damping = damping_calibration(motions[0], K)
         speed = min(motion.belt_speed for motion in motions)
@@ -86,7 +81,7 @@ class EstimationProblem:
                 Global.DATUM: (datum.value, _precision(datum_sd, 1e-6 * motion.travel)),
                 Global.DAMPING: (damping.value, _precision(damping.sd, 1e-6 * omega)),
             }
-            begin = own._replace(K=K, F=F, shape=min(first_shape, steepest), d=d, damping=damping.value)
+            begin = own._replace(shape=min(first_shape, steepest), damping=damping.value)
             if belt is not None and belt.sd > 0:
                 known[Global.V_DR] = belt.value, _precision(belt.sd, 0.0)
             if compliance is not None:
@@ -122,6 +117,14 @@ class EstimationProblem:
             local_scale=np.array([travel, fastest, 1.0, 1.0, travel, fastest]),
         )
 
+    def start_with_drag(self, drag: Callable[[Array], Array]) -> tuple[Array, float]:
+        """Return other starting values (13 runs,), regressed together with a drag, and its size."""
+        first, size = _regressed(self.law, self.runs, drag)
+        start = self.start.copy()
+        for own, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
+            own[: Global.DATUM + 1] = parameters.to_array(p)[: Global.DATUM + 1]
+        return np.clip(start, self.lower, self.upper), size
+
     @property
     def curve(self) -> int:
         """Code of the law's curve, as the flow wants it."""
@@ -149,6 +152,19 @@ class EstimationProblem:
     def cycles(self) -> tuple[Cycle, ...]:
         """The cycles that are fitted, run by run."""
         return tuple(cycle for run in self.runs for cycle in run.cut.used)
+
+
+def _regressed(
+    law: int, runs: Sequence[Run], drag: Callable[[Array], Array] | None = None
+) -> tuple[list[parameters.Values], float]:
+    """Return each run's regression, what it says of the contact the median of all; the size of a drag likewise."""
+    kind = LAWS[law]
+    found = [
+        starts.regress_start(run.motion, run.cut, kind.curve_code, bool(kind.ramp), datum_calibration(run.motion), drag)
+        for run in runs
+    ]
+    contact = {name: float(np.median([getattr(own, name) for own, _ in found])) for name in ("K", "F", "shape", "d")}
+    return [own._replace(**contact) for own, _ in found], float(np.median([size for _, size in found]))
 
 
 def level_prior(motions: Sequence[MeasuredMotion]) -> float:

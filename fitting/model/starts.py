@@ -7,6 +7,7 @@ comes out 7 % low at a window of 61 samples and half its value at 201.  Good eno
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -82,7 +83,14 @@ def break_away_position(motion: MeasuredMotion, cut: CycleSegmentation) -> float
     return float(np.median(np.interp([cycle.break_away for cycle in cut.used], motion.time, motion.position)))
 
 
-def regress_start(motion: MeasuredMotion, cut: CycleSegmentation, curve: int, ramp: bool, datum: Measured) -> Values:
+def regress_start(
+    motion: MeasuredMotion,
+    cut: CycleSegmentation,
+    curve: int,
+    ramp: bool,
+    datum: Measured,
+    drag: Callable[[Array], Array] | None = None,
+) -> tuple[Values, float]:
     """Regress one law's starting values; damping, fade and what the belt does besides are 0.
 
     Parameters
@@ -96,21 +104,35 @@ def regress_start(motion: MeasuredMotion, cut: CycleSegmentation, curve: int, ra
     datum : Measured
         What is known of the spring's rest position, m.  The hyperbola finds its own where that is little, since it
         falls towards zero; the other curves cannot.
+    drag : callable, optional
+        A force by the mass's own velocity, regressed besides: velocities (n,) to the acceleration (n,) of a unit of it,
+        m/s^2.
+
+    Returns
+    -------
+    Values
+    size : float
+        Of the drag; 0 without one.
     """
     samples = slip_samples(motion, cut)
     level, slope = stick_velocity_line(motion, cut)
     loose = datum.sd > LOOSE * motion.travel
+    besides, while_stuck = np.empty((samples.x.size, 0)), np.empty(0)
+    if drag is not None:
+        besides = drag(motion.belt_speed - samples.s)[:, np.newaxis]
+        while_stuck = drag(np.array([motion.belt_speed]))
     v_dr, d, rest = motion.belt_speed, 0.0, datum.value
     if loose and curve == LINEAR:
         rest = _rest_by_scatter(motion, cut, rest)
     x_slip = break_away_position(motion, cut) + BREAK_AWAY_MARGIN * motion.travel
-    K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose, x_slip)
+    friction = _Slips(samples, besides, while_stuck, x_slip)
+    K, F, shape, rest, size = _curve(friction, curve, rest, d, v_dr, loose)
     if ramp:
         v_dr = level + slope * rest
         belt_slope = 0.0 if motion.compliance is None else motion.compliance.value
         d = float(np.clip((-slope - belt_slope) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
-        K, F, shape, rest = _curve(samples, curve, rest, d, v_dr, loose, x_slip)
-    return Values(K, F, v_dr, shape, d, rest)
+        K, F, shape, rest, size = _curve(friction, curve, rest, d, v_dr, loose)
+    return Values(K, F, v_dr, shape, d, rest), size
 
 
 def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float) -> tuple[float, float]:
@@ -160,38 +182,60 @@ def with_static(curve: int, p: Values, static: float) -> Values:
     return p._replace(F=F, shape=shape, d=d, static=static)
 
 
+@dataclass(frozen=True, eq=False)
+class _Slips:
+    """What a regression reads.
+
+    ``besides`` (n, k), k of 0 or 1, are accelerations by what is regressed besides the law, ``while_stuck`` (k,) those
+    on the belt; the mass leaves the belt before ``x_slip``, m.
+    """
+
+    samples: SlipSamples
+    besides: Array
+    while_stuck: Array
+    x_slip: float
+
+
 def _curve(
-    samples: SlipSamples, curve: int, datum: float, d: float, v_dr: float, loose: bool, x_slip: float
-) -> tuple[float, float, float, float]:
-    """Return (K, F, shape, datum) of one slip curve; falls back to the kinematics where the regression is absurd."""
+    slips: _Slips, curve: int, datum: float, d: float, v_dr: float, loose: bool
+) -> tuple[float, float, float, float, float]:
+    """Return (K, F, shape, datum) of one slip curve and the size of what is regressed besides.
+
+    Falls back to the kinematics where the regression is absurd.
+    """
+    samples, besides = slips.samples, slips.besides
     x, s, a = samples.x - datum, np.maximum(samples.s - d, 0.0), samples.a
     one = np.ones_like(x)
     shape, shift = 0.0, 0.0
     if curve == LINEAR:
-        (K, F, G), _ = _solve(np.c_[-x, one, -s], a)
+        (K, F, G, *_), _ = _solve(np.c_[-x, one, -s, besides], a)
         shape = float(np.clip(G / F if F > 0 else np.inf, 1e-3 / v_dr, NO_REVERSAL / float(s.max())))
-        (K, F), _ = _solve(np.c_[-x, 1 - shape * s], a)
+        (K, F, *size), _ = _solve(np.c_[-x, 1 - shape * s, besides], a)
     elif curve == HYPERBOLIC:
         best = np.inf
         K = F = -1.0
+        size = [0.0]
         for gamma in np.geomspace(0.03, 300, 41) / v_dr:
-            columns = np.c_[-x, 1 / (1 + gamma * s), one] if loose else np.c_[-x, 1 / (1 + gamma * s)]
-            found, error = _solve(columns, a)
+            columns = np.c_[-x, 1 / (1 + gamma * s), besides]
+            found, error = _solve(np.c_[columns, one] if loose else columns, a)
             if not (found[0] > 0 and found[1] > 0):
                 continue
-            beyond = datum + (found[1] + (found[2] if loose else 0.0)) / found[0] > x_slip
+            own = found[2 : 2 + besides.shape[1]]
+            level = found[1] + (found[-1] if loose else 0.0) + float(np.sum(own * slips.while_stuck))
+            beyond = datum + level / found[0] > slips.x_slip
             if beyond and best < np.inf:  # the smallest gamma is kept if all are
                 break
             if error < best:
-                best, K, F, shape = error, float(found[0]), float(found[1]), float(gamma)
-                shift = float(found[2]) / K if loose else 0.0
+                best, K, F, shape, size = error, float(found[0]), float(found[1]), float(gamma), list(own)
+                shift = float(found[-1]) / K if loose else 0.0
     else:
-        (K, F), _ = _solve(np.c_[-x, one], a)
+        (K, F, *size), _ = _solve(np.c_[-x, one, besides], a)
     if not (K > 0 and F > 0 and math.isfinite(K + F)):
         # A regression pulled to nonsense by a wrong curve: take the spring from the largest deceleration instead.
         K = float(np.max(np.abs(a)) / max(np.ptp(x), 1e-12))
         F = max(K * float(np.max(x)), 1e-3 * float(np.max(np.abs(a))))
-    return float(K), float(F), float(shape), datum + shift
+        size = [0.0]
+    return float(K), float(F), float(shape), datum + shift, float(sum(size))
 
 
 def _rest_by_scatter(motion: MeasuredMotion, cut: CycleSegmentation, otherwise: float) -> float:

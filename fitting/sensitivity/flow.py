@@ -31,9 +31,11 @@ from fitting.sensitivity.rates import (
     belt_acceleration,
     belt_speed,
     bound_velocity,
+    drag,
     free_force,
     level_at,
     load,
+    resistance,
 )
 from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
 
@@ -46,11 +48,13 @@ SEARCH_STEP = 0.4  # the same while searching: positions err by 0.1 um, which th
 NO_TRANSIENT = 1e-7
 LEFT_OUT = 0.1  # of it, by the second order of the inertia in a creep
 SETTLED = 18.0  # time constants of a ramp after which its transient has died out: exp(-18) is 1.5e-8
+# Of the time to rest: at a half a sharp guide's force is followed to 1e-3 of its change in one step.
+PART_OF_TURN = 0.5
 MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
 MOST_BISECTIONS = 60
 
 # Rows of the table of points.
-TIME, POSITION, VELOCITY, RELATIVE, BELT, LEVEL, FRICTION, SLOPE, SPEED = range(9)
+TIME, POSITION, VELOCITY, RELATIVE, BELT, LEVEL, FRICTION, SLOPE, SPEED, RESISTANCE = range(10)
 # Columns of the table of steps: first of its three points, window, sample at its end or -1.
 FIRST_POINT, WINDOW, SAMPLE = range(3)
 X_SLIP, V_SLIP, OWN, NEXT, X_STICK, V_STICK = (int(column) for column in PerCycle)
@@ -120,6 +124,14 @@ def settled(w: Window, t: float, since: float) -> bool:
     return (w.u[K] / rise**2) ** 2 < LEFT_OUT * w.no_transient and (t - since) * rise > SETTLED
 
 
+def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
+    """Return the longest step (s) that does not pass over where a drag changes steeply, as the mass turns round."""
+    turn = w.extra.drag.turn
+    if turn == 0.0 or mode == STICK or mode == CREEP:
+        return math.inf
+    return float(PART_OF_TURN * (abs(v) + turn) / (abs(acceleration(w, mode, t, x, v)) + 1e-300))
+
+
 def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
     """Return the fastest rate of the motion at a state, 1/s."""
     if mode == STICK:
@@ -131,7 +143,7 @@ def fastest_rate(w: Window, mode: int, t: float, v: float) -> float:
 
 
 def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Array, i: int) -> None:
-    """Store one stage point in column i of ``points`` (9, M)."""
+    """Store one stage point in column i of ``points`` (10, M)."""
     belt, level = belt_speed(w, t), level_at(w, t)
     force, slope, s = 0.0, 0.0, 0.0
     if mode == STICK:
@@ -141,6 +153,7 @@ def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Arra
     points[TIME, i], points[POSITION, i], points[VELOCITY, i] = t, x, v
     points[RELATIVE, i], points[BELT, i], points[LEVEL, i] = belt - v, belt, level
     points[FRICTION, i], points[SLOPE, i], points[SPEED, i] = force, slope, s
+    points[RESISTANCE, i] = w.u[DAMPING] - drag(w, v)[1]
 
 
 def store_middle(w: Window, mode: int, t: float, h: float, points: Array, i: int) -> None:
@@ -152,8 +165,8 @@ def store_middle(w: Window, mode: int, t: float, h: float, points: Array, i: int
     if mode == STICK or mode == CREEP:
         v = bound_velocity(w, mode, middle, x)
     else:
-        a0 = free_force(w, t, x0) - w.u[DAMPING] * v0 + points[FRICTION, i]
-        a1 = free_force(w, t + h, x1) - w.u[DAMPING] * v1 + points[FRICTION, i + 2]
+        a0 = free_force(w, t, x0) - resistance(w, v0) + points[FRICTION, i]
+        a1 = free_force(w, t + h, x1) - resistance(w, v1) + points[FRICTION, i + 2]
         v = 0.5 * (v0 + v1) + 0.125 * h * (a0 - a1)
     store_point(w, mode, middle, x, v, points, i + 1)
 
@@ -180,9 +193,9 @@ def follow_window(
 ) -> tuple[int, int]:
     """Follow one window from its start; return the numbers of points and of steps stored, or (-1, 0) or (0, -1).
 
-    ``points`` (9, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3) (`crossing`)
-    and ``reached`` (N,), the point of each sample, are filled from ``m`` and ``s`` on.  Returns (-1, 0) where they are
-    too small, and (0, -1) where the motion cannot be followed.
+    ``points`` (10, M), ``kinds`` (2, M) (mode, and 1 after the landing), ``steps`` (S, 3), ``jumps`` (S, 3)
+    (`crossing`) and ``reached`` (N,), the point of each sample, are filled from ``m`` and ``s`` on.  Returns (-1, 0)
+    where they are too small, and (0, -1) where the motion cannot be followed.
     """
     t = times[0]
     e, edge = belt_speed(w, t) - v, edge_speed(w.contact)
@@ -216,6 +229,7 @@ def follow_window(
                     return m + 1, s
         gap = times[i] - t
         h = gap / max(1.0, math.ceil(gap * fastest_rate(w, mode, t, v) / longest))
+        h = min(h, turning_step(w, mode, t, x, v))
         x1, v1 = advance(w, mode, t, x, v, h)
         if not math.isfinite(x1 + v1):
             return 0, -1

@@ -24,6 +24,7 @@ KERNELS = (
     "fitting.sensitivity.flow",
 )
 NO_KNOTS, NO_PIECES, NOTHING = np.zeros(2), np.zeros((1, 4)), np.zeros(0)
+NO_DRAG = rates.Drag(NOTHING, NOTHING, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,8 @@ class Path:
         relative speed; in stick what holds the mass, and 0.
     slip_speed : (M,) f8
         m/s; the argument of the curve, >= 0; 0 on a ramp and in stick.
+    damping : (M,) f8
+        Derivative of what the mass's own velocity takes from its acceleration, 1/s: c/m, and that of a drag.
     mode : (M,) i8
         `rig_sim.flow.modes`, or CREEP (`fitting.sensitivity.rates`).
     landed : (M,) bool
@@ -87,6 +90,7 @@ class Path:
     friction: Array
     friction_slope: Array
     slip_speed: Array
+    damping: Array
     mode: Integers
     landed: Mask
     first_point: Integers
@@ -151,6 +155,7 @@ def follow(
     along: Path | None = None,
     acceleration: Array | None = None,
     belt_speed: Array | None = None,
+    drag: rates.Drag = NO_DRAG,
     longest_step: float = flow.LONGEST_STEP,
 ) -> Path | None:
     """Follow all windows; None where the motion cannot be followed.
@@ -168,6 +173,8 @@ def follow(
         An earlier path of the same windows, at whose points what follows is given.
     acceleration, belt_speed : (M,) f8, optional
         A force per unit mass, m/s^2, and a change of the belt's speed, m/s, besides; between points linear in time.
+    drag : Drag
+        A force by the mass's own velocity besides; unlike an acceleration it needs no earlier path.
     longest_step : float
         Times the fastest rate of the motion; a search may take longer ones (`flow.LONGEST_STEP`).
     """
@@ -175,7 +182,7 @@ def follow(
     own = np.array(u, float).reshape(-1, PER_RUN)
     if spline is not None:
         own[:, rates.LOG_F] = 0.0
-    extra = rates.Extra(np.zeros(1, np.int64), NOTHING, NOTHING, NOTHING)
+    extra = rates.Extra(np.zeros(1, np.int64), NOTHING, NOTHING, NOTHING, drag)
     if along is not None:
         none = NOTHING
         extra = rates.Extra(
@@ -183,6 +190,7 @@ def follow(
             along.time,
             none if acceleration is None else np.ascontiguousarray(acceleration),
             none if belt_speed is None else np.ascontiguousarray(belt_speed),
+            drag,
         )
     N, rows = windows.time.size, windows.table.shape[0]
     reached = np.zeros(N, np.int64)
@@ -191,7 +199,7 @@ def follow(
     # On ramps a sample takes many steps: as many as along the earlier path.
     size = int(1.2 * max(N, 0 if along is None else along.steps.shape[0])) + 20 * rows
     while True:
-        points, kinds = np.empty((9, 2 * size)), np.empty((2, 2 * size), np.int64)
+        points, kinds = np.empty((10, 2 * size)), np.empty((2, 2 * size), np.int64)
         steps, jumps = np.empty((size, 3), np.int64), np.empty((size, 3))
         status = kernel(
             curve.code,
@@ -236,6 +244,7 @@ def follow(
         friction=points[flow.FRICTION, :M],
         friction_slope=points[flow.SLOPE, :M],
         slip_speed=points[flow.SPEED, :M],
+        damping=points[flow.RESISTANCE, :M],
         mode=kinds[0, :M],
         landed=kinds[1, :M] == 1,
         first_point=first_point,

@@ -25,17 +25,30 @@ COMPLIANCE, COSINE, SINE, OMEGA = (
 STATIC = int(Global.STATIC)
 
 
+class Drag(NamedTuple):
+    """A force on the mass by its own velocity: a table, linear between its rows and beyond them; empty for none.
+
+    ``velocity`` (G,) in m/s rises, ``acceleration`` (G,) is in m/s^2.  Within ``turn`` of rest (m/s) it may change
+    steeply: no step of the path passes over that.
+    """
+
+    velocity: Array
+    acceleration: Array
+    turn: float
+
+
 class Extra(NamedTuple):
-    """A force and a change of the belt's speed besides, along an earlier path; each empty, or as long as ``time``.
+    """What acts besides: a force and a change of the belt's speed along an earlier path, and a drag.
 
     ``first`` (windows + 1,) are the first points of each window, ``time`` (M,) in s, ``acceleration`` (M,) in m/s^2 and
-    ``belt`` (M,) in m/s.
+    ``belt`` (M,) in m/s, these two empty or as long as ``time``.
     """
 
     first: Integers
     time: Array
     acceleration: Array
     belt: Array
+    drag: Drag
 
 
 class Window(NamedTuple):
@@ -92,15 +105,37 @@ def level_at(w: Window, t: float) -> float:
     return float(w.level * remaining(w.u[FADE], t, w.epoch))
 
 
+def drag(w: Window, v: float) -> tuple[float, float]:
+    """Return the force by the mass's own velocity besides damping (m/s^2), and its derivative (1/s)."""
+    table = w.extra.drag
+    if table.velocity.size < 2:
+        return 0.0, 0.0
+    low, high = 0, table.velocity.size - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if v < table.velocity[middle]:
+            high = middle
+        else:
+            low = middle
+    gap = table.velocity[high] - table.velocity[low]
+    slope = (table.acceleration[high] - table.acceleration[low]) / gap
+    return float(table.acceleration[low] + slope * (v - table.velocity[low])), float(slope)
+
+
+def resistance(w: Window, v: float) -> float:
+    """Return what the mass's own velocity takes from its acceleration, damping and drag, m/s^2."""
+    return float(w.u[DAMPING] * v - drag(w, v)[0])
+
+
 def free_force(w: Window, t: float, x: float) -> float:
-    """Return what acts on the mass besides friction and damping, m/s^2."""
+    """Return what acts on the mass at rest besides friction, m/s^2."""
     return float(-w.u[K] * (x - w.u[DATUM]) + between(w.extra.time, w.extra.acceleration, w.low, w.high, t))
 
 
 def acceleration(w: Window, mode: int, t: float, x: float, v: float) -> float:
     """Return x'' (m/s^2) of slip or ramp."""
     force, _, _ = friction(w.contact, mode, belt_speed(w, t) - v, level_at(w, t))
-    return float(free_force(w, t, x) - w.u[DAMPING] * v + force)
+    return float(free_force(w, t, x) - resistance(w, v) + force)
 
 
 def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
@@ -112,8 +147,10 @@ def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
     if mode == STICK:
         return belt_speed(w, t)
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
-    rate, belt = rise + w.u[DAMPING], belt_speed(w, t)
-    balanced = (rise * belt + free_force(w, t, x)) / rate
+    belt = belt_speed(w, t)
+    dragged, bend = drag(w, belt)  # the mass is nearly as fast as the belt
+    rate = rise + w.u[DAMPING] - bend
+    balanced = (rise * belt + free_force(w, t, x) + dragged - bend * belt) / rate
     late = (rise * belt_acceleration(w, t, 1e-6) - w.u[K] * balanced) / rate**2
     steady = w.u[V_DR] + between(w.extra.time, w.extra.belt, w.low, w.high, t)
     return float(balanced - late - w.u[OMEGA] ** 2 * (belt - steady) / rate**2)
@@ -141,4 +178,4 @@ def advance(w: Window, mode: int, t: float, x: float, v: float, h: float) -> tup
 
 def load(w: Window, t: float, x: float) -> float:
     """Return the force that friction must bear in stick, m/s^2."""
-    return float(w.u[DAMPING] * belt_speed(w, t) - free_force(w, t, x))
+    return float(resistance(w, belt_speed(w, t)) - free_force(w, t, x))

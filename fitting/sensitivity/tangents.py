@@ -1,7 +1,8 @@
 """Tangents: derivatives of the position along a path by anything that acts on the mass, the belt or the reading.
 
 A departure or a parameter p is a column: the acceleration a_p (m/s^2) and the change of the belt's speed b_p (m/s) that
-one unit of it makes at every point of a path.  With K = k/m, c/m and the slope of friction f' there,
+one unit of it makes at every point of a path.  With K = k/m, c/m (and the slope of a drag) and the slope
+of friction f' there,
 
     dx'' = -K dx - (c + f') dx' + a_p + f' b_p        slip and ramp
     dx'  = b_p                                        stick
@@ -59,11 +60,12 @@ def tangents(
     compiled(integrate, KERNELS, _nrt=False)(
         path.first_step,
         path.windows.table,
-        np.ascontiguousarray(own[:, [Global.K, Global.DAMPING]]),
+        np.ascontiguousarray(own[:, Global.K]),
         path.steps,
         path.jumps,
         path.mode,
         path.time,
+        path.damping,
         path.friction_slope,
         np.ascontiguousarray(acceleration),
         NO_COLUMNS if belt_speed is None else np.ascontiguousarray(belt_speed),
@@ -84,6 +86,7 @@ def integrate(
     jumps: Array,
     mode: Integers,
     time: Array,
+    damping: Array,
     slope: Array,
     acceleration: Array,
     belt: Array,
@@ -95,14 +98,14 @@ def integrate(
 ) -> None:
     """Integrate all columns through all windows; fill ``out`` (N, k).  ``room`` (10, k) is scratch space.
 
-    ``own`` (windows, 2) are K (1/s^2) and c/m (1/s) of each window's run.
+    ``own`` (windows,) is K of each window's run, 1/s^2.
     """
     k = out.shape[1]
     moves = belt.shape[0] > 0
     x, v = room[0], room[1]
     g0, gm, g1 = room[2], room[3], room[4]
     for row in range(table.shape[0]):
-        K, c = own[row, 0], own[row, 1]
+        K = own[row]
         first = table[row, 2]
         for j in range(k):
             x[j], v[j] = start_x[row, j], start_v[row, j]
@@ -118,7 +121,7 @@ def integrate(
                     else:
                         v[j] = 0.0
             else:
-                e0, em, e1 = c + slope[a], c + slope[a + 1], c + slope[a + 2]
+                e0, em, e1 = damping[a] + slope[a], damping[a + 1] + slope[a + 1], damping[a + 2] + slope[a + 2]
                 for j in range(k):
                     g0[j], gm[j], g1[j] = acceleration[a, j], acceleration[a + 1, j], acceleration[a + 2, j]
                 if moves:

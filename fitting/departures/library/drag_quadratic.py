@@ -7,14 +7,13 @@ another form, show it.  Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1
 
 import numpy as np
 
-from fitting.departures.definition.departure import Departure, Forcing
-from fitting.departures.definition.fitted_motion import FittedMotion
+from daq.compute.arrays import Array
+from fitting.departures.definition.departure import Departure, by_velocity
 
 
-def forcing(trajectory: FittedMotion, _: float) -> Forcing:
+def drag(velocity: Array, _: float) -> Array:
     """Return -v |v|."""
-    v = trajectory.velocity[:, np.newaxis]
-    return Forcing(acceleration=-v * np.abs(v))
+    return -velocity * np.abs(velocity)
 
 
 DEPARTURE = Departure(
@@ -23,5 +22,6 @@ DEPARTURE = Departure(
     parameter="q/m",
     unit="m^-1",
     with_mass=("q", "N s^2/m^2"),
-    forcing=forcing,
+    forcing=by_velocity(drag),
+    drag=drag,
 )

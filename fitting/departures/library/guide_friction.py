@@ -7,18 +7,13 @@ modelled.  Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automati
 
 import numpy as np
 
-from fitting.departures.definition.departure import Departure, Forcing
-from fitting.departures.definition.fitted_motion import FittedMotion
-
-# Of the largest velocity: a sample's change of velocity is 1 %, so a narrower turn is none that a step sees; ten times
-# as wide, the kink at v = 0 by which the guide is recognised is lost.
-TURN = 0.005
+from daq.compute.arrays import Array
+from fitting.departures.definition.departure import Departure, by_velocity
 
 
-def forcing(trajectory: FittedMotion, _: float) -> Forcing:
+def drag(velocity: Array, turn: float) -> Array:
     """Return -sign(v), as a tanh."""
-    width = TURN * float(np.max(np.abs(trajectory.velocity)))
-    return Forcing(acceleration=-np.tanh(trajectory.velocity[:, np.newaxis] / width))
+    return np.asarray(-np.tanh(velocity / turn))
 
 
 DEPARTURE = Departure(
@@ -27,5 +22,6 @@ DEPARTURE = Departure(
     parameter="Fg/m",
     unit="m s^-2",
     with_mass=("Fg", "N"),
-    forcing=forcing,
+    forcing=by_velocity(drag),
+    drag=drag,
 )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fitting.departures import refit
-from fitting.departures.explain import base_of, confirm, explain_misfit
+from fitting.departures.explain import base_of, confirm, explain_beside_curve, explain_misfit
 from fitting.departures.strongest import strongest
 
 K = 10.5552
@@ -46,6 +46,26 @@ def test_the_size_after_the_refit_is_within_a_few_percent(fitted, name, changes,
     first = explained(fitted(scatter=0.03, **changes))[0]
     assert first.name == name
     assert first.value == pytest.approx(size, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("guide", "gamma"), [(0.15, 9.618), (0.25, 4.0)])
+def test_a_strong_guide_is_fitted_with_the_law(fitted, guide, gamma):
+    """Its force was that along the path before: the refit ended 40 % off with the free curve, or was given up."""
+    first = explained(fitted(scatter=0.03, guide=guide, gamma=gamma))[0]
+    assert (first.name, first.refitted, first.law) == ("guide-friction", True, 5)
+    assert first.value == pytest.approx(guide / 0.3, rel=0.003)
+    assert 0 < first.stderr < 0.003 * first.value
+
+
+@pytest.mark.slow
+def test_a_drag_that_the_free_curve_takes_up_is_fitted_with_the_law(fitted):
+    """A linear step alone gave its size: 9 % too little."""
+    fit = fitted(scatter=0.03, drag=0.15)
+    first = explain_beside_curve([fit], fit.problem.motions, NOISE)[0]
+    assert (first.name, first.refitted, first.law) == ("drag-quadratic", True, 5)
+    assert first.value == pytest.approx(0.15 / 0.3, rel=0.04)
+    assert abs(first.value - 0.15 / 0.3) < 4 * first.stderr
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 
 from fitting.departures.scan import best_scale, gains
 from fitting.departures.scores import score, sigmas
-from fitting.departures.strongest import score_departures, strongest
+from fitting.departures.strongest import describe, misfit_beyond_noise, strongest
 from fitting.departures.table import departures
 
 K = 10.5552
@@ -28,8 +28,9 @@ CASES = {  # name: what is put in, the size that must come back, and how near on
 }
 
 
-def found_in(base, **noise):
-    return score_departures(base.linear, base.path, base.trajectory.records, **noise)
+def found_in(base, noise=0.0):
+    record, excess = base.trajectory.records[0], misfit_beyond_noise(base.linear, noise)
+    return [describe(one, record, excess) for one in strongest(base)]
 
 
 @pytest.mark.slow

@@ -17,17 +17,27 @@ KNOWN = Measured(0.0, 5e-4)
 @pytest.mark.parametrize(("law", "curve", "shape"), [(3, starts.LINEAR, 0.435), (5, starts.HYPERBOLIC, 9.618)])
 def test_jump_laws_start_near_the_truth(motion_of, law, curve, shape):
     motion = motion_of(law=law)
-    start = starts.regress_start(motion, cycles.segment_cycles(motion), curve, False, KNOWN)
+    start, _ = starts.regress_start(motion, cycles.segment_cycles(motion), curve, False, KNOWN)
     assert start.K == pytest.approx(35.184, rel=0.01)
     assert start.v_dr == pytest.approx(0.22, rel=0.01)
     assert start.shape == pytest.approx(shape, rel=0.15)
     assert start.d == 0
 
 
+def test_a_guide_that_is_not_there_is_none_in_the_regression(motion_of):
+    motion = motion_of(law=5)
+    cut = cycles.segment_cycles(motion)
+    alone, none = starts.regress_start(motion, cut, starts.HYPERBOLIC, False, KNOWN)
+    beside, size = starts.regress_start(motion, cut, starts.HYPERBOLIC, False, KNOWN, lambda v: -np.tanh(v / 0.003))
+    assert none == 0
+    assert abs(size) < 0.02 * alone.F
+    assert beside.shape == pytest.approx(alone.shape, rel=0.1)
+
+
 @pytest.mark.parametrize(("law", "curve"), [(4, starts.LINEAR), (6, starts.HYPERBOLIC)])
 def test_a_ramp_is_read_off_the_slope_of_the_plateau(motion_of, law, curve):
     motion = motion_of(law=law)
-    start = starts.regress_start(motion, cycles.segment_cycles(motion), curve, True, KNOWN)
+    start, _ = starts.regress_start(motion, cycles.segment_cycles(motion), curve, True, KNOWN)
     assert start.d == pytest.approx(0.03, rel=0.1)
     assert start.v_dr == pytest.approx(0.22, rel=0.02)
 
@@ -43,7 +53,7 @@ def test_no_slip_sample_lies_near_a_corner(motion_of):
 def test_without_a_datum_the_rest_position_is_found_along(motion_of):
     motion = motion_of(law=5)
     loose = Measured(0.02, 0.2)
-    start = starts.regress_start(motion, cycles.segment_cycles(motion), starts.HYPERBOLIC, False, loose)
+    start, _ = starts.regress_start(motion, cycles.segment_cycles(motion), starts.HYPERBOLIC, False, loose)
     assert start.datum == pytest.approx(0.0, abs=0.005)
     assert start.shape == pytest.approx(9.618, rel=0.2)
 
@@ -55,7 +65,7 @@ def test_no_start_has_a_level_beyond_the_observed_break_aways(motion_of):
     rng = np.random.default_rng(1)
     slope = 2.0 * np.exp((motion.velocity - motion.belt_speed) / 0.02)  # steeper near rest than any hyperbola
     noisy = replace(motion, acceleration=motion.acceleration + slope + 0.3 * rng.standard_normal(motion.time.size))
-    start = starts.regress_start(noisy, cut, starts.HYPERBOLIC, False, Measured(0.02, 0.2))
+    start, _ = starts.regress_start(noisy, cut, starts.HYPERBOLIC, False, Measured(0.02, 0.2))
     assert start.datum + start.F / start.K < starts.break_away_position(motion, cut) + 0.1 * motion.travel
     assert start.shape < 60.0
 
@@ -71,7 +81,7 @@ def test_a_matched_curve_has_the_same_friction_at_two_speeds(curve, other):
 def test_the_scatter_of_the_levels_betrays_the_rest_position_under_a_linear_law(motion_of):
     motion = motion_of(law=3)
     loose = Measured(0.08, 0.08)
-    start = starts.regress_start(motion, cycles.segment_cycles(motion), starts.LINEAR, False, loose)
+    start, _ = starts.regress_start(motion, cycles.segment_cycles(motion), starts.LINEAR, False, loose)
     assert start.datum == pytest.approx(0.0, abs=0.02)
 
 

@@ -8,6 +8,7 @@ from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.shooting import ShootingWindows, evaluator
 from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, follow, spline_curve, with_coefficients
+from fitting.sensitivity.rates import Drag
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
 
@@ -153,6 +154,68 @@ def test_a_force_and_a_change_of_the_belt_besides_are_followed_and_have_their_ta
             for h in (1e-5, -1e-5)
         ]
         assert column[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-6)
+
+
+def sharp_guide(size, turn=1e-6):
+    """Return a force of ``size`` against the velocity, which jumps within ``turn`` of rest."""
+    return Drag(np.array([-3.0, -turn, turn, 3.0]), size * np.array([1.0, 1.0, -1.0, -1.0]), turn)
+
+
+@pytest.mark.parametrize("rate", [1000.0, 125.0])
+def test_a_guide_is_followed_through_the_turn_of_the_mass(rate):
+    """Steps passed over the jump of the force: at 125 Hz positions were 0.2 mm off."""
+    size, windows = 0.8, one_window(rate=rate, seconds=0.48)
+    found = follow(windows, Curve(HYPERBOLIC, False), unknowns(shape=9.6), SLIP[None], drag=sharp_guide(size))
+
+    def turned(way):
+        def rates(_, state):
+            friction = F * np.exp(0.05) / (1 + 9.6 * (V - state[1]))
+            return state[1], friction - K * state[0] - 0.03 * state[1] - way * size
+
+        return rates
+
+    def rest(_, state):
+        return state[1]
+
+    rest.terminal = True
+    exact, state, t = [], SLIP[:2], 2.0
+    for way in (1.0, -1.0):
+        rest.direction = -way
+        own = windows.time[windows.time >= t]
+        part = solve_ivp(turned(way), (t, 2.5), state, t_eval=own, events=rest, rtol=1e-11, atol=1e-13)
+        exact.append(part.y[0])
+        state, t = part.y_events[0][0] if way > 0 else None, part.t_events[0][0] if way > 0 else None
+    exact = np.concatenate(exact)
+    assert exact.size > 0.4 * rate
+    assert found.model[: exact.size] == pytest.approx(exact[: windows.time.size], abs=2e-7 if rate > 500 else 2e-6)
+
+
+@pytest.mark.parametrize(("ramp", "d"), [(False, 0.0), (True, 0.03), (True, 1e-3)])
+@pytest.mark.parametrize("stick", [0, 1])
+def test_tangents_beside_a_drag_are_differences(ramp, d, stick):
+    u, windows, curve = unknowns(shape=9.6, d=d), one_window(stick=stick), Curve(HYPERBOLIC, ramp)
+    local = (STUCK if stick else SLIP)[None]
+    v = np.linspace(-2, 2, 2001)
+    smooth = Drag(v, -0.3 * np.tanh(v / 0.1) - 0.2 * v * np.abs(v), 0.01)
+    path = follow(windows, curve, u, local, drag=smooth)
+    by_size = np.interp(path.velocity, v, smooth.acceleration)[:, None]
+    column = tangents(path, by_size)[:, 0]
+    ends = [
+        follow(windows, curve, u, local, drag=smooth._replace(acceleration=(1 + h) * smooth.acceleration)).model
+        for h in (1e-4, -1e-4)
+    ]
+    seen = np.abs(column).max()
+    assert seen > 5e-5 or (stick and d == 0)
+    assert column == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=2e-3 * seen + 1e-9)
+    kinds = [Global.K, Global.DAMPING, Global.V_DR]
+    found = shared_tangents(path, kinds)
+    for j, slot in enumerate(kinds):
+        ends = []
+        for h in (1e-5, -1e-5):
+            moved = u.copy()
+            moved[slot] += h
+            ends.append(follow(windows, curve, moved, local, drag=smooth).model)
+        assert found[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=2e-3 * np.abs(found[:, j]).max() + 1e-9)
 
 
 def test_a_motion_without_a_number_is_no_path():
