@@ -307,10 +307,11 @@ def _adequacy(adequacy: "Adequacy") -> list[Any]:
     found, curve = adequacy.goodness, adequacy.curve
     if found is not None:
         visible = adequacy.smallest_visible
-        seen = f"; smallest visible departure of friction: {visible:.2g} % of Fs" if visible is not None else ""
+        size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
         lines.append(
             f"goodness of fit: {adequacy.verdict}; residuals {found.misfit:.3g} times the noise of "
-            f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p = {found.p_value:.2g}{seen}"
+            f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p = {found.p_value:.2g}; "
+            f"smallest visible departure of friction: {size}"
         )
     if curve is not None and not adequacy.adequate and adequacy.of_speed:
         table = application.table("published forms of the measured curve", ("form", "chi", "inside band", "parameters"))

@@ -82,8 +82,10 @@ class RunSlips:
         Sums of the residuals of the repetitions, and of their squares, in each bin.
     cycles, null_cycles : CycleSquares
         Of the record, and of the repetitions.
+    counted : (cycles,) bool
+        Which cycles of all runs these are.
     left_out : tuple of int
-        Numbers of the cycles that are not judged.
+        Numbers of the run's cycles that are not judged.
     """
 
     noise: PositionNoise
@@ -94,6 +96,7 @@ class RunSlips:
     null_squares: Array
     cycles: CycleSquares
     null_cycles: CycleSquares
+    counted: Mask
     left_out: tuple[int, ...]
 
     @cached_property
@@ -106,9 +109,11 @@ class RunSlips:
         """Whether there are slips enough."""
         return self.bins.slips >= FEWEST_SLIPS
 
-    def limits(self, p: float) -> tuple[float, float]:
-        """Return the limits of `repeat`, from its least value, and of `smooth` at which noise is rejected."""
-        return limit(p / TESTS, self.null.repeat - least(self.bins)), limit(p / TESTS, self.null.smooth)
+    def limits(self, p: float) -> tuple[float, float, float]:
+        """Return at what `repeat`, from its least value, at what `smooth` and at what rms (m) noise is rejected."""
+        found = (self.null.repeat - least(self.bins), self.null.smooth, self.null_cycles.rms)
+        repeat, smooth, rms = (limit(p / TESTS, null) for null in found)
+        return repeat, smooth, NOISE_KNOWN * rms
 
 
 def judge(
@@ -180,6 +185,7 @@ def judge(
                 null_squares=parts[1],
                 cycles=CycleSquares(seen_squares[judged[run]]),
                 null_cycles=CycleSquares(parts[2]),
+                counted=judged[run],
                 left_out=tuple(fit.cycles[k].number for k in own if left_out[k]),
             )
         )

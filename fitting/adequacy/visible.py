@@ -16,6 +16,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.adequacy.goodness import REJECTED, RunSlips, least
+from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.parameters import PER_RUN, Global
@@ -23,7 +24,7 @@ from fitting.sensitivity.tangents import tangents
 
 PERIODS = (1.0, 2.0)  # over the slip speeds; at half of one the law's parameters make up for nearly all
 PERIODS_OF_TRAVEL = (2.0, 4.0)  # over the positions; at one a change of the spring makes up for most
-SMALLEST, LARGEST = 1e-6, 10.0  # amplitudes looked between, of Fs
+SMALLEST, LARGEST = 1e-6, 1.0  # amplitudes looked between, of Fs; a larger one is none that friction can have
 EVERY = 2  # repetitions are counted: half of 30 is known to 0.1, and the share rises steeply through it
 STEPS = 12  # of the bisection: to 0.4 %
 
@@ -42,16 +43,21 @@ def smallest_visible(fit: Fit, linearised: LinearisedFit, slips: Sequence[RunSli
     Returns
     -------
     tuple of float or None
-        None where no slip can be judged, or where the motion cannot be followed.
+        None where no slip can be judged, where the motion cannot be followed, or where even a departure as large as Fs
+        would not show.
     """
     waves = departure_waves(fit)
     if waves is None:
         return (None,) * len(slips)
     left = linearised.refit(waves)
-    return tuple(
-        100 * float(np.median([_half_seen(own, wave[:, None]) for wave in left.T])) if own.judged else None
-        for own in slips
-    )
+    squares = cycle_squares(left, linearised.rows)
+    return tuple(_percent([half_seen(own, *wave) for wave in zip(left.T, squares.T, strict=True)]) for own in slips)
+
+
+def _percent(sizes: Sequence[float]) -> float | None:
+    """Return the median of amplitudes, %; None where half of the waves would not show."""
+    typical = 100 * float(np.median(sizes))
+    return typical if math.isfinite(typical) else None
 
 
 def departure_waves(fit: Fit) -> Array | None:
@@ -73,17 +79,28 @@ def departure_waves(fit: Fit) -> Array | None:
     return tangents(path, np.stack(waves, axis=1))
 
 
-def _half_seen(own: RunSlips, wave: Array) -> float:
-    """Return the amplitude of a wave (N, 1) at which half of the repetitions of a run are rejected, of Fs."""
+def half_seen(own: RunSlips, wave: Array, by_cycle: Array) -> float:
+    """Return the amplitude of a wave (N,), of Fs, at which half of the repetitions of a run are rejected; else inf.
+
+    ``by_cycle`` (cycles,) are its mean squares.
+    """
+    if not own.judged:
+        return math.inf
     draws = slice(None, None, EVERY)
-    sums, squares = own.bins.sums(wave), own.bins.sums(wave**2)
-    repeat, smooth = own.limits(REJECTED)
-    low, high = math.log(SMALLEST), math.log(LARGEST)
-    for _ in range(STEPS):
-        middle = 0.5 * (low + high)
-        size = math.exp(middle)
+    sums, squares = own.bins.sums(wave[:, None]), own.bins.sums(wave[:, None] ** 2)
+    whole, null_whole = float(np.mean(by_cycle[own.counted])), own.null_cycles.rms[draws] ** 2
+    repeat, smooth, rms = own.limits(REJECTED)
+
+    def share(size: float) -> float:
         # What noise and wave have in common is left out of the squares: it is small against their sum.
         found = own.bins.combine(own.null_sums[:, draws] + size * sums, own.null_squares[:, draws] + size**2 * squares)
         rejected = (found.repeat - least(own.bins) > repeat) | (found.smooth > smooth)
-        low, high = (low, middle) if np.mean(rejected) > 0.5 else (middle, high)
+        return float(np.mean(rejected | (null_whole + size**2 * whole > rms**2)))
+
+    if not share(LARGEST) > 0.5:
+        return math.inf
+    low, high = math.log(SMALLEST), math.log(LARGEST)
+    for _ in range(STEPS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if share(math.exp(middle)) > 0.5 else (middle, high)
     return math.exp(0.5 * (low + high))

@@ -204,8 +204,9 @@ def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
         ("share that repeats in every cycle", f"{found.repeat:.2g}"),
         ("probability by noise alone", format_probability(found.p_value).removeprefix("= ")),
     ]
-    if adequacy.smallest_visible is not None:
-        facts.append(("smallest departure of friction to be seen", f"{adequacy.smallest_visible:.2g} % of Fs"))
+    visible = adequacy.smallest_visible
+    size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
+    facts.append(("smallest departure of friction to be seen", size))
     if adequacy.curve is not None:
         K = adequacy.curve.k_over_m
         interval = f"{K.lo:.6g} … {K.hi:.6g}" if K.trusted else "interval withheld"

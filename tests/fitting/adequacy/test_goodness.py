@@ -11,8 +11,9 @@ import pytest
 
 from daq.console import application
 from fitting import cli, job
-from fitting.adequacy.goodness import tail
-from fitting.adequacy.statistics import SlipBins
+from fitting.adequacy import visible
+from fitting.adequacy.goodness import REJECTED, RunSlips, probability, tail
+from fitting.adequacy.statistics import CycleSquares, SlipBins, cycle_squares
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -32,6 +33,32 @@ def test_what_repeats_and_what_is_smooth_is_found_beside_noise():
     assert found.repeat == pytest.approx([0.0, 0.66], abs=0.03)
     assert found.smooth == pytest.approx([1.0, 2.4], abs=0.2)
     assert found.lag1[0] == pytest.approx(0.0, abs=0.1)
+
+
+def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
+    """Where no wave shows, the figure was the end of the search: 210 and 500 % of Fs in records that never stick."""
+    rng = np.random.default_rng(4)
+    slips, samples, draws = 12, 480, 30
+    rows, (slip, phase) = np.arange(slips * samples), np.divmod(np.arange(slips * 60), 60)
+    bins = SlipBins(rows, rows[::8], slip, phase, np.full(slips * 60, 8.0), slips)
+    cycles = [slice(k * samples, (k + 1) * samples) for k in range(slips)]
+
+    def repetitions(added):
+        noise = rng.standard_normal((slips * samples, draws)) + added
+        return bins.sums(noise), bins.sums(noise**2), CycleSquares(cycle_squares(noise, cycles)), noise
+
+    sums, squares, whole, _ = repetitions(0.0)
+    own = RunSlips(None, 1.0, bins, None, sums, squares, whole, whole, np.ones(slips, bool), ())
+    wave = np.tile(np.sin(2 * np.pi * 3 * np.arange(samples) / samples), slips)
+    size = visible.half_seen(own, wave, cycle_squares(wave[:, None], cycles)[:, 0])
+    rejected = []
+    *_, noise = repetitions(size * wave[:, None])
+    for k in range(draws):
+        seen = bins.statistics(noise[:, k : k + 1])
+        mine = CycleSquares(cycle_squares(noise[:, k : k + 1], cycles))
+        rejected.append(probability(replace(own, seen=seen, cycles=mine)) < REJECTED)
+    assert 0.2 < np.mean(rejected) < 0.8
+    assert visible.half_seen(own, 1e-3 * wave, 1e-6 * np.ones(slips)) == np.inf
 
 
 def test_a_probability_is_that_of_the_null_distribution():

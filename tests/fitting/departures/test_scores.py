@@ -30,7 +30,7 @@ CASES = {  # name: what is put in, the size that must come back, and how near on
 
 def found_in(base, noise=0.0):
     record, excess = base.trajectory.records[0], misfit_beyond_noise(base.linear, noise)
-    return [describe(one, record, excess) for one in strongest(base)]
+    return tuple(describe(one, record, excess) for one in strongest(base))
 
 
 @pytest.mark.slow
