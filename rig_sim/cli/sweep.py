@@ -1,5 +1,6 @@
 """The command ``rig-sim sweep``: attractors over a parameter, here, in processes or on a dask cluster."""
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -124,7 +125,9 @@ def sweep(
         few = ", ".join(f"{point:.6g}" for point in row.points[:4]) + (" ..." if len(row.points) > 4 else "")
         period = str(row.period or "-")
         shown = few if row.outcome == "completed" else f"{few} ({row.outcome})".strip()
-        lines.append(f"{row.value:14.8g}  {row.attractor:9}  {row.share:5.3f}  {period:>6}  {shown}")
+        share = "-" if math.isnan(row.share) else f"{row.share:.3f}"
+        lines.append(f"{row.value:14.8g}  {row.attractor:9}  {share:>5}  {period:>6}  {shown}")
+    lines += [] if rows else ["no attractor at any value: the motion comes to rest, or never sticks as a whole"]
     if plot is not None:
         from daq.output.plot import save
         from rig_sim.dynamics.maps.plot import sweep_figure

@@ -350,6 +350,7 @@ def exponents() -> Drawing:
                     Trace(count, run, f"V = {speed}", "line", place) for place, (speed, run) in enumerate(runs.items())
                 ),
                 "(b)",
+                y_range=(-0.8, 2.6),  # room for the legend
             ),
         ),
         tuple(rows),

@@ -199,7 +199,7 @@ def fixed_branch() -> Drawing:
     traces = tuple(trace for trace in branch_traces("x") if "fixed point" in trace.label)
     x = rest(0.45).x or math.nan
     return Drawing(
-        "The fixed point over the damping: its place does not change, its stability does at H.",
+        "The fixed point over the damping: its place stays, its stability changes at H.",
         (Panel(DAMPING, X, traces, texts=(Label(special("hopf"), x, "H"),), y_range=(0.0, 0.75)),),
         (
             special_rows()[0],
