@@ -14,6 +14,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
 html_theme = "furo"
 html_show_copyright = False
+html_static_path, html_css_files = ["_static"], ["tables.css"]
 smartquotes = False  # flags begin with two hyphens
 html_title = f"stickslip {version}"
 exclude_patterns = ["_build"]

@@ -92,7 +92,9 @@ class Recording:
     Attributes
     ----------
     title, started, ended : str
-        Title; first and last sample in ISO 8601 with zone.
+    title : str
+    started, ended : str
+        Time of the first and of the last sample, ISO 8601 with zone.
     rate_hz : float
         Nominal sample rate.
     rig : Rig
