@@ -23,11 +23,12 @@ from .forked import HANGS_S, ROOT, SEND, Server, compiled
 from .tasks import TASKS
 
 ENTRIES = {"daq": "daq", "process": "process", "fit-friction": "fit_friction"}
+SINGLE = ("INT", "TERM", "HUP", "STOP, CONT")  # the others are tried at every other moment
 EVERY_S = 0.025  # of CPU time: on an idle computer that of a clock, since a command works while it starts and ends
 WHILE_RECORDING_S = (0.0, 0.3, 0.6, 0.9)
 STOPPED_S = 0.05
 PACKAGES = ("daq", "processing", "fitting", "rig_sim")
-AT_A_TIME = 3
+AT_A_TIME = 4
 RECORD = ("daq", "record", "--realtime", "--duration", "1", "-o", "new.h5", "--json")
 SAMPLES = 1000
 WAYS: dict[str, tuple[int, ...]] = {
@@ -41,7 +42,7 @@ WAYS: dict[str, tuple[int, ...]] = {
 
 
 def signals(size: Size, folder: Path) -> list[Result]:
-    """Signal commands ``size.amount`` times in all while they start, run and end, and as often at their calls."""
+    """Signal recordings at most ``size.amount`` times while they start, run and end, and commands at their calls."""
     _heed_signals()
     with Server(folder / "server") as server:
         sources = folder / "sources"
@@ -103,7 +104,8 @@ def _start(line: Sequence[str], folder: Path, **variables: str) -> "subprocess.P
 def _at_times(library: Path, sources: Path, folder: Path, size: Size) -> tuple[int, list[str]]:
     """Signal recordings and smoothings at equal steps of their CPU time; return how many, and the faults."""
     moments = _moments(RECORD, sources, folder) + [Moment(recording_s=after) for after in WHILE_RECORDING_S]
-    trials = tasks.spread([(way, moment) for way in WAYS for moment in moments], size.amount)
+    trials = [(way, moment) for way in WAYS for moment in moments[:: 1 if way in SINGLE else 2]]
+    trials = tasks.spread(trials, size.amount)
     smooth = TASKS["smooth"]
     smooth.begin(sources, folder)
     before = tasks.contents(folder)
@@ -119,16 +121,19 @@ def _at_times(library: Path, sources: Path, folder: Path, size: Size) -> tuple[i
         shutil.rmtree(place)
         return [f"{' '.join(RECORD)}, {way} {moment}: {what}" for what in found]
 
+    def smoothed(number: int) -> list[str]:
+        place = folder / f"smooth{number}"
+        smooth.begin(sources, place)
+        code, _, err = _signalled(library, smooth.line, place, (signal.SIGINT,), steps[number])
+        found = [f"ended with {code}: {err}"] if _ended_badly(code, err, {EXIT_DONE, EXIT_INTERRUPTED}) else []
+        found += tasks.spoiled(smooth, place, before, after)
+        found += [f"{path.name} is left" for path in place.glob(".*")]
+        shutil.rmtree(place)
+        return [f"{' '.join(smooth.line)}, INT {steps[number]}: {what}" for what in found]
+
     with ThreadPoolExecutor(AT_A_TIME) as pool:  # a recording in real time mostly waits
-        faults = [fault for found in pool.map(record, range(len(trials))) for fault in found]
-    for moment in steps:
-        smooth.begin(sources, folder)
-        code, _, err = _signalled(library, smooth.line, folder, (signal.SIGINT,), moment)
-        where = f"{' '.join(smooth.line)}, INT {moment}"
-        if _ended_badly(code, err, {EXIT_DONE, EXIT_INTERRUPTED}):
-            faults.append(f"{where}: ended with {code}: {err}")
-        faults += [f"{where}: {what}" for what in tasks.spoiled(smooth, folder, before, after)]
-        faults += [f"{where}: {path.name} is left" for path in folder.glob(".*")]
+        outcomes = [*pool.map(record, range(len(trials))), *pool.map(smoothed, range(len(steps)))]
+    faults = [fault for found in outcomes for fault in found]
     return len(trials) + len(steps), faults
 
 
@@ -222,7 +227,7 @@ def _at_calls(server: Server, sources: Path, folder: Path, size: Size) -> tuple[
     for task in TASKS.values():
         known = tasks.undisturbed(server, task, sources, folder)
         calls = known.ended.calls
-        for at in tasks.spread(list(range(1, len(calls) + 1)), max(2, size.amount // 10)):
+        for at in tasks.spread(list(range(1, len(calls) + 1)), max(2, size.amount // 25)):
             task.begin(sources, folder)
             ended = server.run(list(task.line), folder, at=at, action=SEND, error=signal.SIGINT)
             tried += 1
