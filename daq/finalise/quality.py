@@ -203,7 +203,11 @@ def from_run(
         duration_s=totals.last_s + 1 / run.rate_hz,
         peak_edge_rate_hz=peak_count_rate * EDGES_PER_COUNT.get(run.rig.decoder, 1),
         both_moved=totals.both_moved,
-        dropped_bytes=sum(int.from_bytes(r.data, "little") for r in recorded.records.of_kind(journal.DROPPED)),
+        dropped_bytes=sum(
+            int.from_bytes(record.data, "little")
+            for record in recorded.records.of_kind(journal.DROPPED)
+            if len(record.data) == journal.DROPPED_BYTES
+        ),
         travel=totals.travel,
         unit="m" if run.rig.metres_per_count is not None else "count",
         port_lost=recorded.records.kinds.count(journal.LOST),

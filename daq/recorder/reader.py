@@ -201,7 +201,9 @@ class Reader(threading.Thread):
             return
         try:
             if self._dropped:
-                self.items.put_nowait((journal.DROPPED, item[1], self._dropped.to_bytes(8, "little")))
+                self.items.put_nowait(
+                    (journal.DROPPED, item[1], self._dropped.to_bytes(journal.DROPPED_BYTES, "little"))
+                )
                 self._dropped = 0
             self.items.put_nowait(item)
         except queue.Full:

@@ -98,7 +98,7 @@ class Campaign:
 # The order is that of the table in docs/reliability.md.
 CAMPAIGNS: dict[str, Campaign] = {
     "crash": Campaign("kill points per command", short=3, full=100, on_disk=True),
-    "disk": Campaign("refusals", short=30, full=760),
+    "disk": Campaign("refusals", short=30, full=882),
     "signals": Campaign("signals", short=12, full=350),
     "concurrency": Campaign("rounds", short=1, full=10),
     "load": Campaign("seconds of recording at each rate", short=30, full=3600, on_disk=True),

@@ -17,7 +17,8 @@ from .forked import HANGS_S, KILL, RENAME, Ended, Server
 
 CYCLES_S = "9"  # as short a run as the laws can be ranked on
 SAMPLES = 2000  # of a recording that is broken off, at 1 kHz
-UNTIMED = ("cpu_time", "date")  # of a stage: not the same twice
+# Of a stage, and of the provenance of a checkout in which somebody works meanwhile: not the same twice.
+VARYING = ("cpu_time", "date", "git_commit", "git_dirty")
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def content(path: Path) -> dict[str, bytes] | bytes:
     found: dict[str, bytes] = {}
 
     def add(name: str, item: h5py.HLObject) -> None:
-        if name.rpartition("/")[2] in UNTIMED:
+        if name.rpartition("/")[2] in VARYING:
             return
         found[name] = bytes(repr(item[()]), "utf-8") if isinstance(item, h5py.Dataset) and item.shape == () else b""
         if isinstance(item, h5py.Dataset) and item.shape != ():

@@ -3,12 +3,13 @@
 import json
 import struct
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from daq.errors import InputError, StickslipError
-from daq.finalise.run import finalise
+from daq.finalise.run import finalise, run_data
 from daq.runfile import journal
 
 FIXTURE = Path(__file__).with_name("fixtures") / "clean.h5.part"
@@ -60,6 +61,16 @@ def test_no_field_ends_in_a_traceback(tmp_path, start, name):
     write(part, {other: value for other, value in header.items() if other != name}, records)
     said = outcome(part)
     assert not said if name in (*NOTES, "pid", "host") else f"no {name}" in said
+
+
+def test_a_record_of_dropped_bytes_longer_than_a_number_counts_nothing(tmp_path, start):
+    # A number of 4800 digits was a traceback of `daq recover`.
+    header, records = start
+    part = tmp_path / "run.h5.part"
+    odd = replace(records[-1], kind=journal.DROPPED, data=b"\xff" * 2000)
+    write(part, header, [*records, odd])
+    _, found = run_data(journal.read(part), [])
+    assert found.dropped_bytes == 0
 
 
 @pytest.mark.parametrize("text", [b"[" * 100_000, b"[]", b"{", b"7", b"\xff", b'{"rate_hz": ' + b"9" * 5000 + b"}"])
