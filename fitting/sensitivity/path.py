@@ -23,6 +23,9 @@ KERNELS = (
     "fitting.sensitivity.rates",
     "fitting.sensitivity.flow",
 )
+# A motion of more steps, 230 bytes each, is not followed.  Trial splines that were too steep took 1200 a sample, and
+# 21 GB of memory; motions that a fit accepted took 16 a sample at most.
+MOST_STEPS, MOST_STEPS_A_SAMPLE = 1_000_000, 32
 NO_KNOTS, NO_PIECES, NOTHING = np.zeros(2), np.zeros((1, 4)), np.zeros(0)
 NO_DRAG = rates.Drag(NOTHING, NOTHING, 0.0)
 
@@ -158,7 +161,7 @@ def follow(
     drag: rates.Drag = NO_DRAG,
     longest_step: float = flow.LONGEST_STEP,
 ) -> Path | None:
-    """Follow all windows; None where the motion cannot be followed.
+    """Follow all windows; None where the motion cannot be followed, or only in too many steps.
 
     Parameters
     ----------
@@ -198,6 +201,7 @@ def follow(
     kernel = compiled(flow.follow_windows, KERNELS, _nrt=False)
     # On ramps a sample takes many steps: as many as along the earlier path.
     size = int(1.2 * max(N, 0 if along is None else along.steps.shape[0])) + 20 * rows
+    most = max(size, MOST_STEPS, MOST_STEPS_A_SAMPLE * N)
     while True:
         points, kinds = np.empty((10, 2 * size)), np.empty((2, 2 * size), np.int64)
         steps, jumps = np.empty((size, 3), np.int64), np.empty((size, 3))
@@ -222,11 +226,11 @@ def follow(
             first_point,
             first_step,
         )
-        if status > 0:
-            return None
         if status == 0:
             break
-        size *= 2
+        if status > 0 or size == most:
+            return None
+        size = min(2 * size, most)
     M, S = int(first_point[-1]), int(first_step[-1])
     if not math.isfinite(float(points[flow.POSITION, :M].sum())):
         return None

@@ -1,5 +1,7 @@
 """The stepped path and its tangents: the fit's own positions, finite differences, and a spline that is a law."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -221,3 +223,13 @@ def test_tangents_beside_a_drag_are_differences(ramp, d, stick):
 def test_a_motion_without_a_number_is_no_path():
     u = unknowns(shape=9.6)
     assert follow(one_window(), Curve(HYPERBOLIC, False), u, np.array([[np.inf, 0.1, 0, 0, 0, 0]])) is None
+
+
+def test_a_motion_of_far_too_many_steps_is_not_followed():
+    # A search that tried such a curve filled 21 GB of memory with its steps.
+    windows, steep = one_window(), unknowns(shape=-1e5)
+    tracemalloc.start()
+    assert follow(windows, Curve(LINEAR, False), steep, SLIP[None]) is None
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 1e9
