@@ -120,6 +120,11 @@ def plain(value: Any) -> Any:
     return value
 
 
+def shown(value: float, form: str) -> str:
+    """Return a number as text in a format such as '.4g'; ``-`` where `plain` makes it null."""
+    return format(value, form) if math.isfinite(value) else "-"
+
+
 def print_json(value: Any) -> None:
     """Write one JSON document on stdout."""
     sys.stdout.write(json.dumps(plain(value), allow_nan=False) + "\n")

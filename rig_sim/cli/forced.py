@@ -130,7 +130,8 @@ def quench(
             lines[-1] += f" (simulation {found.simulated_threshold / value - 1.0:+.2%})"
     if found.simulated_threshold is not None:
         lines.append(f"threshold by simulation {found.simulated_threshold:.6g}")
-    lines.append(f"peak to peak of x {found.swing:.4g}; without the drive {found.free_swing:.4g}")
+    swings = [application.shown(swing, ".4g") for swing in (found.swing, found.free_swing)]
+    lines.append(f"peak to peak of x {swings[0]}; without the drive {swings[1]}")
     if found.linear_ripple is not None:
         lines.append(f"of spring and mass alone under the drive {found.linear_ripple:.4g}")
     if plot is not None:

@@ -1,6 +1,5 @@
 """The commands of ``rig-sim`` about maps of two masses: map, basins, lyapunov; and what continue answers for them."""
 
-import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -80,8 +79,7 @@ def map_(
         lines = [f"{'d':>22} {'f(d)':>22}  word"]
         for row in zip(*(data[key] for key in ("d", "f", "word", "outcome", "advice")), strict=True):
             ended = "" if row[3] == "completed" else f"  {row[3]} ({row[4]})"
-            result = "-" if math.isnan(row[1]) else f"{row[1]:.15g}"
-            lines.append(f"{row[0]:22.15g} {result:>22}  {row[2]}{ended}")
+            lines.append(f"{row[0]:22.15g} {application.shown(row[1], '.15g'):>22}  {row[2]}{ended}")
         if not several:
             data = {key: values[0] for key, values in data.items()}
     if periodic:

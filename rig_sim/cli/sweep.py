@@ -1,6 +1,5 @@
 """The command ``rig-sim sweep``: attractors over a parameter, here, in processes or on a dask cluster."""
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -125,7 +124,7 @@ def sweep(
         few = ", ".join(f"{point:.6g}" for point in row.points[:4]) + (" ..." if len(row.points) > 4 else "")
         period = str(row.period or "-")
         shown = few if row.outcome == "completed" else f"{few} ({row.outcome})".strip()
-        share = "-" if math.isnan(row.share) else f"{row.share:.3f}"
+        share = application.shown(row.share, ".3f")
         lines.append(f"{row.value:14.8g}  {row.attractor:9}  {share:>5}  {period:>6}  {shown}")
     lines += [] if rows else ["no attractor at any value: the motion comes to rest, or never sticks as a whole"]
     if plot is not None:

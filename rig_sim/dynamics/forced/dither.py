@@ -62,7 +62,7 @@ class Quench:
         the drive is slower than the mass alone, or there is nothing to quench.
     swing, linear_ripple, free_swing : float
         Peak to peak of the position (m): simulated; of spring, mass and damper alone (None at undamped resonance);
-        simulated without the drive.
+        simulated without the drive.  NaN of a simulated motion that ended.
     """
 
     outcome: str

@@ -11,9 +11,9 @@ from rig_sim.cli import app as cli
 PAIRS = {
     "a Coulomb pair that never sticks again": {"friction.law": 1, "belt.speed": 0.33, "friction.static": 1.13},
     "no friction on the second mass": {"coupling.b": 0, "belt.speed": 0.3},
-    "a second mass that never slips": {"coupling.b": 1e9},
+    "a second mass that never slips": {"coupling.b": 50},
     "no coupling": {"coupling.a": 0},
-    "a rigid coupling": {"coupling.a": 3000, "belt.speed": 0.05},
+    "a rigid coupling": {"coupling.a": 1000, "belt.speed": 0.05},
     "masses that come to rest": {"damper.c": 1.92, "belt.speed": 1.07},  # a sweep took 11 s for each value
     "next to no friction in slip": {"friction.gamma": 1e5},
     "a slow belt": {"belt.speed": 1e-8},

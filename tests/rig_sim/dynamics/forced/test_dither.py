@@ -39,6 +39,14 @@ def test_the_threshold_is_that_of_the_swing_of_a_mass_and_a_spring():
     assert threshold(Flow(v_belt=0.085, omega=10.0)) == pytest.approx(0.085 * 99.0 / 10.0, rel=1e-14)
 
 
+def test_a_drive_too_slow_to_follow_leaves_the_swings_out(capsys):
+    """They were printed as nan."""
+    assert application.run(cli.app, dithered("drive.omega=1e-4")) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith("step limit:")
+    assert "peak to peak of x -; without the drive -\n" in shown
+
+
 @pytest.mark.parametrize(
     "case",
     [REFERENCE["checked"][0], *(pytest.param(case, marks=pytest.mark.slow) for case in REFERENCE["checked"][1:])],
