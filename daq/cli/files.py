@@ -167,7 +167,8 @@ def export(
         atomic.refuse_existing(target, force, file)
     rows = store.load(file).to_dataframe()
     for form, target in targets.items():
-        tables.write(rows, target, form, force=force)
+        with application.progress(f"writing {form}", len(rows), "rows") as show:
+            tables.write(rows, target, form, force=force, progress=show)
     names = [str(target) for target in targets.values()]
     data = {"rows": len(rows), "columns": list(rows.columns), "files": names}
     return Answer(data, f"{', '.join(names)}: {len(rows)} rows")

@@ -9,6 +9,7 @@ import pytest
 
 from daq.cli import files
 from daq.console import application
+from daq.output import tables
 from daq.runfile import store
 from daq.runfile.recording import Raw, Recording, positions
 from daq.runfile.rig import Measured, Rig
@@ -130,3 +131,13 @@ def test_an_uncalibrated_run_says_count(run: Path, app: cyclopts.App) -> None:
     csv = run.with_suffix(".csv")
     assert application.run(app, ["export", str(other), "--csv", str(csv)]) == 0
     assert csv.read_text().splitlines()[0] == "time_s,position_count,count"
+
+
+@pytest.mark.parametrize("number", [0, 40, 101])
+def test_a_csv_written_in_parts_is_that_written_at_once(tmp_path, monkeypatch, number):
+    rows = pd.DataFrame({"time_s": np.sin(np.arange(number)), "flags": np.arange(number, dtype=np.uint16)})
+    monkeypatch.setattr(tables, "TOGETHER", 40)
+    done: list[float] = []
+    tables.write(rows, tmp_path / "parts.csv", "csv", progress=done.append)
+    assert (tmp_path / "parts.csv").read_bytes() == rows.to_csv(index=False, lineterminator="\n").encode()
+    assert done == [end for end in (40, 80, 101) if end < number] + [number]
