@@ -29,7 +29,11 @@ SMALLEST = 2e-3  # of the belt's speed
 # Of the amplitude that the lines do not take up.  True ripples show 0.28 to 1.0 of theirs; one that ageing sticks of a
 # steady belt seemed to have, slower than a stick is long, 0.17.
 VISIBLE = 0.25
-SLOWEST_HZ, FASTEST_HZ = 0.2, 25.0  # slower than sticks are long it is no ripple; faster, smoothing has taken it away
+# Slower, or below `ANYHOW_HZ` with fewer periods, it may be wear or a drift; faster, smoothing has taken it away.  When
+# 0.2 Hz was the slowest, a ripple of 0.1 Hz was missed, or taken for one of 0.7 Hz, which the sticks meet at the same
+# phases.
+SLOWEST_HZ, ANYHOW_HZ, FASTEST_HZ = 0.05, 0.2, 25.0
+FEWEST_PERIODS = 2.0
 GRID_HZ = 100.0  # rate of the thinned record that is transformed
 FINER = 4  # times the transform's own grid of frequencies
 CANDIDATES = 5  # the gaps between sticks make false peaks beside the true one
@@ -306,7 +310,8 @@ def _peaks(time: Array, rest: Array) -> list[float]:
     size = FINER * grid.size
     power = np.abs(np.fft.rfft(grid, size)) ** 2
     hertz = np.fft.rfftfreq(size, 1 / GRID_HZ)
-    power[(hertz < SLOWEST_HZ) | (hertz > FASTEST_HZ)] = 0.0
+    slowest = min(max(SLOWEST_HZ, FEWEST_PERIODS / (time[-1] - time[0])), ANYHOW_HZ)
+    power[(hertz < slowest) | (hertz > FASTEST_HZ)] = 0.0
     found: list[float] = []
     while len(found) < CANDIDATES and power.any():
         top = int(np.argmax(power))

@@ -46,6 +46,15 @@ def test_a_ramp_whose_level_scatters_shows_a_small_ripple(simulated):
     assert found.amplitude == pytest.approx(0.0022, rel=0.4)
 
 
+@pytest.mark.parametrize("law", [3, pytest.param(5, marks=pytest.mark.slow)])
+def test_a_ripple_slower_than_the_cycles_is_not_taken_for_a_faster_one(simulated, law):
+    # It was found at 0.75 Hz, which the sticks meet at the same phases, or not at all: "none of the six" of a true law.
+    changes = (f"belt.ripple={AMPLITUDE}", "belt.ripple_hz=0.12", "scatter.Fs=0.1")
+    found = found_in(simulated(f"friction.law={law}", *changes))
+    assert found.omega == pytest.approx(2 * math.pi * 0.12, rel=0.05)
+    assert found.amplitude == pytest.approx(AMPLITUDE, rel=0.1)
+
+
 @pytest.mark.parametrize("law", [4, *(pytest.param(law, marks=pytest.mark.slow) for law in (3, 5, 6))])
 def test_a_steady_belt_shows_none(simulated, law):
     assert found_in(simulated(f"friction.law={law}", "scatter.Fs=0.1")) is None
