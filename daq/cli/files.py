@@ -60,7 +60,8 @@ def import_table(
     given = notes.given()
     target = names.completed(output or file.with_suffix(".h5"))
     atomic.refuse_existing(target, force, file)
-    found = track.read(file, options)
+    with application.progress("reading", None, "lines") as show:
+        found = track.read(file, options, show.stage)
     store.write(target, replace(found.run, **given), force=force)
     data = sentences.run_data(found.run, target, found.warnings) | {
         key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even", "skipped")

@@ -20,8 +20,13 @@ DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "
 COMMENTS = ("#", "%", "//")
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
 ColumnReader = tuple[int, Callable[[str], float | None], str]
+Stages = Callable[[str, float, float], None]  # called with a stage of the reading, lines done, lines in all
 TOGETHER = 4096  # rows whose cells are converted together; half costs the same CPU time, double 50 % more
 LISTED = 5  # lines named in a message about many
+
+
+def silent(stage: str, done: float, whole: float) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,9 @@ class Table:
         value = layout.number(cell, self.decimal)
         return None if value is None or value - value != 0 else value
 
-    def columns(self, readers: Sequence[ColumnReader], *, skip: bool) -> "tuple[Array, Table, tuple[Skipped, ...]]":
+    def columns(
+        self, readers: Sequence[ColumnReader], *, skip: bool, progress: Stages = silent
+    ) -> "tuple[Array, Table, tuple[Skipped, ...]]":
         """Return columns as numbers.
 
         Parameters
@@ -90,6 +97,8 @@ class Table:
         readers : sequence of ColumnReader
         skip : bool
             Leave out the lines that cannot be read, instead of refusing them.
+        progress : callable
+            Called with the stage, the lines done, and all lines.
 
         Returns
         -------
@@ -106,6 +115,7 @@ class Table:
         bad: list[Skipped] = []
         first: int | None = None
         for begin in range(0, len(self.rows), TOGETHER):
+            progress("reading numbers", begin, len(self.rows))
             rows = self.rows[begin : begin + TOGETHER]
             plain = self._plain(rows, readers)
             if plain is not None:
@@ -171,7 +181,7 @@ def _short(cell: str) -> str:
     return repr(cell if len(cell) <= 40 else cell[:37] + "...")
 
 
-def read(path: Path, preamble: int = 0) -> Table:
+def read(path: Path, preamble: int = 0, progress: Stages = silent) -> Table:
     """Read a table of numbers.
 
     Parameters
@@ -180,6 +190,8 @@ def read(path: Path, preamble: int = 0) -> Table:
         The file.
     preamble : int
         How many lines at its top to pass over.
+    progress : callable
+        Called with the stage, the lines done, and all lines.
 
     Raises
     ------
@@ -189,9 +201,11 @@ def read(path: Path, preamble: int = 0) -> Table:
     lines, named = _lines(path, preamble)
     texts = [text for _, text in lines]
     delimiter, decimal = layout.find_format(texts, named)
-    rows: list[Sequence[str]] = [layout.split(text, delimiter) for text in texts]
+    rows: list[Sequence[str]] = []
     data = []
-    for begin in range(0, len(rows), TOGETHER):
+    for begin in range(0, len(texts), TOGETHER):
+        progress("splitting lines", begin, len(texts))
+        rows += [layout.split(text, delimiter) for text in texts[begin : begin + TOGETHER]]
         some = rows[begin : begin + TOGETHER]
         if layout.plain_numbers([row[0] if row else "" for row in some], decimal) is None:
             some = [row for row in some if any(layout.number(cell, decimal) is not None for cell in row)]

@@ -45,8 +45,8 @@ class Imported:
     warnings: tuple[str, ...]
 
 
-def read(path: Path, options: ImportOptions) -> Imported:
-    """Read a table into a run.
+def read(path: Path, options: ImportOptions, progress: table.Stages = table.silent) -> Imported:
+    """Read a table into a run; ``progress`` is called with the stage, the lines done, and all lines.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def read(path: Path, options: ImportOptions) -> Imported:
         each naming line and column and what to do; for numbers that cannot be in the unit they are taken for.
     """
     _check_options(options)
-    cells = _cells(path, options)
+    cells = _cells(path, options, progress)
     warnings: list[str] = []
     wanted = options.position if options.spring_force is None else options.spring_force
     flag = "--position" if options.spring_force is None else "--spring-force"
@@ -67,7 +67,7 @@ def read(path: Path, options: ImportOptions) -> Imported:
     readers: list[table.ColumnReader] = [(x_column, cells.number, "a number")]
     if t_column is not None:
         readers.append((t_column, layout.clock, "a time of day") if options.clock else _times(cells, t_column))
-    values, cells, skipped = cells.columns(readers, skip=options.skip_bad)
+    values, cells, skipped = cells.columns(readers, skip=options.skip_bad, progress=progress)
     if skipped:
         share = 100 * len(skipped) / (len(skipped) + len(cells.lines))
         warnings.append(
@@ -186,9 +186,9 @@ def _rig(options: ImportOptions) -> Rig:
     return Rig(mass=options.mass, stiffness=options.stiffness, belt_speed=options.belt_speed, datum=options.datum)
 
 
-def _cells(path: Path, options: ImportOptions) -> table.Table:
+def _cells(path: Path, options: ImportOptions, progress: table.Stages) -> table.Table:
     if path.suffix.lower() != ".mat":
-        return table.read(path, options.preamble)
+        return table.read(path, options.preamble, progress)
     from daq.imports import matfile
 
     for flag, given in (("--preamble", options.preamble), ("--clock", options.clock)):

@@ -534,3 +534,11 @@ def test_wild_tables_end_in_one_line(csv: Path, text: str) -> None:
     csv.write_text(text)
     with pytest.raises(InputError):
         track.read(csv, ImportOptions(frame_rate_hz=1.0 if text.startswith("x") else None))
+
+
+def test_progress_counts_the_lines_of_each_stage(csv, monkeypatch):
+    monkeypatch.setattr(table, "TOGETHER", 2000)
+    done = []
+    track.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options(), lambda *stage: done.append(stage))
+    splitting = [("splitting lines", begin, 4801) for begin in (0, 2000, 4000)]
+    assert done == splitting + [("reading numbers", begin, 4800) for begin in (0, 2000, 4000)]
