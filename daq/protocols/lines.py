@@ -10,19 +10,23 @@ period a number, and a net count is split into what went up and what went down, 
 the same as for frames.
 """
 
+import math
 import re
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from enum import IntFlag
+from itertools import chain
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.protocols.neighbours import LOOK_AHEAD, judge
+from daq.compute import arrays
+from daq.protocols.judge import Between, Judge, Lines
+from daq.protocols.neighbours import LOOK_AHEAD, time_ahead
 from daq.protocols.session import Tally
 from daq.wire import frames
-from daq.wire.counters import LATE_FRAMES, moves, signed
+from daq.wire.counters import LATE_FRAMES, signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
 
@@ -240,89 +244,154 @@ class LineTally(Tally):
         self._last = last
 
 
-def decode(
+def pieces(
     reads: Iterable[tuple[int, bytes]],
-    reader: LineReader,
+    make_reader: Callable[[], LineReader],
     ident: frames.Ident,
     period_ticks: float,
     *,
     net: bool,
+    most_bytes: float,
     resolution: int = 0,
-) -> Stream:
-    """Decode the reads of one connection into frames of one sample each.
+) -> Iterator[Stream]:
+    """Decode the reads of one connection into frames of one sample each, piece by piece; at least one piece.
 
-    Lines that cannot be true are counted as damaged.
+    Lines that cannot be true are counted as damaged.  The pieces make together what a single one is; a start or damage
+    behind a piece's last frame belongs to the first frame of the next one.
 
     Parameters
     ----------
     reads : iterable of (int, bytes)
-        Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
-    reader, ident, period_ticks
-        Reader of this protocol's lines, what is known of the board, and the nominal sample interval.
+        Host's monotonic stamp in ns at the end of each read, and the bytes it gave.  With more than one piece, it must
+        give the same whenever it is asked.
+    make_reader, ident, period_ticks
+        Makes a reader of this protocol's lines; what is known of the board; the nominal sample interval.
     net : bool
         There is but one counter, a signed net count.
+    most_bytes : float
+        A piece is made of about so many; infinite: one piece.
     resolution : int
         Ticks by which its clock may advance at once, if its times are multiples of that; 0: its times are exact.
     """
-    batches: list[LineBatch] = []
-    ends: list[tuple[int, int]] = []  # of each read: its stamp, and how many lines it ended
+    source = _taken(reads, make_reader(), most_bytes)
+    begun = next(source)
+    again: Iterator[_Taken] = chain([begun], source)
+    if resolution:
+        most = math.inf
+        if not begun.last:
+            delimiter = make_reader().delimiter
+            most = sum(data.count(delimiter) for _, data in reads)
+        if _is_finer(again, resolution, most):
+            resolution = 0
+        again = iter([begun]) if begun.last else _taken(reads, make_reader(), most_bytes)
+    judge = Judge(ident.counter_bits, period_ticks, resolution, net=net)
+    waiting = 0  # bytes discarded since the last piece
+    for taken in again:
+        lines = judge.feed(taken.lines, taken.last)
+        waiting += taken.discarded_bytes
+        if len(lines) or taken.last:
+            yield _stream(lines, ident, taken.damaged + judge.damaged if taken.last else 0, waiting)
+            waiting = 0
+
+
+class _Taken(NamedTuple):
+    """What some reads hold.
+
+    Attributes
+    ----------
+    lines : Lines
+        The lines with samples.
+    damaged : int
+        Damaged lines behind the last of these.
+    discarded_bytes : int
+        See `LineReader`; of these reads.
+    last : bool
+        No more reads follow.
+    """
+
+    lines: Lines
+    damaged: int
+    discarded_bytes: int
+    last: bool
+
+
+def _taken(reads: Iterable[tuple[int, bytes]], reader: LineReader, most_bytes: float) -> Iterator[_Taken]:
+    """Yield what the reads hold, in pieces."""
+    between = Between()
+    parts: list[Lines] = []
+    ends: list[tuple[int, int]] = []  # of each read since the last block: its stamp, and how many lines it ended
     block = bytearray()
-    for stamp, data in reads:
-        ends.append((stamp, data.count(reader.delimiter)))
-        block += data
-        if len(block) >= BLOCK_BYTES:
-            batches.append(reader.feed(bytes(block)))
-            block.clear()
-    batches.append(reader.feed(bytes(block)))
-    samples = np.cumsum([0, *(len(batch.line) for batch in batches)]).tolist()
-    lines = np.cumsum([0, *(batch.lines for batch in batches)]).tolist()
-    found = [
-        (before + behind, other)
-        for before, batch in zip(samples, batches, strict=False)
-        for behind, other in batch.others
-    ]
-    bad, begun = ([behind for behind, other in found if what in other] for what in (Other.DAMAGED, Other.START))
-    line = np.concatenate([before + batch.line for before, batch in zip(lines, batches, strict=False)])
-    stamps = np.repeat(*np.array(ends, dtype=np.int64).reshape(-1, 2).T)[line]
-    columns = np.zeros((5, len(line)), dtype=np.int64)
-    sent = np.concatenate([batch.rows for batch in batches if len(batch.line)] or [columns.T]).T
-    columns[: len(sent)] = sent
-    ticks, up, down, status, illegal = columns
-    if resolution and np.count_nonzero(ticks % resolution) > 0.1 * len(ticks):
-        resolution = 0  # the times are finer
-    judged = judge(ticks, up - down, bits=ident.counter_bits, period=period_ticks, starts=begun, resolution=resolution)
-    keep = judged.keep
-    damaged = np.sort(np.concatenate((np.array(bad, dtype=np.int64), np.flatnonzero(~keep))))
-    kept = np.concatenate(([0], np.cumsum(keep)))  # lines kept before each good one
-    ticks, up, down = judged.ticks, up[keep], down[keep]
-    if net:
-        up, down = _two_counters(up, ident.counter_bits)
-    n = len(ticks)
+    taken = discarded = 0
+    ahead = 0  # 1 where an endless line has been cut that no read has ended yet
+
+    def parsed() -> Lines:
+        nonlocal ahead
+        batch = reader.feed(bytes(block))
+        stamps = np.repeat(*np.array(ends, dtype=np.int64).reshape(-1, 2).T)
+        n = len(batch.line)
+        fresh, damaged = np.zeros(n + 1, dtype=np.bool_), np.zeros(n + 1, dtype=np.int64)
+        for behind, other in batch.others:
+            fresh[behind] |= Other.START in other
+            damaged[behind] += Other.DAMAGED in other
+        columns = np.zeros((5, n), dtype=np.int64)
+        columns[: batch.rows.shape[1]] = batch.rows.T
+        line = batch.line + ahead
+        ahead += batch.lines - len(stamps)
+        block.clear()
+        ends.clear()
+        ticks, up, down, status, illegal = columns
+        fresh, damaged = between.before(fresh, damaged)
+        return Lines(ticks, ticks, up, down, status, illegal, stamps[line], fresh, damaged, np.zeros_like(ticks))
+
+    for stamp, read in reads:
+        for at in range(0, len(read), BLOCK_BYTES):
+            data = read[at : at + BLOCK_BYTES]
+            ends.append((stamp, data.count(reader.delimiter)))
+            block += data
+            if len(block) < min(BLOCK_BYTES, most_bytes):
+                continue
+            taken += len(block)
+            parts.append(parsed())
+            if taken >= most_bytes:
+                yield _Taken(arrays.joined(parts), between.damaged, reader.discarded_bytes - discarded, last=False)
+                taken, discarded = 0, reader.discarded_bytes
+                parts.clear()
+    parts.append(parsed())
+    yield _Taken(arrays.joined(parts), between.damaged, reader.discarded_bytes - discarded, last=True)
+
+
+def _is_finer(pieces: Iterable[_Taken], resolution: int, most: float) -> bool:
+    """Return whether more than a tenth of the times, at most so many, are no multiples of a resolution."""
+    finer = lines = 0
+    for taken in pieces:
+        finer += int(np.count_nonzero(taken.lines.ticks % resolution))
+        lines += len(taken.lines)
+        if finer > 0.1 * most:
+            return True
+    return finer > 0.1 * lines
+
+
+def _stream(lines: Lines, ident: frames.Ident, damaged: int, discarded_bytes: int) -> Stream:
+    """Return lines as frames; ``damaged`` lines stand behind the last of them."""
+    n = len(lines)
     wide = ident.counter_bits > 16
+    crc_frame = np.repeat(np.arange(n + 1), np.append(lines.damaged, damaged))
     return Stream(
         first=np.arange(n),
         n=np.ones(n, dtype=np.int64),
-        seq=judged.number & 0xFFFF,
-        ticks=ticks,
-        illegal=illegal[keep],
-        stamp_ns=stamps[keep],
+        seq=lines.number & 0xFFFF,
+        ticks=lines.ticks,
+        illegal=lines.illegal,
+        stamp_ns=lines.stamp_ns,
         dt=np.zeros(n, dtype=np.uint16),
-        up=up.astype(np.uint32) if wide else up.astype(np.uint16),
-        down=down.astype(np.uint32) if wide else down.astype(np.uint16),
-        status=status[keep].astype(np.uint8),
+        up=lines.up.astype(np.uint32) if wide else lines.up.astype(np.uint16),
+        down=lines.down.astype(np.uint32) if wide else lines.down.astype(np.uint16),
+        status=lines.status.astype(np.uint8),
         ident=ident,
-        idents=judged.starts,
-        time_error=judged.time_error,
-        crc_frame=kept[damaged],
-        crc_errors=len(damaged),
-        discarded_bytes=reader.discarded_bytes,
+        idents=np.flatnonzero(lines.fresh),
+        time_error=time_ahead(lines.ticks, lines.sent),
+        crc_frame=crc_frame,
+        crc_errors=len(crc_frame),
+        discarded_bytes=discarded_bytes,
         length=np.zeros(n, dtype=np.int64),
     )
-
-
-def _two_counters(count: NDArray[np.int64], bits: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the up and the down counter that a net count stands for: up - down is the count, and both only rise."""
-    step = moves(count, bits)
-    down = np.concatenate(([0], np.cumsum(np.maximum(-step, 0))))[: len(count)]
-    limit = (1 << bits) - 1
-    return (count + down) & limit, down & limit

@@ -7,17 +7,16 @@ A flipped digit is still a digit, so a damaged line may look like a sound one.  
 - a time is not true when it is out of order, or stands alone off the course of its neighbours and the count does not
   bear it out.  Then the count is kept and the time is interpolated: a timer that is late now and then is no damage.
 
+`daq.protocols.judge` applies them to a stream of lines; see there for how far each of them looks.
+
 What stands alone leaves a trace: a value off by e is off the cubic through two neighbours on either side by e, and they
 are off theirs by -2e/3 and e/6.  A jump, a velocity step, a gap or noise that is as large all about leaves another.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.wire.counters import LATE_FRAMES, moves
+from daq.wire.counters import moves
 
 LEAP_COUNTS = 32
 LEAP_MOTIONS = 8  # how much farther than the motion about it a count must leap to be damaged
@@ -28,109 +27,12 @@ LOOK_AHEAD = 8  # lines among which the one must be that follows the last good o
 WIDEST = 6  # periods that five lines may span for their counts to be held against each other: two lines are missing
 
 
-@dataclass(frozen=True)
-class JudgedLines:
-    """What is left of n lines: the k that are kept.
-
-    Attributes
-    ----------
-    keep : (n,) bool
-        False for a line that cannot be true.
-    ticks, time_error : (k,) int64
-        Times modulo 2^32, interpolated where the time as sent was not true; the time as sent less this one.
-    number : (k,) int64
-        Periods since the start that it follows, made from the times.
-    starts : (s,) int64
-        Lines at which the board has started anew; of those kept.
-    """
-
-    keep: NDArray[np.bool_]
-    ticks: NDArray[np.int64]
-    time_error: NDArray[np.int64]
-    number: NDArray[np.int64]
-    starts: NDArray[np.int64]
-
-
-def judge(
-    ticks: NDArray[np.int64],
-    count: NDArray[np.int64],
-    *,
-    bits: int,
-    period: float,
-    starts: Sequence[int],
-    resolution: int = 0,
-) -> JudgedLines:
-    """Judge n lines by their neighbours.
-
-    Parameters
-    ----------
-    ticks, count : (n,) int64
-        Times modulo 2^32, and net counts modulo 2^bits.
-    bits : int
-        Width of the counters.
-    period : float
-        Nominal sample interval, ticks.
-    starts : sequence of int
-        Lines before which the board reported a start.
-    resolution : int
-        Ticks by which a coarse clock advances at once: so much may a time differ from the sample's.  0: none is coarse.
-    """
-    sent = ticks
-    ticks = ticks.copy()
-    keep = _in_time(ticks, period, starts)
-    keep[keep] = ~_leaps(count[keep], bits)
-    damaged, late, course = _off_course(ticks[keep], count[keep], bits, period, resolution)
-    ticks[np.flatnonzero(keep)[late]] = course & 0xFFFFFFFF
-    keep[keep] = ~damaged
-    sent, ticks = sent[keep], ticks[keep]
-    kept = np.concatenate(([0], np.cumsum(keep)))  # lines kept before each
-    fresh = _starts(ticks, period, kept[np.asarray(starts, dtype=np.int64)])
-    if resolution:
-        _spread(ticks, period, fresh, resolution)
-    number = _sum(_numbers(ticks, period))[: len(ticks)]
-    origin = np.concatenate((np.zeros(1, dtype=np.int64), fresh))
-    if len(ticks):
-        number -= number[origin[np.searchsorted(origin, np.arange(len(ticks)), side="right") - 1]]
-    return JudgedLines(keep, ticks, _ahead(ticks, sent), number, fresh)
-
-
-def _in_time(ticks: NDArray[np.int64], period: float, starts: Sequence[int]) -> NDArray[np.bool_]:
-    """Return which lines to keep, (n,): a damaged time leaps away, and the lines after it leap back.
-
-    Such a line is kept, its time interpolated in place, where the lines around it leave room for just as many as there
-    are.
-    """
-    keep = np.ones(len(ticks), dtype=np.bool_)
-    step = moves(ticks, 32)
-    odd = np.flatnonzero((step < -LATE_FRAMES * period) | (step > LATE_FRAMES * period)) + 1
-    if len(odd) == 0:
-        return keep
-    fresh = set(starts)
-    line, last = int(odd[0]), int(odd[0]) - 1
-    while line < len(ticks):
-        ahead = _ahead(ticks[last], ticks[line : line + LOOK_AHEAD + 1])
-        near = np.abs(ahead) <= (LATE_FRAMES + np.arange(len(ahead))) * period
-        if line in fresh or near[0] or not near.any():  # it follows, or nothing does: then it begins a new stretch
-            between = line - last - 1
-            if between and near[0] and line not in fresh and round(int(ahead[0]) / period) == line - last:
-                place = np.round(ahead[0] * np.arange(1, line - last) / (line - last)).astype(np.int64)
-                ticks[last + 1 : line] = ticks[last] + place & 0xFFFFFFFF
-                keep[last + 1 : line] = True
-            after = np.searchsorted(odd, line, side="right")  # up to the next one that is odd, each line follows
-            line = int(odd[after]) if after < len(odd) else len(ticks)
-            last = line - 1
-        else:
-            keep[line] = False
-            line += 1
-    return keep
-
-
-def _ahead(first: np.int64 | NDArray[np.int64], ticks: NDArray[np.int64]) -> NDArray[np.int64]:
+def time_ahead(first: np.int64 | NDArray[np.int64], ticks: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return by how much n times modulo 2^32 are ahead of one, or each of another one, (n,); negative: behind."""
     return (ticks - first + 0x80000000 & 0xFFFFFFFF) - 0x80000000
 
 
-def _leaps(count: NDArray[np.int64], bits: int) -> NDArray[np.bool_]:
+def leaps(count: NDArray[np.int64], bits: int) -> NDArray[np.bool_]:
     """Return which counts (modulo 2^bits) leap away from both their neighbours, by far more than the motion about."""
     leaps = np.zeros(len(count), dtype=np.bool_)
     size = np.abs(moves(count, bits))
@@ -147,19 +49,27 @@ def _leaps(count: NDArray[np.int64], bits: int) -> NDArray[np.bool_]:
     return leaps
 
 
-def _off_course(
-    ticks: NDArray[np.int64], count: NDArray[np.int64], bits: int, period: float, resolution: int
+def off_course(
+    ticks: NDArray[np.int64],
+    count: NDArray[np.int64],
+    time: NDArray[np.int64],
+    number: NDArray[np.int64],
+    *,
+    bits: int,
+    period: float,
+    resolution: int,
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
     """Return which counts are damaged, (n,); the lines whose times are not true, (m,), and their times by the course.
 
-    A time is a whole number of periods and a phase: missing lines do not disturb the course of the phases.
+    ``time`` and ``number`` are the ticks without roll-over and the periods since the first line of the stream, (n,).  A
+    time is a whole number of periods and a phase: missing lines do not disturb the course of the phases.
     """
     n = len(ticks)
     damaged = np.zeros(n, dtype=np.bool_)
     if n < 2 * SPIKE_AMONG:
         return damaged, np.zeros(0, dtype=np.int64), ticks[:0]
     place = np.arange(n)
-    time, number, motion = _sum(moves(ticks, 32)), _sum(_numbers(ticks, period)), _sum(moves(count, bits))
+    motion = running(moves(count, bits))
     phase = time - period * number
     size = _size(phase)
     late = np.flatnonzero(size > SPIKE_LEAST)
@@ -175,7 +85,7 @@ def _off_course(
     slack = _slack(size, at) + resolution * np.abs(motion[at + 1] - motion[at - 1]) / (2 * period)
     by_number, off_number = _alone(number, motion, at, slack)
     by_time, off_time = _alone(time, motion, at, slack)
-    back = _sum((np.diff(time) <= 0).astype(np.int64))  # steps so far that do not advance: they make no course
+    back = running((np.diff(time) <= 0).astype(np.int64))  # steps so far that do not advance: they make no course
     damaged[at] = off_number & (off_time | (back[at + 3] > back[at - 3]))
     true = np.zeros(n, dtype=np.bool_)
     true[at] = np.abs(by_time) + 1 < np.abs(by_number)  # the count bears its printed time out
@@ -183,7 +93,7 @@ def _off_course(
     return damaged, late[untrue], course[untrue]
 
 
-def _sum(step: NDArray[np.int64]) -> NDArray[np.int64]:
+def running(step: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the running sum of the steps between n values, (n,), from 0."""
     return np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(step)))
 
@@ -237,7 +147,7 @@ def _residual(
     return off, weights
 
 
-def _numbers(ticks: NDArray[np.int64], period: float) -> NDArray[np.int64]:
+def periods_between(ticks: NDArray[np.int64], period: float) -> NDArray[np.int64]:
     """Return the periods between neighbouring lines, (n - 1,): a line that is late alone hides no missing one."""
     step = moves(ticks, 32)
     number = np.round(step / period).astype(np.int64)
@@ -247,27 +157,23 @@ def _numbers(ticks: NDArray[np.int64], period: float) -> NDArray[np.int64]:
     return number
 
 
-def _spread(ticks: NDArray[np.int64], period: float, starts: NDArray[np.int64], resolution: int) -> None:
+def spread(
+    ticks: NDArray[np.int64], stuck: NDArray[np.int64], fresh: NDArray[np.bool_], period: float, resolution: int
+) -> None:
     """Set lines apart, in place, whose printed times do not advance, where the time before them has room for as many.
 
     Printed with a coarse clock, a line that is late has the time of the next one.  No time is changed by more than the
-    clock's resolution.
+    clock's resolution.  ``stuck`` are the lines whose time does not advance, (s,); the board has started anew with a
+    ``fresh`` one, (n,).
     """
-    fresh = set(starts.tolist())
-    for line in np.setdiff1d(np.flatnonzero(moves(ticks, 32) <= 0) + 1, starts).tolist():
+    for line in stuck.tolist():
         for back in range(2, 2 * LOOK_AHEAD + 1):
             first = line - back
-            begins = first < 0 or first + 1 in fresh  # nothing before the first line limits the room
-            span = back * period if begins else int(_ahead(ticks[first], ticks[line : line + 1])[0])
+            begins = first < 0 or fresh[first + 1]  # nothing before the first line limits the room
+            span = back * period if begins else int(time_ahead(ticks[first], ticks[line : line + 1])[0])
             even = ticks[line] - np.round(span * np.arange(back - 1, 0, -1) / back).astype(np.int64)
             room = round(span / period) >= back
-            if room and np.abs(_ahead(even, ticks[first + 1 : line])).max() <= resolution:
+            if room and np.abs(time_ahead(even, ticks[first + 1 : line])).max() <= resolution:
                 ticks[first + 1 : line] = even & 0xFFFFFFFF
             if room or begins:
                 break
-
-
-def _starts(ticks: NDArray[np.int64], period: float, starts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the lines at which the board has started anew: it has reported so, or its time has."""
-    anew = np.flatnonzero(moves(ticks, 32) < -LATE_FRAMES * period) + 1
-    return np.unique(np.concatenate((starts[(starts > 0) & (starts < len(ticks))], anew)))

@@ -15,6 +15,7 @@ Not used: counting modulo N, index and trigger inputs, x2.  There is no checksum
 how damage is detected.  Written from descriptions and other programs; not tested on the device.
 """
 
+import math
 import re
 import time
 from binascii import unhexlify
@@ -113,13 +114,17 @@ def reader() -> LineReader:
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
     """Decode the reads of one connection."""
-    period_ticks = TICK_HZ / float(header["rate_hz"])
-    return lines.decode(reads, reader(), ident(header.get("decoder")), period_ticks, net=True)
+    return next(_pieces(reads, header, math.inf))
 
 
 def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
     """Decode them piece by piece."""
-    yield decode(reads, header)
+    return _pieces(reads, header, sessions.PIECE_BYTES)
+
+
+def _pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float) -> "Iterator[Stream]":
+    known, period_ticks = ident(header.get("decoder")), TICK_HZ / float(header["rate_hz"])
+    return lines.pieces(reads, reader, known, period_ticks, net=True, most_bytes=most_bytes)
 
 
 class Qsb(Session):

@@ -23,11 +23,12 @@ column, us without.
 The rate is the sketch's own: it is measured before the recording starts.  Nothing is sent to the board.
 """
 
+import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from itertools import chain, pairwise
+from itertools import pairwise
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
@@ -83,29 +84,30 @@ def reader(form: Columns) -> LineReader:
 
 def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Stream":
     """Decode the reads of one connection."""
-    declared, first, rest = header["columns"], [], iter(reads)
-    if declared is None:
-        vote = ColumnVote()
-        for read in rest:
-            first.append(read)
-            if vote.feed(read[1]):
-                break
-        declared = vote.columns
-    form = columns(declared)
-    period_ticks = 1e9 / (TICK_NS * float(header["rate_hz"]))
-    return lines.decode(
-        chain(first, rest),
-        reader(form),
-        ident(form, header.get("decoder")),
-        period_ticks,
-        net=form.net,
-        resolution=MILLISECOND,
-    )
+    return next(_pieces(list(reads), header, math.inf))
 
 
 def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
     """Decode them piece by piece."""
-    yield decode(reads, header)
+    return _pieces(reads, header, sessions.PIECE_BYTES)
+
+
+def _pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any], most_bytes: float) -> "Iterator[Stream]":
+    declared = header["columns"]
+    if declared is None:
+        vote = ColumnVote()
+        any(vote.feed(data) for _, data in reads)  # up to the line that decides
+        declared = vote.columns
+    form = columns(declared)
+    return lines.pieces(
+        reads,
+        partial(reader, form),
+        ident(form, header.get("decoder")),
+        1e9 / (TICK_NS * float(header["rate_hz"])),
+        net=form.net,
+        most_bytes=most_bytes,
+        resolution=MILLISECOND,
+    )
 
 
 class Text(Session):

@@ -79,3 +79,30 @@ def test_memory_does_not_grow_with_the_run(tmp_path):
     (few, _, small), (many, _, large) = peaks
     assert many > 4 * few
     assert large - small < 60
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the peak of a process's memory is in kB on Linux")
+@pytest.mark.parametrize("protocol", ["text", "qsb"])
+def test_memory_does_not_grow_with_the_lines(protocol, tmp_path):
+    # They were decoded at once, 380 bytes a line: 1386 MB for an hour of text at 1 kHz.
+    header = journal.read(FIXTURE).header | {"samples": None, "protocol": protocol, "rate_hz": 512.0}
+    header["columns"] = None if protocol == "qsb" else "t_us,count"
+    line = b"s0E%08X%08X!\n" if protocol == "qsb" else b"%d,%d\n"
+    tick = 1 if protocol == "qsb" else 1e6 / 512
+    peaks = []
+    for seconds in (400, 1600):
+        part = tmp_path / f"{seconds}.h5.part"
+        writer = journal.Writer(part, header)
+        for second in range(seconds):
+            rows = [(k // 9, int(tick * k)) for k in range(512 * second, 512 * second + 512)]
+            sent = b"".join(line % (row if protocol == "qsb" else row[::-1]) for row in rows)
+            writer.append(journal.RECEIVED, 1_000_000_000 * (second + 2), b"x" * (second % 7 == 0) + sent)
+        writer.close()
+        command = [sys.executable, "-c", MEASURE, str(part), str(tmp_path / f"{seconds}.h5"), str(2 << 30)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        peaks.append([int(word) for word in done.stdout.split()])
+    (few, _, small), (many, _, large) = peaks
+    assert few > 0.99 * 512 * 400
+    assert many > 3.9 * few
+    assert large - small < 60
