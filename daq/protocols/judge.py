@@ -9,6 +9,7 @@ are still to come, and keeps those that the next ones are held against:
 4. the lines are numbered by their times, and those of a coarse clock set apart.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,7 +78,7 @@ class Between:
     def before(
         self, fresh: NDArray[np.bool_], damaged: NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """Return what is before each of n lines; given, (n + 1,), is what is before each, and behind the last."""
+        """Return what is before each of n lines; given are n + 1 values, the last for what is behind the last line."""
         fresh[0] |= self._fresh
         damaged[0] += self.damaged
         self._fresh, self.damaged = bool(fresh[-1]), int(damaged[-1])
@@ -124,7 +125,7 @@ class Judge:
         return sum(stage.between.damaged for stage in (self._in_time, self._leaps, self._on_course))
 
     def feed(self, lines: Lines, last: bool) -> Lines:
-        """Take the next lines; return those judged now that are true.  The ``last`` ones are judged all."""
+        """Take the next lines; return those decided now and kept.  With the ``last`` ones, all are decided."""
         for stage in (self._in_time, self._leaps, self._on_course, self._numbered):
             lines = stage.feed(lines, last)
         return lines if self._counters is None else self._counters.split(lines)
@@ -186,7 +187,7 @@ class _InTime:
         self._line = line
 
 
-class _Stage:
+class _Stage(ABC):
     """Decide on lines by those at most `REACH` before and behind them."""
 
     def __init__(self) -> None:
@@ -203,9 +204,9 @@ class _Stage:
         self._held, self._decided = arrays.rows(held, slice(first, None)), until - first
         return decided
 
+    @abstractmethod
     def _decide(self, lines: Lines, here: slice, new: int) -> Lines:
-        """Return which ``lines`` to keep of those ``here``; ``new`` is the first of them that has come now."""
-        raise NotImplementedError
+        """Return those of the ``lines`` ``here`` that are kept; ``new`` is the first of all that has come now."""
 
 
 class _Leaps(_Stage):
