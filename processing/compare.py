@@ -73,21 +73,14 @@ def rows(
     for times in reversed(series.TIMES):
         data = series.from_recording(recording, times)
         longest = max(piece.stop - piece.start for piece in data.pieces)
-        windows = [f"{length},{ORDER}" for length in WINDOWS if length <= longest]
-        asked = [("fd", times), *(("sg", f"{window} {times}") for window in (*windows, "auto"))]
-        asked += [(method, times) for method in ("rts", "segment", "auto")]
-        for method, setting in asked:
-            found.append(_row(method, setting, data, _setting(method, setting, data), true))
+        windows = [(f"{length},{ORDER}", Setting(length, ORDER)) for length in WINDOWS if length <= longest]
+        windows.append(("auto", parse_window("auto", None, data)))
+        asked = [("fd", times, Setting()), *(("sg", f"{name} {times}", window) for name, window in windows)]
+        asked += [(method, times, Setting()) for method in ("rts", "segment", "auto")]
+        for method, name, setting in asked:
+            found.append(_row(method, name, data, setting, true))
             progress(100.0 * len(found) / (len(series.TIMES) * len(asked)))
     return found
-
-
-def _setting(method: str, setting: str, data: Series) -> Setting:
-    """Return the setting of a row: of ``sg`` its window, which stands first in its name."""
-    if method != "sg":
-        return Setting()
-    window = setting.split()[0]
-    return parse_window("auto", None, data) if window == "auto" else Setting(int(window.split(",")[0]), ORDER)
 
 
 def _row(method: str, setting: str, data: Series, asked: Setting, true: Array | None) -> MethodError:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.stages import Stages, silent
 from daq.errors import InputError
 from daq.imports import layout
 
@@ -20,13 +21,8 @@ DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "
 COMMENTS = ("#", "%", "//")
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
 ColumnReader = tuple[int, Callable[[str], float | None], str]
-Stages = Callable[[str, float, float], None]  # called with a stage of the reading, lines done, lines in all
 TOGETHER = 4096  # rows whose cells are converted together; half costs the same CPU time, double 50 % more
 LISTED = 5  # lines named in a message about many
-
-
-def silent(stage: str, done: float, whole: float) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.compute.stages import Stages, silent
 from daq.errors import InputError
 from daq.imports import layout, plausible, table
 from daq.imports.columns import find, is_stated, unit
@@ -45,7 +46,7 @@ class Imported:
     warnings: tuple[str, ...]
 
 
-def read(path: Path, options: ImportOptions, progress: table.Stages = table.silent) -> Imported:
+def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Imported:
     """Read a table into a run; ``progress`` is called with the stage, the lines done, and all lines.
 
     Raises
@@ -186,7 +187,7 @@ def _rig(options: ImportOptions) -> Rig:
     return Rig(mass=options.mass, stiffness=options.stiffness, belt_speed=options.belt_speed, datum=options.datum)
 
 
-def _cells(path: Path, options: ImportOptions, progress: table.Stages) -> table.Table:
+def _cells(path: Path, options: ImportOptions, progress: Stages) -> table.Table:
     if path.suffix.lower() != ".mat":
         return table.read(path, options.preamble, progress)
     from daq.imports import matfile

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
 from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
 from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit, periodic_orbits
 from rig_sim.dynamics.period import period_of
-from rig_sim.dynamics.stages import Stages, parts, silent
 
 # Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
 # periods 1 to 5 of the thesis's two motions come out of 1000 already.

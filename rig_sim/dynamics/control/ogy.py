@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.stages import Stages, silent
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference
 from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit
-from rig_sim.dynamics.stages import Stages, silent
 
 # Of r_i, within which control begins: rounding and the map's curvature take the rest.  0.8 takes 1.5 times as long.
 CERTAIN = 0.95

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.stages import Stages, silent
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
 from rig_sim.dynamics.period import period_of
-from rig_sim.dynamics.stages import Stages, silent
 
 TRANSIENT = 400  # applications at every step before the section is judged; a window's edge may take longer
 JUDGED = 130  # applications that are judged: twice the longest period that is recognised

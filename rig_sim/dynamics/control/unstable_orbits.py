@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
+from daq.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.control.controlled_map import ControlledMap, derivatives, difference
-from rig_sim.dynamics.stages import Stages, parts, silent
 
 # Of the closest returns, from which Newton's method starts.  200 find up to a quarter more orbits of the thesis's
 # motions, 50 up to a quarter fewer; the least unstable one is always among them.

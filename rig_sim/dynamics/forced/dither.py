@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.stages import Stages, silent
 from rig_sim.dynamics.forced.attractors import TRANSIENTS, Settled, settled
 from rig_sim.dynamics.forced.driven_mass import DrivenMass
-from rig_sim.dynamics.stages import Stages, silent
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame, friction_slope

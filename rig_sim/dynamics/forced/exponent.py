@@ -7,11 +7,11 @@ variational equation.  The rotation number is the mean time between passages: in
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.forced.attractors import GROWING, SAME, is_growing
 from rig_sim.dynamics.forced.system import Passages, System
 from rig_sim.dynamics.maps.lyapunov import BLOCKS, Exponent, mean_growth
 from rig_sim.dynamics.period import period_of
-from rig_sim.dynamics.stages import Stages, parts, silent
 from rig_sim.flow.modes import COMPLETED, OUTCOMES
 
 TRANSIENT = 1000  # passages before the mean; twice as many cost 1000 passages more

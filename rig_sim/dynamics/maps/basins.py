@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array, Integers
+from daq.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.maps.interval_map import IntervalMap
 from rig_sim.dynamics.period import period_of
-from rig_sim.dynamics.stages import Stages, parts, silent
 
 # Iterates of the map itself from each cycle before its attractor counts as reached: twice as many double the cost of a
 # sweep.  Near a period doubling an orbit may still be 1e-3 of the interval away after as many.

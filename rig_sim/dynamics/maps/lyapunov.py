@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.maps.basins import SAME, TRANSIENT
 from rig_sim.dynamics.maps.interval_map import IntervalMap, slope
 from rig_sim.dynamics.period import period_of
-from rig_sim.dynamics.stages import Stages, parts, silent
 
 BLOCKS = 20  # of the orbit, whose means give the standard error; below 20 it would itself err by more than 16 %
 
