@@ -178,7 +178,10 @@ class Timeline:
                 for name in self._has:
                     self._has[name] &= not len(stream.n) or getattr(stream, name) is not None
         self._parts: dict[int, _Part] = {}
-        for samples, _, _, truth in self._unplaced(learn=True):
+        self._sole: _Unplaced | None = None
+        for number, unplaced in enumerate(self._unplaced(learn=True)):
+            samples, _, _, truth = unplaced
+            self._sole = None if number else unplaced
             if len(truth.key):
                 self.truth.append(truth)
             for part, here in parts_of(samples):
@@ -190,7 +193,7 @@ class Timeline:
         late = 0
         newest = -np.inf
         part, offset = 0, 0
-        for samples, stream, frames, _ in self._unplaced():
+        for samples, stream, frames, _ in [self._sole] if self._sole else self._unplaced():
             late += int(stream.n.sum()) - len(samples)
             samples = replace(samples, time=self._times(samples))
             if len(samples):
@@ -209,7 +212,7 @@ class Timeline:
             self.repeated = late
             yield Piece(samples, stream, frames, place)
 
-    def _unplaced(self, learn: bool = False) -> Iterator[tuple[Samples, decode.Stream, int, TruthRows]]:
+    def _unplaced(self, learn: bool = False) -> Iterator["_Unplaced"]:
         """Yield the samples of each piece, without times, its frames and how many came before, its exact motion."""
         frames = 0
         parts = -1
@@ -298,6 +301,9 @@ class Timeline:
         if self._begun_by[number] == "jumped" and moved_on > 0 and abs(by_device - start) < SAME_CLOCK_S:
             return by_device
         return max(start, before_s + 1 / self._rate_hz)
+
+
+_Unplaced = tuple[Samples, decode.Stream, int, TruthRows]
 
 
 @dataclass(frozen=True)

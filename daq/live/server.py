@@ -36,9 +36,9 @@ from daq.live.tail import JournalTail
 from daq.runfile import journal
 
 LOOPBACK = "127.0.0.1"
-# From one look at the journal to the next: 20 frames/s.  A look takes 1.5 to 2.5 ms of CPU time at 1 kHz, so that half
-# of it takes twice the share of a core.
-LOOK_EVERY_S = 0.0495
+# From one look at the journal to the next: the page draws what came in two halves, 20 frames/s.  A look takes 2 to 3 ms
+# of CPU time, nearly the same for 50 samples as for 100: half of it takes almost twice the share of a core.
+LOOK_EVERY_S = 0.099
 ESTIMATE_EVERY_S = 2.0
 MOST_PER_S = 1000  # points sent per second of recording: of faster runs every second, third ... sample
 HISTORY_S = 120.0  # what a page that connects late, or again, can still be sent

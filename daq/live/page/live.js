@@ -3,10 +3,12 @@
 
 const BLUE = "#0072b2", RED = "#d55e00", GREY = "#8a8a90", INK = "#1d1d1f"; // Okabe and Ito's, distinct to colour-blind readers too
 const KEEP_S = 120, FRAME_MS = 40, MOST_FRICTION = 12000;
+const HALF_MS = 50; // between messages 100 ms pass: the second half of the samples is drawn so long after the first
 const element = (id) => document.getElementById(id);
 const samples = { t: [], x: [], v: [], a: [] };
 const markers = [];
 let facts = null, latest = null, ended = "", paused = false, pausedAt = null, dirty = false, frames = 0;
+let waiting = null; // a message whose second half is not among the samples yet
 
 function cut(limit) {
   let first = 0;
@@ -14,14 +16,30 @@ function cut(limit) {
   if (first > samples.t.length / 4) for (const name in samples) samples[name].splice(0, first);
 }
 
+function take(message, from, to) {
+  for (const name in samples) for (let i = from; i < to; i++) samples[name].push(message[name][i]);
+  if (samples.t.length) cut(samples.t[samples.t.length - 1] - KEEP_S);
+  dirty = true;
+}
+
+const middle = (message) => Math.ceil(message.t.length / 2);
+
+function takeRest() {
+  if (!waiting) return;
+  const message = waiting;
+  waiting = null;
+  take(message, middle(message), message.t.length);
+}
+
 function receive(event) {
+  takeRest();
   const message = JSON.parse(event.data);
   if (message.marker) markers.push(message.marker);
   if (message.ended) { ended = message.ended; source.close(); showState(); }
   if (message.t) {
-    for (const name in samples) for (const value of message[name]) samples[name].push(value);
-    latest = message;
-    if (samples.t.length) cut(samples.t[samples.t.length - 1] - KEEP_S);
+    latest = waiting = message;
+    take(message, 0, middle(message));
+    setTimeout(takeRest, HALF_MS);
   }
   dirty = true;
 }
