@@ -1,22 +1,45 @@
-"""Compile the largest kernels of a fit and keep them: ``python -m fitting.compile_ahead`` (`daq demo` runs it).
+"""Compile kernels of a fit and keep them: ``python -m fitting.compile_ahead [arithmetic]`` (`daq demo` runs both).
 
-It does so on two windows of an imagined cycle, while another process records and smooths.  A process that needs a
-kernel meanwhile waits for its machine code (`daq.compute.compile`).
+The largest ones, on two windows of an imagined cycle, while another process records and smooths; ``arithmetic``: the
+many small ones, while the fit waits for the largest.  A process that needs a kernel meanwhile waits for its machine
+code (`daq.compute.compile`).
 """
 
 import math
+import sys
 
 import numpy as np
 
+from daq.compute.compile import compiled
+from fitting.estimation import elimination
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.shooting import ShootingWindows, evaluator
+from fitting.selection.nearest import nearest_distances
 from fitting.sensitivity.path import follow, law_curve
 from fitting.sensitivity.tangents import tangents
 
 SAMPLES = 5  # of each window: compiled code does not depend on how many
 
 
-def main() -> None:
+def compile_arithmetic() -> None:
+    """Compile the sums and eliminations of a search, and the distance of orbits."""
+    rows, first = np.ones((2, 1)), np.array([0, 2])
+    residual, matrix, matrices = np.ones(2), np.ones((1, 1)), np.ones((1, 1, 1))
+    for function, arguments in (
+        (elimination.sum_products, (rows, residual, first, matrices.copy(), matrix.copy())),
+        (elimination.invert, (matrices, matrices.copy())),
+        (elimination.eliminate, (matrices, matrices, matrix.copy(), matrices.copy())),
+        (elimination.eigen, (matrix.copy(), matrix.copy())),
+        (elimination.along, (rows, first, matrix, residual.copy())),
+        (elimination.sum_gradients, (rows, residual, first, matrix.copy())),
+        (elimination.sum_cross, (rows, rows, first, matrices.copy())),
+        (elimination.add_along, (rows, first, matrices, rows.copy())),
+        (nearest_distances, (residual, residual, residual, residual, residual.copy())),
+    ):
+        compiled(function, (function.__module__,))(*arguments)
+
+
+def compile_motion() -> None:
     """Compile what predicts positions, follows the motion and integrates its derivatives."""
     run = np.zeros(PER_RUN)
     run[[Global.K, Global.LOG_F, Global.V_DR, Global.SHAPE, Global.STATIC]] = 100.0, math.log(5.0), 0.1, 1.0, 1.0
@@ -41,4 +64,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    compile_arithmetic() if sys.argv[1:] == ["arithmetic"] else compile_motion()

@@ -4,11 +4,9 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Self
 
 import cyclopts
 
@@ -168,8 +166,8 @@ def demo(*, json: Json = False) -> Answer:
     folder = Path.cwd() / DEMO_FOLDER
     folder.mkdir(exist_ok=True)
     began = time.monotonic()
-    with _kernels_of_a_fit():
-        steps, verdict = _demo_steps(folder, sys.stderr if json else sys.stdout)
+    with _KernelsOfAFit() as kernels:
+        steps, verdict = _demo_steps(folder, sys.stderr if json else sys.stdout, kernels)
     run, report = folder / "run.h5", folder / "run.report.html"
     wall_s = time.monotonic() - began
     data = {
@@ -199,19 +197,33 @@ def _typed(command: str) -> str:
     return str(script.relative_to(Path.cwd())) if script.is_relative_to(Path.cwd()) else str(script)
 
 
-@contextmanager
-def _kernels_of_a_fit() -> Iterator[None]:
-    """Compile the largest kernels of the fit in a process beside; it ends with this block."""
-    quiet = subprocess.DEVNULL
-    beside = subprocess.Popen([sys.executable, "-m", "fitting.compile_ahead"], stdin=quiet, stdout=quiet, stderr=quiet)
-    try:
-        yield
-    finally:
-        beside.terminate()
-        beside.wait()
+class _KernelsOfAFit:
+    """Compiles kernels of the fit in processes beside; they end with this block."""
+
+    def __init__(self) -> None:
+        self._beside = [self._begun()]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._beside:
+            process.terminate()
+            process.wait()
+
+    def fit_waits(self) -> None:
+        """Compile the small ones too, if the large ones are still being compiled: the fit is about to wait for them."""
+        if self._beside[0].poll() is None:
+            self._beside.append(self._begun("arithmetic"))
+
+    @staticmethod
+    def _begun(*which: str) -> subprocess.Popen[bytes]:
+        quiet = subprocess.DEVNULL
+        line = [sys.executable, "-m", "fitting.compile_ahead", *which]
+        return subprocess.Popen(line, stdin=quiet, stdout=quiet, stderr=quiet)
 
 
-def _demo_steps(folder: Path, out: IO[str]) -> tuple[list[dict[str, object]], str]:
+def _demo_steps(folder: Path, out: IO[str], kernels: _KernelsOfAFit) -> tuple[list[dict[str, object]], str]:
     """Run the three commands in a folder; return each with its exit code, and the line of the verdict."""
     steps: list[dict[str, object]] = []
     verdict = ""
@@ -222,6 +234,8 @@ def _demo_steps(folder: Path, out: IO[str]) -> tuple[list[dict[str, object]], st
     ):
         out.write(f"\n$ {' '.join(typed)}\n")
         out.flush()
+        if module == "fitting.cli":
+            kernels.fit_waits()
         code, lines = _echo([sys.executable, "-m", module, *typed[1:]], folder, out)
         steps.append({"command": " ".join(typed), "exit_code": code})
         if code not in (EXIT_DONE, EXIT_UNDECIDED):
