@@ -13,7 +13,8 @@ from rig_sim.cli import forced
 
 if TYPE_CHECKING:
     from rig_sim.cli.parameter_range import ParameterRange
-    from rig_sim.dynamics.maps.stick_map import StepBudget, StickEvent, StickMap
+    from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
+    from rig_sim.dynamics.step_budget import StepBudget
     from rig_sim.flow.two_mass import TwoMassFlow
     from rig_sim.scenes.model import Scene
 
@@ -119,7 +120,8 @@ class SweptScene:
 def continue_map(flow_at: SweptScene, name: str, span: "ParameterRange") -> Answer:
     """Return the answer of ``rig-sim continue`` for two masses."""
     from rig_sim.dynamics.maps.map_continuation import map_continuation
-    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL, StepBudget
+    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL
+    from rig_sim.dynamics.step_budget import StepBudget
 
     budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
     with application.progress("following", span.number) as show:
@@ -261,7 +263,8 @@ def stick_map(name: str, changes: list[str] | None, events: int = 0) -> "StickMa
     InputError
         One mass, or a belt at rest.
     """
-    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL, StepBudget
+    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL
+    from rig_sim.dynamics.step_budget import StepBudget
     from rig_sim.scenes.scene import parse_changes, scene
 
     budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events))

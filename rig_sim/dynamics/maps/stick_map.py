@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.compute.compile import pointer
-from daq.errors import InputError
+from rig_sim.dynamics.step_budget import StepBudget
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
 from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
@@ -130,20 +130,6 @@ def events_from(
     return letters
 
 
-class StepLimitError(InputError):
-    """The analysis of a map has taken more integrator steps than it may."""
-
-
-@dataclass
-class StepBudget:
-    """Integrator steps that an analysis may take in all, ``allowed``, and what is ``left``; its maps share it."""
-
-    allowed: float
-
-    def __post_init__(self) -> None:
-        self.left = self.allowed
-
-
 @dataclass(frozen=True)
 class StickEvent:
     """An event of two masses, from a global stick to the next.
@@ -249,9 +235,7 @@ class StickMap:
         self._budget.left = work[STEPS_LEFT]
         if np.any(outcomes == STEP_LIMIT):
             do = "take a smaller coupling.a, or fewer cells, values or events"
-            raise StepLimitError(
-                f"step limit: more than {self._budget.allowed:.0e} integrator steps", "map of two masses", do
-            )
+            raise self._budget.exceeded("map of two masses", do)
         shown = "".join(str(int(letter)) for letter in word[: min(letters, WORD)]) + "..." * (letters > WORD)
         return fr.mirror * results, durations, outcomes, shown
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from rig_sim.dynamics.maps.basins import NOWHERE, basins
 from rig_sim.dynamics.maps.section import section_points
-from rig_sim.dynamics.maps.stick_map import StepBudget, StepLimitError, StickMap
+from rig_sim.dynamics.maps.stick_map import StickMap
+from rig_sim.dynamics.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.modes import OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow
 
