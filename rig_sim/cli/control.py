@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 MOST_PERIOD = 100  # of a search; the multipliers of longer orbits leave no digit of a motion
 MOST_EVENTS = 10_000_000
+# Integrator steps of a lock, 5 s, or so many for each event asked for.  Of the thesis's motions periods 1 to 5 take 5e5
+# and 100 takes 6e6; an event takes 80.  Where every close return is tried in vain a search took 24 s and more.
+STEPS_IN_ALL, STEPS_PER_EVENT = 10_000_000, 200
 SHOWN = 5  # orbits, and positions of an orbit, in the text
 
 
@@ -127,6 +130,7 @@ def lock(
     """
     from rig_sim.dynamics.control.landing_map import LandingMap
     from rig_sim.dynamics.control.locking import find_and_lock
+    from rig_sim.dynamics.step_budget import StepBudget
     from rig_sim.scenes.scene import parse_changes
     from rig_sim.scenes.scene import scene as read
 
@@ -144,8 +148,9 @@ def lock(
     flow = played.flow()
     if played.drive is None:
         raise InputError("has no drive to control", f"scene {scene}", "set drive.u0 and drive.omega")
+    steps = StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events))
     try:
-        f = LandingMap(flow)
+        f = LandingMap(flow, budget=steps)
     except ValueError as error:
         raise InputError(str(error), f"scene {scene}", "change that value with --set") from None
     data: dict[str, Any] = {"method": method, "period": period, "budget": budget, "du_limit": budget * f.strength}
@@ -203,9 +208,14 @@ def _searched(
     f: "LandingMap", start: "Array", period: int, budget: float, show: application.Progress
 ) -> dict[str, Any]:
     """Return what the thesis's search-and-lock has found, as JSON keys."""
+    from rig_sim.dynamics.control.locking import ADVICE
     from rig_sim.dynamics.control.search_and_lock import search_and_lock
+    from rig_sim.dynamics.step_budget import StepLimitError
 
-    found = search_and_lock(f, start, period, budget, progress=show.stage)
+    try:
+        found = search_and_lock(f, start, period, budget, progress=show.stage)
+    except StepLimitError:
+        return {"outcome": "step limit", "advice": ADVICE["step limit"]}
     if found.change is None or found.points is None:
         advice = "the section did not repeat with this period: raise the budget"
         return {"outcome": "not locked", "advice": advice, "events": found.events, "du_max": budget * f.strength}

@@ -55,10 +55,10 @@ def orbit(f: ControlledMap, start: Array, number: int, change: float = 0.0) -> A
     return np.array(states).reshape(len(states), len(start))
 
 
-def derivatives(f: ControlledMap, state: Array) -> tuple[Array, Array]:
-    """Return the derivatives of f at a state: by the state, (d, d), and by the parameter, (d,).
+def slope_at(f: ControlledMap, state: Array) -> tuple[Array, Array]:
+    """Return f at a state, (d,), and its derivative by the state, (d, d), in units of the scales.
 
-    In units of the scales and of the parameter's strength.  NaN where f is not defined about the state.
+    NaN where f is not defined about the state.
     """
     middle = f(state)
     columns = []
@@ -66,8 +66,16 @@ def derivatives(f: ControlledMap, state: Array) -> tuple[Array, Array]:
         step = np.zeros(len(state))
         step[j] = STEP * f.scale[j]
         columns.append(_quotient(f, [f(state + place * step) for place in STENCIL], middle))
-    by_parameter = _quotient(f, [f(state, place * STEP * f.strength) for place in STENCIL], middle)
-    return np.array(columns).T, by_parameter
+    return middle, np.array(columns).T
+
+
+def derivatives(f: ControlledMap, state: Array) -> tuple[Array, Array]:
+    """Return the derivatives of f at a state: by the state, (d, d), and by the parameter, (d,).
+
+    In units of the scales and of the parameter's strength.  NaN where f is not defined about the state.
+    """
+    middle, slope = slope_at(f, state)
+    return slope, _quotient(f, [f(state, place * STEP * f.strength) for place in STENCIL], middle)
 
 
 def _quotient(f: ControlledMap, values: list[Array], middle: Array) -> Array:

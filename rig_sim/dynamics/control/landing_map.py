@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 
 from daq.compute.arrays import Array
+from rig_sim.dynamics.step_budget import StepBudget
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow, validate
@@ -21,10 +22,12 @@ from rig_sim.flow.frame import frame
 from rig_sim.integrate.buffer import CARRY, RAPID, STEPS, Buffer, new_work
 from rig_sim.integrate.phases import run, sample_phase
 
-# Integrator steps between two landings, 1 us each; the thesis's motions take 15.  A motion that has not landed after
+# Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that has not landed after
 # these does not count as one that lands.
 STEPS_OF_LANDING = 20_000
 OSCILLATIONS = 1000.0  # of the mass alone, and the longest stick besides, within which it has to land
+# Steps that an application of the map counts as besides its own, for the 30 us of its call.
+STEPS_OF_CALL = 60
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,8 @@ class LandingMap:
     ----------
     flow : Flow
         With a drive.
+    budget : StepBudget, optional
+        Integrator steps of all applications together; without one there is no limit.
 
     Attributes
     ----------
@@ -70,7 +75,7 @@ class LandingMap:
         The flow is not physical, or has no drive.
     """
 
-    def __init__(self, flow: Flow) -> None:
+    def __init__(self, flow: Flow, *, budget: StepBudget | None = None) -> None:
         validate(flow)
         if flow.u0 == 0.0 or flow.omega == 0.0:
             raise ValueError("has no drive whose amplitude could be controlled")
@@ -86,12 +91,23 @@ class LandingMap:
         self._mode = modes.RAMP if fr.d > 0.0 else modes.STICK
         self._edge = -fr.mirror * fr.d
         self._behind = modes.NEGATIVE if fr.mirror > 0.0 else modes.POSITIVE
+        self._budget = budget or StepBudget(math.inf)
         self._lists = np.zeros((4, 1))
         self._work: Buffer = new_work(STEPS_OF_LANDING, compiled=True)
 
     def __call__(self, state: Array, change: float = 0.0) -> Array:
-        """Return the state at the next landing, (2,), with u0 changed by ``change`` (N); NaN without one."""
-        return self.landing(state, change).state
+        """Return the state at the next landing, (2,), with u0 changed by ``change`` (N); NaN without one.
+
+        Raises
+        ------
+        StepLimitError
+            The budget is spent.
+        """
+        if self._budget.left <= 0.0:
+            raise self._budget.exceeded("map of landings", "apply the map less often")
+        following = self.landing(state, change).state
+        self._budget.left -= self._work[STEPS] + STEPS_OF_CALL
+        return following
 
     def landing(self, state: Array, change: float = 0.0) -> Landing:
         """Return the next landing after the one at ``state``."""

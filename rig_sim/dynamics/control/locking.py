@@ -10,6 +10,7 @@ from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, o
 from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
 from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit, periodic_orbits
 from rig_sim.dynamics.period import period_of
+from rig_sim.dynamics.step_budget import StepLimitError
 
 # Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
 # periods 1 to 5 of the thesis's two motions come out of 1000 already.
@@ -23,6 +24,7 @@ ADVICE = {
     "motion ended": "under control the map has no next state: take a smaller budget",
     "several unstable directions": "one parameter holds orbits with one unstable direction: take another period",
     "no response": "the parameter does not move the state off this orbit: take another period",
+    "step limit": "the search has taken all its integrator steps: take a shorter period or other parameters",
 }
 
 
@@ -33,7 +35,8 @@ class Locking:
     Attributes
     ----------
     outcome, advice : str
-        As of `Lock`; besides 'no orbit', 'no budget', 'regular motion', and what to do.
+        As of `Lock`; besides 'no orbit', 'no budget', 'regular motion', 'step limit' (the map raised
+        `StepLimitError`), and what to do.
     orbits : tuple of UnstableOrbit
         All orbits of the period that were found, the least unstable first: that one is locked onto.
     regular : int or None
@@ -67,23 +70,33 @@ def find_and_lock(
     progress : callable
         Called with the stage and what is done of it.
     """
+    orbits: tuple[UnstableOrbit, ...] = ()
+    regular = None
+    try:
+        states = followed(f, start, progress)
+        if len(states) <= period:
+            return _locking("no orbit", (), None, None)
+        regular = period_of(difference(f, states, states[-1]), REGULAR)
+        orbits = tuple(periodic_orbits(f, states, period, progress))
+        if not orbits:
+            return _locking("no orbit" if regular is None else "regular motion", (), regular, None)
+        if budget == 0.0 and orbits[0].unstable_directions > 0:
+            return _locking("no budget", orbits, regular, None)
+        found = lock(f, orbits[0], start, budget, events, progress)
+    except StepLimitError:
+        return _locking("step limit", orbits, regular, None)
+    outcome = "regular motion" if found.outcome == "not locked" and regular is not None else found.outcome
+    return _locking(outcome, orbits, regular, found)
+
+
+def followed(f: ControlledMap, start: Array, progress: Stages) -> Array:
+    """Return the `SEARCHED` states after the transient, (n, d); fewer where the map ends."""
     pieces = [start[None, :]]
     for begin, end in parts("following the motion", TRANSIENT + SEARCHED, progress, REPORTED):
         pieces.append(orbit(f, pieces[-1][-1], end - begin))
         if len(pieces[-1]) < end - begin:
             break
-    states = np.concatenate(pieces[1:])[TRANSIENT:]
-    if len(states) <= period:
-        return _locking("no orbit", (), None, None)
-    regular = period_of(difference(f, states, states[-1]), REGULAR)
-    orbits = tuple(periodic_orbits(f, states, period, progress))
-    if not orbits:
-        return _locking("no orbit" if regular is None else "regular motion", (), regular, None)
-    if budget == 0.0 and orbits[0].unstable_directions > 0:
-        return _locking("no budget", orbits, regular, None)
-    found = lock(f, orbits[0], start, budget, events, progress)
-    outcome = "regular motion" if found.outcome == "not locked" and regular is not None else found.outcome
-    return _locking(outcome, orbits, regular, found)
+    return np.concatenate(pieces[1:])[TRANSIENT:]
 
 
 def _locking(outcome: str, orbits: tuple[UnstableOrbit, ...], regular: int | None, found: Lock | None) -> Locking:

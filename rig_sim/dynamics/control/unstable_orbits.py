@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from daq.compute.stages import Stages, parts, silent
-from rig_sim.dynamics.control.controlled_map import ControlledMap, derivatives, difference
+from rig_sim.dynamics.control.controlled_map import ControlledMap, derivatives, difference, slope_at
 
 # Of the closest returns, from which Newton's method starts.  200 find up to a quarter more orbits of the thesis's
 # motions, 50 up to a quarter fewer; the least unstable one is always among them.
@@ -108,10 +108,10 @@ def refined(f: ControlledMap, points: Array) -> UnstableOrbit | None:
     period, d = points.shape
     points = points.copy()
     for _ in range(ITERATIONS):
-        pieces = [derivatives(f, point)[0] for point in points]
-        gaps = np.array([difference(f, f(point), points[(i + 1) % period]) for i, point in enumerate(points)])
+        pieces = [slope_at(f, point) for point in points]
+        gaps = np.array([difference(f, image, points[(i + 1) % period]) for i, (image, _) in enumerate(pieces)])
         system = np.zeros((period, d, period, d))
-        for i, slope in enumerate(pieces):
+        for i, (_, slope) in enumerate(pieces):
             system[i, :, i, :] += slope
             system[i, :, (i + 1) % period, :] -= np.eye(d)
         matrix = system.reshape(period * d, period * d)

@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 from daq.compute.arrays import Array
 from daq.console import application
+from rig_sim.cli import control
 from rig_sim.cli.app import app
 from rig_sim.dynamics.control.controlled_map import difference, orbit
 from rig_sim.dynamics.control.landing_map import LandingMap
@@ -205,6 +206,29 @@ def test_what_cannot_be_locked_has_a_name(
     assert found["outcome"] == outcome
     assert found["locked"] == (outcome == "stable orbit")
     assert (found["advice"] == "") == (outcome == "stable orbit")
+
+
+@pytest.mark.parametrize("method", ["ogy", "search"])
+def test_a_search_is_bounded_in_integrator_steps(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """Under Coulomb friction landings may be hundreds of steps apart and no orbit be found: it took 24 s."""
+    for limit in ("STEPS_IN_ALL", "STEPS_PER_EVENT"):
+        monkeypatch.setattr(control, limit, getattr(control, limit) // 20)
+    coulomb = [word for change in ("friction.law=1", "drive.u0=0.01", "drive.omega=100") for word in ("--set", change)]
+    found = asked(capsys, "forced", "--period", "7", "--budget", "0.01", "--method", method, *coulomb)
+    assert (found["outcome"], found["locked"], found["orbit"]) == ("step limit", False, None)
+    assert "shorter period" in found["advice"]
+
+
+def test_control_that_meets_the_step_limit_keeps_the_orbits(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control, "STEPS_IN_ALL", 450_000)  # 350 000 are taken up to the control
+    monkeypatch.setattr(control, "STEPS_PER_EVENT", 0)
+    found = asked(capsys, "forced", "--period", "2", "--budget", "0.0001")
+    assert (found["outcome"], found["locked"], found["events_to_lock"]) == ("step limit", False, None)
+    assert len(found["orbits"]) > 1
 
 
 @pytest.mark.parametrize(
