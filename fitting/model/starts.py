@@ -171,14 +171,17 @@ def with_static(curve: int, p: Values, static: float) -> Values:
     static : float
         The new break-away level over Fs.
     """
-    d, F, shape = p.d, p.F, p.shape
-    for _ in range(5):  # the wider ramp moves the curve's origin, and its level with that; converges like (shape d)^n
-        if curve == LINEAR:
-            F = p.F * max(1 - p.shape * (d - p.d), 0.1)
-        elif curve == HYPERBOLIC:
-            F = p.F / (1 + p.shape * (d - p.d))
-        shape = p.shape * (p.F / F if curve == LINEAR else F / p.F)
-        d = p.d * (static / p.static) * (F / p.F)
+    # With f the new F over the old and r the new static over the old, the slope in stick asks for d = r f p.d, and the
+    # same friction in slip for f = 1 - shape (d - p.d), or 1/(1 + shape (d - p.d)).
+    wide, steep = p.d * static / p.static, p.shape * p.d
+    if curve == LINEAR:
+        d = wide * (1 + steep) / (1 + p.shape * wide)
+    elif curve == HYPERBOLIC:
+        d = 2 * wide / (1 - steep + math.sqrt((1 - steep) ** 2 + 4 * p.shape * wide))
+    else:
+        d = wide
+    f = d / wide
+    F, shape = p.F * f, p.shape * (f if curve == HYPERBOLIC else 1 / f)
     return p._replace(F=F, shape=shape, d=d, static=static)
 
 
