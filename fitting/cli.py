@@ -319,7 +319,7 @@ def _adequacy(adequacy: "Adequacy") -> list[Any]:
         table.columns[0].overflow = "fold"
         table.columns[0].no_wrap = table.columns[3].no_wrap = False
         for form in curve.forms[:MOST_FORMS]:
-            values = ", ".join(f"{name} = {item.value:.4g} {item.unit}" for name, item in form.parameters.items())
+            values = ", ".join(f"{name} = {item.value:.4g} {item.unit}" for name, item in form.determined.items())
             table.add_row(form.name, f"{form.chi:.2f}", "yes" if form.inside_band else "-", values)
         lines.append(table)
     if adequacy.departures:

@@ -30,15 +30,16 @@ from daq.compute.distributions import chi_square_quantile, normal_quantile
 from fitting.curve.result import FormFit
 from fitting.curve.spline_fit import SplineFit
 from fitting.curve.starts import project
-from fitting.estimation.covariance import scaled_inverse
 from fitting.estimation.levenberg_marquardt import eigen
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import Parameter
+from fitting.model.parameters import Global
 
 GRID = 300  # speeds at which a form is projected on the spline, as dense as the knots
 CONFIDENCE = 0.95
 # Unit of each kind of parameter, and the powers of friction and speed in it.
 KINDS = {
+    "friction": ("m s^-2", 1, 0),  # not negative
     "force": ("m s^-2", 1, 0),
     "force/speed": ("s^-1", 1, -1),
     "force/speed^2": ("m^-1", 1, -2),
@@ -49,6 +50,7 @@ KINDS = {
 }
 LOWEST = 2  # coefficients, which act below a twentieth of the largest slip speed
 ROUNDING = 1e-12  # of the largest information
+LEAST_SEEN = 1e-10  # of the best known combination of a form's parameters: less is rounding
 # The parameter that is not linear: values tried over its range, and how often the bracket of the best is divided again.
 # Half as many over the range still find the same minima; each division narrows the bracket four times.
 TRIED, DIVISIONS, DIVIDED = 60, 12, 9
@@ -78,7 +80,7 @@ class Form(NamedTuple):
     reach: tuple[float, float] = (1.0, 1.0)
 
 
-FS, FC, VS, FV = Term("Fs", "force"), Term("Fc", "force"), Term("vs", "speed", True), Term("Fv", "force/speed")
+FS, FC, VS, FV = Term("Fs", "friction"), Term("Fc", "friction"), Term("vs", "speed", True), Term("Fv", "force/speed")
 TUSTIN = "A. Tustin, J. IEE 94 (1947) 143"
 ARMSTRONG = "B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994) 1083"
 # Beyond them the fall lies below the slowest speed, or the curve is straight.
@@ -168,11 +170,13 @@ class Metric(NamedTuple):
     A form with coefficients c is at the distance root c - aim from what the record alone says, without the prior on the
     curve; ``root`` (m, n) makes each of the m distances one of unit variance.  ``samples`` is how many positions there
     are.
+    ``level_sd`` (m/s^2) is that of a constant by which the whole curve may be off, beyond what these say.
     """
 
     root: Array
     aim: Array
     samples: int
+    level_sd: float
 
 
 def fit_forms(fit: SplineFit, linear: LinearisedFit, speeds: Array) -> tuple[FormFit, ...]:
@@ -206,12 +210,17 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
     gradient = linear.gradients().sum(axis=0)
     gradient[:places] += linear.prior_gradient[:places]
     gradient = np.einsum("ki,k->i", turn, gradient)
+    if fit.rest is not None:  # taken as known here: how far it may be off is `Metric.level_sd`
+        known = fit.places.index(Global.DATUM)
+        data[known], data[:, known], prior[known, known], gradient[known] = 0.0, 0.0, 1.0, 0.0
     first = places + LOWEST
     others = data[:first, :first] + prior[:first, :first]
-    scale, inverse = scaled_inverse(others, np.diag(others))
-    inverse = inverse * scale[:, None] * scale
+    scale = 1 / np.sqrt(np.diag(others))
     cross = data[first:, :first]
-    own = data[first:, first:] - np.einsum("ik,kl,jl->ij", cross, inverse, cross)
+    # By a solution: an inverse left the weakest direction, 1e-8 of the strongest, to rounding, and forms that differed
+    # from the curve along it then cost nothing.
+    follow = scale[:, None] * np.linalg.solve(others * scale[:, None] * scale, scale[:, None] * cross.T)
+    own = data[first:, first:] - np.einsum("ik,kj->ij", cross, follow)
     size, axes = eigen(0.5 * (own + own.T))
     # shown is what the record knows better than the prior
     held = np.einsum("ik,ij,jk->k", axes, prior[first:, first:], axes)
@@ -220,11 +229,12 @@ def metric_of(fit: SplineFit, linear: LinearisedFit) -> Metric:
     root = np.zeros((deviation.size, n))
     root[:, LOWEST:] = deviation[:, None] * axes[:, shown].T
     # where the record alone would have the curve: not pulled by its prior, and at the very minimum
-    pull = gradient[first:] - np.einsum("ik,kl,l->i", cross, inverse, gradient[:first])
+    pull = gradient[first:] - np.einsum("ki,k->i", follow, gradient[:first])
     aim = np.einsum("ki,i->k", root, fit.spline.coefficients)
     aim -= np.einsum("ik,i->k", axes[:, shown], pull) / deviation
     excess = max(fit.chi, 1.0)
-    return Metric(root / excess, aim / excess, fit.solution.residual.size)
+    level_sd = 0.0 if fit.rest is None else fit.fit.values.K * fit.rest.sd
+    return Metric(root / excess, aim / excess, fit.solution.residual.size, level_sd)
 
 
 def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> FormFit:
@@ -232,41 +242,56 @@ def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> Form
     x = np.linspace(0.0, 1.0, GRID) ** 1.6
     onto = size * np.einsum("ij,jg->ig", metric.root, project(fit.spline, x * fastest))
 
-    def columns(bend: float) -> Array:
-        return np.asarray(np.einsum("ig,lg->il", onto, np.stack(form.columns(x, bend))))
+    aim = metric.aim
+    constant = np.zeros((aim.size, 0))
+    if metric.level_sd > 0:  # one unknown more, and what is known of it
+        constant = np.append(size * metric.root.sum(axis=1), size / metric.level_sd)[:, None]
+        onto, aim = np.append(onto, np.zeros((1, GRID)), axis=0), np.append(aim, 0.0)
 
-    bend = _best_bend(columns, metric.aim, *form.reach)
+    def columns(bend: float) -> Array:
+        return np.hstack((np.einsum("ig,lg->il", onto, np.stack(form.columns(x, bend))), constant))
+
+    bend = _best_bend(columns, aim, *form.reach)
     slopes = columns(bend)
-    linear = np.linalg.lstsq(slopes, metric.aim, rcond=None)[0]
-    misfit = float(np.sum((np.einsum("il,l->i", slopes, linear) - metric.aim) ** 2))
+    linear = np.linalg.lstsq(slopes, aim, rcond=None)[0]
+    misfit = float(np.sum((np.einsum("il,l->i", slopes, linear) - aim) ** 2))
     bends = [i for i, term in enumerate(form.terms) if term.bends]
     values = np.insert(linear, bends, math.log(bend))
+    linear_terms = linear[: len(form.terms) - len(bends)]
     if bends:
         beside = columns(bend * math.exp(SLOPE_STEP)) - columns(bend * math.exp(-SLOPE_STEP))
         slopes = np.insert(slopes, bends, np.einsum("il,l->i", beside, linear)[:, None] / (2 * SLOPE_STEP), axis=1)
     count = len(form.terms)
     freedom = max(metric.aim.size - count, 1)
-    covariance = np.linalg.pinv(np.einsum("ki,kj->ij", slopes, slopes), rcond=1e-14, hermitian=True)
+    inverse = np.linalg.pinv(slopes, rcond=LEAST_SEEN)
+    deviations = np.linalg.norm(inverse, axis=1)
     quantile = normal_quantile(0.5 + CONFIDENCE / 2)
     parameters = {}
-    for term, value, variance in zip(form.terms, values, np.diag(covariance), strict=True):
+    for term, value, error in zip(form.terms, values[:count], deviations[:count], strict=True):
         unit, force, speed = KINDS[term.kind]
-        factor, error = size**force * fastest**speed, float(np.sqrt(max(variance, 0.0)))
+        factor = size**force * fastest**speed
         ends = [value - quantile * error, value, value + quantile * error]
         lo, middle, hi = factor * (np.exp(np.clip(ends, -300, 300)) if term.bends else np.array(ends))
+        if term.kind == "friction":
+            lo = max(lo, 0.0)
         parameters[term.name] = Parameter(
             float(middle), float(error * (middle if term.bends else factor)), float(lo), float(hi), unit
         )
+    fall = None
+    if form.terms[:2] == (FS, FC):
+        value, error = size * float(values[0] - values[1]), size * float(np.linalg.norm(inverse[0] - inverse[1]))
+        fall = Parameter(value, error, value - quantile * error, value + quantile * error, KINDS["friction"][0])
     return FormFit(
         name=form.name,
         formula=form.formula.format(fastest=fastest),
         source=form.source,
         parameters=parameters,
+        fall=fall,
         misfit=misfit,
         chi=float(np.sqrt(misfit / freedom)),
         bic=misfit + count * float(np.log(metric.samples)),
         inside_band=bool(misfit <= chi_square_quantile(CONFIDENCE, freedom)),
-        values=np.asarray(size * np.einsum("l,lk->k", linear, np.stack(form.columns(speeds / fastest, bend)))),
+        values=np.asarray(size * np.einsum("l,lk->k", linear_terms, np.stack(form.columns(speeds / fastest, bend)))),
     )
 
 

@@ -48,7 +48,8 @@ def measure_curve(fits: Sequence[Fit], noise: Array, alpha: float = 0.05) -> Mea
     otherwise the jump, because with a ramp a wrong law can come nearer than with a jump.  The other is tried where the
     first does not reach the noise and the laws prefer it, or where the search stalled.
 
-    Without a datum the curve is determined but for a constant: the band contains what is not known of it.
+    Without a datum the curve is determined but for a constant, unless the levels of the cycles scatter: the band
+    contains what is not known of it (`fitting.curve.level`).
 
     Not modelled: friction that depends on anything but relative speed and its level in each cycle.
     """
@@ -82,15 +83,17 @@ def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
     speeds = seen_speeds(fit)
     cycles = len(fit.task.rows)
     quantile = student_quantile(1 - alpha / 2, max(cycles - 1, 1))
-    half = half_widths(curve_columns(fit, speeds), both, 1 - alpha, quantile / normal_quantile(1 - alpha / 2))
+    columns, widening = curve_columns(fit, speeds), quantile / normal_quantile(1 - alpha / 2)
+    half = half_widths(columns, both, 1 - alpha, widening)
     friction = fit.spline(speeds)
     ramp = float(fit.u[Global.D]) if fit.path.curve.ramp else 0.0
     K, error = float(fit.u[Global.K]), float(np.sqrt(max(covariance[0, 0] for covariance in both)))
     return MeasuredCurve(
         speed=speeds + ramp,
         friction=friction,
-        lo=friction - half,
+        lo=np.maximum(friction - half, 0.0),  # friction opposes the motion
         hi=friction + half,
+        shape_half=half_widths(columns - columns.mean(axis=0), both, 1 - alpha, widening),
         k_over_m=Parameter(K, error, K - quantile * error, K + quantile * error, "s^-2"),
         chi=fit.chi,
         ramp=ramp,
@@ -108,7 +111,10 @@ def band_exit(curve: MeasuredCurve, fit: Fit) -> BandExit:
     friction = np.asarray(  # of a mass slower than the belt: along x
         force(LAWS[fit.law], -curve.speed, Fs=p.F, G_slip=p.shape * p.F, gamma=p.shape, d=p.d, static=p.static)
     )
-    away = np.abs(friction - curve.friction) / (0.5 * (curve.hi - curve.lo))
+    off, half = friction - curve.friction, curve.hi - curve.friction
+    if not curve.level_known:
+        off, half = off - off.mean(), curve.shape_half
+    away = np.abs(off) / half
     place = int(np.argmax(away))
     return BandExit(float(away[place]), float(curve.speed[place]))
 
@@ -116,15 +122,16 @@ def band_exit(curve: MeasuredCurve, fit: Fit) -> BandExit:
 def in_newtons(curve: MeasuredCurve, mass: float) -> MeasuredCurve:
     """Return the curve as a force (N) on a mass (kg), its forms too; k/m stays."""
     forms = tuple(_form_in_newtons(form, mass) for form in curve.forms)
-    friction, lo, hi = mass * curve.friction, mass * curve.lo, mass * curve.hi
-    return replace(curve, friction=friction, lo=lo, hi=hi, forms=forms)
+    changes = {name: mass * getattr(curve, name) for name in ("friction", "lo", "hi", "shape_half")}
+    return replace(curve, forms=forms, **changes)
 
 
 def _form_in_newtons(form: FormFit, mass: float) -> FormFit:
-    parameters = {
-        name: Parameter(mass * p.value, mass * p.stderr, mass * p.lo, mass * p.hi, NEWTON[p.unit])
-        if p.unit in NEWTON
-        else p
-        for name, p in form.parameters.items()
-    }
-    return replace(form, parameters=parameters, values=mass * form.values)
+    def forced(p: Parameter) -> Parameter:
+        if p.unit not in NEWTON:
+            return p
+        return Parameter(mass * p.value, mass * p.stderr, mass * p.lo, mass * p.hi, NEWTON[p.unit])
+
+    parameters = {name: forced(p) for name, p in form.parameters.items()}
+    fall = None if form.fall is None else forced(form.fall)
+    return replace(form, parameters=parameters, fall=fall, values=mass * form.values)

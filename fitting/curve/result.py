@@ -2,10 +2,15 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from daq.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import Parameter
+
+LEVELS = ("Fs", "Fc")
+LEVEL_KNOWN = 0.5  # of a level of friction: with a larger error it is not stated in words
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +22,8 @@ class FormFit:
     name, formula, source : str
     parameters : dict of str to Parameter
         With intervals of the curve's confidence; per unit mass.
+    fall : Parameter or None
+        Fs - Fc of a form that has both: determined even where the level of friction is not.
     misfit : float
         Chi square: distance from the measured curve in the metric of the record, all else fitted again.
     chi : float
@@ -33,16 +40,31 @@ class FormFit:
     formula: str
     source: str
     parameters: dict[str, Parameter]
+    fall: Parameter | None
     misfit: float
     chi: float
     bic: float
     inside_band: bool
     values: Array
 
+    @property
+    def determined(self) -> dict[str, Parameter]:
+        """The parameters without a level Fs or Fc that the record hardly determines, but then with Fs - Fc."""
+        unknown = [name for name in LEVELS if name in self.parameters and not _known(self.parameters[name])]
+        found = {name: item for name, item in self.parameters.items() if name not in unknown}
+        return found if self.fall is None or not unknown else {"Fs - Fc": self.fall} | found
+
+
+def _known(level: Parameter) -> bool:
+    return level.stderr < LEVEL_KNOWN * abs(level.value)
+
 
 @dataclass(frozen=True)
 class BandExit:
-    """Where a law leaves the band the furthest: in half-widths of the band (below 1 it stays inside), and the speed."""
+    """Where a law leaves the band the furthest: in half-widths of the band (below 1 it stays inside), and the speed.
+
+    Where the curve's level is hardly known, both are taken less their means over the speeds.
+    """
 
     half_widths: float
     speed: float
@@ -58,6 +80,8 @@ class MeasuredCurve:
         Relative speed, m/s, where the record shows the curve: from a few percent of the largest slip speed on.
     friction, lo, hi : (k,) f8
         m/s^2; mean level of the record, and the band that holds the whole curve at the stated confidence.
+    shape_half : (k,) f8
+        m/s^2; half the width of the same band for the curve less its mean over the speeds.
     k_over_m : Parameter
         1/s^2.
     chi : float
@@ -78,6 +102,7 @@ class MeasuredCurve:
     friction: Array = field(repr=False)
     lo: Array = field(repr=False)
     hi: Array = field(repr=False)
+    shape_half: Array = field(repr=False)
     k_over_m: Parameter
     chi: float
     ramp: float
@@ -86,3 +111,13 @@ class MeasuredCurve:
     linear: LinearisedFit = field(repr=False)
     confidence: float
     cpu_s: float
+
+    @property
+    def level_assumed(self) -> bool:
+        """Whether the record says nothing of the level of friction (`fitting.curve.level`): only of its differences."""
+        return self.spline_fit.rest is not None
+
+    @property
+    def level_known(self) -> bool:
+        """Whether the level is better known than to half of it."""
+        return bool(np.median(self.hi - self.lo) < 2 * LEVEL_KNOWN * np.median(self.friction))

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Mask
+from daq.runfile.rig import Measured
 from fitting.curve.coordinates import CurveCoordinates
+from fitting.curve.level import REST_SD, SEARCH_REST_SD, assumed_rest, levels_scatter, moved_to, rest_prior
 from fitting.curve.starts import CurveStart, own_start, weak_starts
 from fitting.estimation import levenberg_marquardt, trajectory
 from fitting.estimation.fit import Fit
@@ -63,6 +65,10 @@ class SplineFit:
         At the solution.
     chi : float
         Weighted rms residual over the noise.
+    inlier : (cycles,) bool
+        Which cycles fit about as well as the others.
+    rest : Measured or None
+        Of the first run's spring, where no datum was fitted (`fitting.curve.level`).
     """
 
     fit: Fit
@@ -73,6 +79,8 @@ class SplineFit:
     solution: Solution
     jacobian: Array
     chi: float
+    inlier: Mask
+    rest: Measured | None
 
     @property
     def spline(self) -> FrictionSpline:
@@ -88,16 +96,23 @@ class SplineFit:
         return self.path.u
 
     def linearised(self) -> LinearisedFit:
-        """Return the problem made linear at the solution; the curve's coordinates are the last unknowns."""
+        """Return the problem made linear at the solution; the curve's coordinates are the last unknowns.
+
+        A rest position that was assumed does not show in the motion, and is as uncertain as assumed.
+        """
         task, p = self.task, self.solution.u.size
+        shared, precision = np.ascontiguousarray(self.jacobian[:, :p]), task.precision.copy()
+        if self.rest is not None:
+            place = self.places.index(Global.DATUM)
+            shared[:, place], precision[place] = 0.0, 1 / self.rest.sd**2
         return LinearisedFit(
-            shared=np.ascontiguousarray(self.jacobian[:, :p]),
+            shared=shared,
             local=np.ascontiguousarray(self.jacobian[:, p:]),
             residual=self.solution.residual,
             rows=task.rows,
             weights=task.weights,
-            prior_precision=np.diag(task.precision),
-            prior_gradient=task.precision * (self.solution.u - task.prior),
+            prior_precision=np.diag(precision),
+            prior_gradient=precision * (self.solution.u - task.prior),
             local_precision=task.local_precision,
             local_gradient=task.local_precision * (self.solution.local - task.local_prior),
         )
@@ -113,18 +128,36 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     noise : (runs,) f8
         Standard deviation of one position of each run, m.
     """
+    rest = assumed_rest(fit)
+    if rest is None:
+        return _fit_spline(fit, noise, None)
+    # the residuals of a wrong law can make its levels scatter: the curve decides
+    scattered = levels_scatter(fit.solution, fit.inlier_cycles)
+    found = _fit_spline(fit, noise, None if scattered else rest)
+    if found is None or levels_scatter(found.solution, found.inlier) == scattered:
+        return found
+    return _fit_spline(fit, noise, rest if scattered else None)
+
+
+def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | None:
+    """Fit a spline with the rest position that is assumed, or with that which the record shows."""
     problem, law = fit.problem, LAWS[fit.law]
     places = tuple(place for place in fit.active if place % PER_RUN not in (Global.LOG_F, Global.SHAPE))
     knots = _knots(fit)
     curve = spline_curve(FrictionSpline.over(knots), bool(law.ramp))
     own = own_start(fit, curve)
+    if rest is not None:
+        u, coefficients = moved_to(own.u, own.coefficients, rest)
+        own = CurveStart(u, coefficients, own.local)
+        own.local[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 0.0
+        fit = replace(fit, u=u)
     datums = np.array([place % PER_RUN == Global.DATUM for place in places])
     offset = np.where(datums, -fit.values.K / fit.runs, 0.0)
     basis = CurveCoordinates.around(own.coefficients, offset, fit.u[list(places)])
     thinned = trajectory.fitted_windows(problem, thinned=True)
 
     def task_from(start: CurveStart) -> LeastSquaresProblem:
-        return _task(fit, thinned, places, curve, basis, start, noise, flow.SEARCH_STEP)
+        return _task(fit, thinned, places, curve, basis, start, noise, rest, SEARCH_REST_SD, flow.SEARCH_STEP)
 
     best = None
     if fit.geometric_mean_rms < REACHED * math.exp(float(np.mean(np.log(noise[fit.windows.run])))):
@@ -139,12 +172,9 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     moved = levenberg_marquardt.minimise(task, solution.u, solution.local, **WEIGHTED)
     solution = solution if moved is None else moved
     start = CurveStart(fit.u, own.coefficients, solution.local)
-    full = _task(fit, fit.windows, places, curve, basis, start, noise, flow.LONGEST_STEP)
-    full = replace(
-        full,
-        weights=full.weights * task.weights / _task_weights(thinned, noise),
-        local_precision=task.local_precision,
-    )
+    full = _task(fit, fit.windows, places, curve, basis, start, noise, rest, REST_SD, flow.LONGEST_STEP)
+    weights = task.weights / _task_weights(thinned, noise)
+    full = replace(full, weights=full.weights * weights, local_precision=task.local_precision)
     final = FINAL if _usual_chi(task, solution) < MISSED else FINAL | {"max_steps": 2}
     last = levenberg_marquardt.minimise(full, solution.u, solution.local, **final)
     if last is None:
@@ -155,7 +185,7 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
         return None
     w = np.repeat(full.weights, [rows.stop - rows.start for rows in full.rows])
     chi = math.sqrt(float(np.sum(w * last.residual**2) / np.sum(w * noise[fit.windows.run][full.owner] ** 2)))
-    return SplineFit(fit, places, basis, path, full, last, jacobian[1], chi)
+    return SplineFit(fit, places, basis, path, full, last, jacobian[1], chi, weights > INLIER, rest)
 
 
 def _best_end(
@@ -253,11 +283,20 @@ def _task(
     basis: CurveCoordinates,
     start: CurveStart,
     noise: Array,
+    rest: Measured | None,
+    rest_sd: float,
     longest_step: float,
 ) -> LeastSquaresProblem:
     """Return what is minimised over ``windows``; priors are the law's, those of the curve's coordinates besides."""
     law = trajectory.least_squares(fit)
     kept = [fit.active.index(place) for place in places]
+    lower, upper, prior, precision = (part[kept] for part in (law.lower, law.upper, law.prior, law.precision))
+    for number, run in enumerate(fit.problem.runs):
+        place = places.index(PER_RUN * number + Global.DATUM)
+        known = rest_prior(run, rest_sd)
+        prior[place], precision[place] = known.value, 1 / known.sd**2 if known.sd > 0 else precision[place]
+        if number == 0 and rest is not None:
+            lower[place] = upper[place] = rest.value
     none = np.full(basis.precision.size, np.inf)
 
     def evaluate(q: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
@@ -274,10 +313,10 @@ def _task(
         evaluate=evaluate,
         rows=windows.rows,
         weights=_task_weights(windows, noise),
-        lower=np.concatenate((law.lower[kept], -none)),
-        upper=np.concatenate((law.upper[kept], none)),
-        prior=np.concatenate((law.prior[kept], 0 * basis.precision)),
-        precision=np.concatenate((law.precision[kept], basis.precision)),
+        lower=np.concatenate((lower, -none)),
+        upper=np.concatenate((upper, none)),
+        prior=np.concatenate((prior, 0 * basis.precision)),
+        precision=np.concatenate((precision, basis.precision)),
         local_prior=law.local_prior,
         local_precision=_local_precision(fit, law.local_precision, start.local),
         local_upper=np.inf if LAWS[fit.law].ramp else windows.fastest_starts(fit.u),

@@ -22,15 +22,21 @@ ZOOM = 0.15  # of the largest slip speed: there laws and ramps differ most
 
 
 def measured_curve(ranking: Ranking) -> str:
-    """Draw friction against relative speed: the measured curve with its band, the laws behind it, and a zoom near 0."""
+    """Draw friction against relative speed: the measured curve with its band, the laws behind it, and a zoom near 0.
+
+    Where the record hardly determines the level of friction, the laws are drawn at the level of the measured curve.
+    """
     found = ranking.adequacy.curve
     if found is None:
         raise ValueError("no curve was measured")
     height, drawn = 320.0, []
+    lo, hi, band = found.lo, found.hi, f"{100 * found.confidence:g} % band"
+    if not found.level_known:  # the band of every level would hide the shape
+        lo, hi, band = found.friction - found.shape_half, found.friction + found.shape_half, f"{band} of the shape"
     for place, reach in enumerate((float(found.speed[-1]), ZOOM * float(found.speed[-1]))):
         seen = found.speed <= 1.02 * reach
         own = seen if seen.sum() > 2 else np.ones_like(seen)
-        low, high = float(found.lo[own].min()), float(found.hi[own].max())
+        low, high = float(lo[own].min()), float(hi[own].max())
         tall = AxisScale(low - 0.25 * (high - low), high + 0.35 * (high - low))
         axes = Axes(place * WIDE / 2, 0, WIDE / 2, height, AxisScale(0.0, 1.02 * reach), tall, rows=2)
         axes.title = "low speeds" if place else "all speeds"
@@ -38,10 +44,12 @@ def measured_curve(ranking: Ranking) -> str:
         grid = np.linspace(0.0, 1.02 * reach, 400)
         for row in sorted(ranking.rows, key=lambda row: row.law):
             force = np.abs(curves.curve(row.fit, ranking.motion, -grid))
+            if not found.level_known:
+                at = np.abs(curves.curve(row.fit, ranking.motion, -found.speed))
+                force = force + np.mean(found.friction - at)
             style = "" if row.in_set else DASH
             axes.line(grid, force, COLOURS[row.law], width=1.0, dash=style, label=f"law {row.law}")
-        band = f"{100 * found.confidence:g} % band"
-        axes.band(found.speed, found.lo, found.hi, INK, opacity=0.22, label=band)
+        axes.band(found.speed, lo, hi, INK, opacity=0.22, label=band)
         axes.line(found.speed, found.friction, INK, width=1.8, label="measured, without a law")
         drawn.append(axes)
     return picture("measured-curve", WIDE, height, drawn)

@@ -225,7 +225,7 @@ def _forms(adequacy: Adequacy) -> list[tuple[str, str, str, str, str, str]]:
             symbols.pretty(form.formula),
             ", ".join(
                 f"{name} = {item.value:.4g} ± {item.stderr:.2g} {symbols.pretty(item.unit)}"
-                for name, item in form.parameters.items()
+                for name, item in form.determined.items()
             ),
             f"{form.chi:.2f}",
             "yes" if form.inside_band else "no",

@@ -158,7 +158,7 @@ def rank(
         findings = (*seen, *contradicted[number])
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, findings, sustained=sustained)
         adequacy = assessed.runs[number]
-        said = (*said, *verdict.not_judged(adequacy))
+        said = (*said, *verdict.not_judged(adequacy), *verdict.level_of_curve(assessed.together))
         # a mass that merely grazes the belt does not break away from rest
         aged = find_ageing(events, run.cut) if adequate and sustained else None
         if aged is not None:

@@ -118,7 +118,7 @@ def _instead(adequacy: Adequacy) -> str:
     if adequacy.of_speed and curve is not None:
         form = next((form for form in curve.forms if form.inside_band), None)
         if form is not None:
-            values = ", ".join(f"{name} = {item.value:.3g} {item.unit}" for name, item in form.parameters.items())
+            values = ", ".join(f"{name} = {item.value:.3g} {item.unit}" for name, item in form.determined.items())
             return f"friction follows a curve of relative speed, {form.name.replace('-', ' ')} ({values})"
         return strongest or "friction follows a curve of relative speed that is none of the published forms"
     memory = "friction that remembers, or an effect that was not tested, is possible"
@@ -225,6 +225,23 @@ def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
         return ()
     listed = ", ".join(map(str, numbers))
     return (f"cycles not judged: {listed} (a velocity step, as of the belt's joint, or another single disturbance)",)
+
+
+def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
+    """Return the warning that the record does not determine the level of the measured curve; none where it does."""
+    curve = adequacy.curve
+    if curve is None or curve.level_known:
+        return ()
+    if curve.level_assumed:
+        return (
+            "no datum, and friction levels that do not scatter: the record determines differences of friction alone. "
+            "The measured curve assumes that the spring is relaxed where the record begins at rest, or at the lowest "
+            "position; its band contains every level (give --datum and --datum-sd)",
+        )
+    return (
+        "the record hardly determines the level of the measured curve, only differences of friction (give --datum and "
+        "--datum-sd)",
+    )
 
 
 def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:

@@ -26,16 +26,17 @@ spec.loader.exec_module(contacts)
 JITTER, COUNT = 30e-6, 50e-6
 
 
-def run_of(contact):
-    """Bring a contact, recorded by an encoder of 50 um and calibrated, into the fit's frame."""
+def run_of(contact, bare):
+    """Bring a contact, recorded by an encoder of 50 um, calibrated unless ``bare``, into the fit's frame."""
     time, position = contacts.recorded(contact, count=COUNT, jitter=JITTER)
-    rig = Rig(
-        name="contact",
-        metres_per_count=Measured(COUNT),
-        mass=Measured(contact.m, 1e-3 * contact.m),
-        datum=Measured(0.0, 5e-4),
-        damping=Measured(contact.c, 0.1 * contact.c + 1e-4),
-    )
+    rig = Rig(name="contact", metres_per_count=Measured(COUNT))
+    if not bare:
+        rig = replace(
+            rig,
+            mass=Measured(contact.m, 1e-3 * contact.m),
+            datum=Measured(0.0, 5e-4),
+            damping=Measured(contact.c, 0.1 * contact.c + 1e-4),
+        )
     recording = Recording(
         source=Path("contact.h5"),
         title=contact.curve,
@@ -54,12 +55,13 @@ def run_of(contact):
 def measured():
     """Give a function that measures the curve of one contact, or of several together, fitted with ``laws``.
 
-    It returns the curve, the fits, and the true friction per unit mass at the curve's speeds.
+    The runs are calibrated unless ``bare``.  It returns the curve, the fits, and the true friction per unit mass at
+    the curve's speeds.
     """
 
     @cache
-    def of(*together, laws=(5,)):
-        runs = [run_of(contact) for contact in together]
+    def of(*together, laws=(5,), bare=False):
+        runs = [run_of(contact, bare) for contact in together]
         fits = sorted(search.fit_laws(laws, runs), key=lambda fit: fit.geometric_mean_rms)
         noise = np.array([np.sqrt(COUNT**2 / 12 + JITTER**2 * np.mean(run.motion.velocity**2)) for run in runs])
         curve = measure_curve(fits, noise)

@@ -41,6 +41,27 @@ def test_a_curve_is_measured_where_the_best_law_is_wrong(measured, contact):
     assert force.forms[0].parameters["vs"].value == pytest.approx(0.1, rel=0.03)
 
 
+@pytest.mark.parametrize(("scatter", "assumed"), [(0.0, True), pytest.param(0.03, False, marks=pytest.mark.slow)])
+def test_without_a_datum_the_level_is_known_from_the_scatter_of_the_levels_alone(scatter, assumed, measured, contact):
+    # Without scatter the level ended anywhere: friction 50 to 100 % off, negative in part, in a band of 2 to 50 %.
+    result = measured(contact(**STRIBECK | {"Fv": 0.0}, scatter=scatter, duration=12.0), bare=True)
+    curve, form = result.curve, result.curve.forms[0]
+    assert (curve.level_assumed, curve.level_known) == (assumed, not assumed)
+    assert (curve.lo < result.truth).all()
+    assert (result.truth < curve.hi).all()
+    assert (curve.lo >= 0).all()
+    off = curve.friction - result.truth
+    assert (np.abs(off - off.mean()) < curve.shape_half).all()
+    assert np.std(off) < 0.01 * np.median(result.truth)
+    assert form.name.startswith("stribeck-exponential")
+    assert form.inside_band
+    fall = (result.contact.Fs - 0.5) / result.contact.m
+    assert form.fall.lo < fall < form.fall.hi
+    assert ("Fs" in form.determined) is not assumed
+    assert ("Fs - Fc" in form.determined) is assumed
+    assert band_exit(curve, result.fits[0]).half_widths > 2
+
+
 @pytest.mark.parametrize(
     ("duration", "seed"), [(12.0, 3), pytest.param(30.0, 5, marks=pytest.mark.slow)], ids=["short", "long"]
 )

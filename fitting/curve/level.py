@@ -1,0 +1,80 @@
+"""Whether a record determines the level of its friction curve, and the level that is assumed where it does not.
+
+A motion shows K datum + friction.  Without a calibrated datum the two are separated by what is proportional to
+friction: levels that scatter between cycles or wear, a ramp's creep, a belt that slows under load.  Without any of
+these a curve and a datum that move together leave the motion as it is, to the last digit.  A search then ended
+anywhere in that valley, even at negative friction, where the noise of the levels is as large as they are and looked
+like scatter: the curve was 50 to 100 % off, in a band of 2 to 50 %.
+
+So the level is then assumed, not fitted.  The spring is taken as relaxed where a record begins at rest below the middle
+of the motion, otherwise at the lowest position.  Friction is nowhere negative then.  The band and the parameters of
+forms contain that the rest position is hardly known (`REST_SD`).
+"""
+
+import numpy as np
+
+from daq.compute.arrays import Array, Mask
+from daq.compute.compile import compiled
+from daq.runfile.rig import Measured
+from fitting.estimation import elimination
+from fitting.estimation.fit import Fit
+from fitting.estimation.levenberg_marquardt import Solution
+from fitting.model.parameters import PER_RUN, Global, PerCycle
+from fitting.model.problem import Run
+from rig_sim.friction.law import LAWS
+
+# Of the record's travel: standard deviation of an assumed rest position.  Friction that falls by a fifth stretches the
+# spring to 2.5 travels, where the start-up is not recorded.  Only the band and the intervals depend on it.
+REST_SD = 3.0
+# Times the variance that noise gives them: how much the levels must scatter to separate datum and friction.  At 4 their
+# noise makes the level's standard error a seventh too small.  Encoder records with 3 % scatter have 1e2 and more.
+SCATTER_SHOWN = 4.0
+# Of the travel: standard deviation of a rest position that is fitted, while far from the minimum.  With `REST_SD` some
+# searches ran along the valley instead, to 40 and 50 % more friction, where the last steps did not lead back.
+SEARCH_REST_SD = 0.5
+
+
+def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
+    """Return what is known of the spring's rest position before a curve is fitted, m.
+
+    Without a calibration that is next to nothing, ``sd`` travels about the position explained above.
+    """
+    motion = run.motion
+    if motion.datum_prior is not None:
+        return motion.datum_prior
+    lowest, highest = float(motion.position.min()), float(motion.position.max())
+    first = float(motion.position[0])
+    released = run.cut.starts_at_rest and first < 0.5 * (lowest + highest)
+    return Measured(first if released else lowest, sd * motion.travel)
+
+
+def assumed_rest(fit: Fit) -> Measured | None:
+    """Return the rest position to be assumed where the levels do not scatter (`levels_scatter`).
+
+    None where something else determines the level: a calibration, a ramp, a belt that slows under load.
+    """
+    motions = fit.problem.motions
+    if LAWS[fit.law].ramp or any(motion.datum_prior is not None or motion.compliance is not None for motion in motions):
+        return None
+    return rest_prior(fit.problem.runs[0])
+
+
+def levels_scatter(solution: Solution, inlier: Mask) -> bool:
+    """Return whether the levels of the inlier cycles (cycles,) scatter by more than noise and misfit make them."""
+    if inlier.sum() < 2:
+        return False
+    inverse = np.empty_like(solution.blocks.Hl)
+    compiled(elimination.invert, (elimination.__name__,))(solution.blocks.Hl, inverse)
+    by_noise = float(np.mean(inverse[inlier, PerCycle.LEVEL, PerCycle.LEVEL]))
+    return float(np.var(solution.local[inlier, PerCycle.LEVEL], ddof=1)) > SCATTER_SHOWN * by_noise
+
+
+def moved_to(u: Array, coefficients: Array, rest: Measured) -> tuple[Array, Array]:
+    """Return unknowns (13 runs,) and a curve (n,) that give the same motion with that rest position.
+
+    Those of other runs move by as much.
+    """
+    rise = u[Global.K] * (u[Global.DATUM] - rest.value)
+    moved = u.copy()
+    moved[Global.DATUM :: PER_RUN] += rest.value - u[Global.DATUM]
+    return moved, coefficients + rise
