@@ -30,7 +30,6 @@ import numpy as np
 
 from daq.compute.workers import workers
 from rig_sim.cli.maps import SweptScene
-from rig_sim.comparison.two_masses import next_stick
 from rig_sim.dynamics.maps.stick_map import COARSE, EXACT, FINE, StickMap
 from rig_sim.dynamics.maps.sweep import attractors_at, sweep
 from rig_sim.flow.flow import Flow
@@ -58,6 +57,9 @@ def main(argument: str) -> None:
 
 def map_speed(events):
     """Print and return what an event costs by each method."""
+    # Not above: every process of a sweep imports this file, and with it would import scipy, 0.4 s.
+    from rig_sim.comparison.two_masses import next_stick
+
     rows = []
     exact = StickMap(FLOW)
     expected = exact(STARTS)
