@@ -13,7 +13,8 @@ from fitting.adequacy.visible import smallest_visible
 from fitting.curve.measure import band_exit, in_newtons, measure_curve
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
-from fitting.departures.explain import explain_beside_curve, explain_misfit
+from fitting.departures.explain import Question, explain_beside_curve, explain_misfit
+from fitting.departures.refit import Refit
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
@@ -204,9 +205,14 @@ def _departures(
 
     A curve that describes the record but is none of the published forms may be a law with a departure.
     """
-    fits, noise_m = [chosen.fit, *others], float(np.max(noise))
-    if not of_speed:
-        return explain_misfit(fits, motions, noise_m, curve=curve, revolution=revolution)
-    if any(form.inside_band for form in curve.forms):
+    if of_speed and any(form.inside_band for form in curve.forms):
         return ()
-    return explain_beside_curve(fits, motions, noise_m, revolution)
+    fits = [chosen.fit, *others]
+
+    def describes(refit: Refit) -> bool:
+        fit = next(fit for fit in fits if fit.law == refit.law)
+        _, slips = _judged_without_faults(refit.linear, lambda: refit.path, fit, refit.path.windows, motions)
+        return goodness_of_fit(slips)[0].adequate
+
+    asked = Question.of(fits, motions, float(np.max(noise)), revolution)
+    return explain_beside_curve(asked, describes) if of_speed else explain_misfit(asked, curve, describes)

@@ -1,5 +1,6 @@
 """What departures are tested on: a fit, of a law or of the free curve, made linear about its solution."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -158,3 +159,8 @@ class Blocks:
         for offset in range(self.size):
             out[real] += values[self.first[real] + offset]
         return np.ascontiguousarray(out / self.size)
+
+
+def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
+    """Return the median of the cycles' errors, m: spoilt cycles do not move it."""
+    return math.sqrt(float(np.median([np.mean(residual[own] ** 2) for own in rows])))

@@ -1,17 +1,23 @@
 """Which assumption breaks: departures tested on a fit that misses the record, the strongest confirmed by a refit."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from daq.compute.arrays import Array
 from fitting.curve.result import MeasuredCurve
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
+from fitting.departures.definition.departure import Departure
 from fitting.departures.host import Host
 from fitting.departures.memory import suspect_memory
 from fitting.departures.refit import Refit, refit_with
 from fitting.departures.result import FoundDeparture
-from fitting.departures.strongest import Tested, describe, misfit_beyond_noise, strongest
+from fitting.departures.scores import sigmas
+from fitting.departures.strongest import LEAST_SIGMAS, Tested, describe, misfit_beyond_noise, strongest
+from fitting.departures.table import departures
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
 
@@ -21,25 +27,20 @@ REACHED = 1.05
 # Of the gain of the linear step: a refit of the free curve that gains less has not come to its end.  A curve often is
 # near the noise without the departure, so its error alone does not tell.
 LEAST_PART = 0.5
-# Of the misfit of a law.  Drag and weak guides explain 0.84 to 1.0 of it, wrong departures of other truths up to 1.0:
-# these have a published form.
-MOSTLY_EXPLAINED = 0.8
+# Of the misfit, in one linear step: a departure that explains less is not fitted, and not reported.  True departures
+# but forces by the velocity explain 0.72 to 1; of LuGre contacts the strongest explained 0.1 to 1.
+LEAST_EXPLAINED = 0.5
 MOST_LAWS = 2  # that a departure is fitted with: the best, and the best of another curve
 
+# Whether noise may have made what a refit leaves over.
+Judge = Callable[[Refit], bool]
 
-def explain_misfit(
-    fits: Sequence[Fit],
-    records: Sequence[MeasuredMotion],
-    noise: float,
-    *,
-    curve: MeasuredCurve | None = None,
-    revolution: float | None = None,
-) -> tuple[FoundDeparture, ...]:
-    """Return the departures that a record shows, the strongest first.
 
-    To be asked where no law describes the record.
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What departures are asked of: a record that no law describes.
 
-    Parameters
+    Attributes
     ----------
     fits : sequence of Fit
         The laws, best first.
@@ -47,78 +48,134 @@ def explain_misfit(
         The runs.
     noise : float
         Standard deviation of one measured position, m.
+    revolution : float or None
+        Travel per revolution of the encoder, m; scanned where it is not known.
+    first : Base or None
+        Of the best law; None where the motion cannot be followed beside its solution.
+    """
+
+    fits: Sequence[Fit]
+    records: Sequence[MeasuredMotion]
+    noise: float
+    revolution: float | None
+    first: Base | None
+
+    @classmethod
+    def of(
+        cls, fits: Sequence[Fit], records: Sequence[MeasuredMotion], noise: float, revolution: float | None = None
+    ) -> "Question":
+        """Linearise the best law."""
+        return cls(fits, records, noise, revolution, base_of(fits[0], records, revolution))
+
+    def base(self, fit: Fit) -> Base | None:
+        """Linearise a law; None where the motion cannot be followed beside its solution."""
+        return self.first if fit is self.fits[0] else base_of(fit, self.records, self.revolution)
+
+
+def explain_misfit(
+    asked: Question, curve: MeasuredCurve | None = None, describes: Judge | None = None
+) -> tuple[FoundDeparture, ...]:
+    """Return the departures that a record shows, the strongest first.
+
+    To be asked where neither a law nor the free curve describes the record.
+
+    Parameters
+    ----------
+    asked : Question
     curve : MeasuredCurve, optional
         The free curve.  Departures are tested on the best law and on it: a law that is wrong by itself can hide a
         departure, and a free curve can take part of one up.
-    revolution : float, optional
-        Travel per revolution of the encoder, m; scanned where it is not known.
+    describes : callable, optional
+        Asked of drags where the free curve leaves little more than the noise.
 
     Returns
     -------
     tuple of FoundDeparture
         First where a law or the free curve describes the record together with it (``refitted``, ``law``): size and
-        error are then those of that fit.  Else as tested, on the base of which the first explains more.  Where the
-        free curve describes the record by itself, that is the curve.  Memory comes before them where it is suspected.
+        error are then those of that fit.  Else memory, where it is suspected, and what was tested on the base of which
+        the first explains more.
     """
-    described = curve is not None and curve.chi < REACHED
-    law = None if described else base_of(fits[0], records, revolution)
-    free = None if curve is None else Base.of(curve.linear, curve.spline_fit.path, records, revolution)
-    lists = [] if law is None else [_list(law, records, noise)]
+    near = curve is not None and curve.chi < REACHED
+    free = None
+    if curve is not None:
+        free = Base.of(curve.linear, curve.spline_fit.path, asked.records, asked.revolution)
+    lists = [] if asked.first is None or near else [_list(asked.first, asked)]
     if free is not None:
-        lists.append(_list(free, records, noise, curve))
-    lists = sorted((one for one in lists if one.tested), key=lambda one: -one.found[0].explained)
-    tried: set[str] = set()
-    for one in lists:
-        found = _with_laws(one, fits, records, noise, revolution, law, tried)
-        if found is None and one.curve is not None:
-            refit = confirm_on_curve(one.tested[0], one.base, one.curve, noise)
-            found = None if refit is None else one.with_first(0, refit, records)
-        if found is not None:
-            return found
+        lists.append(_list(free, asked, curve))
+    lists = sorted((one for one in lists if one.explained > LEAST_EXPLAINED), key=lambda one: -one.explained)
+    found = _with_laws(lists, asked) or _drag_with_laws(lists, asked, describes if near else None)
+    if found is None and not near:
+        found = _with_curve(lists, asked)
+    if found is not None:
+        return found
+    # what a drag explains in one step, its fit would have confirmed
+    lists = [one for one in lists if one.tested[0].departure.drag is None]
     found = lists[0].found if lists else ()
-    if free is not None and not described:
-        explained = max((one.found[0].explained for one in lists if one.curve is not None), default=0.0)
-        memory = suspect_memory(free, explained)
+    agreed = len(lists) > 1 and lists[0].tested[0].departure is lists[1].tested[0].departure
+    if free is not None and not near and not agreed:
+        memory = suspect_memory(free, max((one.explained for one in lists if one.curve is not None), default=0.0))
         found = found if memory is None else (memory, *found)
     return found
 
 
-def explain_beside_curve(
-    fits: Sequence[Fit], records: Sequence[MeasuredMotion], noise: float, revolution: float | None = None
-) -> tuple[FoundDeparture, ...]:
-    """Return the departures of the best law where the free curve describes the record, which no law does.
+def explain_beside_curve(asked: Question, describes: Judge) -> tuple[FoundDeparture, ...]:
+    """Return the departure with which a law describes a record that the free curve describes, and the others tested.
 
-    Drag and a weak guide are nearly functions of the relative speed.  They are reported where the strongest departure
-    explains most of what the law leaves.  The arguments are those of `explain_misfit`.
+    Drag and a weak guide are nearly functions of the relative speed.  A law with one of them has fewer unknowns than
+    the curve, and is reported where it describes the record as well.  One linear step does not tell: wrong departures
+    of the curves that have a published form explain up to 1.0 of what the law leaves.
     """
-    base = base_of(fits[0], records, revolution)
-    one = None if base is None else _list(base, records, noise)
-    if one is None or not one.tested or one.found[0].explained < MOSTLY_EXPLAINED:
-        return ()
-    return _with_laws(one, fits, records, noise, revolution, base, set()) or one.found
+    found = _drag_with_laws([], asked, describes)
+    if found is not None or asked.first is None:
+        return found or ()
+    one = _list(asked.first, asked)
+    return _with_laws([one], asked, describes) or () if one.explained > LEAST_EXPLAINED else ()
 
 
 def _with_laws(
-    one: "_List",
-    fits: Sequence[Fit],
-    records: Sequence[MeasuredMotion],
-    noise: float,
-    revolution: float | None,
-    first: Base | None,
-    tried: set[str],
+    lists: Sequence["_List"], asked: Question, describes: Judge | None = None
 ) -> tuple[FoundDeparture, ...] | None:
-    """Return a list with the departure first that describes the record together with a law; None where none does.
+    """Return the first list whose strongest departure describes the record together with a law; None where none."""
+    tried: list[Tested] = []
+    for one in lists:
+        tested = one.tested[0]
+        if any(tested.near(other) for other in tried):
+            continue
+        tried.append(tested)
+        refit = confirm(tested.at, asked)
+        if refit is not None and (describes is None or describes(refit)):
+            return one.with_first(refit, asked)
+    return None
 
-    Besides the strongest, drags are tried: their test, on a law that has ended far away without them, is a poor guess,
-    and their refit does not start there.  Names are added to ``tried``, so that no list tries them again.
+
+def _drag_with_laws(
+    lists: Sequence["_List"], asked: Question, describes: Judge | None
+) -> tuple[FoundDeparture, ...] | None:
+    """Return what was found with a drag first that describes the record together with a law; None where none does.
+
+    The test of a drag, on a law that has ended far away without it, is a poor guess, and its refit does not start
+    there: it is fitted whether the test shows it or not.
     """
-    for place, tested in enumerate(one.tested):
-        name, drag = tested.departure.name, tested.departure.drag is not None
-        if place == 0 or (drag and name not in tried):
-            refit = confirm(tested, fits, records, noise, revolution, first, hurried=place > 0)
-            if refit is not None:
-                return one.with_first(place, refit, records)
-            tried.add(name)
+    tried = [one.tested[0].departure for one in lists]
+    refits = [
+        confirm((departure, math.nan, np.zeros(departure.columns)), asked, hurried=True)
+        for departure in departures()
+        if departure.drag is not None and departure not in tried
+    ]
+    sure = [one for one in refits if one is not None and sigmas(one.score.log_p) > LEAST_SIGMAS]
+    for refit in sorted(sure, key=lambda one: one.linear.cost):
+        if describes is None or describes(refit):
+            found = lists[0].found if lists else ()
+            return _in_front(refit, sigmas(refit.score.log_p, len(departures())), found, asked)
+    return None
+
+
+def _with_curve(lists: Sequence["_List"], asked: Question) -> tuple[FoundDeparture, ...] | None:
+    """Return what was found on the free curve, if that describes the record together with the strongest; else None."""
+    for one in lists:
+        refit = None if one.curve is None else confirm_on_curve(one.tested[0], one.base, one.curve, asked.noise)
+        if refit is not None:
+            return one.with_first(refit, asked)
     return None
 
 
@@ -131,46 +188,50 @@ class _List:
     found: tuple[FoundDeparture, ...]
     curve: MeasuredCurve | None
 
-    def with_first(self, place: int, refit: Refit, records: Sequence[MeasuredMotion]) -> tuple[FoundDeparture, ...]:
-        """Return what was found, the one at ``place`` first and as fitted."""
-        own, others = self.found[place], (*self.found[:place], *self.found[place + 1 :])
-        first = describe(refitted(self.tested[place], refit), records[0], 0.0)
-        return (replace(first, explained=own.explained, refitted=True, law=refit.law), *others)
+    @property
+    def explained(self) -> float:
+        """Share of the misfit that the strongest explains; 0 without one."""
+        return self.found[0].explained if self.found else 0.0
+
+    def with_first(self, refit: Refit, asked: Question) -> tuple[FoundDeparture, ...]:
+        """Return what was found, the strongest as fitted; how sure it is stays that of the test."""
+        return _in_front(refit, self.tested[0].sigmas, self.found, asked)
 
 
-def _list(base: Base, records: Sequence[MeasuredMotion], noise: float, curve: MeasuredCurve | None = None) -> _List:
-    excess, tested = misfit_beyond_noise(base.linear, noise), strongest(base)
-    return _List(base, tested, tuple(describe(one, records[0], excess) for one in tested), curve)
+def _in_front(
+    refit: Refit, sure: float, others: Sequence[FoundDeparture], asked: Question
+) -> tuple[FoundDeparture, ...]:
+    """Return a departure as fitted, ``sure`` standard deviations from 0, and then the others."""
+    excess = refit.score.gain + misfit_beyond_noise(refit.linear, asked.noise)
+    first = describe(Tested(refit.departure, refit.scale, refit.score, sure), asked.records[0], excess)
+    kept = tuple(one for one in others if one.name != first.name)
+    return (replace(first, refitted=True, law=refit.law), *kept)
 
 
-def confirm(
-    tested: Tested,
-    fits: Sequence[Fit],
-    records: Sequence[MeasuredMotion],
-    noise: float,
-    revolution: float | None = None,
-    first: Base | None = None,
-    *,
-    hurried: bool = False,
-) -> Refit | None:
+def _list(base: Base, asked: Question, curve: MeasuredCurve | None = None) -> _List:
+    excess, tested = misfit_beyond_noise(base.linear, asked.noise), strongest(base)
+    return _List(base, tested, tuple(describe(one, asked.records[0], excess) for one in tested), curve)
+
+
+def confirm(at: tuple[Departure, float, Array], asked: Question, *, hurried: bool = False) -> Refit | None:
     """Fit a departure with the best laws; return the fit that leaves least where it reaches the noise, else None.
 
-    ``first`` is the base of the best law, where it has been made; ``hurried`` as in `refit_with`.
+    ``at`` are the departure, its scale and its coefficients as tested; ``hurried`` as in `refit_with`.
     """
     curves: set[int] = set()
     best: Refit | None = None
-    for fit in fits:
+    for fit in asked.fits:
         if fit.problem.curve in curves:
             continue
         if len(curves) == MOST_LAWS:
             break
         curves.add(fit.problem.curve)
-        base = first if first is not None and fit is fits[0] else base_of(fit, records, revolution)
-        quick = hurried or _reached(best, noise) is not None
-        found = None if base is None else refit_with(Host.of_law(fit), base, *tested.at, noise, hurried=quick)
+        base = asked.base(fit)
+        quick = hurried or _reached(best, asked.noise) is not None
+        found = None if base is None else refit_with(Host.of_law(fit), base, *at, asked.noise, hurried=quick)
         if found is not None and (best is None or found.usual_rms < best.usual_rms):
             best = found
-    return _reached(best, noise)
+    return _reached(best, asked.noise)
 
 
 def confirm_on_curve(tested: Tested, base: Base, curve: MeasuredCurve, noise: float) -> Refit | None:
@@ -182,11 +243,6 @@ def confirm_on_curve(tested: Tested, base: Base, curve: MeasuredCurve, noise: fl
 def _reached(refit: Refit | None, noise: float) -> Refit | None:
     """Return a refit that describes the record, else None."""
     return refit if refit is not None and refit.usual_rms < REACHED * noise else None
-
-
-def refitted(tested: Tested, refit: Refit) -> Tested:
-    """Return a tested departure with size and scale as fitted; how sure it is stays that of the test."""
-    return replace(tested, scale=refit.scale, score=replace(refit.score, gain=tested.score.gain))
 
 
 def base_of(fit: Fit, records: Sequence[MeasuredMotion], revolution: float | None = None) -> Base | None:

@@ -4,13 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Mask
 from fitting.curve.coordinates import CurveCoordinates
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.trajectory import least_squares
 from fitting.model import parameters
+from fitting.model.parameters import PerCycle
 from fitting.model.problem import EstimationProblem
 from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, law_curve, with_coefficients
@@ -50,6 +51,11 @@ class Host:
     first: Array
     fastest: Array
     problem: EstimationProblem
+
+    @property
+    def too_fast(self) -> Mask:
+        """Which slips start faster than they may, shape (cycles,)."""
+        return np.asarray(self.local[:, PerCycle.V_SLIP] > self.fastest[:, PerCycle.V_SLIP])
 
     @classmethod
     def of_law(cls, fit: Fit) -> "Host":

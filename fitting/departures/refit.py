@@ -8,17 +8,16 @@ The search runs on blocks of samples (`fitting.departures.base`); a last step ta
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.departures.base import Base
+from fitting.departures.base import Base, usual_rms
 from fitting.departures.definition.departure import Departure, Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.departures.host import Host
-from fitting.departures.scores import Score, score
+from fitting.departures.scores import Score, log_probability, score
 from fitting.estimation import levenberg_marquardt
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.linearised import LinearisedFit
@@ -38,14 +37,15 @@ HELD = 2  # passes in which the departure keeps the size that its test gave, and
 CLOSE = 1.05  # times the noise of a block: no other start is tried.  Searches that had stopped early left 1.2 or more
 TIMES = 4  # that the motion is followed before the last pass, with all samples: the path of the law alone is not near
 # Free passes, and times the noise: a search that then errs more, or would at the rate of its last pass, is given up.
-# Refits of true departures are at 0.9 to 1.0 after one free pass; LuGre contacts went from 47 to 44 and stayed there.
+# True departures are at 0.9 to 1.0 after one free pass; LuGre contacts went from 47 to 44 and stayed there.
 HOPELESS = 3, 4.0
 HURRIED = 1, 2.0  # the same where another law already describes the record with the departure
-# The same of a drag.  A block's mean position is that of the law's motion: at 7.67 um a strong guide leaves 4 times its
-# noise on blocks, and 1.0 on all samples.
+# The same of a drag.  A block's mean position is that of the law's motion: a strong guide leaves 4 times its noise.
 HOPELESS_DRAG = 3, 12.0
 DRAG_PASS = (40, 1e-5)  # with all samples; of 8 steps a strong guide without a datum stopped 0.6 % short
+LOST = 4.0  # times the noise, after a pass with all samples: from there drag on a steep ramp took 60 s of CPU to 3
 LAST = 1e-3  # of the departure's size: a pass that changes it by less is the last
+MOSTLY_TOO_FAST = 0.5  # of the slips
 PARTS = (1.0, 0.5, 0.25, 0.1)  # of the linear step, from which the search starts
 SCALE_STEP = 1e-4  # relative: derivative by the scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path
 SCALE_RANGE = 0.15  # relative: how far a scale may move from where the scan found it
@@ -134,9 +134,10 @@ def refit_with(
             best, least = found, rms
         if least < (limits[1] if drag else CLOSE) * model.noise(noise):
             break
-    if best is None:
+    whole = _Model(host, base, departure, scale, LONGEST_STEP)
+    if best is None or (drag and not whole.coefficients(best.u)[0] > 0):
         return None
-    return _Model(host, base, departure, scale, LONGEST_STEP).finish(best.u, best.local, noise)
+    return whole.finish(best.u, best.local, noise)
 
 
 def _descend(
@@ -160,11 +161,6 @@ def _descend(
         if settled:
             break
     return found
-
-
-def usual_rms(residual: Array, rows: Sequence[slice]) -> float:
-    """Return the median of the cycles' errors, m: spoilt cycles do not move it."""
-    return math.sqrt(float(np.median([np.mean(residual[own] ** 2) for own in rows])))
 
 
 def _settled(before: Array, after: Array) -> bool:
@@ -192,24 +188,28 @@ class _Model:
         self._drag = departure.drag_table(float(np.max(np.abs(base.trajectory.velocity))))
 
     def tested(self, size: Array) -> tuple[Array, Array, int]:
-        """Return shared and own unknowns of the law's fit, a departure of that size, and the passes that hold it."""
-        shared = np.concatenate([self._host.shared, size, np.zeros(self._more - size.size)])
-        return shared, np.minimum(self._host.local, self._host.fastest), HELD
+        """Return shared and own unknowns of the law's fit, a departure of that size, and the passes that hold it.
+
+        Where most slips start faster than they may, the law alone ended too far away: those of the regression.
+        """
+        host = self._host
+        shared, local = host.shared, host.local
+        if host.basis is None and host.too_fast.mean() > MOSTLY_TOO_FAST:
+            shared, local = host.problem.start[list(host.places)], host.first
+        return np.concatenate([shared, size, np.zeros(self._more - size.size)]), np.minimum(local, host.fastest), HELD
 
     def regressed(self, _: Array) -> tuple[Array, Array, int]:
         """Return the same, a drag regressed together with the law from the smoothed motion."""
         u, size = self._host.problem.start_with_drag(
             lambda v: np.interp(v, self._drag.velocity, self._drag.acceleration)
         )
-        shared = np.append(u[list(self._host.places)], size)
-        return shared, np.minimum(self._host.first, self._host.fastest), 0
+        return np.append(u[list(self._host.places)], size), np.minimum(self._host.first, self._host.fastest), 0
 
     def stepped(self, _: Array) -> tuple[Array, Array, int]:
         """Return the same, a part of the linear step on from where the law's fit ended, with no pass to hold it."""
         host = self._host
         shared, local = np.concatenate([host.shared, np.zeros(self._more)]), host.local.copy()
-        fast = local[:, PerCycle.V_SLIP] > host.fastest[:, PerCycle.V_SLIP]
-        own = slice(PerCycle.X_SLIP, PerCycle.V_SLIP + 1)
+        fast, own = host.too_fast, slice(PerCycle.X_SLIP, PerCycle.V_SLIP + 1)
         local[fast, own] = host.first[fast, own]
         local = np.minimum(local, host.fastest)
         forced = self._base.respond([self._departure.forcing(self._base.trajectory, self._scale)])
@@ -228,9 +228,7 @@ class _Model:
 
     def problem(self, noise: float) -> LeastSquaresProblem:
         """Return what is minimised; 0 for the ``noise`` that the law's fit assumed."""
-        reach = np.full(self._more, np.inf)
-        if self._scanned:
-            reach[-1] = SCALE_RANGE
+        reach = np.where(np.arange(self._more) < self._departure.columns, np.inf, SCALE_RANGE)
         least = -reach if self._departure.drag is None else np.zeros(self._more)  # a drag takes energy
         weights = self._base.linear.weights
         if noise > 0:
@@ -298,9 +296,10 @@ class _Model:
             if near is None:
                 return None
             self._near = near
-        for _ in range(WHOLE_PASSES):
-            found = self.search(shared, local, noise, limits=PASS if self._departure.drag is None else DRAG_PASS)
-            if found is None:
+        for number in range(WHOLE_PASSES):
+            brief = number == 0 or self._departure.drag is None
+            found = self.search(shared, local, noise, limits=PASS if brief else DRAG_PASS)
+            if found is None or usual_rms(found.residual, self.rows) > LOST * noise:
                 return None
             last, shared, local = self.coefficients(shared), found.u, found.local
             if _settled(last, self.coefficients(shared)):
@@ -328,7 +327,8 @@ class _Model:
         if errors is None:
             return None
         before = replace(self._base.linear, weights=problem.weights).cost
-        errors = replace(errors, coefficients=unknowns.coefficients, gain=before - linear.cost)
+        log_p = log_probability(unknowns.coefficients, errors.covariance, len(self.rows))
+        errors = replace(errors, coefficients=unknowns.coefficients, gain=before - linear.cost, log_p=log_p)
         return Refit(self._host.law, self._departure, errors, unknowns.scale, followed.path, linear)
 
     def _apart(self, shared: Array) -> _Unknowns:
@@ -373,9 +373,8 @@ class _Model:
         )
         if path is None:
             return None
-        known = self._base.trajectory
-        trajectory = FittedMotion.from_path(path, known.records, path.residual, known.revolution)
-        residual = path.residual
+        known, residual = self._base.trajectory, path.residual
+        trajectory = FittedMotion.from_path(path, known.records, residual, known.revolution)
         reading = self._departure.forcing(trajectory, unknowns.scale).reading
         if reading is not None:
             residual = residual + np.einsum("nk,k->n", reading, unknowns.coefficients)

@@ -44,11 +44,13 @@ def _gains(base: Base, departure: Departure, scales: Array) -> Array:
     shape = (scales.size, departure.columns)
     every = np.arange(columns.shape[1]).reshape(shape)
     information = found.total_information[every[:, :, np.newaxis], every[:, np.newaxis]]
-    size = np.einsum("skk->sk", information)
-    kept = np.min(size / np.maximum(found.raw.reshape(shape), 1e-300), axis=1) > LEAST_KEPT
-    unit = 1 / np.sqrt(np.maximum(size, 1e-300))
-    total = (found.total.reshape(shape) * unit)[kept]
-    information = (information * unit[:, :, np.newaxis] * unit[:, np.newaxis])[kept]
+    size, raw, total = np.einsum("skk->sk", information), found.raw.reshape(shape), found.total.reshape(shape)
+    # beside an unstable motion the response to a force grows beyond all numbers
+    usable = np.isfinite(raw) & np.isfinite(size) & np.isfinite(total)
+    kept = np.all(usable & (size > LEAST_KEPT * np.where(usable, raw, 0.0)), axis=1)
+    unit = 1 / np.sqrt(size[kept])
+    total = total[kept] * unit
+    information = information[kept] * unit[:, :, np.newaxis] * unit[:, np.newaxis]
     information += RIDGE * np.eye(departure.columns)
     gain = np.zeros(scales.size)
     gain[kept] = 0.5 * np.sum(total * np.linalg.solve(information, total[:, :, np.newaxis])[:, :, 0], axis=1)

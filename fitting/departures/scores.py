@@ -81,18 +81,22 @@ def _score(found: Scores, own: slice) -> Score | None:
     steps = np.array([-_solve(whole - a, gradient - b) for a, b in zip(information, total, strict=True)])
     beside = steps - steps.mean(axis=0)
     jackknife = (n - 1) / n * np.einsum("ck,cl->kl", beside, beside)
-    statistic = float(np.sum(coefficients * _solve(jackknife, coefficients)))
-    # Hotelling's T^2 of the n cycles
-    log_p = fisher_log_tail(statistic * (n - k) / (k * (n - 1)), k, n - k)
     noise = np.diag(_solve(whole, np.eye(k)))
     floor = np.sqrt(np.maximum(noise / np.maximum(np.diag(jackknife), 1e-300), 1.0))
     return Score(
         coefficients=coefficients,
         covariance=jackknife * floor[:, np.newaxis] * floor,
         gain=-0.5 * float(np.sum(gradient * coefficients)),
-        log_p=log_p,
+        log_p=log_probability(coefficients, jackknife, n),
         kept=kept,
     )
+
+
+def log_probability(coefficients: Array, covariance: Array, cycles: int) -> float:
+    """Return the log of the probability of coefficients (k,) as large by chance; Hotelling's T^2 of the cycles."""
+    k, n = coefficients.size, cycles
+    statistic = float(np.sum(coefficients * _solve(covariance, coefficients)))
+    return fisher_log_tail(statistic * (n - k) / (k * (n - 1)), k, n - k)
 
 
 def sigmas(log_p: float, trials: float = 1.0) -> float:

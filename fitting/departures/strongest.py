@@ -25,6 +25,7 @@ LEAST_SHARE = 0.01
 # Of the best gain: departures so near it explain the record equally well, and the one with the fewest parameters comes
 # first.  A hard spring and friction by position at a wavelength of about the travel differ by 1 %.
 EQUAL = 0.04
+SAME_SCALE = 0.01  # relative: a search moves a scale by more
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,17 @@ class Tested:
     def parameters(self) -> int:
         """Its parameters, a scanned scale included."""
         return self.departure.columns + (1 if math.isfinite(self.scale) else 0)
+
+    @property
+    def possible(self) -> bool:
+        """Whether its sign can be: a drag takes energy."""
+        return self.departure.drag is None or bool(self.score.coefficients[0] > 0)
+
+    def near(self, other: "Tested") -> bool:
+        """Whether a search from the other would go where one from this goes: the same departure at the same scale."""
+        if self.departure is not other.departure:
+            return False
+        return not math.isfinite(self.scale) or abs(math.log(self.scale / other.scale)) < SAME_SCALE
 
 
 def strongest(base: Base) -> list[Tested]:
@@ -68,7 +80,9 @@ def strongest(base: Base) -> list[Tested]:
         if one is not None
     ]
     least = max(LEAST_GAIN, LEAST_SHARE * base.linear.cost)
-    shown = [tested for tested in found if tested.sigmas > LEAST_SIGMAS and tested.score.gain > least]
+    shown = [
+        tested for tested in found if tested.sigmas > LEAST_SIGMAS and tested.score.gain > least and tested.possible
+    ]
     shown.sort(key=lambda tested: -tested.score.gain)
     if shown:
         equal = [tested for tested in shown if tested.score.gain > (1 - EQUAL) * shown[0].score.gain]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fitting.departures import refit
-from fitting.departures.explain import base_of, confirm, explain_beside_curve, explain_misfit
+from fitting.departures.explain import Question, base_of, confirm, explain_beside_curve, explain_misfit
 from fitting.departures.strongest import strongest
 
 K = 10.5552
@@ -17,8 +17,12 @@ NOISE = COUNT / math.sqrt(12)
 HARD = 0.05 * K / 0.177**2
 
 
+def asked(*fits):
+    return Question.of(fits, fits[0].problem.motions, NOISE)
+
+
 def explained(fit, **laws):
-    return explain_misfit([fit, *laws.values()], fit.problem.motions, NOISE)
+    return explain_misfit(asked(fit, *laws.values()))
 
 
 def test_a_hard_spring_is_fitted_with_the_law(fitted):
@@ -62,7 +66,7 @@ def test_a_strong_guide_is_fitted_with_the_law(fitted, guide, gamma):
 def test_a_drag_that_the_free_curve_takes_up_is_fitted_with_the_law(fitted):
     """A linear step alone gave its size: 9 % too little."""
     fit = fitted(scatter=0.03, drag=0.15)
-    first = explain_beside_curve([fit], fit.problem.motions, NOISE)[0]
+    first = explain_beside_curve(asked(fit), lambda refit: refit.usual_rms < 1.05 * NOISE)[0]
     assert (first.name, first.refitted, first.law) == ("drag-quadratic", True, 5)
     assert first.value == pytest.approx(0.15 / 0.3, rel=0.04)
     assert abs(first.value - 0.15 / 0.3) < 4 * first.stderr
@@ -88,6 +92,7 @@ def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeyp
     fits = [SimpleNamespace(problem=SimpleNamespace(curve=law), law=law) for law in (5, 3)]
     left = {5: 1.005 * NOISE, 3: 0.97 * NOISE}
     monkeypatch.setattr(explain, "base_of", lambda fit, records, revolution: fit)
+    laws = Question.of(fits, [], NOISE)
     monkeypatch.setattr(explain.Host, "of_law", lambda fit: fit)
 
     def fitted_with(fit, *_, hurried):
@@ -95,10 +100,9 @@ def test_of_laws_that_reach_the_noise_the_one_that_leaves_least_is_named(monkeyp
         return SimpleNamespace(law=fit.law, usual_rms=left[fit.law])
 
     monkeypatch.setattr(explain, "refit_with", fitted_with)
-    tested = SimpleNamespace(at=())
-    assert confirm(tested, fits, [], NOISE).law == 3
+    assert confirm((), laws).law == 3
     left[3] = 1.2 * NOISE
-    assert confirm(tested, fits, [], NOISE).law == 5
+    assert confirm((), laws).law == 5
 
 
 def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
@@ -106,7 +110,7 @@ def test_a_departure_that_is_not_there_is_not_confirmed(fitted):
     records = fit.problem.motions
     others = [one for one in strongest(base_of(fit, records)) if one.departure.name == "second-mode"]
     assert others
-    assert confirm(others[0], [fit], records, NOISE) is None
+    assert confirm(others[0].at, asked(fit)) is None
 
 
 class _Passes:
