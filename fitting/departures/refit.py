@@ -43,7 +43,7 @@ HURRIED = 1, 2.0  # the same where another law already describes the record with
 # The same of a drag.  A block's mean position is that of the law's motion: a strong guide leaves 4 times its noise.
 HOPELESS_DRAG = 3, 12.0
 DRAG_PASS = (40, 1e-5)  # with all samples; of 8 steps a strong guide without a datum stopped 0.6 % short
-LOST = 4.0  # times the noise, after a pass with all samples: from there drag on a steep ramp took 60 s of CPU to 3
+LOST = 2.0  # times the noise, after a pass with all samples: drag on a steep ramp took 60 s of CPU to end at 3
 LAST = 1e-3  # of the departure's size: a pass that changes it by less is the last
 MOSTLY_TOO_FAST = 0.5  # of the slips
 PARTS = (1.0, 0.5, 0.25, 0.1)  # of the linear step, from which the search starts

@@ -36,7 +36,7 @@ class FoundDeparture:
     gain : float
         By how much the cost falls with it.
     explained : float
-        Share of the misfit beyond the noise that it explains, in one linear step.
+        Share of the misfit beyond the noise that it explains: in the fit with it, else in one linear step.
     refitted : bool
         Whether value and stderr come from a fit with it; else from one linear step.
     law : int or None

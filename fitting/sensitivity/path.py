@@ -25,8 +25,8 @@ KERNELS = (
 # A motion of more steps, 230 bytes each, is not followed.  Trial splines that were too steep took 1200 a sample, and
 # 21 GB of memory; motions that a fit accepted took 16 a sample at most.
 MOST_STEPS, MOST_STEPS_A_SAMPLE = 1_000_000, 32
-# Times the range of the record: a motion that goes further is not followed.  Trials of a search went to 1e110 m, where
-# the force of a hard spring was no number.
+# m: a motion that goes further is not followed.  Trials of a search went to 1e110 m, where a hard spring's force is no
+# number.
 FARTHEST = 1e9
 NO_KNOTS, NO_PIECES, NOTHING = np.zeros(2), np.zeros((1, 4)), np.zeros(0)
 NO_DRAG = rates.Drag(NOTHING, NOTHING, 0.0)
@@ -234,7 +234,7 @@ def follow(
             return None
         size = min(2 * size, most)
     M, S = int(first_point[-1]), int(first_step[-1])
-    if not float(np.abs(points[flow.POSITION, :M]).max()) < FARTHEST * float(np.ptp(windows.position)):
+    if not float(np.abs(points[flow.POSITION, :M]).max()) < FARTHEST:
         return None
     return Path(
         windows,

@@ -51,6 +51,17 @@ def test_a_stribeck_contact_is_none_of_the_six_and_its_curve_is_measured(foreign
 
 
 @pytest.mark.slow
+def test_a_weak_guide_is_named_although_a_curve_comes_near(foreign, tmp_path):
+    """Nothing was named: the curve leaves no more than the noise, and only the curve was tested for departures."""
+    found = rank(foreign(tmp_path / "t.csv", count=7.67e-6, code=5, Fg=0.06), laws=(3, 5)).adequacy
+    assert not found.adequate
+    first = found.departures[0]
+    assert (first.name, first.refitted, first.law) == ("guide-friction", True, 5)
+    assert first.value == pytest.approx(0.06 / 0.3, rel=0.03)
+    assert first.explained > 0.95
+
+
+@pytest.mark.slow
 def test_a_spring_that_hardens_is_no_function_of_speed(foreign, tmp_path):
     # "law 5 alone" was said of law 3 on it, with k/m wrong by a hundred standard errors.
     ranking = rank(foreign(tmp_path / "t.csv", code=3, G=0.3, k3=0.05 * 10.5552 / 0.195**2))

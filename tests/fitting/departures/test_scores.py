@@ -4,12 +4,15 @@ The contacts are made by a generator that shares nothing with rig_sim (tests/fit
 """
 
 import math
+import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from fitting.departures import strongest as strongest_module
 from fitting.departures.scan import best_scale, gains
-from fitting.departures.scores import score, sigmas
+from fitting.departures.scores import Score, score, sigmas
 from fitting.departures.strongest import describe, misfit_beyond_noise, strongest
 from fitting.departures.table import departures
 
@@ -55,6 +58,34 @@ def test_a_hard_spring_is_found_and_not_friction_by_position(base_of):
 
 def test_a_contact_of_the_fitted_law_shows_no_departure(base_of):
     assert found_in(base_of(scatter=0.03)) == ()
+
+
+@pytest.mark.parametrize(("size", "shown"), [(0.1, True), (-0.1, False)])
+def test_a_force_by_the_velocity_that_would_push_is_not_shown(base_of, monkeypatch, size, shown):
+    """A guide of -0.31 N was the strongest departure of a LuGre contact."""
+    tested = Score(np.array([size]), np.array([[1e-6]]), gain=1e6, log_p=-200.0, kept=1.0)
+    monkeypatch.setattr(strongest_module, "score", lambda base, columns, widths: [tested] * len(widths))
+    names = {one.departure.name for one in strongest(base_of(scatter=0.03))}
+    assert "spring-nonlinear" in names
+    assert ("guide-friction" in names) == ("drag-quadratic" in names) == shown
+
+
+def test_a_response_beyond_all_numbers_explains_nothing():
+    """It was multiplied all the same: an overflow, with a warning on the terminal."""
+    numbers = {"raw": [1e300, np.inf, 1.0, 1.0], "total": [1e200, 1.0, 2.0, 0.0]}
+    information = np.diag([1e300, np.inf, 1.0, 1.0])
+    scores = SimpleNamespace(
+        total_information=information, **{name: np.array(values) for name, values in numbers.items()}
+    )
+    base = SimpleNamespace(
+        trajectory=None,
+        respond=lambda forcings: np.zeros((3, 4)),
+        linear=SimpleNamespace(scores=lambda columns: scores),
+    )
+    departure = SimpleNamespace(columns=2, forcing=lambda trajectory, scale: None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert gains(base, departure, np.array([1.0, 2.0])) == pytest.approx([0.0, 2.0])
 
 
 def test_a_known_revolution_is_not_scanned(base_of):

@@ -225,6 +225,12 @@ def test_a_motion_without_a_number_is_no_path():
     assert follow(one_window(), Curve(HYPERBOLIC, False), u, np.array([[np.inf, 0.1, 0, 0, 0, 0]])) is None
 
 
+def test_a_motion_that_goes_further_than_any_rig_is_no_path():
+    """Its cube, the force of a hard spring, overflowed: a warning on the terminal."""
+    away = np.array([[1e105, 0.1, 0, 0, 0, 0]])
+    assert follow(one_window(), Curve(HYPERBOLIC, False), unknowns(shape=9.6), away) is None
+
+
 def test_a_motion_of_far_too_many_steps_is_not_followed():
     # A search that tried such a curve filled 21 GB of memory with its steps.
     windows, steep = one_window(), unknowns(shape=-1e5)
