@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array
+from daq.compute.stages import parts, silent
 from rig_sim.dynamics.forced.system import System
 from rig_sim.dynamics.maps.sweep import SAME_POINT, AttractorAt, distinct
 from rig_sim.dynamics.period import LONGEST_PERIOD, REPEATS, period_of
@@ -28,6 +29,7 @@ WINDOW = 2 * LONGEST_PERIOD + REPEATS  # passages that are compared
 # deviations fall by a factor of 0.993 or less is recognised.  Twice as many at the end double the cost of what is not
 # periodic.
 TRANSIENTS = (64, 128, 256, 512, 1024)
+AT_ONCE = 100_000  # passages of a transient that are followed in one call, 8 MB; a fast drive passes millions
 SAME_ORBIT = 1e-5  # relative to the scale: how closely two starts on one periodic orbit agree
 # The same of motions with different periods: beside a bifurcation one start may come close enough to be recognised, and
 # another one, on the same orbit, not yet.
@@ -63,8 +65,11 @@ def settled(system: System, transients: Sequence[int] = TRANSIENTS) -> Settled:
     """Follow a system until its motion repeats, or for as long as ``transients`` say."""
     before: Array | None = None
     for transient in transients:
-        found = system.follow(transient * system.unit)
-        if found.outcome == OUTCOMES[COMPLETED]:
+        for begin, end in parts("transient", transient * system.unit, silent, AT_ONCE):
+            found = system.follow(end - begin)
+            if found.outcome != OUTCOMES[COMPLETED]:
+                break
+        else:
             found = system.follow(WINDOW)
         if found.outcome != OUTCOMES[COMPLETED]:
             return Settled(found.states, None, found.outcome)

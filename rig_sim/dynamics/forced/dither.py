@@ -23,10 +23,11 @@ from daq.compute.arrays import Array
 from daq.compute.stages import Stages, silent
 from rig_sim.dynamics.forced.attractors import TRANSIENTS, Settled, settled
 from rig_sim.dynamics.forced.driven_mass import DrivenMass
+from rig_sim.dynamics.step_budget import StepBudget
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame, friction_slope
-from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES
+from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES, STEP_LIMIT
 from rig_sim.integrate.buffer import new_work
 from rig_sim.integrate.phases import sample_phase
 
@@ -36,8 +37,12 @@ MOST_RIPPLE = 1.5
 FIRST, FACTOR, LAST = 0.9, 1.03, 4.0  # of the formula's threshold: amplitudes at which the simulated one is looked for
 DECAY = TRANSIENTS[:3]  # oscillations of the mass: above the threshold friction ends the old motion within some ten
 PRECISION = 1e-3  # of the simulated threshold, relative; each halving costs one more motion
+# Integrator steps of all motions, 8 s.  The thesis's cases take 1e5 to 1e6, drives 300 times faster than the mass 1e7.
+STEPS_IN_ALL = 15_000_000
 OSCILLATIONS = 10  # of the mass alone over which the swing of a motion is taken that does not repeat
-SAMPLES = 64  # of the motion in a drive period, or an oscillation of the mass if that is shorter
+# Samples of the motion in a drive period, or an oscillation of the mass if that is shorter, and in all, 1 s: with a
+# drive more than 150 times faster than the mass there are fewer in a period.
+SAMPLES, MOST_SAMPLES = 64, 100_000
 
 
 @dataclass(frozen=True)
@@ -88,20 +93,24 @@ def quench(flow: Flow, x: float, v: float, progress: Stages = silent) -> Quench:
         The flow is not physical, or its drive has no period.
     """
     fr = frame(flow)
+    steps = StepBudget(STEPS_IN_ALL)
     progress("settling", 0, 2)
-    motion = settled(DrivenMass(flow, x, v))
+    motion = settled(DrivenMass(flow, x, v, budget=steps))
     progress("settling", 1, 2)
     still = flow._replace(u0=0.0)
-    free = settled(DrivenMass(still, x, v))
+    free = settled(DrivenMass(still, x, v, budget=steps))
     free_swing = swing(still, free)
     size = (fr.B + fr.v * math.sqrt(flow.k * flow.m)) / flow.k
     self_excited = free.period is None and free.outcome == OUTCOMES[COMPLETED] and free_swing > 1e-6 * size
     least = threshold(flow)
     is_fast = abs(flow.omega) > fr.omega0
     quenched = is_quenched(flow, motion)
+    simulated = simulated_threshold(flow, x, v, steps, progress) if is_fast and self_excited else None
     outcome = "quenched" if quenched else "not quenched"
     if motion.outcome != OUTCOMES[COMPLETED]:
         outcome = motion.outcome.name
+    elif steps.left <= 0.0:
+        outcome = OUTCOMES[STEP_LIMIT].name
     elif flow.u0 == 0.0:
         outcome = "no drive"
     elif not self_excited:
@@ -113,7 +122,7 @@ def quench(flow: Flow, x: float, v: float, progress: Stages = silent) -> Quench:
         abs(flow.u0) / least if least > 0.0 else None,
         is_fast and abs(flow.u0) > least > 0.0,
         quenched and self_excited and flow.u0 != 0.0,
-        simulated_threshold(flow, x, v, progress) if is_fast and self_excited else None,
+        simulated,
         swing(flow, motion),
         linear_ripple(flow),
         free_swing,
@@ -145,15 +154,16 @@ def is_quenched(flow: Flow, motion: Settled) -> bool:
     return motion.period == 1 and ripple is not None and swing(flow, motion) <= MOST_RIPPLE * ripple
 
 
-def simulated_threshold(flow: Flow, x: float, v: float, progress: Stages = silent) -> float | None:
+def simulated_threshold(flow: Flow, x: float, v: float, steps: StepBudget, progress: Stages = silent) -> float | None:
     """Return the least u0 (N), to `PRECISION`, from which on the simulated motion is quenched; None without one.
 
-    ``progress`` is called with the stage and what is done of it.
+    None, too, when the ``steps`` that the motions may take between them are spent.  ``progress`` is called with the
+    stage and what is done of it.
     """
 
     def quenched(u0: float) -> bool:
         driven = flow._replace(u0=u0)
-        return is_quenched(driven, settled(DrivenMass(driven, x, v), DECAY))
+        return is_quenched(driven, settled(DrivenMass(driven, x, v, budget=steps), DECAY))
 
     least = threshold(flow)
     if not least > 0.0:
@@ -168,7 +178,7 @@ def simulated_threshold(flow: Flow, x: float, v: float, progress: Stages = silen
     while hi - lo > PRECISION * least:
         middle = 0.5 * (lo + hi)
         lo, hi = (lo, middle) if quenched(middle) else (middle, hi)
-    return 0.5 * (lo + hi)
+    return 0.5 * (lo + hi) if steps.left > 0.0 else None
 
 
 def swing(flow: Flow, motion: Settled) -> float:
@@ -178,7 +188,8 @@ def swing(flow: Flow, motion: Settled) -> float:
     period, own = 2.0 * math.pi / abs(flow.omega), 2.0 * math.pi * math.sqrt(flow.m / flow.k)
     span = OSCILLATIONS * own if motion.period is None else motion.period * period
     x, v = motion.states[-1].tolist()
-    return float(np.ptp(positions(flow, x, v, np.linspace(0.0, span, math.ceil(span / min(period, own) * SAMPLES)))))
+    samples = min(math.ceil(span / min(period, own) * SAMPLES), MOST_SAMPLES)
+    return float(np.ptp(positions(flow, x, v, np.linspace(0.0, span, samples))))
 
 
 def positions(flow: Flow, x: float, v: float, times: Array) -> Array:

@@ -30,6 +30,7 @@ from rig_sim.dynamics.forced.passage import (
     compiled_passages,
 )
 from rig_sim.dynamics.forced.system import Passages
+from rig_sim.dynamics.step_budget import StepBudget
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import displacement, frame, mirrored, position
@@ -39,6 +40,9 @@ SECTIONS = {"poincare": STROBE, "slip": SLIP, "landing": LANDING}
 # Integrator steps allowed of one call, some 0.5 us each, and of every passage asked for: 3 to 30 are usual.  A drive
 # period that lasts for hundreds of stick-slip cycles takes more, and ends in the outcome 'step limit'.
 STEPS_OF_CALL, STEPS_OF_PASSAGE = 100_000, 300
+# Steps of all starts at one value of a parameter, 10 s: 200 000 are usual.  They are met by a drive a thousand times
+# faster than the mass, all of whose periods within 2000 oscillations of the mass are followed.
+STEPS_OF_VALUE = 20_000_000
 # Oscillations of the mass alone without a stick, beyond the longest stick, after which it counts as one that does not
 # stick any more: with a damping of 1 % of the critical one a transient has fallen to 1e-5 by then.
 OSCILLATIONS = 200.0
@@ -58,6 +62,8 @@ class DrivenMass:
         Whose passages are followed: 'poincare' (stroboscopic), 'slip' (break-away) or 'landing'.
     draws : str
         The section whose positions are drawn.
+    budget : StepBudget, optional
+        Integrator steps of all calls, and of all masses that share it, after which motions end in 'step limit'.
 
     Attributes
     ----------
@@ -72,7 +78,16 @@ class DrivenMass:
         The flow is not physical, or has no drive frequency.
     """
 
-    def __init__(self, flow: Flow, x: float, v: float, section: str = "poincare", draws: str = "poincare") -> None:
+    def __init__(
+        self,
+        flow: Flow,
+        x: float,
+        v: float,
+        section: str = "poincare",
+        draws: str = "poincare",
+        *,
+        budget: StepBudget | None = None,
+    ) -> None:
         validate(flow)
         if flow.omega == 0.0:
             raise ValueError("drive.omega is 0: there is no drive period; need another number")
@@ -85,6 +100,7 @@ class DrivenMass:
         self.unit = max(1, math.ceil(abs(flow.omega) / fr.omega0))
         longest_stick = 2.0 * (fr.B + abs(fr.u0)) / (fr.k * fr.v) if fr.v > 0.0 else 0.0
         self._patience = (OSCILLATIONS * 2.0 * math.pi / fr.omega0 + longest_stick) / self.period + OSCILLATIONS
+        self._budget = budget or StepBudget(math.inf)
         self._work = new_work(compiled=True)
         self._state = np.zeros(STATE)
         self._state[MODE] = mirrored(fr, initial_mode(self.flow, x, v, 0.0))
@@ -121,12 +137,15 @@ class DrivenMass:
         return drawn
 
     def _rows(self, number: int, mask: int, *, tangent: bool) -> tuple[Array, int]:
+        allowed = min(STEPS_OF_CALL + STEPS_OF_PASSAGE * number, max(self._budget.left, 0.0))
+        number = min(number, int(allowed) + 1)  # no passage takes less than a step
         out = np.zeros(number * COLUMNS)
         self._work[STEPS] = 0.0
-        self._work[STEPS_ALLOWED] = STEPS_OF_CALL + STEPS_OF_PASSAGE * number
+        self._work[STEPS_ALLOWED] = allowed
         outcome, count = compiled_passages()(
             self._frame, self.period, self._patience, mask, int(tangent), number, self._state, out, self._work
         )
+        self._budget.left -= self._work[STEPS]
         return out.reshape(number, COLUMNS)[:count], outcome
 
     def _states(self, rows: Array) -> Array:
@@ -156,5 +175,6 @@ def starts(flow: Flow, x: float, v: float, sticking: int = STARTS) -> list[tuple
 
 
 def driven_masses(flow: Flow, x: float, v: float, draws: str, sticking: int = STARTS) -> list[DrivenMass]:
-    """Return driven masses from all `starts`."""
-    return [DrivenMass(flow, *start, draws=draws) for start in starts(flow, x, v, sticking)]
+    """Return driven masses from all `starts`, with `STEPS_OF_VALUE` integrator steps between them."""
+    budget = StepBudget(STEPS_OF_VALUE)
+    return [DrivenMass(flow, *start, draws=draws, budget=budget) for start in starts(flow, x, v, sticking)]

@@ -8,8 +8,17 @@ from matplotlib.figure import Figure
 
 from daq.output.plot import STYLE, figure
 from rig_sim.dynamics.forced.attractors import settled
-from rig_sim.dynamics.forced.dither import DECAY, linear_ripple, positions, swing, threshold
+from rig_sim.dynamics.forced.dither import (
+    DECAY,
+    MOST_SAMPLES,
+    STEPS_IN_ALL,
+    linear_ripple,
+    positions,
+    swing,
+    threshold,
+)
 from rig_sim.dynamics.forced.driven_mass import DrivenMass
+from rig_sim.dynamics.step_budget import StepBudget
 from rig_sim.flow.flow import Flow
 
 OSCILLATIONS = 12.0  # of the mass alone that are drawn
@@ -23,7 +32,8 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
     drawn = figure(8.6, 7.2)
     above, below = drawn.subplots(2)
     own, period = 2.0 * math.pi * math.sqrt(flow.m / flow.k), 2.0 * math.pi / abs(flow.omega)
-    times = np.linspace(0.0, OSCILLATIONS * own, math.ceil(OSCILLATIONS * own / min(own, period) * SAMPLES))
+    samples = min(math.ceil(OSCILLATIONS * own / min(own, period) * SAMPLES), MOST_SAMPLES)
+    times = np.linspace(0.0, OSCILLATIONS * own, samples)
     for u0, name, width in ((0.0, "without the drive", 0.8), (flow.u0, f"u0 = {flow.u0:.6g}", 1.6)):
         path = positions(flow._replace(u0=u0), x, v, times)
         above.plot(times[: len(path)], path, lw=width, label=name)
@@ -33,8 +43,10 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
     if least > 0.0:
         amplitudes = least * np.linspace(*RATIOS)
         flows = [flow._replace(u0=u0) for u0 in amplitudes.tolist()]
+        steps = StepBudget(STEPS_IN_ALL)
+        motions = [settled(DrivenMass(driven, x, v, budget=steps), DECAY) for driven in flows]
         below.plot(
-            amplitudes, [swing(driven, settled(DrivenMass(driven, x, v), DECAY)) for driven in flows], ".-", ms=5
+            amplitudes, [swing(driven, motion) for driven, motion in zip(flows, motions, strict=True)], ".-", ms=5
         )
         ripples = [linear_ripple(driven) for driven in flows]
         below.plot(amplitudes, [math.nan if ripple is None else ripple for ripple in ripples], "--", color="0.5")

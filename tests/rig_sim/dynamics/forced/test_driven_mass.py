@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 from daq.console import application
 from rig_sim.cli import app as cli
+from rig_sim.dynamics.forced import dither, driven_mass
 from rig_sim.dynamics.forced.attractors import attractors
 from rig_sim.dynamics.forced.driven_mass import DrivenMass, driven_masses
 from rig_sim.dynamics.forced.exponent import exponent
@@ -211,6 +212,18 @@ def test_every_motion_ends_in_a_named_outcome(flow, outcomes):
     rows = attractors(driven_masses(flow, 0.0, 0.0, "slip", 1), 0.0)
     assert {row.outcome for row in rows} == outcomes
     assert all(bool(row.points) == (row.outcome == "completed") for row in rows)
+
+
+def test_a_drive_far_faster_than_the_mass_ends_by_name(monkeypatch):
+    """Its motions were followed for thousands of millions of drive periods, all of which were kept."""
+    monkeypatch.setattr(driven_mass, "STEPS_OF_VALUE", 200_000)
+    monkeypatch.setattr(dither, "STEPS_IN_ALL", 200_000)
+    fast = thesis(1e6)
+    (row,) = attractors(driven_masses(fast, 0.0, 0.0, "slip"), 0.0)
+    assert (row.attractor, row.points, row.outcome) == (0, (), "step limit")
+    found = dither.quench(fast, 0.0, 0.0)
+    assert (found.outcome, found.quenched, found.simulated_threshold) == ("step limit", False, None)
+    assert found.threshold == pytest.approx(0.085 * 1e6)
 
 
 def test_a_sweep_names_a_drive_without_force_and_one_without_period(capsys):
