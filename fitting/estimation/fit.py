@@ -26,7 +26,6 @@ class PassState:
 
     u: Array
     local: Array
-    first: Array  # the cycles' own by the smoothed motion
     sigma: Array  # (runs,)
     scatter: float
     weights: Array

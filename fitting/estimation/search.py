@@ -21,6 +21,10 @@ LOCAL_MINIMUM = 0.995  # of a law's error: where its jump or ramp law errs less 
 LOCAL_MINIMUM_IN_NOISE = 0.9995
 NOISE_ALONE = 1.2  # times the noise
 OTHER_CURVE = 0.5  # of a law's error: where a law of another curve errs so much less, the law starts from there too
+# Times the noise, of the best law's error after the first pass: beyond, the laws that err up to NEAR times as much
+# start again.  The first pass of a true law leaves 0.5 to 10 times the noise, in harsh records up to 20, where it is
+# lost 50 to 400.
+LOST, NEAR = 20.0, 3.0
 GIVE_UP_FACTOR = 30.0  # times the best law's error after the first pass: beyond, no more passes
 # Times the best law's error: up to there a law is fitted to every sample, beyond only to the thinned record,
 # which saves CPU time.  Chosen by trial; not swept.
@@ -96,6 +100,11 @@ def _started_from_others(laws: Sequence[int], runs: Sequence[Run], coarse: Seque
             factor = LOCAL_MINIMUM if LAWS[near.law].curve == "constant" else OTHER_CURVE
             if related and (law not in own or near.geometric_mean_rms < factor * own[law].geometric_mean_rms):
                 _keep_better(own, law, trajectory.coarse_fit(EstimationProblem.build(law, runs), near, alone=True))
+    lowest = min(fit.geometric_mean_rms for fit in coarse)
+    if lowest > LOST * max(run.motion.resolution for run in runs):
+        for law, fit in list(own.items()):
+            if fit.geometric_mean_rms < NEAR * lowest:
+                _keep_better(own, law, trajectory.coarse_fit(fit.problem, fit, alone=True))
     for law in own:
         if LAWS[law].ramp and law - 1 in own:
             _contain(own, law)

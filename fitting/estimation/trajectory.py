@@ -31,9 +31,7 @@ from rig_sim.friction.law import LAWS
 # Starting values and limits of the search.  Chosen by trial on the runs of docs/identification.md; none was swept by
 # itself.  After the first pass, estimates from the fit replace those named FIRST.
 FIRST_SCATTER = 0.1  # standard deviation of the friction levels before the fit has seen them
-OVERTAKING_LEVEL = 0.9  # of the load at landing: starting value of the friction level where the mass overtakes the belt
 FIRST_SIGMA = 10.0  # of the resolution: nearly any misfit outweighs the calibrations in the first pass
-FIRST_RAMP = 1e-4  # of the belt's speed: where a ramp law starts from its jump law
 NARROW_RAMP = 0.02  # of the belt's speed: a jump law may start from a ramp law with a narrower ramp
 COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
@@ -69,8 +67,10 @@ def coarse_fit(
     problem : EstimationProblem
         Its runs have one used cycle or more each.
     near : Fit, optional
-        Another law, fitted before to the same windows: a second start (`_start_from`).  A ramp law takes its jump law
-        with a very narrow ramp, and so begins where that ended.
+        Another law, fitted before to the same windows: a second start (`EstimationProblem.start_near`).  A ramp law
+        takes its jump law with a very narrow ramp, and so begins where that ended.  From an earlier fit of this law the
+        shared unknowns alone are taken: the cycles' own start at the smoothed motion again, since some may have been
+        held in poor minima by the first shared unknowns, and have held these where they were.
     alone : bool
         Start from ``near`` alone.
     max_steps : int, optional
@@ -84,9 +84,11 @@ def coarse_fit(
     """
     begun = clock.process_time()
     windows = fitted_windows(problem, thinned=True)
-    begin = [_starting_state(problem, windows)]
+    begin = [_starting_state(problem, windows, problem.start)]
     if near is not None:
-        second = replace(begin[0], u=_start_from(problem, near), local=near.local)
+        second = _starting_state(problem, windows, problem.start_near(near.law, near.u))
+        if near.law != problem.law:
+            second = replace(second, local=near.local)
         begin = [second] if alone else [*begin, second]
     ended = [_search_pass(problem, windows, first, 0, max_steps) for first in begin]
     found = sorted((state for state in ended if state is not None), key=lambda state: state.geometric_mean_rms)
@@ -97,26 +99,6 @@ def coarse_fit(
         state for state in found[1:] if SAME_MINIMUM < state.geometric_mean_rms / lowest < ALTERNATIVE_FACTOR
     )
     return replace(_fit(problem, windows, found[0], clock.process_time() - begun), alternatives=others)
-
-
-def _start_from(problem: EstimationProblem, near: Fit) -> Array:
-    """Return the unknowns at which another law's fit would begin to be this law.
-
-    A ramp begins next to none; a curve of another kind with the same friction at two slip speeds.
-    """
-    u = near.u.copy()
-    law, other = LAWS[problem.law], LAWS[near.law]
-    if law.ramp and not other.ramp:
-        u[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in problem.motions)
-        u[Global.STATIC :: PER_RUN] = 1.0
-    elif other.ramp and not law.ramp:
-        u[Global.D :: PER_RUN], u[Global.STATIC :: PER_RUN] = problem.start[Global.D :: PER_RUN], 1.0
-    if law.curve_code != other.curve_code:
-        fastest = max(float(np.max(motion.belt_speed - motion.velocity)) for motion in problem.motions)
-        p = near.values
-        F, shape = starts.matched_curve(law.curve_code, other.curve_code, p.F, p.shape, fastest)
-        u[Global.LOG_F :: PER_RUN], u[Global.SHAPE :: PER_RUN] = math.log(F), shape
-    return u
 
 
 def refine(fit: Fit) -> Fit | None:
@@ -145,7 +127,7 @@ def contain(problem: EstimationProblem, near: Fit) -> Fit | None:
     none.  None where the flow cannot be followed.
     """
     begun = clock.process_time()
-    first = replace(near.state, u=_start_from(problem, near))
+    first = replace(near.state, u=problem.start_near(near.law, near.u))
     for max_steps in (FINE_PASS[0], 1):
         state = _minimise(problem, near.windows, first, max_steps, FINE_PASS[1])
         if state is not None and state.geometric_mean_rms <= CONTAINED * near.geometric_mean_rms:
@@ -185,6 +167,7 @@ def final_fit(fit: Fit) -> Fit:
     if trial:
         freed, gain = _with_static(problem, windows, last, FIRST_STATIC[1:], FINE_PASS)
         last = freed if gain > STATIC_GAIN else last
+    last = _started_below_belt(problem, windows, last)
     return _fit(problem, windows, last, fit.cpu_s + clock.process_time() - begun)
 
 
@@ -222,21 +205,11 @@ def _fit(problem: EstimationProblem, windows: ShootingWindows, state: PassState,
     )
 
 
-def _starting_state(problem: EstimationProblem, windows: ShootingWindows) -> PassState:
-    """Return the regression's start, with no noise known yet.
-
-    Where the mass overtakes the belt, the new level must be below the load it landed with, or it would not.
-    """
-    local = windows.starting_values(problem.motions)
-    for k, (cycle, run) in enumerate(zip(problem.cycles, windows.run, strict=True)):
-        if cycle.overtakes:
-            motion, u = problem.motions[run], problem.start[PER_RUN * run :]
-            load = u[Global.K] * (u[Global.DATUM] - float(np.interp(cycle.landing, motion.time, motion.position)))
-            local[k, PerCycle.NEXT_LEVEL] = math.log(max(OVERTAKING_LEVEL * load / math.exp(u[Global.LOG_F]), 0.2))
+def _starting_state(problem: EstimationProblem, windows: ShootingWindows, u: Array) -> PassState:
+    """Return a start at shared unknowns u, with no noise known yet."""
     return PassState(
-        u=problem.start,
-        local=local,
-        first=local,
+        u=u,
+        local=starts.cycle_starts(windows, problem.motions, problem.cycles, u),
         sigma=np.array([FIRST_SIGMA * motion.resolution for motion in problem.motions]),
         scatter=FIRST_SCATTER,
         weights=np.ones(len(windows.rows)),
@@ -258,13 +231,18 @@ def _search_pass(
 
 
 def _minimise(
-    problem: EstimationProblem, windows: ShootingWindows, state: PassState, max_steps: int, tolerance: float
+    problem: EstimationProblem,
+    windows: ShootingWindows,
+    state: PassState,
+    max_steps: int,
+    tolerance: float,
+    fastest: Array | float = math.inf,
 ) -> PassState | None:
-    """Minimise once with the noise assumed so far."""
+    """Minimise once with the noise assumed so far; ``fastest`` are upper bounds of the cycles' own unknowns."""
     index = list(_active(problem, state))
     if problem.level_prior > 1 and Global.COMPLIANCE not in [place % PER_RUN for place in index]:
         state = state.centred()
-    task = _least_squares(problem, windows, state, index)
+    task = replace(_least_squares(problem, windows, state, index), local_upper=fastest)
     solution = levenberg_marquardt.minimise(task, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance)
     if solution is None:
         return None
@@ -286,12 +264,31 @@ def _restart_cycles(problem: EstimationProblem, windows: ShootingWindows, state:
         return state
     task = _least_squares(problem, windows, state, [])
     max_steps, tolerance = CYCLE_PASS
-    found = levenberg_marquardt.minimise(task, np.empty(0), state.first, max_steps=max_steps, tolerance=tolerance)
+    first = starts.cycle_starts(windows, problem.motions, problem.cycles, state.u)
+    found = levenberg_marquardt.minimise(task, np.empty(0), first, max_steps=max_steps, tolerance=tolerance)
     if found is None:
         return state
     before = levenberg_marquardt.cost_by_cycle(task, state.local, state.solution.residual)
     better = levenberg_marquardt.cost_by_cycle(task, found.local, found.residual) < CYCLE_GAIN * before
     return replace(state, local=np.where(better[:, None], found.local, state.local))
+
+
+def _started_below_belt(problem: EstimationProblem, windows: ShootingWindows, state: PassState) -> PassState:
+    """Return the state, or a better one where slips that it starts beyond the belt's speed start below it.
+
+    Beyond the belt's speed friction points the other way until the mass sticks, and the cycle's own break-away then
+    fixes its level: under noise a local minimum, with Fs up to 15 % too small.  Bounds from the first pass on lead
+    other fits into poor minima.  On a ramp the two directions meet without a jump.
+    """
+    fastest = windows.fastest_starts(state.u)
+    beyond = (state.local > fastest).any(axis=1) & (state.weights > INLIER_WEIGHT)
+    if problem.ramp or LAWS[problem.law].curve == "constant" or state.solution is None or not beyond.any():
+        return state
+    first = starts.cycle_starts(windows, problem.motions, problem.cycles, state.u)
+    below = replace(state, local=np.minimum(np.where(beyond[:, None], first, state.local), fastest))
+    found = _minimise(problem, windows, below, *FINE_PASS, fastest=fastest)
+    better = found is not None and found.solution is not None and found.solution.cost < state.solution.cost
+    return found if found is not None and better else state
 
 
 def _with_static(

@@ -25,6 +25,7 @@ LARGEST_STATIC = 5.0  # break-away level over Fs: dry contacts have 1 to 2
 # less the levels scatter relative to it.  On camera tracks under 1 mm of noise d of law 4 is 1 to 2 standard errors too
 # large; twice the limit halves that, but there, as at 25, some of a ramp's levels run off to another minimum.
 LOOSE_LEVELS = 5.0
+FIRST_RAMP = 1e-4  # of the belt's speed: where a ramp law starts from its jump law
 NARROWEST_RAMP = 1e-6  # of the belt's speed: no fit makes a ramp narrower
 
 
@@ -124,6 +125,24 @@ class EstimationProblem:
         for own, p in zip(start.reshape(-1, PER_RUN), first, strict=True):
             own[: Global.DATUM + 1] = parameters.to_array(p)[: Global.DATUM + 1]
         return np.clip(start, self.lower, self.upper), size
+
+    def start_near(self, other: int, u: Array) -> Array:
+        """Return the unknowns (13 runs,) at which the fit u of another law would begin to be this law.
+
+        A ramp begins next to none; a curve of another kind with the same friction at two slip speeds.
+        """
+        start, own, near = u.copy(), LAWS[self.law], LAWS[other]
+        if own.ramp and not near.ramp:
+            start[Global.D :: PER_RUN] = FIRST_RAMP * min(motion.belt_speed for motion in self.motions)
+            start[Global.STATIC :: PER_RUN] = 1.0
+        elif near.ramp and not own.ramp:
+            start[Global.D :: PER_RUN], start[Global.STATIC :: PER_RUN] = self.start[Global.D :: PER_RUN], 1.0
+        if own.curve_code != near.curve_code:
+            fastest = max(float(np.max(motion.belt_speed - motion.velocity)) for motion in self.motions)
+            p = parameters.values(u[:PER_RUN])
+            F, shape = starts.matched_curve(own.curve_code, near.curve_code, p.F, p.shape, fastest)
+            start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
+        return start
 
     @property
     def curve(self) -> int:

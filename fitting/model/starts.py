@@ -7,7 +7,7 @@ comes out 7 % low at a window of 61 samples and half its value at 201.  Good eno
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,15 +15,18 @@ import numpy as np
 from daq.compute.arrays import Array
 from daq.compute.least_squares import least_squares
 from daq.runfile.rig import Measured
-from fitting.data.cycles import CycleSegmentation
+from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
-from fitting.model.parameters import Values
+from fitting.model.parameters import PER_RUN, Global, PerCycle, Values
+from fitting.model.shooting import ShootingWindows
 from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
 
 LOOSE = 0.05  # of the travel: a rest position with a larger error is also fitted
 NO_REVERSAL = 0.8  # a linear curve starts with friction left at the fastest slip
 LEAST_SHAPE = 1e-3  # of one over the fastest slip: next to a constant
 BREAK_AWAY_MARGIN = 0.1  # of the travel: how far beyond the observed break-aways the level at rest may lie
+OVERTAKING_LEVEL = 0.9  # of the load at landing: the friction level where the mass overtakes the belt
+LEAST_LEVEL = 0.2  # of Fs: of that
 STICK_SLOPE_S = 0.06  # shortest stretch of stick whose slope is worth a fit
 
 
@@ -133,6 +136,23 @@ def regress_start(
         d = float(np.clip((-slope - belt_slope) * F / K, 2e-3 * motion.belt_speed, 0.6 * motion.belt_speed))
         K, F, shape, rest, size = _curve(friction, curve, rest, d, v_dr, loose)
     return Values(K, F, v_dr, shape, d, rest), size
+
+
+def cycle_starts(
+    windows: ShootingWindows, motions: Sequence[MeasuredMotion], cycles: Sequence[Cycle], u: Array
+) -> Array:
+    """Return where the cycles' own unknowns (cycles, 6) start beside shared ones u (13 runs,): at the smoothed motion.
+
+    Where the mass overtakes the belt, the new level must be below the load it landed with, or it would not.
+    """
+    local = windows.starting_values(motions)
+    for k, (cycle, run) in enumerate(zip(cycles, windows.run, strict=True)):
+        if cycle.overtakes:
+            motion, own = motions[run], u[PER_RUN * run :]
+            load = own[Global.K] * (own[Global.DATUM] - float(np.interp(cycle.landing, motion.time, motion.position)))
+            level = max(OVERTAKING_LEVEL * load / math.exp(own[Global.LOG_F]), LEAST_LEVEL)
+            local[k, PerCycle.NEXT_LEVEL] = math.log(level)
+    return local
 
 
 def matched_curve(curve: int, other: int, F: float, shape: float, fastest: float) -> tuple[float, float]:

@@ -45,13 +45,14 @@ for path in map(Path, sys.argv[2:]):
     try:
         ranking = rank(motion)
     except DataError as error:
-        found[path.stem] = {"code": error.exit_code, "set": [], "verdict": error.what, "laws": {}}
+        found[path.stem] = {"code": error.exit_code, "set": [], "verdict": error.what, "laws": {}, "rms": None}
         continue
     members = ranking.laws_in_set
     found[path.stem] = {
         "code": EXIT_DONE if len(members) == 1 else EXIT_UNDECIDED,
         "set": list(members),
         "verdict": ranking.verdict.split(":")[0],
+        "rms": ranking.best.rms_m,
         "laws": {
             str(law): {name: (item.value, item.stderr) for name, item in ranking.row(law).parameters.items()}
             for law in members
@@ -143,8 +144,8 @@ def test_every_kernel_of_the_linear_algebra_gives_the_same_answer(runs, native, 
 @pytest.mark.slow
 def test_the_last_bits_of_a_record_decide_nothing(runs, native):
     found = judged(runs, KERNEL, LAST_BITS)
-    # Of `harsh` the first law alone is claimed: of 26 such changes two ended in a poorer minimum, where law 6 joins the
-    # set, and k/m moves by 0.4 to 1 standard errors in the others (docs/identification.md).
-    harsh = found.pop("harsh")
-    assert harsh["set"][0] == 5
-    assert_the_same(found, {name: expected for name, expected in native.items() if name != "harsh"})
+    # Of `harsh` code, set and verdict are claimed, and the residuals: of 26 such changes two used to end in a poorer
+    # minimum.  k/m moves by up to 2 standard errors, as the weights of outlying cycles have not converged.
+    found["harsh"]["laws"] = native["harsh"]["laws"]
+    assert_the_same(found, native)
+    assert found["harsh"]["rms"] == pytest.approx(native["harsh"]["rms"], rel=1e-3)

@@ -8,7 +8,8 @@ import pytest
 from daq.runfile.rig import Measured
 from fitting.data import cycles
 from fitting.model import starts
-from fitting.model.parameters import Values
+from fitting.model.parameters import PerCycle, Values, to_array
+from fitting.model.shooting import ShootingWindows
 from rig_sim.friction.curve import magnitude
 
 KNOWN = Measured(0.0, 5e-4)
@@ -40,6 +41,19 @@ def test_a_ramp_is_read_off_the_slope_of_the_plateau(motion_of, law, curve):
     start, _ = starts.regress_start(motion, cycles.segment_cycles(motion), curve, True, KNOWN)
     assert start.d == pytest.approx(0.03, rel=0.1)
     assert start.v_dr == pytest.approx(0.22, rel=0.02)
+
+
+def test_a_mass_that_overtakes_the_belt_starts_at_a_level_below_its_load(motion_of):
+    """The level used to be the regression's in every pass: beside a larger Fs the mass could then overtake no more."""
+    motion = motion_of(law=5)
+    cut = cycles.segment_cycles(motion)
+    overtaking = tuple(replace(cycle, overtakes=True) for cycle in cut.used)
+    windows = ShootingWindows.from_cycles(motion, overtaking)
+    for F in (3.5, 4.5):
+        u = to_array(Values(35.184, F, 0.22, 9.618))
+        level = F * np.exp(starts.cycle_starts(windows, [motion], overtaking, u)[:, PerCycle.NEXT_LEVEL])
+        load = [-35.184 * np.interp(cycle.landing, motion.time, motion.position) for cycle in overtaking]
+        assert level == pytest.approx(np.maximum(0.9 * np.array(load), 0.2 * F))
 
 
 def test_no_slip_sample_lies_near_a_corner(motion_of):

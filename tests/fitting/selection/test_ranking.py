@@ -207,6 +207,13 @@ def test_equal_freedom_and_nearly_equal_evidence_are_a_set():
     assert model_confidence_set(Evidence((4, 6), errors * [[1.0], [0.98]]), 0.05).members == (4,)
 
 
+def test_a_small_lead_excludes_no_law_that_is_not_a_limit_however_regular_it_is():
+    # Of a true law 4 law 6 was alone in the set by a score of 1.04.
+    errors = np.array([np.full(9, -12.0), np.full(9, -12.0 + 0.15)])  # a score of 2.7
+    assert model_confidence_set(Evidence((6, 4), errors), 0.05).members == (6, 4)
+    assert model_confidence_set(Evidence((6, 5), errors), 0.05).members == (6,)
+
+
 @pytest.mark.parametrize("changes", [{"excluded": (99,)}, {"alpha": 1e-300}, {"alpha": 1.5}])
 def test_what_no_record_can_give_is_refused(simulated, changes):
     with pytest.raises(InputError):
