@@ -11,6 +11,8 @@ of the motion, otherwise at the lowest position.  Friction is nowhere negative t
 forms contain that the rest position is hardly known (`REST_SD`).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from daq.compute.arrays import Array, Mask
@@ -21,6 +23,7 @@ from fitting.estimation.fit import Fit
 from fitting.estimation.levenberg_marquardt import Solution
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import Run
+from fitting.sensitivity.path import Path
 from rig_sim.friction.law import LAWS
 
 # Of the record's travel: standard deviation of an assumed rest position.  Friction that falls by a fifth stretches the
@@ -32,6 +35,7 @@ SCATTER_SHOWN = 4.0
 # Of the travel: standard deviation of a rest position that is fitted, while far from the minimum.  With `REST_SD` some
 # searches ran along the valley instead, to 40 and 50 % more friction, where the last steps did not lead back.
 SEARCH_REST_SD = 0.5
+LEAST_WIDTH = 0.1  # of the width that a ramp had, after a move
 
 
 def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
@@ -51,11 +55,13 @@ def rest_prior(run: Run, sd: float = REST_SD) -> Measured:
 def assumed_rest(fit: Fit) -> Measured | None:
     """Return the rest position to be assumed where the levels do not scatter (`levels_scatter`).
 
-    None where something else determines the level: a calibration, a ramp, a belt that slows under load.
+    None where a calibration determines the level: of a rest position or, where the load changes the speed at which the
+    mass sticks, of that speed.
     """
-    motions = fit.problem.motions
-    if LAWS[fit.law].ramp or any(motion.datum_prior is not None or motion.compliance is not None for motion in motions):
-        return None
+    yields = LAWS[fit.law].ramp or Global.COMPLIANCE in fit.active
+    for motion in fit.problem.motions:
+        if motion.datum_prior is not None or (yields and (motion.belt_measured or motion.belt_prior is not None)):
+            return None
     return rest_prior(fit.problem.runs[0])
 
 
@@ -69,12 +75,34 @@ def levels_scatter(solution: Solution, inlier: Mask) -> bool:
     return float(np.var(solution.local[inlier, PerCycle.LEVEL], ddof=1)) > SCATTER_SHOWN * by_noise
 
 
-def moved_to(u: Array, coefficients: Array, rest: Measured) -> tuple[Array, Array]:
+def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tuple[Array, Array]:
     """Return unknowns (13 runs,) and a curve (n,) that give the same motion with that rest position.
 
-    Those of other runs move by as much.
+    Those of other runs move by as much.  On a ramp the slope of friction in stick stays, and the speed at which slip
+    begins: its width and the belt's speed follow.  A belt that slows under load is less slow under less.
     """
     rise = u[Global.K] * (u[Global.DATUM] - rest.value)
     moved = u.copy()
     moved[Global.DATUM :: PER_RUN] += rest.value - u[Global.DATUM]
+    moved[Global.V_DR :: PER_RUN] -= u[Global.COMPLIANCE] * (rest.value - u[Global.DATUM])
+    if ramp:
+        wider = u[Global.D] * max(rise / coefficients[0], LEAST_WIDTH - 1)
+        moved[Global.D :: PER_RUN] += wider
+        moved[Global.V_DR :: PER_RUN] += wider
     return moved, coefficients + rise
+
+
+def unseen(places: Sequence[int], path: Path) -> Array:
+    """Return by how much the unknowns at ``places`` (p,) must move with the first run's rest position to hide it.
+
+    That position itself counts as 0; the curve follows in any case (`fitting.curve.coordinates`).
+    """
+    spline = path.curve.spline
+    if spline is None:
+        raise ValueError("this path follows a law's curve: its level is not free")
+    K, D, compliance = (float(path.u[slot]) for slot in (Global.K, Global.D, Global.COMPLIANCE))
+    wider = -K * D / float(spline.coefficients[0]) if path.curve.ramp else 0.0
+    moves = {Global.DATUM: 1.0, Global.D: wider, Global.V_DR: wider - compliance}
+    found = np.array([moves.get(Global(place % PER_RUN), 0.0) for place in places])
+    found[list(places).index(Global.DATUM)] = 0.0
+    return found

@@ -14,7 +14,7 @@ import numpy as np
 from daq.compute.arrays import Array, Mask
 from daq.runfile.rig import Measured
 from fitting.curve.coordinates import CurveCoordinates
-from fitting.curve.level import REST_SD, SEARCH_REST_SD, assumed_rest, levels_scatter, moved_to, rest_prior
+from fitting.curve.level import REST_SD, SEARCH_REST_SD, assumed_rest, levels_scatter, moved_to, rest_prior, unseen
 from fitting.curve.starts import CurveStart, own_start, weak_starts
 from fitting.estimation import levenberg_marquardt, trajectory
 from fitting.estimation.fit import Fit
@@ -103,8 +103,9 @@ class SplineFit:
         task, p = self.task, self.solution.u.size
         shared, precision = np.ascontiguousarray(self.jacobian[:, :p]), task.precision.copy()
         if self.rest is not None:
-            place = self.places.index(Global.DATUM)
-            shared[:, place], precision[place] = 0.0, 1 / self.rest.sd**2
+            place, beside = self.places.index(Global.DATUM), unseen(self.places, self.path)
+            shared[:, place] = -np.einsum("ij,j->i", shared[:, : beside.size], beside)
+            precision[place] = 1 / self.rest.sd**2
         return LinearisedFit(
             shared=shared,
             local=np.ascontiguousarray(self.jacobian[:, p:]),
@@ -147,7 +148,7 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
     curve = spline_curve(FrictionSpline.over(knots), bool(law.ramp))
     own = own_start(fit, curve)
     if rest is not None:
-        u, coefficients = moved_to(own.u, own.coefficients, rest)
+        u, coefficients = moved_to(own.u, own.coefficients, rest, ramp=bool(law.ramp))
         own = CurveStart(u, coefficients, own.local)
         own.local[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 0.0
         fit = replace(fit, u=u)
