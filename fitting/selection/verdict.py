@@ -171,6 +171,11 @@ def warnings(
             f"no law fits well: the typical error of the best one is {share:.2g} % of the motion, "
             "so the friction may follow none of the six"
         )
+    if not sustained:
+        warned.append(
+            "no sustained stick: Fs is the friction level of the one drag at the start-up; its interval leaves out how "
+            "far levels differ from one break-away to the next"
+        )
     if any(LAWS[law].ramp for law in members) and not motion.belt_measured:
         warned.append(
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "

@@ -92,7 +92,8 @@ def parameter_forces(path: Path, slots: Sequence[int]) -> tuple[Array, Array]:
     width = np.maximum(d + q * at_rest, 1e-300)
     n = np.abs(friction) / (path.level * F)
     # by the ramp's half-width d and by q, the speed lost under the load F, at a given relative speed
-    by_d = np.where(slips, -path.side * slope, np.where(ramp, -friction / width, 0.0))
+    by_d = np.where(slips, -path.side * slope, 0.0)
+    by_d[ramp] = -friction[ramp] / np.broadcast_to(width, ramp.shape)[ramp]
     by_q = np.where(slips, by_d * n, by_d * at_rest)
     by_q_of = (
         {}
