@@ -52,8 +52,6 @@ SETTLED = 18.0  # time constants of a ramp after which its transient has died ou
 PART_OF_TURN = 0.5
 MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
 MOST_BISECTIONS = 60
-# m and m/s: where a trial motion has run away, and its squares and cubes would soon be no numbers.  Rigs have 10 m.
-FARTHEST = 1e6
 
 # Rows of the table of points.
 TIME, POSITION, VELOCITY, RELATIVE, BELT, LEVEL, FRICTION, SLOPE, SPEED, RESISTANCE = range(10)
@@ -233,7 +231,7 @@ def follow_window(
         h = gap / max(1.0, math.ceil(gap * fastest_rate(w, mode, t, v) / longest))
         h = min(h, turning_step(w, mode, t, x, v))
         x1, v1 = advance(w, mode, t, x, v, h)
-        if not abs(x1) + abs(v1) < FARTHEST:
+        if not math.isfinite(x1 + v1):
             return 0, -1
         ends = margin(w, mode, held, t + h, x1, v1) < 0.0
         if ends:
