@@ -51,9 +51,9 @@ KINDS = {
 LOWEST = 2  # coefficients, which act below a twentieth of the largest slip speed
 ROUNDING = 1e-12  # of the largest information
 LEAST_SEEN = 1e-10  # of the best known combination of a form's parameters: less is rounding
-# The parameter that is not linear: values tried over its range, and how often the bracket of the best is divided again.
-# Half as many over the range still find the same minima; each division narrows the bracket four times.
-TRIED, DIVISIONS, DIVIDED = 60, 12, 9
+# The parameter that is not linear: values tried over its range, and how often each bracket of a minimum is divided
+# again.  Half as many over the range still find the same minima; each division narrows the bracket four times.
+TRIED, DIVISIONS, DIVIDED = 60, 11, 9
 SLOPE_STEP = 1e-5  # of its logarithm: central differences err by 1e-10
 
 
@@ -251,7 +251,7 @@ def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> Form
     def columns(bend: float) -> Array:
         return np.hstack((np.einsum("ig,lg->il", onto, np.stack(form.columns(x, bend))), constant))
 
-    bend = _best_bend(columns, aim, *form.reach)
+    bend = best_bend(columns, aim, *form.reach)
     slopes = columns(bend)
     linear = np.linalg.lstsq(slopes, aim, rcond=None)[0]
     misfit = float(np.sum((np.einsum("il,l->i", slopes, linear) - aim) ** 2))
@@ -295,18 +295,37 @@ def _fit_form(form: Form, fit: SplineFit, metric: Metric, speeds: Array) -> Form
     )
 
 
-def _best_bend(columns: Callable[[float], Array], aim: Array, low: float, high: float) -> float:
+def best_bend(columns: Callable[[float], Array], aim: Array, low: float, high: float) -> float:
     """Return the parameter between ``low`` and ``high`` with which the linear ones come nearest to ``aim`` (m,).
 
     What they leave is the part of ``aim`` outside the space of their columns.
     """
     if low == high:
         return low
-    begin, end, number = math.log(low), math.log(high), TRIED
-    for _ in range(DIVISIONS):
-        tried = np.linspace(begin, end, number)
-        spaces = np.linalg.qr(np.stack([columns(math.exp(value)) for value in tried])).Q
-        left = aim - np.einsum("tml,tl->tm", spaces, np.einsum("tml,m->tl", spaces, aim))
-        best = int(np.argmin(np.sum(left**2, axis=1)))
-        begin, end, number = tried[max(best - 1, 0)], tried[min(best + 1, number - 1)], DIVIDED
-    return math.exp(0.5 * (begin + end))
+    found: list[tuple[float, float]] = []
+    for first, last in _brackets(columns, aim, np.linspace(math.log(low), math.log(high), TRIED)):
+        begin, end, least = first, last, math.inf
+        for _ in range(DIVISIONS):
+            tried = np.linspace(begin, end, DIVIDED)
+            left = _left(columns, aim, tried)
+            best = int(np.argmin(left))
+            begin, end, least = tried[max(best - 1, 0)], tried[min(best + 1, DIVIDED - 1)], float(left[best])
+        found.append((least, 0.5 * (begin + end)))
+    return math.exp(min(found)[1])
+
+
+def _brackets(columns: Callable[[float], Array], aim: Array, tried: Array) -> list[tuple[float, float]]:
+    """Return the neighbours of every local minimum among ``tried`` (k,).
+
+    On fine records the valley of the true value is so narrow that a wide one elsewhere is lower on the grid.
+    """
+    left = np.pad(_left(columns, aim, tried), 1, constant_values=np.inf)
+    lowest = np.flatnonzero((left[1:-1] <= left[:-2]) & (left[1:-1] <= left[2:]))
+    return [(float(tried[max(i - 1, 0)]), float(tried[min(i + 1, tried.size - 1)])) for i in lowest.tolist()]
+
+
+def _left(columns: Callable[[float], Array], aim: Array, tried: Array) -> Array:
+    """Return the square (k,) of what is left of ``aim`` (m,) at each logarithm of the parameter in ``tried`` (k,)."""
+    spaces = np.linalg.qr(np.stack([columns(math.exp(value)) for value in tried])).Q
+    away = aim - np.einsum("tml,tl->tm", spaces, np.einsum("tml,m->tl", spaces, aim))
+    return np.asarray(np.sum(away**2, axis=1))

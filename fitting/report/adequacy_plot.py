@@ -31,8 +31,10 @@ def measured_curve(ranking: Ranking) -> str:
         raise ValueError("no curve was measured")
     height, drawn = 320.0, []
     lo, hi, band = found.lo, found.hi, f"{100 * found.confidence:g} % band"
+    label = "measured, without a law"
     if not found.level_known:  # the band of every level would hide the shape
         lo, hi, band = found.friction - found.shape_half, found.friction + found.shape_half, f"{band} of the shape"
+        label += ", level not determined"
     for place, reach in enumerate((float(found.speed[-1]), ZOOM * float(found.speed[-1]))):
         seen = found.speed <= 1.02 * reach
         own = seen if seen.sum() > 2 else np.ones_like(seen)
@@ -50,7 +52,7 @@ def measured_curve(ranking: Ranking) -> str:
             style = "" if row.in_set else DASH
             axes.line(grid, force, COLOURS[row.law], width=1.0, dash=style, label=f"law {row.law}")
         axes.band(found.speed, lo, hi, INK, opacity=0.22, label=band)
-        axes.line(found.speed, found.friction, INK, width=1.8, label="measured, without a law")
+        axes.line(found.speed, found.friction, INK, width=1.8, label=label)
         drawn.append(axes)
     return picture("measured-curve", WIDE, height, drawn)
 
