@@ -46,7 +46,6 @@ HOPELESS_DRAG = 0, 8.0
 DRAG_PASS = (40, 1e-5)  # with all samples; of 8 steps a strong guide without a datum stopped 0.6 % short
 LOST = 2.0  # times the noise, after a pass with all samples: drag on a steep ramp took 60 s of CPU to end at 3
 LAST = 1e-3  # of the departure's size: a pass that changes it by less is the last
-MOSTLY_TOO_FAST = 0.5  # of the slips
 PARTS = (1.0, 0.5, 0.25, 0.1)  # of the linear step, from which the search starts
 SCALE_STEP = 1e-4  # relative: derivative by the scale; at 1e-3 its curvature shows, at 1e-6 rounding of the path
 SCALE_RANGE = 0.15  # relative: how far a scale may move from where the scan found it
@@ -118,8 +117,8 @@ def refit_with(
     Notes
     -----
     The search starts from the law's fit with the departure as tested and, where that ends above the noise, from a
-    linear step away from the law's fit.  A drag is regressed together with the law instead, and then tried as tested:
-    the law without a strong one ends too far away (slips that start faster than the belt) for a search to come back.
+    linear step away from the law's fit; from the regression alone where that fit is astray (`Host.astray`).  A drag is
+    regressed together with the law instead, and then tried as tested.
     """
     thinned = base.thinned()
     best: levenberg_marquardt.Solution | None = None
@@ -127,7 +126,7 @@ def refit_with(
     drag = departure.drag is not None and host.basis is None
     starts = (_Model.regressed, _Model.tested) if drag else (_Model.tested, _Model.stepped)
     limits = HOPELESS_DRAG if drag else HURRIED if hurried else HOPELESS
-    for start in starts[:1] if hurried else starts:
+    for start in starts[:1] if hurried or (host.astray and not drag) else starts:
         model = _Model(host, thinned, departure, scale, SEARCH_STEP)
         found = _descend(model, *start(model, size), noise, limits)
         rms = math.inf if found is None else usual_rms(found.residual, model.rows)
@@ -191,11 +190,11 @@ class _Model:
     def tested(self, size: Array) -> tuple[Array, Array, int]:
         """Return shared and own unknowns of the law's fit, a departure of that size, and the passes that hold it.
 
-        Where most slips start faster than they may, the law alone ended too far away: those of the regression.
+        Where the law alone is astray, those of the regression.
         """
         host = self._host
         shared, local = host.shared, host.local
-        if host.basis is None and host.too_fast.mean() > MOSTLY_TOO_FAST:
+        if host.astray:
             shared, local = host.problem.start[list(host.places)], host.first
         return np.concatenate([shared, size, np.zeros(self._more - size.size)]), np.minimum(local, host.fastest), HELD
 

@@ -149,6 +149,37 @@ def test_a_search_that_stays_far_from_the_noise_is_given_up(errors, passes):
     assert model.made == passes
 
 
+def test_a_drag_that_is_far_off_after_its_first_pass_is_given_up():
+    """From a regression with it a true one is near at once; LuGre contacts took three passes of each law."""
+    model = _Passes([47.3, 46.0, 45.0])
+    assert refit._descend(model, np.ones(1), np.ones((1, 6)), 0, 1.0, refit.HOPELESS_DRAG) is None
+    assert model.made == 1
+
+
+def test_a_departure_that_stays_at_zero_has_settled():
+    """Drag beside a weak guide ended at its bound in every one of eight passes."""
+    assert refit._settled(np.zeros(1), np.zeros(1))
+
+
+@pytest.mark.parametrize(("astray", "shared", "own"), [(True, (0, 3, 7, 8, 0), 1), (False, (0, 0, 7, 8, 0), 5)])
+def test_a_search_starts_from_the_regression_where_the_law_alone_is_astray(astray, shared, own):
+    """Slips that started faster than the belt were cut to its speed: the mass then stuck, 2 mm off."""
+    model = object.__new__(refit._Model)
+    model._more = 3
+    model._host = SimpleNamespace(
+        astray=astray,
+        shared=np.zeros(2),
+        local=np.full((3, 6), 9.0),
+        first=np.ones((3, 6)),
+        fastest=np.full((3, 6), 5.0),
+        problem=SimpleNamespace(start=np.arange(13.0)),
+        places=(0, 3),
+    )
+    found = model.tested(np.array([7.0, 8.0]))
+    assert tuple(found[0]) == shared
+    assert np.all(found[1] == own)
+
+
 def test_a_search_that_comes_down_to_the_noise_makes_all_its_passes():
     model = _Passes([60.0, 50.0, 40.0, 12.0, 3.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     assert refit._descend(model, np.ones(1), np.ones((1, 6)), 2, 1.0) is not None
