@@ -32,6 +32,9 @@ SURE = 4.0  # standard errors of that line's slope: at 400 a second and 1 mm of 
 WIDEST_SLACK = 0.25  # of the belt's speed: a line less certain than that shows nothing
 SCATTER_AT_REST = 2.0  # times the noise: more is motion
 SUSTAINED = 0.15  # plateau fraction: below it the mass only grazes the belt
+# Times the deceleration of a mass that still sticks: while the belt drags it from rest on a ramp, 0.3 of the belt's
+# speed wide, it is slowed down by 3 times as much; in the first half of a slip by 5 times and more.
+FASTEST_CREEP = 4.0
 STILL = 0.05  # of the slip's acceleration: less than this, the mass sticks (or crosses the top of a sine)
 
 
@@ -134,6 +137,8 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
 
     onsets = [_onset(a, i, still) for i, _ in slow]
     landings = [_landing(a, j, still) for _, j in slow]
+    if starts_at_rest and len(slow) > 1:
+        onsets[1] = _onset(a, slow[1][0], still + _creep(motion, landings[0], slow[1][0], still))
     sticks = list(zip(landings, [*onsets[1:], n], strict=True))
     middles = [(i + j) // 2 for i, j in sticks]
 
@@ -226,6 +231,18 @@ def _overtakes(motion: MeasuredMotion, landing: int, end: int) -> bool:
         return False
     peak = float(motion.velocity[early : (early + end) // 2].max(initial=-np.inf))
     return peak - float(np.median(settled)) > OVERTAKING * motion.belt_speed
+
+
+def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> float:
+    """Return how strongly the mass is slowed down while the belt drags it from rest to ``begin``, m/s^2.
+
+    On a wide ramp it creeps the more the larger the load, and slows down from the first.  0 where that is less than
+    ``still``, or as much as in a slip.
+    """
+    first = int(np.searchsorted(motion.time, motion.time[landing] + max(SHORTEST_S, motion.half_window)))
+    part = motion.acceleration[first : (first + begin) // 2]
+    slowing = -float(np.median(part)) if part.size else 0.0
+    return slowing if still < slowing < FASTEST_CREEP * still else 0.0
 
 
 def _onset(a: Array, begin: int, still: float) -> int:

@@ -50,6 +50,17 @@ def test_the_start_up_drag_is_found(law5):
     assert 1.0 < motion.time[end] < 1.16
 
 
+@pytest.mark.parametrize("d", [0.03, 0.06])
+def test_the_drag_of_a_wide_ramp_is_found(motion_of, synthetic, d):
+    """Creep slows the mass down from the first: it was taken for the slip, and law 2 could not be told from law 1."""
+    motion = motion_of(law=2, d=d)
+    first, end = cycles.segment_cycles(motion).drag
+    _, events = synthetic.motion(synthetic.Scene(law=2, d=d))
+    (broken,) = [t for t, _, kind in events if kind == "break"][:1]
+    assert motion.time[first] < 0.75
+    assert 0 < broken - motion.time[end - 1] < 0.15
+
+
 def test_plateau_fraction_tells_sustained_stick_from_grazing(motion_of):
     assert cycles.segment_cycles(motion_of(law=5)).plateau_fraction > 0.5
     assert cycles.segment_cycles(motion_of(law=3)).plateau_fraction > 0.24
