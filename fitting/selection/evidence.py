@@ -74,15 +74,15 @@ class Units:
         Whether the mass sticks in the long run; else the start-up drags alone are evidence.
     inliers : (cycles,) bool
         The cycles that are judged by.
-    pieces : int
-        Units in a cycle or a drag.
+    pieces : tuple of int
+        Units in each cycle or drag that is judged by.
     samples : float
         Effective samples in all units together.
     """
 
     sustained: bool
     inliers: NDArray[np.bool_]
-    pieces: int
+    pieces: tuple[int, ...]
     samples: float
 
 
@@ -112,21 +112,26 @@ def _related(law: int, other: int) -> bool:
 
 
 def common_units(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> Units:
-    """Return the units by which laws are compared, as the best law's residuals have them."""
+    """Return the units by which laws are compared, as the best law's residuals have them.
+
+    A law that a coarse fit ruled out has fewer samples in a cycle than the best; the cycle has no more units than these.
+    """
     inliers = common_inliers(fits)
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)
     kept = [part for _, part in _judged(best, runs, inliers, sustained=sustained)]
     size = sum(residual.size for residual in kept)
     square = sum(float(np.sum(residual**2)) for residual in kept)
     pieces = 1 if sustained else DRAG_PIECES
+    sizes = [[part.size for _, part in _judged(fit, runs, inliers, sustained=sustained)] for fit in fits]
+    fewest = [min(of_laws) for of_laws in zip(*sizes, strict=True)]
     if not square:
-        return Units(sustained, inliers, pieces, 0.0)
+        return Units(sustained, inliers, tuple(min(pieces, each) for each in fewest), 0.0)
     tau = autocorrelation_time(kept)
     floor = max(run.motion.resolution for run in runs)
     if best.geometric_mean_rms < NOISE_ALONE * floor and tau < LONGEST_WHITE:
         usual = float(np.median([residual.size for residual in kept]))
         pieces = max(round(usual / (PIECE * tau)), pieces)
-    return Units(sustained, inliers, pieces, size / tau)
+    return Units(sustained, inliers, tuple(min(pieces, each) for each in fewest), size / tau)
 
 
 def _judged(
@@ -149,10 +154,11 @@ def _judged(
 
 def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
     """Return the log error of every unit, run by run; shape (units,)."""
+    judged = _judged(fit, runs, units.inliers, sustained=units.sustained)
     found = [
         _log_error(piece, motion)
-        for motion, residual in _judged(fit, runs, units.inliers, sustained=units.sustained)
-        for piece in np.array_split(residual, min(units.pieces, residual.size))
+        for (motion, residual), pieces in zip(judged, units.pieces, strict=True)
+        for piece in np.array_split(residual, pieces)
     ]
     return np.array(found) if found else np.zeros(DRAG_PIECES)  # a drag too short to be evidence
 

@@ -36,6 +36,12 @@ def test_nominal_disturbances_leave_the_verdict_right(synthetic, law):
     assert ranking.best.law == law
 
 
+def test_a_fast_sampled_record_has_the_same_units_for_every_law(synthetic):
+    # laws that a coarse fit had ruled out had fewer samples in a cycle than the best law had units: a ValueError
+    record = synthetic.recording(law=5, rate=6000.0, duration=8.0, scatter=0.0, jitter=0.0)
+    assert rank(smooth(record)).laws_in_set == (5,)
+
+
 def test_parameters_come_back_and_their_intervals_hold_them(ranked):
     found = ranked(law=6).row(6).parameters
     truth = {"k/m": 35.184, "v_dr": 0.22, "gamma": 9.618, "d": 0.03, "Fs/m": 35.184 * 0.13068}
