@@ -93,6 +93,11 @@ class CycleSegmentation:
         return self.plateau_fraction >= SUSTAINED
 
     @property
+    def shows_belt(self) -> bool:
+        """Whether the mass is seen to move with the belt: in sticks, or in the drag of the start-up."""
+        return self.sustained or (self.uses_start and self.drag != (0, 0))
+
+    @property
     def used(self) -> tuple[Cycle, ...]:
         """The cycles without a flag."""
         return tuple(cycle for cycle in self.cycles if not cycle.flag)

@@ -66,9 +66,10 @@ TABLE = (
 )
 MIRRORED = ("v_dr", "x0", "x0 + Fs/k")  # change sign with a record of a backward belt
 SIGNED = (*MIRRORED, "(G_slip - c)/m")  # the others cannot be negative
-UNDETERMINED_WITH = {  # what is known only together with a datum or a damping that the record does not show
+UNDETERMINED_WITH = {  # what is known only together with something that the record does not show
     Global.DATUM: ("x0", "Fs/m", "Fs/k", "Fs", "Fs0/m", "wear"),
     Global.DAMPING: ("c/m", "c", "G_slip/m", "G_slip"),
+    Global.V_DR: ("d",),
 }
 RUNS_OWN = ("v_dr", "x0", "Fs0/m", "wear", "droop", "ripple", "ripple_hz")  # the others are one for all runs
 
@@ -189,6 +190,8 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
     }
     if default[Global.DATUM] and law.curve == "constant":
         undetermined.add(Global.DATUM)
+    if law.curve == "constant" and not fit.problem.runs[run].cut.shows_belt:
+        undetermined.add(Global.V_DR)
     return _Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined)
 
 

@@ -85,6 +85,9 @@ class EstimationProblem:
             begin = own._replace(shape=min(first_shape, steepest), damping=damping.value)
             if belt is not None and belt.sd > 0:
                 known[Global.V_DR] = belt.value, _precision(belt.sd, 0.0)
+            if kind.curve == "constant" and not run.cut.shows_belt:  # slips do not depend on them
+                known[Global.D] = 0.0, v**-2
+                known.setdefault(Global.V_DR, (v, v**-2))
             if compliance is not None:
                 begin = begin._replace(compliance=compliance.value)
                 known[Global.COMPLIANCE] = compliance.value, _precision(compliance.sd, 0.0)

@@ -149,8 +149,8 @@ def with_open_ramps(
         extra = ramp.law_parameters - found[law].law_parameters
         if chosen.score[ramp.law] - chosen.score[law] > extra * math.log(max(samples, 1.0)) + NO_WORSE:
             continue
-        width = derived.derived_parameters(ramp, runs[0].motion, alpha, sustained=sustained)["d"]
-        if width.hi > open_width:
+        width = derived.derived_parameters(ramp, runs[0].motion, alpha, sustained=sustained).get("d")
+        if width is None or width.hi > open_width:
             joining.append(ramp.law)
     members = (*chosen.members, *joining)
     return replace(chosen, members=members, order=(*members, *(law for law in chosen.order if law not in members)))

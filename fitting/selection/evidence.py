@@ -114,7 +114,7 @@ def _related(law: int, other: int) -> bool:
 def common_units(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> Units:
     """Return the units by which laws are compared, as the best law's residuals have them.
 
-    A law that a coarse fit ruled out has fewer samples in a cycle than the best; the cycle has no more units than these.
+    A law that a coarse fit ruled out has fewer samples in a cycle than the best; the cycle has no more units than that.
     """
     inliers = common_inliers(fits)
     best = min(fits, key=lambda fit: fit.geometric_mean_rms)

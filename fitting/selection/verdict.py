@@ -188,7 +188,12 @@ def warnings(
     if not sustained:
         warned.append(
             "no sustained stick: Fs is the friction level of the one drag at the start-up; its interval leaves out how "
-            "far levels differ from one break-away to the next"
+            "far levels differ from one break-away to the next, and that of v_dr how the belt's speed varies"
+        )
+    if not sustained and not cut.shows_belt:
+        warned.append(
+            "the drag at the start-up is too short to show the belt's speed or a ramp: without a calibration v_dr is "
+            "the highest sustained velocity, with an error of 100 %"
         )
     if any(LAWS[law].ramp for law in members) and not motion.belt_measured:
         warned.append(
