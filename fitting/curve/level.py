@@ -24,6 +24,7 @@ from fitting.estimation.levenberg_marquardt import Solution
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import Run
 from fitting.sensitivity.path import Path
+from rig_sim.friction.curve import magnitude
 from rig_sim.friction.law import LAWS
 
 # Of the record's travel: standard deviation of an assumed rest position.  Friction that falls by a fifth stretches the
@@ -65,14 +66,33 @@ def assumed_rest(fit: Fit) -> Measured | None:
     return rest_prior(fit.problem.runs[0])
 
 
-def levels_scatter(solution: Solution, inlier: Mask) -> bool:
-    """Return whether the levels of the inlier cycles (cycles,) scatter by more than noise and misfit make them."""
+def law_scatters(fit: Fit, noise: Array) -> bool:
+    """Return `levels_scatter` of a law's fit, by its friction at the belt's speed."""
+    law, p = LAWS[fit.law], fit.values
+    friction = float(magnitude(law.curve_code, p.v_dr, p.F, p.shape * p.F, p.shape))
+    return levels_scatter(fit.solution, fit.inlier_cycles, friction / p.K, noise)
+
+
+def levels_scatter(solution: Solution, inlier: Mask, stretch: float, noise: Array) -> bool:
+    """Return whether the levels of the inlier cycles scatter by more than noise and misfit make them.
+
+    Parameters
+    ----------
+    solution : Solution
+    inlier : (cycles,) bool
+    stretch : float
+        Of the spring under friction in slip, m.  What the levels move it by must exceed the noise of a position: the
+        rounding of counts, which is not white, makes levels scatter by a fifth of that.
+    noise : (runs,) f8
+        Standard deviation of one position of each run, m.
+    """
     if inlier.sum() < 2:
         return False
     inverse = np.empty_like(solution.blocks.Hl)
     compiled(elimination.invert, (elimination.__name__,))(solution.blocks.Hl, inverse)
     by_noise = float(np.mean(inverse[inlier, PerCycle.LEVEL, PerCycle.LEVEL]))
-    return float(np.var(solution.local[inlier, PerCycle.LEVEL], ddof=1)) > SCATTER_SHOWN * by_noise
+    seen = float(np.var(solution.local[inlier, PerCycle.LEVEL], ddof=1))
+    return seen > SCATTER_SHOWN * by_noise and seen * stretch**2 > float(np.max(noise)) ** 2
 
 
 def moved_to(u: Array, coefficients: Array, rest: Measured, *, ramp: bool) -> tuple[Array, Array]:

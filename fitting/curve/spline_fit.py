@@ -14,7 +14,16 @@ import numpy as np
 from daq.compute.arrays import Array, Mask
 from daq.runfile.rig import Measured
 from fitting.curve.coordinates import CurveCoordinates
-from fitting.curve.level import REST_SD, SEARCH_REST_SD, assumed_rest, levels_scatter, moved_to, rest_prior, unseen
+from fitting.curve.level import (
+    REST_SD,
+    SEARCH_REST_SD,
+    assumed_rest,
+    law_scatters,
+    levels_scatter,
+    moved_to,
+    rest_prior,
+    unseen,
+)
 from fitting.curve.starts import CurveStart, own_start, weak_starts
 from fitting.estimation import levenberg_marquardt, trajectory
 from fitting.estimation.fit import Fit
@@ -98,6 +107,11 @@ class SplineFit:
         """Unknowns of all runs, (13 runs,)."""
         return self.path.u
 
+    def scatters(self, noise: Array) -> bool:
+        """Return `fitting.curve.level.levels_scatter` by the friction at the belt's speed; ``noise`` is (runs,)."""
+        friction = float(self.spline(self.u[[Global.V_DR]])[0])
+        return levels_scatter(self.solution, self.inlier, friction / float(self.u[Global.K]), noise)
+
     def linearised(self) -> LinearisedFit:
         """Return the problem made linear at the solution; the curve's coordinates are the last unknowns.
 
@@ -136,11 +150,11 @@ def fit_spline(fit: Fit, noise: Array) -> SplineFit | None:
     if rest is None:
         return _fit_spline(fit, noise, None)
     # the residuals of a wrong law can make its levels scatter: the curve decides
-    scattered = levels_scatter(fit.solution, fit.inlier_cycles)
-    found = _fit_spline(fit, noise, None if scattered else rest)
-    if found is None or levels_scatter(found.solution, found.inlier) == scattered:
+    scatter = law_scatters(fit, noise)
+    found = _fit_spline(fit, noise, None if scatter else rest)
+    if found is None or found.scatters(noise) == scatter:
         return found
-    return _fit_spline(fit, noise, rest if scattered else None)
+    return _fit_spline(fit, noise, rest if scatter else None)
 
 
 def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | None:
