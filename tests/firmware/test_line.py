@@ -32,30 +32,28 @@ def test_it_identifies_itself_at_power_up(bench, switch_on):
     assert ".".join(map(str, frames[0].firmware)) == firmware_files.VERSION
 
 
-@pytest.mark.parametrize(
-    ("command", "words"),
-    [
-        ("R 0", "1 to 5000 Hz"),
-        ("R 5001", "1 to 5000 Hz"),
-        ("R 99999999999", "1 to 5000 Hz"),
-        ("R 10.5", "1 to 5000 Hz"),
-        ("R ", "is no command"),
-        ("B 0", "1 to 16"),
-        ("B 17", "1 to 16"),
-        ("M jk", "no such decoder"),
-        ("hello", "is no command"),
-        ("II", "is no command"),
-        ("x" * 200, "is no command"),
-    ],
-)
-def test_what_it_cannot_do_it_refuses_in_words_and_changes_nothing(bench, switch_on, command, words):
+def test_what_it_cannot_do_it_refuses_in_words_and_changes_nothing(bench, switch_on):
+    refused = {
+        "R 0": "1 to 5000 Hz",
+        "R 5001": "1 to 5000 Hz",
+        "R 99999999999": "1 to 5000 Hz",
+        "R 10.5": "1 to 5000 Hz",
+        "R ": "is no command",
+        "B 0": "1 to 16",
+        "B 17": "1 to 16",
+        "M jk": "no such decoder",
+        "hello": "is no command",
+        "II": "is no command",
+        "x" * 200: "is no command",
+    }
     with switch_on("uno") as board, bench.Host(board) as host:
-        before = host.say("I")[-1]
-        answer = host.say(command)
-        assert [type(frame) for frame in answer] == [Notice]
-        assert words in answer[0].text
-        assert answer[0].text.startswith(command.strip()[:40])
-        assert host.say("I")[-1] == before
+        before = host.say("I", until=Ident)[-1]
+        for command, words in refused.items():
+            notice, after = host.say(command, "I", wait=5.0, until=Ident)
+            assert isinstance(notice, Notice), command
+            assert words in notice.text
+            assert notice.text.startswith(command.strip()[:40])
+            assert after == before, command
 
 
 def test_settings_are_refused_while_it_samples_and_kept_between_starts(bench, switch_on):
@@ -84,14 +82,17 @@ def test_a_rate_too_slow_for_blocks_is_refused_and_single_frames_are_not(bench, 
     assert set(np.diff(taken.ticks)) <= {666_665, 666_666, 666_667, 666_668}  # 2/3 s in ticks of 0.5 us
 
 
-@pytest.mark.parametrize(("first", "second"), list(itertools.permutations(BAUDS, 2)))
-def test_it_finds_the_rate_of_its_host(bench, switch_on, first, second):
+def test_it_finds_the_rate_of_its_host(bench, switch_on):
+    """From each rate to each other one, on one board: a walk through all pairs."""
+    slow, middle, fast, fastest = BAUDS
+    walk = [slow, middle, slow, fast, slow, fastest, middle, fast, middle, fastest, fast, fastest, slow]
+    assert set(itertools.pairwise(walk)) == set(itertools.permutations(BAUDS, 2))
     with switch_on("uno", speed=4) as board:
-        for baud in (first, second):
+        for baud in walk:
             with serial.Serial(board.port, baud, timeout=0.05) as port:
                 bench.ask(port, b"I\n", lambda heard: b"stickslip" in heard)
         report = board.stop()
-    assert report["baud"] == pytest.approx(second, rel=0.025)
+    assert report["baud"] == pytest.approx(walk[-1], rel=0.025)
 
 
 def test_a_board_that_still_samples_at_another_rate_is_found_again(bench, switch_on):

@@ -22,12 +22,12 @@ def recorded(tmp_path_factory):
     """Record the simulated rig with the belt running either way."""
     folder = tmp_path_factory.mktemp("backwards")
 
-    def of(law, seed, speed):
-        path = folder / f"{law}-{seed}-{speed}.h5"
+    def of(law, speed):
+        path = folder / f"{law}-{speed}.h5"
         if path.exists():
             return path
         line = ["record", "--scene", "rig", "--duration", "16", "-o", str(path), "--json"]
-        for change in (f"friction.law={law}", f"seed={seed}", f"belt.speed={speed}"):
+        for change in (f"friction.law={law}", "seed=1", f"belt.speed={speed}"):
             line += ["--set", change]
         assert application.run(daq_cli.app, line) == 0
         return path
@@ -35,10 +35,9 @@ def recorded(tmp_path_factory):
     return of
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", [2, *(pytest.param(law, marks=pytest.mark.slow) for law in (1, 3, 4, 5, 6))])
-def test_a_backward_belt_gives_the_same_law(recorded, law, seed):
-    forward, backward = (rank(smooth(store.load(recorded(law, seed, speed)))) for speed in (0.22, -0.22))
+def test_a_backward_belt_gives_the_same_law(recorded, law):
+    forward, backward = (rank(smooth(store.load(recorded(law, speed)))) for speed in (0.22, -0.22))
     # Counts and jitter fall otherwise on the mirrored motion: the same curve with the other contact may be in one set.
     partner = law + 1 if law % 2 else law - 1
     assert set(backward.laws_in_set) ^ set(forward.laws_in_set) <= {partner}
@@ -57,7 +56,7 @@ def test_a_backward_belt_gives_the_same_law(recorded, law, seed):
 
 
 def test_the_command_tells_a_backward_belt_by_its_sign(recorded, capsys):
-    path = recorded(5, 1, -0.22)
+    path = recorded(5, -0.22)
     capsys.readouterr()
     assert application.run(cli.app, [str(path), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)

@@ -123,10 +123,10 @@ def test_slips_that_a_joint_has_struck_spoil_no_others(synthetic):
 
 
 @pytest.mark.parametrize("every", [3, 12])
-def test_slips_that_no_velocity_step_explains_are_judged(synthetic, every):
+def test_slips_that_no_velocity_step_explains_are_judged(synthetic, ranked, every):
     """Cycles with 1.5 times the usual mean square used to be left out, however many there were: here every third."""
     recording = synthetic.recording(law=5)
-    cycles = rank(smooth(recording), laws=(5,)).cut.cycles
+    cycles = ranked(law=5).cut.cycles
     position = recording.position.copy()
     for cycle in cycles[1::every]:
         own = (recording.time > cycle.break_away) & (recording.time < cycle.landing)

@@ -88,8 +88,14 @@ def test_a_spring_one_percent_hard_is_seen_in_runs_fitted_together(contacts, syn
     assert found.departures[0].value == pytest.approx(hard / 0.3, rel=0.1)
 
 
-def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(runs_of):
-    fit = rank(runs_of(5, 2), laws=(5,)).rows[0].fit
+@pytest.fixture(scope="module")
+def law_five(runs_of):
+    """Give the joint fit of law 5 alone to its own runs."""
+    return rank(runs_of(5, 2), laws=(5,))
+
+
+def test_derivatives_by_one_runs_unknowns_are_zero_in_the_others(law_five):
+    fit = law_five.rows[0].fit
     cross = fit.solution.blocks.cross
     own = list(fit.active).index(PER_RUN + Global.V_DR)
     assert np.abs(cross[fit.windows.run == 1, own]).max() > 0
@@ -252,15 +258,13 @@ def test_reports_of_a_batch_are_numbered(files, tmp_path):
     ]
 
 
-def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of):
+def test_the_page_of_a_joint_fit_has_all_runs_in_every_picture(runs_of, law_five):
     from fitting.drawing import palette
     from fitting.report import plot
     from processing.statistics import from_kinematics
 
-    motions = runs_of(5, 2)
-    ranking = rank(motions, laws=(5,))
-    drawn = [one(ranking) for one in (plot.portrait, plot.friction, plot.residuals)]
-    drawn.append(plot.break_aways([from_kinematics(motion) for motion in motions], ranking, "m"))
+    drawn = [one(law_five) for one in (plot.portrait, plot.friction, plot.residuals)]
+    drawn.append(plot.break_aways([from_kinematics(motion) for motion in runs_of(5, 2)], law_five, "m"))
     for picture in drawn:
         for number in (1, 2, 3):
             assert f">run {number}</text>" in picture

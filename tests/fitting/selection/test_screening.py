@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -56,28 +57,38 @@ def standing(recording, seconds):
     return replace(recording, position=x)
 
 
+@pytest.fixture(scope="module")
+def smoothed(strangers, synthetic):
+    """Give a function that smooths a stranger, once for all that its rig may be known by but the belt's speed."""
+
+    def of(name, seed, belt_speed=None):
+        time, position = strangers.ALL[name](np.random.default_rng(seed))
+        segment = np.zeros(time.size, np.uint16)
+        blank = synthetic.recording(law=5, duration=1.0)
+        rig = Rig(belt_speed=belt_speed)
+        return smooth(replace(blank, time=time, position=position, segment=segment, rig=rig))
+
+    return cache(of)
+
+
 @pytest.mark.parametrize("seed", [11, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (12, 13))])
 @pytest.mark.parametrize(
     "known", ["nothing", *(pytest.param(known, marks=pytest.mark.slow) for known in ("mass", "all"))]
 )
 @pytest.mark.parametrize("name", NAMES)
-def test_no_stick_slip_is_never_ranked(strangers, synthetic, name, known, seed):
-    time, position = strangers.ALL[name](np.random.default_rng(seed))
-    blank = synthetic.recording(law=5, duration=1.0)
-    recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=KNOWN[known])
+def test_no_stick_slip_is_never_ranked(smoothed, name, known, seed):
+    kinematics = smoothed(name, seed, KNOWN[known].belt_speed)
+    kinematics = replace(kinematics, recording=replace(kinematics.recording, rig=KNOWN[known]))
     with pytest.raises(DataError, match="no belt stick-slip in this record: " + WHY.get(name, "")):
-        rank(smooth(recording))
+        rank(kinematics)
 
 
 @pytest.mark.parametrize("name", ["smooth_noise", "two_sines", "sine"])
-def test_what_no_law_comes_near_is_refused_before_six_laws_are_fitted(strangers, synthetic, name, monkeypatch):
+def test_what_no_law_comes_near_is_refused_before_six_laws_are_fitted(smoothed, name, monkeypatch):
     # Fitting six laws to noise took 20 to 40 CPU s, only to refuse it.
     monkeypatch.setattr(search, "fit_laws", None)
-    time, position = strangers.ALL[name](np.random.default_rng(12))
-    blank = synthetic.recording(law=5, duration=1.0)
-    recording = replace(blank, time=time, position=position, segment=np.zeros(time.size, np.uint16), rig=Rig())
     with pytest.raises(DataError, match=r"no belt stick-slip in this record: (no law comes near it|a sine)"):
-        rank(smooth(recording))
+        rank(smoothed(name, 12))
 
 
 @pytest.mark.parametrize(
