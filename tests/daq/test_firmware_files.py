@@ -12,14 +12,23 @@ from pathlib import Path
 import pytest
 
 from daq import firmware_files
+from daq.cli.app import app
+from daq.console import application
 from daq.errors import InputError
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 
 
-def run(folder, *words):
-    line = [sys.executable, "-m", "daq.cli.app", "firmware", *words]
-    return subprocess.run(line, capture_output=True, text=True, cwd=folder, check=False)
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Give a function that runs the command in a folder of its own and returns its exit code and what it printed."""
+    monkeypatch.chdir(tmp_path)
+
+    def of(*words):
+        code = application.run(app, ["firmware", *words])
+        return code, capsys.readouterr().out
+
+    return of
 
 
 @pytest.mark.parametrize(
@@ -30,10 +39,10 @@ def run(folder, *words):
         ("mega", "stickslip-mega.hex", "atmega2560", "wiring"),
     ],
 )
-def test_it_writes_hex_and_source_and_prints_the_flashing_command(tmp_path, board, name, mcu, programmer):
-    done = run(tmp_path, "--board", board, "-o", "my board", "--port", "/dev/ttyUSB3", "--json")
-    assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
+def test_it_writes_hex_and_source_and_prints_the_flashing_command(run, tmp_path, board, name, mcu, programmer):
+    code, printed = run("--board", board, "-o", "my board", "--port", "/dev/ttyUSB3", "--json")
+    assert code == 0
+    said = json.loads(printed)
     assert Path(said["hex"]) == Path("my board") / name
     assert (tmp_path / said["hex"]).read_bytes() == (FIRMWARE / name).read_bytes()
     sources = {Path(path).name for path in said["source"]}
@@ -44,7 +53,7 @@ def test_it_writes_hex_and_source_and_prints_the_flashing_command(tmp_path, boar
     assert words[words.index("-c") + 1] == programmer
     assert words[words.index("-P") + 1] == "/dev/ttyUSB3"
     assert words[-1] == f"flash:w:my board/{name}:i"
-    assert said["flash"] in run(tmp_path, "--board", board, "-o", "my board", "--port", "/dev/ttyUSB3").stdout
+    assert said["flash"] in run("--board", board, "-o", "my board", "--port", "/dev/ttyUSB3")[1]
 
 
 def test_an_installed_package_brings_the_firmware_along(tmp_path):
@@ -63,28 +72,28 @@ def test_an_installed_package_brings_the_firmware_along(tmp_path):
     assert written.read_bytes() == (FIRMWARE / "stickslip-mega.hex").read_bytes()
 
 
-def test_a_nano_is_reached_at_its_bootloaders_baud_rate(tmp_path):
-    said = run(tmp_path, "--board", "nano").stdout
+def test_a_nano_is_reached_at_its_bootloaders_baud_rate(run):
+    _, said = run("--board", "nano")
     assert "-b 57600" in said
     assert "-b 115200" in said  # the new bootloader
 
 
-def test_what_holds_something_else_is_kept_unless_forced(tmp_path):
-    assert run(tmp_path, "--board", "uno").returncode == 0
-    assert run(tmp_path, "--board", "mega").returncode == 0  # the same source beside it
+def test_what_holds_something_else_is_kept_unless_forced(run, tmp_path):
+    assert run("--board", "uno")[0] == 0
+    assert run("--board", "mega")[0] == 0  # the same source beside it
     mine = tmp_path / "stickslip-firmware" / "command.c"
     mine.write_text("my own\n")
-    done = run(tmp_path, "--board", "uno", "--json")
-    assert done.returncode == 2
-    assert "command.c" in json.loads(done.stdout)["error"]["where"]
+    code, printed = run("--board", "uno", "--json")
+    assert code == 2
+    assert "command.c" in json.loads(printed)["error"]["where"]
     assert mine.read_text() == "my own\n"
-    assert run(tmp_path, "--board", "uno", "--force").returncode == 0
+    assert run("--board", "uno", "--force")[0] == 0
     assert mine.read_bytes() == (FIRMWARE / "command.c").read_bytes()
 
 
-def test_another_board_is_refused_with_the_nearest_name(tmp_path):
+def test_another_board_is_refused_with_the_nearest_name(run):
     with pytest.raises(InputError, match="uno") as caught:
         firmware_files.board("un")
     assert caught.value.exit_code == 2
-    assert run(tmp_path, "--board", "teensy").returncode == 2
-    assert run(tmp_path).returncode == 2
+    assert run("--board", "teensy")[0] == 2
+    assert run()[0] == 2

@@ -160,9 +160,30 @@ def test_effects_draw_from_streams_of_their_own() -> None:
     np.testing.assert_array_equal(column(both, "up"), column(losing, "up")[numbers(both)])
 
 
-@pytest.mark.parametrize(
-    ("changes", "modules"),
-    [
+IMPORTED = """
+import json, os, sys
+from rig_sim.board.board import SimulatedBoard
+from rig_sim.scenes.scene import scene
+path, cases = json.loads(sys.argv[1])
+optional = {
+    "board": ("belt_encoder", "gaps", "jitter", "slip_loss"),
+    "effects": ("joint", "ripple", "scatter", "shaker", "wear"),
+}
+for changes in cases:
+    if os.fork() == 0:  # which imports for itself
+        board = SimulatedBoard(scene(path, **changes))
+        board.write(b"S\\n")
+        board.samples(3000)
+        names = [name for folder in optional for name in optional[folder] if f"rig_sim.{folder}.{name}" in sys.modules]
+        print(json.dumps(sorted(names)), flush=True)
+        os._exit(0)
+    assert os.wait()[1] == 0
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a process is forked for each scene")
+def test_only_the_effects_a_scene_names_are_imported(tmp_path: Path) -> None:
+    cases: list[tuple[dict[str, object], list[str]]] = [
         ({}, []),
         (LOSSES, ["slip_loss"]),
         (GAPS, ["gaps"]),
@@ -175,12 +196,7 @@ def test_effects_draw_from_streams_of_their_own() -> None:
         ({"belt.channel": True}, ["belt_encoder"]),
         ({"droop.fraction": 0.01}, []),  # part of the equation of motion
         ({"wear.rate": 0.01, "scatter.Fs": 0.03, **GAPS}, ["gaps", "scatter", "wear"]),
-    ],
-    ids=lambda value: "+".join(value) if isinstance(value, list) else "",
-)
-def test_only_the_effects_a_scene_names_are_imported(
-    changes: dict[str, object], modules: list[str], tmp_path: Path
-) -> None:
+    ]
     kept = ("mass", "spring", "belt", "friction", "encoder")
     whole = scene("rig").model_dump(exclude_none=True)
     path = tmp_path / "bare.toml"
@@ -190,15 +206,9 @@ def test_only_the_effects_a_scene_names_are_imported(
             for section in kept
         )
     )
-    code = (
-        "import sys; from rig_sim.board.board import SimulatedBoard; from rig_sim.scenes.scene import scene;"
-        f"board = SimulatedBoard(scene({str(path)!r}, **{changes!r})); board.write(b'S\\n'); board.samples(3000);"
-        "optional = {'board': ('belt_encoder', 'gaps', 'jitter', 'slip_loss'),"
-        " 'effects': ('joint', 'ripple', 'scatter', 'shaker', 'wear')};"
-        "print(*sorted(m for folder in optional for m in optional[folder] if f'rig_sim.{folder}.{m}' in sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == modules
+    request = json.dumps([str(path), [changes for changes, _ in cases]])
+    done = subprocess.run([sys.executable, "-c", IMPORTED, request], capture_output=True, text=True, check=True)
+    assert [json.loads(line) for line in done.stdout.splitlines()] == [modules for _, modules in cases]
 
 
 def test_a_file_says_nothing_of_effects_the_scene_does_not_name(tmp_path: Path) -> None:
