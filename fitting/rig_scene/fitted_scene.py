@@ -4,8 +4,9 @@ Without a mass or a stiffness a record shows forces per unit mass alone.  The sc
 newtons are per kilogram: times, positions and speeds are those of the rig all the same, and dampings those per kg.
 
 Without a datum the record shows a free curve, and a linear one, but for a constant that moves together with the
-spring's rest, and leaves the motion as it is.  The rest is then the default that the fit starts from, or, where
-friction would fall below `LEAST_FRICTION`, the one that keeps it there; and it is held in the covariance.
+spring's rest, and leaves the motion as it is.  The rest is then the one that the curve assumes, or the default that
+the fit starts from, or, where friction would fall below `LEAST_FRICTION`, the one that keeps it there; and it is held
+in the covariance.
 
 The section ``fit`` names the keys of the scene that were fitted, with their values and covariance in the scene's
 units; ``friction.curve.3`` is the friction of the fourth point of a measured curve.  The belt's ripple is left out:
@@ -156,7 +157,8 @@ def of_curve(ranking: Ranking, curve: MeasuredCurve, statistics: StickSlipStatis
     unknowns = spline_fit.solution.u.copy()
     datums = [i for i, place in enumerate(places) if place % PER_RUN == Global.DATUM]
     if motion.datum_prior is None:
-        unknowns[datums] += _other_rest(spline_fit, unknowns, datums[0], datum_calibration(motion).value)
+        default = datum_calibration(motion) if spline_fit.rest is None else spline_fit.rest
+        unknowns[datums] += _other_rest(spline_fit, unknowns, datums[0], default.value)
     slots = columns(tuple(places), ranking.best.fit.runs)[0]
 
     def values_at(unknowns: Array) -> Values:
