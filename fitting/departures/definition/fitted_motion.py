@@ -23,7 +23,8 @@ class FittedMotion:
     time, position, velocity : (M,) f8
         s, m, m/s.
     belt_speed, belt_position : (M,) f8
-        Of the belt as fitted, m/s and m; the position's origin is arbitrary.
+        Of the belt by the unknowns of the fit, without what a departure adds, m/s and m; the position's origin is
+        arbitrary.
     friction : (M,) f8
         Force of the belt on the mass per unit mass, positive where it pulls towards +x, m/s^2.
     stretch : (M,) f8
@@ -70,17 +71,18 @@ class FittedMotion:
     ) -> "FittedMotion":
         """Read a path along the windows of ``records``, with ``residual`` (N,) at its samples."""
         runs = [parameters.values(own) for own in path.u.reshape(-1, PER_RUN)]
-        belt, middle = np.empty(path.time.size), np.empty(path.time.size)
+        belt, speed, middle = np.empty((3, path.time.size))
         for number, (p, record) in enumerate(zip(runs, records, strict=True)):
             own = path.run == number
             time = path.time[own]
-            belt[own] = p.v_dr * time + Ripple(p.cosine, p.sine, p.omega).belt_motion(time)[0]
+            position, velocity, _ = Ripple(p.cosine, p.sine, p.omega).belt_motion(time)
+            belt[own], speed[own] = p.v_dr * time + position, p.v_dr + velocity
             middle[own] = 0.5 * (record.time[0] + record.time[-1])
         return cls(
             time=path.time,
             position=path.position,
             velocity=path.velocity,
-            belt_speed=path.belt_speed,
+            belt_speed=speed,
             belt_position=belt,
             friction=path.friction,
             stretch=path.position - np.array([p.datum for p in runs])[path.run],

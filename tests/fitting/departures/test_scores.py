@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 
 from fitting.departures import strongest as strongest_module
+from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.departures.library.belt_drift import DEPARTURE as DRIFT
 from fitting.departures.scan import best_scale, gains
 from fitting.departures.scores import Score, score, sigmas
 from fitting.departures.strongest import describe, misfit_beyond_noise, strongest
 from fitting.departures.table import departures
+from fitting.model.parameters import Global
+from fitting.sensitivity.path import follow
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -68,6 +72,24 @@ def test_a_force_by_the_velocity_that_would_push_is_not_shown(base_of, monkeypat
     names = {one.departure.name for one in strongest(base_of(scatter=0.03))}
     assert "spring-nonlinear" in names
     assert ("guide-friction" in names) == ("drag-quadratic" in names) == shown
+
+
+def test_the_drift_of_a_belt_is_relative_to_its_speed_without_it(base_of):
+    """It was that of the path before, drift included: a refit left 1.17 times the noise of counts of 7.67 um."""
+    base = base_of(scatter=0.03)
+    path = base.path
+    drifting = follow(
+        path.windows,
+        path.curve,
+        path.u,
+        path.local,
+        along=path,
+        belt_speed=1e-3 * base.trajectory.elapsed * path.belt_speed,
+    )
+    trajectory = FittedMotion.from_path(drifting, base.trajectory.records, drifting.residual)
+    assert np.ptp(drifting.belt_speed) > 1e-3
+    forced = DRIFT.forcing(trajectory, math.nan).belt_speed[:, 0]
+    assert forced == pytest.approx(path.unknown(Global.V_DR) * trajectory.elapsed, rel=1e-12)
 
 
 def test_a_response_beyond_all_numbers_explains_nothing():
