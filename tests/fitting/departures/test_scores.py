@@ -12,7 +12,6 @@ import pytest
 
 from fitting.departures import strongest as strongest_module
 from fitting.departures.definition.fitted_motion import FittedMotion
-from fitting.departures.library.belt_drift import DEPARTURE as DRIFT
 from fitting.departures.scan import best_scale, gains
 from fitting.departures.scores import Score, score, sigmas
 from fitting.departures.strongest import describe, misfit_beyond_noise, strongest
@@ -88,7 +87,8 @@ def test_the_drift_of_a_belt_is_relative_to_its_speed_without_it(base_of):
     )
     trajectory = FittedMotion.from_path(drifting, base.trajectory.records, drifting.residual)
     assert np.ptp(drifting.belt_speed) > 1e-3
-    forced = DRIFT.forcing(trajectory, math.nan).belt_speed[:, 0]
+    (drift,) = (departure for departure in departures() if departure.name == "belt-drift")
+    forced = drift.forcing(trajectory, math.nan).belt_speed[:, 0]
     assert forced == pytest.approx(path.unknown(Global.V_DR) * trajectory.elapsed, rel=1e-12)
 
 
