@@ -18,6 +18,9 @@ from fitting.model.shooting import ShootingWindows
 
 ORDER, SQUARED_WEIGHTS = 4, 70.0  # of the differences: (1, 4, 6, 4, 1) squared and summed
 ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near whole multiples of the pitch
+# Of the belt's speed: how near to it a reading's speed is left out where counts are rounded.  At half a count a sample
+# in the sticks the errors alternate, which the differences take for 1.4 times the noise; at whole counts for none.
+STEADY = 0.1
 FASTEST_PATTERN = 0.8  # pitches a sample: slower readings repeat patterns, whose differences are not white
 # Variance of rounding: less white noise beside it is not distinguished from it.  True encoders give up to 0.3 by
 # chance, because fast rounding is not quite white; noise as large as the rounding gives 1.
@@ -94,6 +97,8 @@ def estimate_noise(
             part = slice(first, first + count)
             speed = motion.velocity[windows.source[part]][ORDER // 2 : -ORDER // 2]
             fast = np.abs(speed) >= slowest
+            if slowest > 0:
+                fast &= np.abs(speed - motion.belt_speed) > STEADY * abs(motion.belt_speed)
             squares.append((np.diff(residual[part], ORDER) ** 2 / SQUARED_WEIGHTS)[fast])
             speeds.append(speed[fast] ** 2)
     square, v2 = (np.concatenate(parts) if parts else np.empty(0) for parts in (squares, speeds))
