@@ -1,6 +1,7 @@
 """What tests of the simulator share."""
 
 import json
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -61,14 +62,14 @@ def reference_events() -> Callable[..., list[reference.Event]]:
 
 
 @pytest.fixture(scope="session")
-def computed_events() -> Callable[[str], list[list[str]]]:
+def computed_events() -> Callable[..., list[list[str]]]:
     """Return the function that computes a stored case anew."""
     return _computed_events
 
 
-def _computed_events(key: str) -> list[list[str]]:
-    """Return the events of a case of tests/reference/events.json, in the form they are stored in."""
+def _computed_events(key: str, until: float = math.inf) -> list[list[str]]:
+    """Return the events of a case of tests/reference/events.json up to a time, in the form they are stored in."""
     changes, x, v, t_max = json.loads(key)
     with mpmath.workdps(reference.DIGITS):
-        found = reference.events(Flow(**changes), x, v, t_max)
+        found = reference.events(Flow(**changes), x, v, min(t_max, until))
         return [[mpmath.nstr(t, STORED_DIGITS), kind, mpmath.nstr(x, STORED_DIGITS)] for t, kind, x in found]
