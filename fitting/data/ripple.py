@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from daq.compute.least_squares import least_squares
-from fitting.data.cycles import BEFORE_BREAK_AWAY_S, CycleSegmentation
+from fitting.data.cycles import LEFT_OUT, CycleSegmentation, before_break_away
 from fitting.data.frame import MeasuredMotion
 
 LEFT = 0.45  # of the velocity's variance in stick: a ripple worth the name leaves no more than this
@@ -37,6 +37,9 @@ FEWEST_PERIODS = 2.0
 GRID_HZ = 100.0  # rate of the thinned record that is transformed
 FINER = 4  # times the transform's own grid of frequencies
 CANDIDATES = 5  # the gaps between sticks make false peaks beside the true one
+# Times the mean square that the likeliest frequency leaves in stick: what leaves more is not tried in its place.  Over
+# sticks of a fifth of each cycle the other frequencies of a cycle leave 1.0 to 1.3 times as much.
+LIKE = 2.0
 OUTLYING = 4.0  # robust standard deviations: corners that the cut left in
 FEWEST = 4  # long sticks
 SURE_LOG = 5.0  # log of the odds against noise, beyond those of trying every frequency: 1 in 150
@@ -81,7 +84,15 @@ class Ripple:
 
 
 def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None:
-    """Return the ripple that the sticks show, or the start-up drag of a mass that grazes the belt; None without one.
+    """Return the likeliest of the ripples that `find_ripples` returns; None without one."""
+    return next(iter(find_ripples(motion, cut)), None)
+
+
+def find_ripples(motion: MeasuredMotion, cut: CycleSegmentation) -> list[Ripple]:
+    """Return what ripples the sticks may show, or the start-up drag of a mass that grazes the belt; likeliest first.
+
+    Short sticks, one in each cycle, show a frequency and its sum with that of the cycles, or its difference, nearly
+    alike.
 
     Parameters
     ----------
@@ -91,17 +102,17 @@ def find_ripple(motion: MeasuredMotion, cut: CycleSegmentation) -> Ripple | None
     sticks = _in_stick(motion, cut)
     drag = [np.arange(*cut.drag)] if not cut.sustained and cut.uses_start and cut.drag[1] > cut.drag[0] else []
     if not sticks:
-        return _harmonic(motion, InStick.selected(motion, drag), None) if drag else None
+        return _harmonics(motion, InStick.selected(motion, drag), None) if drag else []
     stuck = InStick.selected(motion, sticks)
     slopes = OwnSlopes.fitted(stuck, motion)
     if slopes.falling(stuck.v) > RAMP_LIKE:
-        found = _harmonic(motion, stuck, slopes)
-        if found is not None:
+        found = _harmonics(motion, stuck, slopes)
+        if found:
             return found
     elif drag:
         # Among a few short sticks several frequencies do equally well; the drag is longer than all of them.
         stuck = InStick.selected(motion, [*drag, *sticks])
-    return _harmonic(motion, stuck, None)
+    return _harmonics(motion, stuck, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,8 +208,8 @@ class OwnSlopes:
         return OwnSlopes(self.lever - offset, self.own)
 
 
-def _harmonic(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) -> Ripple | None:
-    """Return the harmonic that the velocities in stick show beside their lines, if it is worth the name.
+def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) -> list[Ripple]:
+    """Return the harmonics that the velocities in stick show beside their lines and that are worth the name.
 
     Parameters
     ----------
@@ -212,8 +223,6 @@ def _harmonic(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) 
     if slopes is not None:
         rest = slopes.left(stuck.v)
         peaks += _peaks(stuck.time, rest)
-    if not peaks:
-        return None
     thin = slice(None, None, max(1, int(motion.time.size / motion.span / GRID_HZ)))
     every, stuck, before = stuck, stuck.thinned(thin), float(np.mean(rest[thin] ** 2))
     time, v = stuck.time, stuck.v
@@ -231,23 +240,41 @@ def _harmonic(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None) 
             found, left = least_squares(np.stack(shapes, axis=1), lines.removed(v))
         return float(np.mean(left**2)), found[-2:]
 
+    def settled(hertz: float, offset: float) -> tuple[float, float]:
+        width, step = 0.5 / (time[-1] - time[0]), motion.travel / PLACES
+        for _ in range(HALVINGS):
+            hertz = min((hertz - width, hertz, hertz + width), key=lambda near: harmonic(near, offset)[0])
+            if slopes is not None:
+                offset = min((offset - step, offset, offset + step), key=lambda place: harmonic(hertz, place)[0])
+            width, step = width / 2, step / 2
+        return hertz, offset
+
     offsets = np.zeros(1) if slopes is None else _offsets(motion)
-    best, offset = min(product(peaks, offsets), key=lambda at: harmonic(*at)[0])
-    width, step = 0.5 / (time[-1] - time[0]), motion.travel / PLACES
-    for _ in range(HALVINGS):
-        best = min((best - width, best, best + width), key=lambda hertz: harmonic(hertz, offset)[0])
-        if slopes is not None:
-            offset = min((offset - step, offset, offset + step), key=lambda place: harmonic(best, place)[0])
-        width, step = width / 2, step / 2
-    after, (even, odd) = harmonic(best, offset)
-    amplitude = math.hypot(even, odd)
-    if after > LEFT * before or amplitude < SMALLEST * motion.belt_speed:
-        return None
-    if 2 * (before - after) < (VISIBLE * amplitude) ** 2 or not _gains(motion, every.own, before, after, slopes):
-        return None
-    omega = 2 * math.pi * best
-    cos, sin = math.cos(omega * origin), math.sin(omega * origin)
-    return Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, float(time[-1] - time[0]))
+    starts = [min(product((peak,), offsets), key=lambda at: harmonic(*at)[0]) for peak in peaks]
+    starts.sort(key=lambda at: harmonic(*at)[0])
+    found: list[Ripple] = []
+    least = math.inf
+    for start in starts:
+        if harmonic(*start)[0] > LIKE * least:
+            break
+        hertz, offset = settled(*start)
+        after, (even, odd) = harmonic(hertz, offset)
+        omega, amplitude = 2 * math.pi * hertz, math.hypot(even, odd)
+        seen = (
+            after <= min(LEFT * before, LIKE * least)
+            and amplitude >= SMALLEST * motion.belt_speed
+            and 2 * (before - after) >= (VISIBLE * amplitude) ** 2
+            and _gains(motion, every.own, before, after, slopes)
+        )
+        if not found and not seen:
+            return []
+        if not seen or any(abs(omega - one.omega) * one.seen_s < 2 * math.pi for one in found):
+            continue
+        cos, sin = math.cos(omega * origin), math.sin(omega * origin)
+        seen_s = float(time[-1] - time[0])
+        found.append(Ripple(float(even * cos - odd * sin), float(even * sin + odd * cos), omega, seen_s))
+        least = min(least, after)
+    return found
 
 
 def _offsets(motion: MeasuredMotion) -> Array:
@@ -293,15 +320,16 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
     What is over before the smoothing has forgotten its corners may be the top of a sine, which a mass reaches that
     merely grazes the belt.
     """
-    settle = max(motion.half_window, SETTLED_S)
-    parts = []
+    parts, long = [], 0
     for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
+        stick_s = max(after.break_away - before.landing, 0.0)
+        settle = max(motion.half_window, min(SETTLED_S, LEFT_OUT * stick_s))
         first = int(np.searchsorted(motion.time, before.landing + settle))
-        end = int(np.searchsorted(motion.time, after.break_away - BEFORE_BREAK_AWAY_S))
+        end = int(np.searchsorted(motion.time, after.break_away - before_break_away(stick_s)))
         if end > first:
             parts.append(np.arange(first, end))
-    long = [part for part in parts if motion.time[part[-1]] - motion.time[part[0]] > settle]
-    return parts if len(long) >= FEWEST else []
+            long += motion.time[end - 1] - motion.time[first] > settle
+    return parts if long >= FEWEST else []
 
 
 def _peaks(time: Array, rest: Array) -> list[float]:

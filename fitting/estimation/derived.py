@@ -192,6 +192,8 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
         undetermined.add(Global.DATUM)
     if law.curve == "constant" and not fit.problem.runs[run].cut.shows_belt:
         undetermined.add(Global.V_DR)
+        at = active.index(Global.V_DR)  # no better than its start, however sharply the mass bounds it from below
+        spread[at, at] = max(float(spread[at, at]), 1 / float(fit.precision[known][at]))
     return _Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined)
 
 

@@ -20,6 +20,9 @@ from processing.record.kinematics import Kinematics
 SWINGING = 1.3
 
 
+MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
+
+
 class NoLawError(Exception):
     """The record is stick-slip, but no law comes near it: caught by `rank`, which returns it as a result."""
 
@@ -42,10 +45,16 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
 def _with_ripple(run: Run) -> Run:
     """Return a run with the ripple that its sticks show, cut as the mass would move on a steady belt; else the run."""
     found = ripple.find_ripple(run.motion, run.cut)
-    if found is None:
-        return run
-    excluded = frozenset(cycle.number for cycle in run.cut.cycles if cycle.flag == "excluded")
-    return Run(run.motion, cycles.segment_cycles(found.removed(run.motion), excluded), found)
+    return run if found is None else _rippled(run, found)
+
+
+def _rippled(run: Run, found: ripple.Ripple) -> Run:
+    """Return a run with a ripple, cut as the mass would move on a steady belt."""
+    return Run(run.motion, cycles.segment_cycles(found.removed(run.motion), _excluded(run)), found)
+
+
+def _excluded(run: Run) -> frozenset[int]:
+    return frozenset(cycle.number for cycle in run.cut.cycles if cycle.flag == "excluded")
 
 
 def fit_runs(
@@ -63,6 +72,8 @@ def fit_runs(
     fit_to = partial(search.fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
         fits = fit_to(laws, runs)
+        if len(runs) == 1 and fits and not _is_described(fits, runs):
+            fits, runs = _fit_other_ripples(laws, runs[0], fits, fit_to)
     else:
         fits, runs, sustained = _fit_grazing(laws, runs, fit_to)
     fits = [fit for fit in fits if fit.law in laws]
@@ -77,6 +88,33 @@ def fit_runs(
     if not sustained and not any(run.cut.uses_start for run in runs):
         _refuse(screening.SINE_ALONE, records)
     return fits, list(runs), sustained
+
+
+def _fit_other_ripples(
+    laws: Sequence[int], run: Run, fits: list[Fit], fit_to: Callable[[Sequence[int], Sequence[Run]], list[Fit]]
+) -> tuple[list[Fit], Sequence[Run]]:
+    """Fit the laws with the other ripples that the sticks may show, until one is described; return the best fits."""
+    best = fits, run
+    least = min(fit.geometric_mean_rms for fit in fits)
+    for trial in _other_ripples(run):
+        fits = fit_to(laws, [trial])
+        error = min((fit.geometric_mean_rms for fit in fits), default=math.inf)
+        if error < least:
+            best, least = (fits, trial), error
+            if _is_described(fits, [trial]):
+                break
+    return best[0], [best[1]]
+
+
+def _is_described(fits: Sequence[Fit], runs: Sequence[Run]) -> bool:
+    """Return whether the law that comes nearest leaves no more than noise."""
+    return describes([min(fits, key=lambda fit: fit.geometric_mean_rms)], [run.motion for run in runs])
+
+
+def _other_ripples(run: Run) -> list[Run]:
+    """Return a run with each of the ripples that its sticks show nearly as well as the likeliest."""
+    likely = ripple.find_ripples(run.motion, cycles.segment_cycles(run.motion, _excluded(run)))
+    return [_rippled(run, other) for other in likely[1 : 1 + MOST_OTHERS]]
 
 
 def _fit_grazing(
@@ -99,10 +137,12 @@ def _fit_grazing(
         if not _more_than_constant(fits, runs):
             return fits, runs, False
     choices = [runs for _, runs in tried]
+    if len(tried) > 1 and len(steady) == 1:
+        choices += [[other] for other in _other_ripples(steady[0])]
     found = []
     for choice in choices:
         fits = fit_to(laws, choice)
-        if fits and describes(fits, [run.motion for run in choice]):
+        if fits and _is_described(fits, choice):
             return fits, choice, True
         found.append((min((fit.geometric_mean_rms for fit in fits), default=math.inf), fits, choice))
     _, fits, runs = min(found, key=lambda one: one[0])

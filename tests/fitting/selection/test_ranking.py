@@ -31,12 +31,12 @@ def test_constant_friction_is_told_apart_by_the_start_up_drag(ranked, law):
 
 def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(synthetic, tmp_path):
     # nothing held the belt's speed: 265685 +- 160 m/s was stated
-    time, position = synthetic.camera(1, 1.5e-5, duration=6.0, K=330.0, belt=1.7, damping=0.07, scatter=0.0)
+    time, position = synthetic.camera(1, 1.5e-5, duration=6.0, K=330.0, belt=6.0, damping=0.07, scatter=0.0)
     ranking = rank(smooth(synthetic.imported(tmp_path / "track.csv", time, position)))
     assert ranking.laws_in_set == (1, 2)
     speed = ranking.row(1).parameters["v_dr"]
-    assert speed.value == pytest.approx(1.7, rel=0.05)
-    assert speed.stderr == pytest.approx(1.7, rel=0.05)
+    assert speed.lo < 6.0 < speed.hi
+    assert speed.stderr == pytest.approx(speed.value, rel=0.05)
     assert "d" not in ranking.row(2).parameters
     assert any("too short" in text for text in ranking.warnings)
 
