@@ -144,8 +144,6 @@ def test_every_kernel_of_the_linear_algebra_gives_the_same_answer(runs, native, 
 @pytest.mark.slow
 def test_the_last_bits_of_a_record_decide_nothing(runs, native):
     found = judged(runs, KERNEL, LAST_BITS)
-    # Of `harsh` code, set and verdict are claimed, and the residuals: of 26 such changes two used to end in a poorer
-    # minimum.  k/m moves by up to 2 standard errors, as the weights of outlying cycles have not converged.
-    found["harsh"]["laws"] = native["harsh"]["laws"]
     assert_the_same(found, native)
+    # Two of 26 such changes of `harsh` used to end in a poorer minimum, five and six times as far from the record.
     assert found["harsh"]["rms"] == pytest.approx(native["harsh"]["rms"], rel=1e-3)
