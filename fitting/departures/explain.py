@@ -102,17 +102,20 @@ def explain_misfit(
     lists = [] if asked.first is None or near else [_list(asked.first, asked)]
     if free is not None:
         lists.append(_list(free, asked, curve))
-    lists = sorted((one for one in lists if one.explained > LEAST_EXPLAINED), key=lambda one: -one.explained)
-    found = _with_laws(lists, asked) or _drag_with_laws(lists, asked, describes if near else None)
+    # Near the noise a share of the misfit says nothing: there a law with the departure must describe the record.
+    lists = [one for one in lists if one.tested and (near or one.explained > LEAST_EXPLAINED)]
+    lists = sorted(lists, key=lambda one: -one.explained)
+    judge = describes if near else None
+    found = _with_laws(lists, asked, judge) or _drag_with_laws(lists, asked, judge)
     if found is None and not near:
         found = _with_curve(lists, asked)
-    if found is not None:
-        return found
+    if found is not None or near:
+        return found or ()
     # what a drag explains in one step, its fit would have confirmed
     lists = [one for one in lists if one.tested[0].departure.drag is None]
     found = lists[0].found if lists else ()
     agreed = len(lists) > 1 and lists[0].tested[0].departure is lists[1].tested[0].departure
-    if free is not None and not near and not agreed:
+    if free is not None and not agreed:
         memory = suspect_memory(free, max((one.explained for one in lists if one.curve is not None), default=0.0))
         found = found if memory is None else (memory, *found)
     return found

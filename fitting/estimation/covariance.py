@@ -42,20 +42,29 @@ def without_level_errors(fit: Fit, task: LeastSquaresProblem) -> Fit:
     """
     if fit.problem.level_prior <= 1 or not fit.inlier_cycles.any():
         return fit
-    own = fit.inlier_cycles
     local = fit.local.copy()
-    variances = np.einsum("cii->ci", np.linalg.inv(fit.solution.blocks.Hl))
     for column in (PerCycle.LEVEL, PerCycle.NEXT_LEVEL):
-        level, error = fit.local[:, column], variances[:, column]
-        likely = float(np.mean(error[own])) * (1 + SEEN * math.sqrt(2 / own.sum()))
-        true = max(float(np.mean(level[own] ** 2)) - likely, 0.0)
-        local[:, column] = level * true / (true + error)
+        true, error = _true_square(fit, column)
+        local[:, column] *= true / (true + error)
     found = task.evaluate(fit.solution.u, local, True)
     if found is None:
         return fit
     there, here = normal_equations(task, fit.solution.u, local, *found), fit.solution.blocks
     blocks = replace(there, g=here.g, gl=here.gl, cycle_g=here.cycle_g)
     return replace(fit, solution=replace(fit.solution, blocks=blocks))
+
+
+def levels_differ(fit: Fit) -> bool:
+    """Return whether the friction levels of the cycles differ by more than their errors."""
+    return _true_square(fit, PerCycle.LEVEL)[0] > 0
+
+
+def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
+    """Return the mean square of a cycle's unknown beyond what its errors make likely, and their squares (cycles,)."""
+    own = fit.inlier_cycles
+    error = np.asarray(np.linalg.inv(fit.solution.blocks.Hl)[:, column, column])
+    likely = float(np.mean(error[own])) * (1 + SEEN * math.sqrt(2 / own.sum()))
+    return max(float(np.mean(fit.local[own, column] ** 2)) - likely, 0.0), error
 
 
 def covariance(fit: Fit, precision: Array) -> Array:

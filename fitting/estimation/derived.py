@@ -14,10 +14,10 @@ from daq.compute.arrays import Array
 from daq.compute.distributions import student_quantile
 from daq.runfile.rig import Measured
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.covariance import covariance
+from fitting.estimation.covariance import covariance, levels_differ
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Correlations, Parameter
-from fitting.model.parameters import PER_RUN, Global, Values, columns, values
+from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
 from rig_sim.friction.law import LAWS
 
@@ -180,6 +180,9 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
             width = known_datum[active.index(Global.D), active.index(Global.D)]
             both = np.array([float(slot in (Global.D, Global.V_DR)) for slot in active])
             spread = spread + width * (rate * datum_sd) ** 2 * np.outer(both, both)
+    elif law.curve == "linear" and motion.datum_prior is None:
+        hidden = _hidden_level(fit, run, active)
+        spread = spread + np.outer(hidden, hidden)
     default = {
         Global.DATUM: motion.datum_prior is None,
         Global.DAMPING: motion.damping_prior is None or motion.per_mass,
@@ -195,6 +198,31 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
         at = active.index(Global.V_DR)  # no better than its start, however sharply the mass bounds it from below
         spread[at, at] = max(float(spread[at, at]), 1 / float(fit.precision[known][at]))
     return _Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined)
+
+
+def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:
+    """Return how the unknowns (p,) of a linear curve move together where nothing shows it, by the error of the datum.
+
+    On a ramp, or a belt that slows under load, another level of friction is made up for by the rest position and the
+    belt's speed, unless levels that differ move the load by more than the position.
+    """
+    p = fit.values if run == 0 else values(fit.u[PER_RUN * run : PER_RUN * (run + 1)])
+    width = p.d if LAWS[fit.law].ramp else p.compliance * p.F / p.K
+    if width <= 0 or not fit.inlier_cycles.any():
+        return np.zeros(len(active))
+    moved = math.sqrt(float(np.mean(fit.local[fit.inlier_cycles, PerCycle.LEVEL] ** 2))) * p.F / p.K
+    if levels_differ(fit) and moved > fit.geometric_mean_rms:
+        return np.zeros(len(active))
+    moves = {
+        Global.DATUM: -p.F / (width * p.K),
+        Global.LOG_F: 1 / width,
+        Global.SHAPE: -p.shape / width,
+        Global.V_DR: 1.0,
+        Global.D: 1.0,
+    }
+    place = PER_RUN * run + Global.DATUM
+    datum_sd = 1 / math.sqrt(float(fit.problem.precision[place]))
+    return np.array([moves.get(slot, 0.0) for slot in active]) * datum_sd * width * p.K / p.F
 
 
 def _given(fit: Fit, motion: MeasuredMotion, known: _Known) -> Iterator[tuple[Derived, Measured | None]]:

@@ -120,7 +120,7 @@ def _pieces(fit: Fit, n: int, interval: float) -> tuple[Array, Array, Integers]:
             cycles.append(int(cycle))
             places.append(2 * number + int(stick))
     place = np.array(places, np.int64)
-    squares = np.array(modes).reshape(place.size, -1)
+    squares = np.array(modes).reshape(place.size, vectors.shape[1])
     kept = np.zeros(place.size, np.bool_)
     for one in np.unique(place):
         own = place == one

@@ -29,6 +29,18 @@ def test_constant_friction_is_told_apart_by_the_start_up_drag(ranked, law):
     assert any("the one drag at the start-up" in text for text in ranking.warnings)
 
 
+@pytest.mark.slow
+def test_a_linear_ramp_without_datum_and_scatter_leaves_the_belt_speed_open(synthetic, tmp_path):
+    # v_dr was 0.194 with an interval of 0.008, of 0.22; and a law without a piece of even samples ended in a traceback
+    scene = synthetic.Scene(law=4, scatter=0.0, jitter=0.0, delta=2e-6, duration=10.0, G_slip=0.3)
+    time, _, position, _ = synthetic.sampled(scene)
+    ranking = rank(smooth(synthetic.imported(tmp_path / "track.csv", time, position, decimals=7)), laws=(3, 4))
+    assert 4 in ranking.laws_in_set
+    speed = ranking.row(4).parameters["v_dr"]
+    assert speed.lo < 0.22 < speed.hi
+    assert "Fs/m" not in ranking.row(4).parameters
+
+
 def test_a_drag_too_short_to_be_seen_leaves_the_belt_speed_open(synthetic, tmp_path):
     # nothing held the belt's speed: 265685 +- 160 m/s was stated
     time, position = synthetic.camera(1, 1.5e-5, duration=6.0, K=330.0, belt=6.0, damping=0.07, scatter=0.0)
