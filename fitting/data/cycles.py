@@ -23,9 +23,6 @@ from fitting.data.frame import REST_FRACTION, MeasuredMotion
 
 BEFORE_BREAK_AWAY_S = 0.05
 SHORTEST_S = 0.03
-# Of a stick: so much of it at the most is left out at an end.  Of a stick of 60 ms the seconds above left nothing, and
-# a rippling belt under a fast mass went unseen: a true law was "none of the six", or law 3 was named law 4.
-LEFT_OUT = 1 / 6
 LEFT_THE_BELT = 0.05  # of the belt's speed
 SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
 OVERTAKING = 0.02  # of the belt's speed, above the plateau
@@ -81,7 +78,7 @@ class CycleSegmentation:
     starts_at_rest : bool
         Whether the record begins before the belt does.
     drag : (first, end)
-        Samples of the start-up drag, from shortly after the first landing to shortly before the first break-away; empty
+        Samples of the start-up drag, from shortly after the first landing to 50 ms before the first break-away; empty
         when the record does not begin at rest.
     """
 
@@ -109,11 +106,6 @@ class CycleSegmentation:
     def uses_start(self) -> bool:
         """Whether the record begins at rest and its first cycle, to which the drag belongs, is used."""
         return self.starts_at_rest and bool(self.cycles) and not self.cycles[0].flag
-
-
-def before_break_away(stick_s: float) -> float:
-    """Return the time at the end of a stick that is left out, s; ``stick_s`` is how long the stick is, s."""
-    return min(BEFORE_BREAK_AWAY_S, LEFT_OUT * stick_s)
 
 
 def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset()) -> CycleSegmentation:
@@ -155,36 +147,22 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     sticks = list(zip(landings, [*onsets[1:], n], strict=True))
     middles = [(i + j) // 2 for i, j in sticks]
 
-    stuck = sum(
-        float(time[min(j, n - 1)] - time[min(i, n - 1)])
-        for k, (i, j) in enumerate(sticks)
-        if not (k == 0 and starts_at_rest)
-    )
-    first = min(sticks[0][1], n - 1) if starts_at_rest else 0
-    span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
-    plateau_fraction = stuck / span if span > 0 else 0.0
-
     cycles: list[Cycle] = []
     drag = (0, 0)
     for k, (begin, end) in enumerate(slow):
         if k == 0 and begin == 0:
             continue  # the start-up, or a slip whose beginning was not recorded
         onset = onsets[k]
-        begun = min(landings[k - 1], n - 1) if k else 0
-        stick_s = max(float(time[onset] - time[begun]), 0.0)
-        last, fewest = int(np.searchsorted(time, time[onset] - BEFORE_BREAK_AWAY_S)), shortest
-        if plateau_fraction >= SUSTAINED:  # else a short one may be the top of a sine
-            last = int(np.searchsorted(time, time[onset] - before_break_away(stick_s)))
-            fewest = min(shortest, max(3, round(LEFT_OUT * (onset - begun))))
+        last = int(np.searchsorted(time, time[onset] - BEFORE_BREAK_AWAY_S))
         if k == 0:
             first = _calm(motion, onset, still)
         elif k == 1 and starts_at_rest:
             settle = max(SHORTEST_S, motion.half_window)
-            first = int(np.searchsorted(time, time[begun] + settle))
-            drag = (first, last) if last - first >= fewest else (0, 0)
+            first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
+            drag = (first, last) if last - first >= shortest else (0, 0)
         else:
             first = _sticking(motion, middles[k - 1], last)
-        stick = (first, last) if last - first >= fewest else (onset, onset)
+        stick = (first, last) if last - first >= shortest else (onset, onset)
         left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_THE_BELT * motion.belt_speed))
         slip = (left, min(middles[k], n))
         if end >= n or landings[k] >= n:
@@ -204,7 +182,14 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         overtakes = _overtakes(motion, landings[k], sticks[k][1])
         cycles.append(Cycle(number, float(time[onset]), float(time[landings[k]]), stick, slip, overtakes, flag))
 
-    return CycleSegmentation(tuple(cycles), plateau_fraction, starts_at_rest, drag)
+    stuck = sum(
+        float(time[min(j, n - 1)] - time[min(i, n - 1)])
+        for k, (i, j) in enumerate(sticks)
+        if not (k == 0 and starts_at_rest)
+    )
+    first = min(sticks[0][1], n - 1) if starts_at_rest else 0
+    span = float(time[-1] - time[first] - sum(time[j - 1] - time[i] for i, j in rests if i >= first))
+    return CycleSegmentation(tuple(cycles), stuck / span if span > 0 else 0.0, starts_at_rest, drag)
 
 
 def _rests(motion: MeasuredMotion, end: int) -> bool:
