@@ -18,8 +18,6 @@ from processing.record.kinematics import Kinematics
 # Times the error that a rippling belt leaves in the start-up drag: a steady belt that leaves more was none.  On belts
 # with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
 SWINGING = 1.3
-
-
 MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
 
 
@@ -72,7 +70,7 @@ def fit_runs(
     fit_to = partial(search.fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
         fits = fit_to(laws, runs)
-        if len(runs) == 1 and fits and not _is_described(fits, runs):
+        if len(runs) == 1 and runs[0].ripple is not None and fits and not _is_described(fits, runs):
             fits, runs = _fit_other_ripples(laws, runs[0], fits, fit_to)
     else:
         fits, runs, sustained = _fit_grazing(laws, runs, fit_to)
