@@ -5,12 +5,14 @@ import sys
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
+from fitting.model.shooting import ShootingWindows
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -83,5 +85,24 @@ def simulated(tmp_path_factory):
             record(RecordRequest(ports.rig_url("rig", ["seed=5", *changes], False), path, 1000, duration))
             made[key] = smooth(store.load(path))
         return made[key]
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def one_window():
+    """Give a function that returns the samples of one stick or slip, of one cycle."""
+
+    def of(*, stick=0, overtakes=0, rate=1000.0, seconds=1.2):
+        time = 2.0 + np.arange(round(seconds * rate)) / rate
+        return ShootingWindows(
+            table=np.array([[0, stick, 0, time.size, overtakes, 0]], np.int64),
+            level_epoch=np.array([1.9]),
+            earliest_landing=np.array([2.2]),
+            time=time,
+            position=np.zeros(time.size),
+            source=np.zeros(time.size, np.int64),
+            rows=(slice(0, time.size),),
+        )
 
     return of

@@ -6,7 +6,6 @@ import pytest
 from daq.runfile.rig import Measured
 from fitting.curve.level import moved_to, unseen
 from fitting.model.parameters import PER_RUN, Global
-from fitting.model.shooting import ShootingWindows
 from fitting.sensitivity.columns import shared_tangents, spline_tangents
 from fitting.sensitivity.path import follow, spline_curve, with_coefficients
 from fitting.sensitivity.spline import FrictionSpline
@@ -16,22 +15,9 @@ PLACES = (Global.K, Global.V_DR, Global.D, Global.DATUM, Global.DAMPING)
 SLIP, STUCK = np.array([0.128, 0.1, 0.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, -0.1, 0.215])
 
 
-def window(*, stick):
-    time = 2.0 + np.arange(1200) / 1000
-    return ShootingWindows(
-        table=np.array([[0, stick, 0, time.size, 0, 0]], np.int64),
-        level_epoch=np.array([1.9]),
-        earliest_landing=np.array([2.2]),
-        time=time,
-        position=np.zeros(time.size),
-        source=np.zeros(time.size, np.int64),
-        rows=(slice(0, time.size),),
-    )
-
-
 @pytest.mark.parametrize("stick", [0, 1])
 @pytest.mark.parametrize("contact", [{}, {"d": 0.03}, {"compliance": 0.05}], ids=["jump", "ramp", "belt that slows"])
-def test_a_rest_position_is_hidden_by_what_follows_it(contact, stick):
+def test_a_rest_position_is_hidden_by_what_follows_it(one_window, contact, stick):
     u = np.zeros(PER_RUN)
     u[[Global.K, Global.V_DR, Global.DAMPING, Global.STATIC]] = K, V, 0.03, 1.0
     for name, value in contact.items():
@@ -40,7 +26,7 @@ def test_a_rest_position_is_hidden_by_what_follows_it(contact, stick):
     ramp = "d" in contact
     curve = spline_curve(FrictionSpline.over(knots), ramp)
     coefficients = F * np.linspace(1.0, 0.5, knots.size + 2)
-    windows, local = window(stick=stick), (STUCK if stick else SLIP)[None, :]
+    windows, local = one_window(stick=stick), (STUCK if stick else SLIP)[None, :]
 
     def path_with(u, coefficients):
         path = follow(windows, with_coefficients(curve, coefficients), u, local)

@@ -52,7 +52,7 @@ def test_the_start_up_drag_is_found(law5):
 
 @pytest.mark.parametrize("d", [0.03, 0.06])
 def test_the_drag_of_a_wide_ramp_is_found(motion_of, synthetic, d):
-    """Creep slows the mass down from the first: it was taken for the slip, and law 2 could not be told from law 1."""
+    """Creep slows the mass down at once: it was taken for the slip, and law 2 was not distinguished from law 1."""
     motion = motion_of(law=2, d=d)
     first, end = cycles.segment_cycles(motion).drag
     _, events = synthetic.motion(synthetic.Scene(law=2, d=d))

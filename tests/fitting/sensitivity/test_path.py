@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
-from fitting.model.shooting import ShootingWindows, evaluator
+from fitting.model.shooting import evaluator
 from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, follow, spline_curve, with_coefficients
 from fitting.sensitivity.rates import Drag
@@ -18,19 +18,6 @@ K, F, V = 35.184, 4.598, 0.22
 CONSTANT, LINEAR, HYPERBOLIC = 0, 1, 2
 SLIP = np.array([0.128, 0.1, 0.05, -0.4, 0.0, 0.0])
 STUCK = np.array([0.0, 0.0, 0.05, 0.0, -0.1, 0.215])
-
-
-def one_window(*, stick=0, overtakes=0, rate=1000.0, seconds=1.2):
-    time = 2.0 + np.arange(round(seconds * rate)) / rate
-    return ShootingWindows(
-        table=np.array([[0, stick, 0, time.size, overtakes, 0]], np.int64),
-        level_epoch=np.array([1.9]),
-        earliest_landing=np.array([2.2]),
-        time=time,
-        position=np.zeros(time.size),
-        source=np.zeros(time.size, np.int64),
-        rows=(slice(0, time.size),),
-    )
 
 
 def unknowns(**changes):
@@ -66,7 +53,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_positions_and_tangents_are_those_of_the_exact_flow(case):
+def test_positions_and_tangents_are_those_of_the_exact_flow(one_window, case):
     curve, ramp, changes, shape = CASES[case]
     windows, u = one_window(**shape), unknowns(**changes)
     local = (STUCK if shape.get("stick") else SLIP)[None].copy()
@@ -87,7 +74,7 @@ def test_positions_and_tangents_are_those_of_the_exact_flow(case):
 
 
 @pytest.mark.parametrize("stick", [0, 1])
-def test_a_steep_ramp_takes_few_steps(stick):
+def test_a_steep_ramp_takes_few_steps(one_window, stick):
     """A ramp of 1 mm/s took 47 steps a sample, and a record whose law had one 80 s."""
     windows, local = one_window(stick=stick), (STUCK if stick else SLIP)[None]
     path = follow(windows, Curve(HYPERBOLIC, True), unknowns(shape=9.6, d=1e-3), local)
@@ -103,7 +90,7 @@ def spline_of(function, fastest=0.9, pieces=13):
 
 @pytest.mark.parametrize("compliance", [0.0, 0.05])
 @pytest.mark.parametrize("ramp", [False, True])
-def test_a_spline_that_is_a_line_moves_as_the_linear_law(ramp, compliance):
+def test_a_spline_that_is_a_line_moves_as_the_linear_law(one_window, ramp, compliance):
     u = unknowns(d=0.02, fade=0.01, compliance=compliance)
     windows, local = one_window(), SLIP[None]
     law = follow(windows, Curve(LINEAR, ramp), u, local)
@@ -112,7 +99,7 @@ def test_a_spline_that_is_a_line_moves_as_the_linear_law(ramp, compliance):
 
 
 @pytest.mark.parametrize("ramp", [False, True])
-def test_tangents_of_spline_coefficients_are_differences(ramp):
+def test_tangents_of_spline_coefficients_are_differences(one_window, ramp):
     curve = spline_curve(spline_of(lambda s: F / (1 + 9.6 * s)), ramp)
     u, windows, local = unknowns(d=0.02, fade=0.01, compliance=0.03), one_window(), SLIP[None]
     found = spline_tangents(follow(windows, curve, u, local))
@@ -127,7 +114,7 @@ def test_tangents_of_spline_coefficients_are_differences(ramp):
         assert found[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-3 * size)
 
 
-def test_tangents_of_the_fade_are_differences():
+def test_tangents_of_the_fade_are_differences(one_window):
     windows, local, curve = one_window(), SLIP[None], Curve(HYPERBOLIC, False)
     found = shared_tangents(follow(windows, curve, unknowns(shape=9.6, fade=0.02), local), [Global.FADE])[:, 0]
     ends = [follow(windows, curve, unknowns(shape=9.6, fade=0.02 + h), local).model for h in (1e-5, -1e-5)]
@@ -135,7 +122,7 @@ def test_tangents_of_the_fade_are_differences():
     assert found == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=1e-3 * np.abs(found).max())
 
 
-def test_a_force_and_a_change_of_the_belt_besides_are_followed_and_have_their_tangents():
+def test_a_force_and_a_change_of_the_belt_besides_are_followed_and_have_their_tangents(one_window):
     u, windows, local = unknowns(shape=9.6), one_window(), SLIP[None]
     curve = Curve(HYPERBOLIC, False)
     path = follow(windows, curve, u, local)
@@ -164,7 +151,7 @@ def sharp_guide(size, turn=1e-6):
 
 
 @pytest.mark.parametrize("rate", [1000.0, 125.0])
-def test_a_guide_is_followed_through_the_turn_of_the_mass(rate):
+def test_a_guide_is_followed_through_the_turn_of_the_mass(one_window, rate):
     """Steps passed over the jump of the force: at 125 Hz positions were 0.2 mm off."""
     size, windows = 0.8, one_window(rate=rate, seconds=0.48)
     found = follow(windows, Curve(HYPERBOLIC, False), unknowns(shape=9.6), SLIP[None], drag=sharp_guide(size))
@@ -194,7 +181,7 @@ def test_a_guide_is_followed_through_the_turn_of_the_mass(rate):
 
 @pytest.mark.parametrize(("ramp", "d"), [(False, 0.0), (True, 0.03), (True, 1e-3)])
 @pytest.mark.parametrize("stick", [0, 1])
-def test_tangents_beside_a_drag_are_differences(ramp, d, stick):
+def test_tangents_beside_a_drag_are_differences(one_window, ramp, d, stick):
     u, windows, curve = unknowns(shape=9.6, d=d), one_window(stick=stick), Curve(HYPERBOLIC, ramp)
     local = (STUCK if stick else SLIP)[None]
     v = np.linspace(-2, 2, 2001)
@@ -220,18 +207,18 @@ def test_tangents_beside_a_drag_are_differences(ramp, d, stick):
         assert found[:, j] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=2e-3 * np.abs(found[:, j]).max() + 1e-9)
 
 
-def test_a_motion_without_a_number_is_no_path():
+def test_a_motion_without_a_number_is_no_path(one_window):
     u = unknowns(shape=9.6)
     assert follow(one_window(), Curve(HYPERBOLIC, False), u, np.array([[np.inf, 0.1, 0, 0, 0, 0]])) is None
 
 
-def test_a_motion_that_goes_further_than_any_rig_is_no_path():
+def test_a_motion_that_goes_further_than_any_rig_is_no_path(one_window):
     """Its cube, the force of a hard spring, overflowed: a warning on the terminal."""
     away = np.array([[1e105, 0.1, 0, 0, 0, 0]])
     assert follow(one_window(), Curve(HYPERBOLIC, False), unknowns(shape=9.6), away) is None
 
 
-def test_a_motion_of_far_too_many_steps_is_not_followed():
+def test_a_motion_of_far_too_many_steps_is_not_followed(one_window):
     # A search that tried such a curve filled 21 GB of memory with its steps.
     windows, steep = one_window(), unknowns(shape=-1e5)
     tracemalloc.start()
