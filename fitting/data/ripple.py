@@ -14,7 +14,7 @@ Not modelled: a second harmonic, a frequency that drifts.
 
 import math
 from dataclasses import dataclass, fields, replace
-from itertools import product
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -253,14 +253,13 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
         return hertz, offset
 
     offsets = np.zeros(1) if slopes is None else _offsets(motion)
-    starts = [min(product((peak,), offsets), key=lambda at: harmonic(*at)[0]) for peak in peaks]
-    starts.sort(key=lambda at: harmonic(*at)[0])
+    starts = [min(((harmonic(peak, place)[0], peak, place) for place in offsets), key=itemgetter(0)) for peak in peaks]
     found: list[Ripple] = []
     least = math.inf
-    for start in starts:
-        if harmonic(*start)[0] > LIKE * least:
+    for left, peak, place in sorted(starts, key=itemgetter(0)):
+        if left > LIKE * least:
             break
-        hertz, offset = settled(*start)
+        hertz, offset = settled(peak, place)
         after, (even, odd) = harmonic(hertz, offset)
         omega, amplitude = 2 * math.pi * hertz, math.hypot(even, odd)
         seen = (

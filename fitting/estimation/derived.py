@@ -206,7 +206,7 @@ def _hidden_level(fit: Fit, run: int, active: list[Global]) -> Array:
     On a ramp, or a belt that slows under load, another level of friction is made up for by the rest position and the
     belt's speed, unless levels that differ move the load by more than the position.
     """
-    p = fit.values if run == 0 else values(fit.u[PER_RUN * run : PER_RUN * (run + 1)])
+    p = values(fit.u[PER_RUN * run : PER_RUN * (run + 1)])
     width = p.d if LAWS[fit.law].ramp else p.compliance * p.F / p.K
     if width <= 0 or not fit.inlier_cycles.any():
         return np.zeros(len(active))

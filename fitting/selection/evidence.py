@@ -121,17 +121,16 @@ def common_units(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -
     kept = [part for _, part in _judged(best, runs, inliers, sustained=sustained)]
     size = sum(residual.size for residual in kept)
     square = sum(float(np.sum(residual**2)) for residual in kept)
-    pieces = 1 if sustained else DRAG_PIECES
+    pieces, samples = 1 if sustained else DRAG_PIECES, 0.0
+    if square:
+        tau = autocorrelation_time(kept)
+        samples = size / tau
+        floor = max(run.motion.resolution for run in runs)
+        if best.geometric_mean_rms < NOISE_ALONE * floor and tau < LONGEST_WHITE:
+            usual = float(np.median([residual.size for residual in kept]))
+            pieces = max(round(usual / (PIECE * tau)), pieces)
     sizes = [[part.size for _, part in _judged(fit, runs, inliers, sustained=sustained)] for fit in fits]
-    fewest = [min(of_laws) for of_laws in zip(*sizes, strict=True)]
-    if not square:
-        return Units(sustained, inliers, tuple(min(pieces, each) for each in fewest), 0.0)
-    tau = autocorrelation_time(kept)
-    floor = max(run.motion.resolution for run in runs)
-    if best.geometric_mean_rms < NOISE_ALONE * floor and tau < LONGEST_WHITE:
-        usual = float(np.median([residual.size for residual in kept]))
-        pieces = max(round(usual / (PIECE * tau)), pieces)
-    return Units(sustained, inliers, tuple(min(pieces, each) for each in fewest), size / tau)
+    return Units(sustained, inliers, tuple(min(pieces, *of_laws) for of_laws in zip(*sizes, strict=True)), samples)
 
 
 def _judged(
