@@ -29,12 +29,12 @@ from pathlib import Path
 import numpy as np
 
 from daq.compute.workers import workers
-from rig_sim.cli.maps import SweptScene
 from rig_sim.dynamics.maps.stick_map import COARSE, EXACT, FINE, StickMap
 from rig_sim.dynamics.maps.sweep import attractors_at, sweep
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.scenes.scene import scene
+from rig_sim.scenes.swept import SweptScene
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FLOW = TwoMassFlow(Flow(v_belt=0.1))
@@ -103,7 +103,7 @@ def sweep_speed():
     for name, (jobs, dask) in ways.items():
         load, before = os.getloadavg()[0], cpu_of_all()
         with dask_cluster() if dask else nullcontext() as address:
-            with workers(jobs, address) as spread:
+            with workers(jobs, address, join=True) as spread:
                 begun = time.perf_counter()
                 rows = sweep(find, VALUES, spread=spread)
                 wall = time.perf_counter() - begun

@@ -13,10 +13,12 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib.util import find_spec
+from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 from urllib.parse import urlsplit
@@ -29,11 +31,13 @@ FLAG = "--scheduler"
 # Items a worker: one in the work, two at hand.  With one at hand a worker waits where another one has a long item: two
 # made a sweep whose values take 8 to 420 ms 1.90 times as fast, with two at hand 1.97 times; 8 gain 1 % and hold more.
 AHEAD = 3
+# Results held, for each process, while an earlier item is still in the work.
+MOST_HELD = 64
 PATIENCE_S = 10
 
 
 @contextmanager
-def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Map]:
+def workers(jobs: int = 1, scheduler: str | None = None, *, join: bool = False) -> Iterator[Map]:
     """Give ``map(function, items)``; whatever ends the block, Ctrl-C too, ends the work.
 
     Parameters
@@ -42,6 +46,9 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Map]:
         Processes on this machine; one is this process itself.
     scheduler : str, optional
         Address of a dask scheduler, ``tcp://host:8786`` or ``host:8786``; goes before ``jobs``.
+    join : bool
+        Whether this process is one of the ``jobs`` and works while the others start; for items shorter than a second:
+        while it works it passes on no result.
 
     Raises
     ------
@@ -55,24 +62,27 @@ def workers(jobs: int = 1, scheduler: str | None = None) -> Iterator[Map]:
         with _cluster(scheduler) as each:
             yield each
     elif jobs > 1:
-        with _processes(jobs) as each:
+        with _processes(jobs, join) as each:
             yield each
     else:
         yield map
 
 
 @contextmanager
-def _processes(number: int) -> Iterator[Map]:
+def _processes(number: int, join: bool) -> Iterator[Map]:
     """Give ``map`` in fresh processes, which are ended, not waited for, when the block is left by an exception."""
     others = set(active_children())
-    pool = ProcessPoolExecutor(number, mp_context=get_context("spawn"), initializer=_follow_parent)
+    fresh = number - 1 if join else number
+    pool = ProcessPoolExecutor(fresh, mp_context=get_context("spawn"), initializer=_follow_parent)
 
     def each(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        def submit(item: Any) -> Any:
+        def submit(work: Callable[[Any], Any], item: Any) -> Future[Any]:
             with _without_interrupts():  # it may start a process
-                return pool.submit(function, item)
+                return pool.submit(work, item)
 
-        return _ordered(submit, lambda done: done.result(), items, AHEAD * number)
+        if join:
+            return _joined(submit, function, items, number)
+        return _ordered(partial(submit, function), lambda done: done.result(), items, AHEAD * number)
 
     try:
         yield each
@@ -260,3 +270,41 @@ def _ordered(
             yield result(waiting.popleft())
     while waiting:
         yield result(waiting.popleft())
+
+
+def _joined(
+    submit: Callable[[Callable[[Any], Any], Any], "Future[Any]"],
+    function: Callable[[Any], Any],
+    items: Iterable[Any],
+    number: int,
+) -> Iterator[Any]:
+    """Yield the results in order; this process works wherever it would wait, at first for another process to start."""
+    ready = submit(_nothing, None)
+    waiting: deque[Future[Any]] = deque()
+    there = iter(items)
+    while True:
+        if ready.done():
+            ready.result()
+            busy = sum(not future.done() for future in waiting)
+            waiting.extend(submit(function, item) for item in islice(there, max(AHEAD * (number - 1) - busy, 0)))
+        if not waiting or (not waiting[0].done() and len(waiting) < MOST_HELD * number):
+            if own := list(islice(there, 1)):
+                waiting.append(_done(function, own[0]))
+                continue
+            if not waiting:
+                return
+        yield waiting.popleft().result()
+
+
+def _done(function: Callable[[Any], Any], item: Any) -> "Future[Any]":
+    """Return the result of an item that this process works on, or its error, for when its turn comes."""
+    future: Future[Any] = Future()
+    try:
+        future.set_result(function(item))
+    except Exception as error:
+        future.set_exception(error)
+    return future
+
+
+def _nothing(_: None) -> None:
+    """Return at once: the process that does is ready."""

@@ -63,9 +63,11 @@ def continue_(
     if draws is not None and not 2 <= draws <= MOST_DRAWS:
         raise InputError(f"is {draws}", "--draws", f"give 2 to {MOST_DRAWS}")
     if first.coupling is not None:
+        from rig_sim.scenes.swept import SweptScene
+
         if draws is not None:
             raise InputError("--draws with two masses", "--draws", "leave it out")
-        return maps.continue_map(maps.SweptScene(first, span.key), scene, span)
+        return maps.continue_map(SweptScene(first, span.key), scene, span)
     if draws is not None:
         from rig_sim.scenes.draws import drawn_changes
 

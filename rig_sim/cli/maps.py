@@ -1,6 +1,6 @@
 """The commands of ``rig-sim`` about maps of two masses: map, basins, lyapunov; and what continue answers for them."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
     from rig_sim.dynamics.step_budget import StepBudget
     from rig_sim.flow.two_mass import TwoMassFlow
-    from rig_sim.scenes.model import Scene
+    from rig_sim.scenes.swept import SweptScene
 
 MOST_CELLS = 1_000_000
 MOST_EVENTS = 10_000_000
@@ -103,21 +103,7 @@ def map_(
     return Answer(data, "\n".join(lines))
 
 
-@dataclass(frozen=True)
-class SweptScene:
-    """A scene with one key left open, whole, as a process is handed it: a worker elsewhere may not have its file."""
-
-    scene: "Scene"
-    key: str
-
-    def __call__(self, value: float) -> "TwoMassFlow":
-        """Return the masses of the scene whose key has this value."""
-        from rig_sim.scenes.scene import scene
-
-        return scene(self.scene, **{self.key: value}).two_mass_flow()
-
-
-def continue_map(flow_at: SweptScene, name: str, span: "ParameterRange") -> Answer:
+def continue_map(flow_at: "SweptScene", name: str, span: "ParameterRange") -> Answer:
     """Return the answer of ``rig-sim continue`` for two masses."""
     from rig_sim.dynamics.maps.map_continuation import map_continuation
     from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL

@@ -14,7 +14,7 @@ from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force, Plot, check_plot
 from daq.errors import InputError
 from rig_sim.cli import forced
-from rig_sim.cli.maps import SweptScene, checked
+from rig_sim.cli.maps import checked
 
 if TYPE_CHECKING:
     from daq.output.resume import ResumeFile
@@ -76,6 +76,7 @@ def sweep(
     from rig_sim.dynamics.maps.sweep import attractors_at
     from rig_sim.scenes.scene import parse_changes
     from rig_sim.scenes.scene import scene as read
+    from rig_sim.scenes.swept import SweptScene
 
     if jobs < 1:
         raise InputError(f"is {jobs}", "--jobs", "give 1 or more")
@@ -157,7 +158,7 @@ def _swept(
 
     if all(value in finished for value in values):
         jobs, scheduler = 1, None  # nothing to share out
-    with workers(jobs, scheduler) as spread, application.progress("sweeping", span.number) as show:
+    with workers(jobs, scheduler, join=True) as spread, application.progress("sweeping", span.number) as show:
         return follow(find, values, spread=spread, progress=show, finished=finished, keep=keep)
 
 

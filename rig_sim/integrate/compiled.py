@@ -26,8 +26,9 @@ KERNEL_MODULES = (
 )
 
 # Division by zero gives an infinity, which ends a run as `not finite`.  No kernel makes an array, so numba need not
-# count references to them (_nrt): at every call from kernel to kernel that costs as much as the arithmetic.
-JIT_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+# count references to them (_nrt): at every call from kernel to kernel that costs as much as the arithmetic.  Other
+# threads run meanwhile (nogil): the one that hands tasks to processes would keep them waiting, 3 % of a sweep.
+JIT_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False, "nogil": True}
 
 
 def compiled(function: Callable[..., Any], *modules: str, inline: bool = True) -> Callable[..., Any]:

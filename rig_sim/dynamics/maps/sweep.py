@@ -29,6 +29,8 @@ SAME_POINT = 1e-7  # of the interval: points of the section closer than this are
 # processes and 7 ms with dask: 3 % here, 7 % with half as much.  With twice as much a killed process loses twice as
 # much.  0.1 to 0.8 s share out 400 values equally well.
 TASK_S = 0.2
+# Where fewer tasks are left, they are halved: so the processes end closer together.
+LAST_TASKS = 16
 # Of the number of values in a task: the next value may take 1000 times longer than one without a drive, done at once.
 MOST_GROWTH = 2
 
@@ -131,7 +133,8 @@ def each_value(
     def tasks() -> Iterator[Sequence[float]]:
         first = 0
         while first < len(values):
-            task = values[first : first + size]
+            left = len(values) - first
+            task = values[first : first + max(min(size, left // LAST_TASKS), size // 2, 1)]
             first += len(task)
             yield task
 
