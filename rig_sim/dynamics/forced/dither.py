@@ -15,7 +15,9 @@ spring and the mass alone under the drive.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -28,7 +30,8 @@ from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame, friction_slope
 from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES, STEP_LIMIT
-from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.buffer import Buffer, new_work
+from rig_sim.integrate.compiled import compiled, for_kernels
 from rig_sim.integrate.phases import sample_phase
 
 # Times the linear ripple that a quenched motion may swing: above the threshold it swings by 0.65 to 1.0 times it, and
@@ -43,6 +46,7 @@ OSCILLATIONS = 10  # of the mass alone over which the swing of a motion is taken
 # Samples of the motion in a drive period, or an oscillation of the mass if that is shorter, and in all, 1 s: with a
 # drive more than 150 times faster than the mass there are fewer in a period.
 SAMPLES, MOST_SAMPLES = 64, 100_000
+MANY_PERIODS = 10_000  # of the drive: interpreted 3 s; above, compiled code is faster with its compilation
 
 
 @dataclass(frozen=True)
@@ -194,14 +198,44 @@ def swing(flow: Flow, motion: Settled) -> float:
 
 def positions(flow: Flow, x: float, v: float, times: Array) -> Array:
     """Return x (m) at increasing times (s), (n,), of a motion from (x, v) at the first; fewer where the motion ends."""
-    n, i, t, w = len(times), 0, float(times[0]), v - flow.v_belt
-    found, speeds, contacts = [0.0] * n, [0.0] * n, [0.0] * n
-    wanted: list[float] = times.tolist()
-    mode, work = initial_mode(flow, x, v, t), new_work()
+    n, t, w = len(times), float(times[0]), v - flow.v_belt
+    mode = initial_mode(flow, x, v, t)
+    if (times[-1] - times[0]) * abs(flow.omega) > 2.0 * math.pi * MANY_PERIODS and flow.u0 != 0.0:
+        found, speeds, contacts = np.zeros((3, n))
+        served = compiled_samples()(
+            for_kernels(flow), mode, x, w, t, times, n, found, speeds, contacts, new_work(compiled=True)
+        )
+        return found[:served]
+    xs, vs, modes = [0.0] * n, [0.0] * n, [0.0] * n
+    served = samples(flow, mode, x, w, t, times.tolist(), n, xs, vs, modes, new_work())
+    return np.array(xs[:served])
+
+
+def samples(
+    flow: Flow,
+    mode: int,
+    x: float,
+    w: float,
+    t: float,
+    times: Buffer,
+    n: int,
+    out_x: Buffer,
+    out_v: Buffer,
+    out_mode: Buffer,
+    work: Buffer,
+) -> int:
+    """Store the motion at n times, as `rig_sim.integrate.phases.sample_phase`; return how many it comes to."""
+    i = 0
     while i < n:
         kind, mode, x, w, t, i = sample_phase(
-            flow, mode, x, w, t, wanted, i, n, wanted[-1], found, speeds, contacts, work
+            flow, mode, x, w, t, times, i, n, times[n - 1], out_x, out_v, out_mode, work
         )
         if kind >= FORCE_REVERSAL:
             break
-    return np.array(found[:i])
+    return i
+
+
+@cache
+def compiled_samples() -> Callable[..., int]:
+    """Return `samples` as machine code."""
+    return compiled(samples)
