@@ -91,11 +91,25 @@ def covariance(fit: Fit, precision: Array) -> Array:
     if fit.problem.level_prior > 1:
         narrower = np.einsum("c,cpr->pr", share, reduced.by_prior(_excess(fit))) * own_scale[:, None] * own_scale
         limited = limited - np.einsum("ij,jk,kl->il", limited, narrower, limited)
-    least, found = np.diag(limited) * (own_scale / scale) ** 2, np.diag(sandwich)
-    floor = np.sqrt(np.maximum(least / np.maximum(found, 1e-20 * least), 1.0))
-    spread = sandwich * floor[:, None] * floor
-    np.fill_diagonal(spread, np.maximum(np.diag(spread), least))
+    own_scale = own_scale / scale
+    spread = _upper_bound(sandwich, limited * own_scale[:, None] * own_scale)
     return np.asarray(spread * scale[:, None] * scale)
+
+
+def _upper_bound(first: Array, second: Array) -> Array:
+    """Return a covariance (p, p) that gives no combination of unknowns a smaller variance than either of two.
+
+    In the units in which the second is 1 and the first diagonal it is the larger of both.  To raise the variances alone
+    and keep the correlations does not do: where Fs and gamma are known far better together than either of them, the
+    friction's slope at the belt's speed would be one that neither covariance allows.
+    """
+    unit = np.sqrt(np.diag(second))
+    size, axes = eigen(second / unit[:, None] / unit)
+    root = np.sqrt(np.maximum(size, ROUNDING))
+    back, there = axes / root / unit[:, None], axes * root * unit[:, None]
+    ratio, turn = eigen(np.einsum("ki,kl,lj->ij", back, first, back))
+    half = np.einsum("ik,kj->ij", there, turn) * np.sqrt(np.maximum(ratio, 1.0))
+    return np.asarray(np.einsum("ik,jk->ij", half, half))
 
 
 def _founded(fit: Fit) -> Array:

@@ -69,6 +69,21 @@ def test_what_one_cycle_alone_shows_is_as_uncertain_as_that_cycle_s_residuals():
     assert after[1, 1] > 25 * before[1, 1]
 
 
+def test_what_two_unknowns_show_together_is_no_narrower_than_by_the_curvature():
+    # Fs and gamma of a contact without scatter: their variances were raised and their correlation was kept, so that the
+    # slope of friction at the belt's speed had an interval five times too narrow.
+    slopes = np.array([[1.0, -1.05], [1.0, -0.95], [1.0, -1.05], [1.0, -0.95], [0.01, 0.02], [0.01, 0.02]])
+    fit = fit_with(slopes, np.zeros(2))
+    blocks = fit.solution.blocks
+    own = blocks.cycle_g.copy()
+    own[:4] *= 0.1  # the cycles agree better than their noise allows
+    fit.solution.blocks = replace(blocks, cycle_g=own)
+    found, curvature = covariance(fit, np.zeros(2)), np.linalg.inv(blocks.H)
+    for angle in np.linspace(0.0, np.pi, 60):
+        along = np.array([np.cos(angle), np.sin(angle)])
+        assert along @ found @ along >= (1 - 1e-9) * (along @ curvature @ along)
+
+
 def test_without_a_datum_the_error_of_the_level_is_that_of_its_mean_over_the_cycles(synthetic):
     # The prior of the levels, five times wider than their scatter, went into it: it was four times too large.
     recording = replace(synthetic.recording(law=5, delta=5e-5), rig=Rig())

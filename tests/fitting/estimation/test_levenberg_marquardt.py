@@ -78,7 +78,9 @@ def test_a_bound_holds_and_the_others_settle_given_it(linear):
     found = levenberg_marquardt.minimise(task, np.zeros(SHARED), np.zeros((CYCLES, LOCAL)), tolerance=1e-14)
     kept = np.delete(np.arange(full.shape[1]), 1)
     rest = np.linalg.lstsq(full[:, kept], data - full[:, 1] * lower[1], rcond=None)[0]
-    assert found.u[1] == lower[1]
+    # The second-order part of a step, here rounding alone, may end an ulp or two inside the bound.
+    assert found.u[1] >= lower[1]
+    assert found.u[1] == pytest.approx(lower[1], rel=1e-14)
     assert found.u[[0, 2]] == pytest.approx(rest[:2], abs=1e-6)
 
 
@@ -187,5 +189,7 @@ def test_a_search_next_to_a_bound_goes_on_along_it(linear):
     found = levenberg_marquardt.minimise(task, start, np.zeros((CYCLES, LOCAL)), max_steps=6, tolerance=1e-14)
     kept = np.delete(np.arange(full.shape[1]), 1)
     rest = np.linalg.lstsq(full[:, kept], data - full[:, 1] * lower[1], rcond=None)[0]
-    assert found.u[1] == lower[1]
+    # The second-order part of a step, here rounding alone, may end an ulp or two inside the bound.
+    assert found.u[1] >= lower[1]
+    assert found.u[1] == pytest.approx(lower[1], rel=1e-14)
     assert found.u[[0, 2]] == pytest.approx(rest[:2], abs=1e-6)
