@@ -68,7 +68,15 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
 
 
 def covariance(fit: Fit, precision: Array) -> Array:
-    """Return the covariance of the active shared unknowns, shape (p, p).
+    """Return a covariance (p, p) of the active shared unknowns, in no direction smaller than either of `covariances`.
+
+    An unknown's own variance in it may be larger than both: for one quantity take the larger of both variances.
+    """
+    return upper_bound(*covariances(fit, precision))
+
+
+def covariances(fit: Fit, precision: Array) -> tuple[Array, Array]:
+    """Return the covariances (p, p) of the active shared unknowns by the sandwich and by the curvature.
 
     Parameters
     ----------
@@ -91,12 +99,10 @@ def covariance(fit: Fit, precision: Array) -> Array:
     if fit.problem.level_prior > 1:
         narrower = np.einsum("c,cpr->pr", share, reduced.by_prior(_excess(fit))) * own_scale[:, None] * own_scale
         limited = limited - np.einsum("ij,jk,kl->il", limited, narrower, limited)
-    own_scale = own_scale / scale
-    spread = _upper_bound(sandwich, limited * own_scale[:, None] * own_scale)
-    return np.asarray(spread * scale[:, None] * scale)
+    return sandwich * scale[:, None] * scale, limited * own_scale[:, None] * own_scale
 
 
-def _upper_bound(first: Array, second: Array) -> Array:
+def upper_bound(first: Array, second: Array) -> Array:
     """Return a covariance (p, p) that gives no combination of unknowns a smaller variance than either of two.
 
     In the units in which the second is 1 and the first diagonal it is the larger of both.  To raise the variances alone
@@ -151,7 +157,8 @@ def without_prior(fit: Fit, index: int) -> Measured:
     scale, bread = scaled_inverse(SchurComplement(alone.solution.blocks).H, np.diag(curvature))
     value = float(fit.u[place])
     step = float(bread[index, index] * scale[index] ** 2) * weight * (value - float(fit.problem.prior[place]))
-    return Measured(value + step, math.sqrt(float(covariance(alone, precision)[index, index])))
+    variance = max(float(spread[index, index]) for spread in covariances(alone, precision))
+    return Measured(value + step, math.sqrt(variance))
 
 
 def scaled_inverse(H: Array, raw: Array) -> tuple[Array, Array]:

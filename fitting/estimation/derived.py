@@ -14,7 +14,7 @@ from daq.compute.arrays import Array
 from daq.compute.distributions import student_quantile
 from daq.runfile.rig import Measured
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation.covariance import covariance, levels_differ
+from fitting.estimation.covariance import covariances, levels_differ, upper_bound
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Correlations, Parameter
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
@@ -139,7 +139,7 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     slopes *= np.array([_sign(row, motion) for row in rows])[:, None]
     lengths = np.array([row.length * row.formula(values(known.own)) * motion.length_error for row in rows])
     lengths *= [_sign(row, motion) for row in rows]
-    spread = np.einsum("ri,ij,sj->rs", slopes, known.spread, slopes) + np.outer(lengths, lengths)
+    spread = np.einsum("ri,ij,sj->rs", slopes, upper_bound(*known.spreads), slopes) + np.outer(lengths, lengths)
     shown = np.diag(spread) > 0
     error = np.sqrt(np.diag(spread)[shown])
     matrix = np.clip(spread[np.ix_(shown, shown)] / np.outer(error, error), -1.0, 1.0)
@@ -149,13 +149,13 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
 class _Known(NamedTuple):
     """What a fit knows of one run.
 
-    ``own`` (13,) are its unknowns, ``spread`` (p, p) the covariance of the ``active`` ones; ``undetermined`` are those
-    that a default still decides.
+    ``own`` (13,) are its unknowns, ``spreads`` (2, p, p) the covariances of the ``active`` ones by the sandwich and by
+    the curvature; ``undetermined`` are those that a default still decides.
     """
 
     own: Array
     active: list[Global]
-    spread: Array
+    spreads: Array
     undetermined: set[Global]
 
 
@@ -163,7 +163,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
     slots = columns(fit.active, fit.runs)[run]
     known = slots >= 0
     active = [Global(slot) for slot in slots[known]]
-    spread = covariance(fit, fit.precision)[np.ix_(known, known)]
+    spread = np.array(covariances(fit, fit.precision))[:, known][:, :, known]
     law = LAWS[fit.law]
     if law.curve == "constant":
         # The datum is held in the fit; Fs/k moves against it, and of a ramp its width and the belt's speed with that.
@@ -177,7 +177,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
         if Global.D in active:
             # The record knows d/Fs, so an error of the datum also scales the error of the width, which the product of
             # both derivatives leaves out; without a datum it is the larger part of it.
-            width = known_datum[active.index(Global.D), active.index(Global.D)]
+            width = known_datum[:, active.index(Global.D), active.index(Global.D), None, None]
             both = np.array([float(slot in (Global.D, Global.V_DR)) for slot in active])
             spread = spread + width * (rate * datum_sd) ** 2 * np.outer(both, both)
     elif law.curve == "linear" and motion.datum_prior is None:
@@ -187,7 +187,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
         Global.DATUM: motion.datum_prior is None,
         Global.DAMPING: motion.damping_prior is None or motion.per_mass,
     }
-    left = np.diag(spread) * fit.precision[known]
+    left = np.einsum("sii->si", spread).max(axis=0) * fit.precision[known]
     undetermined = {
         slot for slot, share in zip(active, left, strict=True) if default.get(slot) and share > UNDETERMINED
     }
@@ -196,7 +196,7 @@ def _known(fit: Fit, motion: MeasuredMotion, run: int) -> _Known:
     if law.curve == "constant" and not fit.problem.runs[run].cut.shows_belt:
         undetermined.add(Global.V_DR)
         at = active.index(Global.V_DR)  # no better than its start, however sharply the mass bounds it from below
-        spread[at, at] = max(float(spread[at, at]), 1 / float(fit.precision[known][at]))
+        spread[:, at, at] = np.maximum(spread[:, at, at], 1 / fit.precision[known][at])
     return _Known(fit.u[PER_RUN * run : PER_RUN * (run + 1)], active, spread, undetermined)
 
 
@@ -251,8 +251,8 @@ def _propagated(row: Derived, known: _Known, motion: MeasuredMotion) -> tuple[fl
     """Return a derived quantity per unit mass and its variance."""
     value = _sign(row, motion) * float(row.formula(values(known.own)))
     slope = np.array(list(_slopes(row.formula, known.own, known.active)))
-    variance = float(np.einsum("i,ij,j", slope, known.spread, slope)) + (row.length * value * motion.length_error) ** 2
-    return value, variance
+    variance = float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max())
+    return value, variance + (row.length * value * motion.length_error) ** 2
 
 
 def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) -> Iterator[float]:

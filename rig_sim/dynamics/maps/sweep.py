@@ -128,18 +128,21 @@ def each_value(
     if spread is map:  # in this process: each value is at hand as soon as it is found
         yield from ((value, find(value)) for value in values)
         return
-    size = 1
+    size, growing = 1, True
 
     def tasks() -> Iterator[Sequence[float]]:
         first = 0
         while first < len(values):
-            left = len(values) - first
-            task = values[first : first + max(min(size, left // LAST_TASKS), size // 2, 1)]
+            number = size
+            if not growing:
+                number = max(min(size, (len(values) - first) // LAST_TASKS), (size + 1) // 2)
+            task = values[first : first + number]
             first += len(task)
             yield task
 
     for results, seconds in spread(partial(timed, find), tasks()):
         fitting = len(results) * TASK_S / max(seconds, 1e-9)
+        growing = fitting > MOST_GROWTH * len(results)
         size = max(1, min(round(fitting), MOST_GROWTH * len(results)))
         yield from results
 
