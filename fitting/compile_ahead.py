@@ -1,8 +1,8 @@
-"""Compile kernels of a fit and keep them: ``python -m fitting.compile_ahead [arithmetic]`` (`daq demo` runs both).
+"""Compile kernels of a fit and keep them: ``python -m fitting.compile_ahead [motion]`` (`daq demo` runs both).
 
-The largest ones, on two windows of an imagined cycle, while another process records and smooths; ``arithmetic``: the
-many small ones, while the fit waits for the largest.  A process that needs a kernel meanwhile waits for its machine
-code (`daq.compute.compile`).
+The kernel that predicts positions, on two windows of an imagined cycle, while another process records and smooths, then
+the smaller ones; ``motion``: the kernel that follows the motion, in a second process while the fit waits for the first.
+A process that needs a kernel meanwhile waits for its machine code (`daq.compute.compile`).
 """
 
 import math
@@ -10,19 +10,21 @@ import sys
 
 import numpy as np
 
+from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from fitting.estimation import elimination
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.shooting import ShootingWindows, evaluator
 from fitting.selection.nearest import nearest_distances
-from fitting.sensitivity.path import follow, law_curve
+from fitting.sensitivity.path import Path, follow, law_curve
+from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
 
 SAMPLES = 5  # of each window: compiled code does not depend on how many
 
 
 def compile_arithmetic() -> None:
-    """Compile the sums and eliminations of a search, and the distance of orbits."""
+    """Compile the sums and eliminations of a search, the basis of a friction curve and the distance of orbits."""
     rows, first = np.ones((2, 1)), np.array([0, 2])
     residual, matrix, matrices = np.ones(2), np.ones((1, 1)), np.ones((1, 1, 1))
     for function, arguments in (
@@ -37,10 +39,55 @@ def compile_arithmetic() -> None:
         (nearest_distances, (residual, residual, residual, residual, residual.copy())),
     ):
         compiled(function, (function.__module__,))(*arguments)
+    FrictionSpline.over(np.linspace(0.0, 1.0, SAMPLES)).basis(np.zeros(1))
+
+
+def compile_predictions() -> None:
+    """Compile what predicts the positions of a law in windows."""
+    windows, run, local = _imagined()
+    unknowns = [int(Global.K)]
+    predict = evaluator(1, False, windows, run, unknowns, np.ones(PER_RUN), np.ones(PER_CYCLE))
+    predict(run[unknowns], local, True)
 
 
 def compile_motion() -> None:
-    """Compile what predicts positions, follows the motion and integrates its derivatives."""
+    """Compile what follows the motion."""
+    windows, run, local = _imagined()
+    follow(windows, law_curve(1, ramp=False), run, local)
+
+
+def compile_derivatives() -> None:
+    """Compile what integrates the derivatives of a motion, along one that was not followed: it has no steps."""
+    windows, run, local = _imagined()
+    begin, point = np.zeros(windows.table.shape[0] + 1, int), np.zeros(1)
+    path = Path(
+        windows=windows,
+        curve=law_curve(1, ramp=False),
+        u=run,
+        local=local,
+        time=point,
+        position=point,
+        velocity=point,
+        relative_speed=point,
+        belt_speed=point,
+        level=point,
+        friction=point,
+        friction_slope=point,
+        slip_speed=point,
+        damping=point,
+        mode=np.zeros(1, int),
+        landed=np.zeros(1, bool),
+        first_point=begin,
+        first_step=begin,
+        steps=np.zeros((0, 3), int),
+        jumps=np.zeros((0, 3)),
+        reached=np.zeros(windows.time.size, int),
+    )
+    tangents(path, np.zeros((1, 1)))
+
+
+def _imagined() -> tuple[ShootingWindows, Array, Array]:
+    """Return a slip and a stick window of one cycle, and the unknowns of its run and its own."""
     run = np.zeros(PER_RUN)
     run[[Global.K, Global.LOG_F, Global.V_DR, Global.SHAPE, Global.STATIC]] = 100.0, math.log(5.0), 0.1, 1.0, 1.0
     local = np.zeros((1, PER_CYCLE))
@@ -55,13 +102,13 @@ def compile_motion() -> None:
         source=np.arange(time.size),
         rows=(slice(0, time.size),),
     )
-    unknowns = [int(Global.K)]
-    predict = evaluator(1, False, windows, run, unknowns, np.ones(PER_RUN), np.ones(PER_CYCLE))
-    predict(run[unknowns], local, True)
-    path = follow(windows, law_curve(1, ramp=False), run, local)
-    if path is not None:
-        tangents(path, np.zeros((path.time.size, 1)))
+    return windows, run, local
 
 
 if __name__ == "__main__":
-    compile_arithmetic() if sys.argv[1:] == ["arithmetic"] else compile_motion()
+    if sys.argv[1:] == ["motion"]:
+        compile_motion()
+    else:
+        compile_predictions()
+        compile_arithmetic()
+        compile_derivatives()

@@ -212,9 +212,9 @@ class _KernelsOfAFit:
             process.wait()
 
     def fit_waits(self) -> None:
-        """Compile the small ones too, if the large ones are still being compiled: the fit is about to wait for them."""
+        """Compile the others too, if the first ones are still being compiled: the fit is about to wait for them."""
         if self._beside[0].poll() is None:
-            self._beside.append(self._begun("arithmetic"))
+            self._beside.append(self._begun("motion"))
 
     @staticmethod
     def _begun(*which: str) -> subprocess.Popen[bytes]:

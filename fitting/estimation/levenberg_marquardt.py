@@ -302,7 +302,7 @@ def minimise(
 
 def eigen(matrix: Array) -> tuple[Array, Array]:
     """Return the eigenvalues (n,) of a symmetric matrix (n, n), in no order, and its eigenvectors as columns (n, n)."""
-    turned, vectors = matrix.copy(), np.empty_like(matrix)
+    turned, vectors = matrix.copy(), np.empty(matrix.shape)  # one layout: compiled once
     _kernel(elimination.eigen)(turned, vectors)
     return np.diag(turned).copy(), vectors
 
