@@ -199,7 +199,7 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     except StickslipError as error:
         return _fail(name, error, error.exit_code, as_json)
     except cyclopts.CycloptsError as error:
-        what = " ".join(str(error).split())
+        what = " ".join(str(error).split()).removesuffix(".")
         command = " ".join([name, *(error.command_chain or ())])
         usage = StickslipError(what, "command line", f"see '{command} --help'")
         return _fail(name, usage, EXIT_INPUT, as_json)
@@ -366,12 +366,18 @@ def progress(description: str, total: float | None, unit: str = "") -> Iterator[
 
     class TimeLeft(TimeRemainingColumn):
         def render(self, task: Task) -> Text:
-            return Text("") if task.finished else Text("ETA ") + super().render(task)
+            unknown = task.finished or task.total is None
+            return Text("") if unknown else Text("ETA ") + super().render(task)
+
+    class Amount(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            whole = "" if task.total is None else f"/{task.total:.0f}"
+            return Text(f"{task.completed:.0f}{whole} {unit}")
 
     bar = Bar(
         TextColumn("{task.description}"),
         BarColumn(bar_width=BAR),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} " + unit if total else "{task.completed:.0f} " + unit),
+        Amount(),
         Rate(),
         TimeLeft(compact=True),
         console=Console(stderr=True),

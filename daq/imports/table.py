@@ -19,6 +19,7 @@ from daq.imports import layout
 
 DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
 COMMENTS = ("#", "%", "//")
+HDF5 = b"\x89HDF\r\n\x1a\n"  # how such a file begins, a run file among them
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
 ColumnReader = tuple[int, Callable[[str], float | None], str]
 TOGETHER = 4096  # rows whose cells are converted together; half costs the same CPU time, double 50 % more
@@ -135,7 +136,8 @@ class Table:
                         found.append(cells)
                         kept.append(index)
                     else:
-                        what = f"has {len(row)} columns where the others have {self.width}"
+                        columns = "1 column" if len(row) == 1 else f"{len(row)} columns"
+                        what = f"has {columns} where the others have {self.width}"
                         bad.append(Skipped(self.lines[index], what))
             values.append(np.array(found, np.float64).reshape(-1, len(readers)).T)
         if bad and not skip:
@@ -194,7 +196,7 @@ def read(path: Path, preamble: int = 0, progress: Stages = silent) -> Table:
     InputError
         When the file is missing, not text or empty, or its header names another number of columns than the lines have.
     """
-    lines, named = _lines(path, preamble)
+    lines, named = _lines(path, preamble, progress)
     texts = [text for _, text in lines]
     delimiter, decimal = layout.find_format(texts, named)
     rows: list[Sequence[str]] = []
@@ -228,7 +230,7 @@ def read(path: Path, preamble: int = 0, progress: Stages = silent) -> Table:
     return Table(path, names, rows[start:], numbers, width, delimiter, decimal, header_line)
 
 
-def _lines(path: Path, preamble: int) -> tuple[list[tuple[int, str]], str | None]:
+def _lines(path: Path, preamble: int, progress: Stages) -> tuple[list[tuple[int, str]], str | None]:
     """Return number and text of each line that may hold data, and the delimiter where the file names it."""
     where = str(path)
     if not path.exists():
@@ -236,6 +238,9 @@ def _lines(path: Path, preamble: int) -> tuple[list[tuple[int, str]], str | None
     if path.is_dir():
         raise InputError("is a folder", where, "give the CSV file in it")
     data = path.read_bytes()
+    if data.startswith(HDF5):
+        do = "a run file needs no import: process smooth reads it; of another file export a CSV"
+        raise InputError("is an HDF5 file, not a table", where, do)
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", "replace")
     else:
@@ -246,8 +251,11 @@ def _lines(path: Path, preamble: int) -> tuple[list[tuple[int, str]], str | None
         except UnicodeDecodeError:
             text = data.decode("cp1252", "replace")
     numbered = list(enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1))[preamble:]
-    kept = [(line, content) for line, content in numbered if content.strip(" \t;,|")]
-    kept = [(line, content) for line, content in kept if not content.lstrip().startswith(COMMENTS)]
+    kept: list[tuple[int, str]] = []
+    for begin in range(0, len(numbered), TOGETHER):
+        progress("reading lines", begin, len(numbered))
+        some = [(line, content) for line, content in numbered[begin : begin + TOGETHER] if content.strip(" \t;,|")]
+        kept += [(line, content) for line, content in some if not content.lstrip().startswith(COMMENTS)]
     named = None
     if kept and kept[0][1].lower().startswith("sep=") and len(kept[0][1]) == 5:
         named = kept.pop(0)[1][4]  # written by spreadsheets

@@ -86,7 +86,7 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
             raise ValueError("frames without a frame rate")
         time = (values[1] if t_column is not None else np.arange(position.size)) / options.frame_rate_hz
     elif options.clock:
-        t_unit = "time of day"
+        t_unit = ""
         midnights = np.cumsum(np.diff(values[1], prepend=values[1][0]) < -DAY_S / 2)
         time = values[1] + DAY_S * midnights
     else:
@@ -114,8 +114,9 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
         position = position + options.datum.value
     if rig.mass is not None and rig.stiffness is not None:
         warnings += check_half_period(time, position, rig.mass.value, rig.stiffness.value)
+    in_unit = ", times of day" if options.clock else f" in {t_unit}"
     columns = {
-        "time": "frame rate" if t_column is None else f"{cells.label(t_column)} in {t_unit}",
+        "time": "frame rate" if t_column is None else f"{cells.label(t_column)}{in_unit}",
         "position": f"{cells.label(x_column)} in {x_unit}",
     }
     run = _run(path, options, Recording("", "", "", rate, rig, time, position), cells, columns, skipped)

@@ -64,6 +64,29 @@ def test_progress_shows_amount_rate_losses_and_eta_in_a_terminal_alone(monkeypat
         assert max(map(len, re.split(r"[\r\n]+", drawn))) <= 80
 
 
+def test_an_amount_is_shown_with_its_whole_as_soon_as_that_is_known(monkeypatch):
+    # The bar of daq import never showed how many lines there are, and "ETA" stood there without a time.
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with application.progress("reading", None, "lines") as show:
+        show(0)
+    assert "ETA" not in stream.getvalue()
+    with application.progress("reading", None, "lines") as show:
+        show.stage("splitting lines", 4096, 1200001)
+    drawn = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue())
+    assert "4096/1200001 lines" in drawn
+    assert "ETA" in drawn
+    assert max(map(len, re.split(r"[\r\n]+", drawn))) <= 80
+
+
+def test_a_usage_error_is_one_sentence(capsys):
+    # "Unknown option: --plot.; see 'rig-sim continue --help'"
+    assert application.run(rig_sim, ["continue", "damped", "--over", "damper.c=0.3:0.6", "--plot", "c.png"]) == 2
+    assert ".;" not in capsys.readouterr().err
+
+
 SHAKER = ("--c", "0", "--gamma", "0.3", "--a", "0.5")
 
 

@@ -540,5 +540,27 @@ def test_progress_counts_the_lines_of_each_stage(csv, monkeypatch):
     monkeypatch.setattr(table, "TOGETHER", 2000)
     done = []
     track.read(make(csv, "t,x\n", zip(*sawtooth(400), strict=True)), options(), lambda *stage: done.append(stage))
-    splitting = [("splitting lines", begin, 4801) for begin in (0, 2000, 4000)]
-    assert done == splitting + [("reading numbers", begin, 4800) for begin in (0, 2000, 4000)]
+    lines = (("reading lines", 4802), ("splitting lines", 4801), ("reading numbers", 4800))  # the last one is empty
+    assert done == [(stage, begin, whole) for stage, whole in lines for begin in (0, 2000, 4000)]
+
+
+def test_the_time_column_is_named_with_its_unit_or_as_times_of_day(csv):
+    # A table of times of day was "read as: ... time from column 'clock' in time of day".
+    rows = list(zip(*sawtooth(400), strict=True))[:40]
+    found = track.read(make(csv, "t (s),x (m)\n", rows), ImportOptions())
+    assert found.columns["time"] == "column 't (s)' in s"
+    csv.write_text("clock,x (m)\n" + "".join(f"12:00:{t:09.6f},{x:.9g}\n" for t, x in rows))
+    found = track.read(csv, ImportOptions(clock=True))
+    assert found.columns["time"] == "column 'clock', times of day"
+
+
+def test_a_run_file_is_named_as_what_it_is(csv):
+    csv.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(64))
+    with pytest.raises(InputError, match="HDF5"):
+        track.read(csv, ImportOptions())
+
+
+def test_a_line_cut_short_is_counted_in_the_singular(csv):
+    csv.write_text("t (s),x (m)\n" + "".join(f"{i / 100},0.0{i}\n" for i in range(9)) + "0.09\n")
+    with pytest.raises(InputError, match="has 1 column where the others have 2"):
+        track.read(csv, ImportOptions())
