@@ -92,8 +92,9 @@ def smooth(
 def compare(file: Run, /, *, json: Json = False) -> Answer:
     """Run every method on the record: error against run time.
 
-    The true errors are known only for a simulated run that holds its exact motion
-    (daq record --set output.truth=true).
+    A setting names window and order of sg (55,6: 55 samples, degree 6), and whose times are used: nominal, an even
+    grid, or recorded, the board's.  Stated is the standard error of the velocity that a method gives itself.  The true
+    errors are known only for a simulated run that holds its exact motion (daq record --set output.truth=true).
 
     Example: process compare run.h5
     """

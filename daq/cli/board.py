@@ -115,9 +115,11 @@ def calibrate(
     mass: Annotated[
         Measured | None, flags.measured("--mass", "mass", "Moving mass: '0.3', '300 g', '300 g +- 1 g'.", "mass")
     ] = None,
-    duration: Annotated[float, flags.quantity("--duration", "time", "Time of the ring-down.")] = RING_DOWN_S,
+    duration: Annotated[
+        float, flags.quantity("--duration", "time", "Time of the ring-down, s or with a unit.")
+    ] = RING_DOWN_S,
     move: Annotated[
-        float, flags.quantity("--move", "time", "Time during which the mass is moved by the distance.")
+        float, flags.quantity("--move", "time", "Time to move the mass by the distance, s or with a unit.")
     ] = DISTANCE_S,
     board: BoardFlags = NO_FLAGS,
     yes: Yes = False,

@@ -29,7 +29,7 @@ def register(app: cyclopts.App) -> None:
 
 
 def import_table(
-    file: Path,
+    file: Annotated[Path, Parameter(help="The table: a text file, or a MATLAB file (.mat).")],
     /,
     *,
     output: Output = None,
@@ -70,7 +70,7 @@ def import_table(
 
 
 def replay(
-    source: Path,
+    source: Annotated[Path, Parameter(help="The journal (.part), run file (.h5) or capture (.sr).")],
     /,
     *,
     output: Output = None,
@@ -115,7 +115,7 @@ def replay(
 
 
 def decode(
-    file: Path,
+    file: Annotated[Path, Parameter(help="The capture, .sr.")],
     /,
     *,
     options: ProbeOptions = NO_PROBES,
@@ -146,7 +146,7 @@ def decode(
 
 
 def export(
-    file: Path,
+    file: Annotated[Path, Parameter(help="The run file.")],
     /,
     *,
     csv: Annotated[Path | None, Parameter(help="CSV file to write.")] = None,

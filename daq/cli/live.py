@@ -35,7 +35,7 @@ def watch(
     journal: Annotated[Path, cyclopts.Parameter(name="RUN.h5.part", help="The journal of a running recording.")],
     /,
     *,
-    wait: Annotated[float, flags.quantity("--wait", "time", "Time to wait for the journal to appear.")] = 0.0,
+    wait: Annotated[float, flags.quantity("--wait", "time", "Time to wait for the journal, s or with a unit.")] = 0.0,
     no_browser: NoBrowser = False,
     json: Json = False,
 ) -> Answer:

@@ -28,7 +28,8 @@ DEFAULT_SCENE = "rig"
 Duration = Annotated[float, flags.quantity("--duration", "time", "Time to record: '20', '20 s', '5 min'.")]
 Output = Annotated[Path, cyclopts.Parameter(name=["--output", "-o"], help="The run file; run-{n:03}.h5 is numbered.")]
 Scene = Annotated[
-    str | None, cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file.")
+    str | None,
+    cyclopts.Parameter(name="--scene", help="Scene of the simulated rig: a built-in name or a TOML file; default rig."),
 ]
 Realtime = Annotated[
     bool,
