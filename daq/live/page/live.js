@@ -45,7 +45,7 @@ function receive(event) {
 }
 
 function showState() {
-  const words = ended || (source.readyState === EventSource.OPEN ? (latest ? latest.state : "waiting") : "reconnecting");
+  const words = ended || (source.readyState === EventSource.OPEN ? (latest ? latest.state : "waiting") : facts ? "reconnecting" : "connecting");
   const state = element("state");
   state.dataset.state = ended ? "ended" : source.readyState === EventSource.OPEN && latest ? latest.state : "lost";
   if (state.textContent !== words) state.textContent = words;
@@ -174,8 +174,8 @@ function level(u, at, words) {
   const ctx = u.ctx;
   ctx.setLineDash([6, 4]); ctx.strokeStyle = ctx.fillStyle = GREY; ctx.beginPath();
   ctx.moveTo(u.bbox.left, at); ctx.lineTo(u.bbox.left + u.bbox.width, at); ctx.stroke();
-  ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`; ctx.textAlign = "left"; ctx.textBaseline = "top";
-  ctx.fillText(words, u.bbox.left + 6, at + 4); ctx.setLineDash([]);
+  ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`; ctx.textAlign = "center"; ctx.textBaseline = "top";
+  ctx.fillText(words, u.bbox.left + u.bbox.width / 2, at + 4); ctx.setLineDash([]); // within the orbit, not on its edge
 }
 
 function dot(ctx, x, y) { ctx.fillStyle = RED; ctx.beginPath(); ctx.arc(x, y, 5 * devicePixelRatio, 0, 7); ctx.fill(); }
@@ -211,7 +211,7 @@ function draw() {
   const data = [samples.t.slice(first), position, samples.v.slice(first)];
   label(trace, 1, `position (${names.length})`); label(trace, 2, `velocity (${names.speed})`);
   label(portrait, 0, `position (${names.length})`); label(portrait, 1, `velocity (${names.speed})`);
-  label(friction, 0, `relative velocity (${names.speed})`);
+  label(friction, 0, `relative velocity: belt minus mass (${names.speed})`);
   label(friction, 1, latest.mass ? "friction (N)" : latest.unit === "m" ? "friction / mass (m/s²)" : "friction / mass (counts/s²)");
   const [xLow, xHigh] = extent(data[1], 0), [vLow, vHigh] = extent(data[2], 0);
   trace.batch(() => {
