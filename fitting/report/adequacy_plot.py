@@ -11,7 +11,7 @@ from fitting.adequacy.result import Adequacy
 from fitting.data.cycles import Cycle
 from fitting.drawing import curves
 from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE
-from fitting.report.chart import CHARACTER, SMALL, Axes, picture
+from fitting.report.chart import SMALL, Axes, picture, text_width
 from fitting.report.scale import AxisScale
 from fitting.report.symbols import pretty
 from fitting.selection.result import LawResult, Ranking
@@ -127,7 +127,7 @@ def departures(adequacy: Adequacy) -> str:
     axes = Axes(
         0, 0, NARROW, height, AxisScale(0.0, 1.2 * float(sigmas.max())), AxisScale(-0.6, len(found) - 0.4, names=names)
     )
-    axes.rows, axes.margin = 0, 14.0 + CHARACTER * SMALL * max(map(len, names))
+    axes.rows, axes.margin = 0, 14.0 + max(text_width(name, SMALL) for name in names)
     axes.xlabel = "standard deviations (share of the misfit explained)"
     for place, one in enumerate(found):
         edge = np.array([place - 0.3, place + 0.3])

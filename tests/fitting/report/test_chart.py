@@ -6,9 +6,11 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.font_manager import FontProperties, findfont
+from matplotlib.ft2font import FT2Font
 from PIL import Image
 
-from fitting.report.chart import Axes, picture
+from fitting.report.chart import Axes, picture, text_width
 from fitting.report.scale import AxisScale
 
 
@@ -58,3 +60,14 @@ def test_dots_and_traces_lie_where_their_values_are():
     assert seen.any(axis=0).mean() > 0.98  # from one side to the other
     assert np.mean(np.nonzero(seen)[0]) / rows == pytest.approx(0.5, abs=0.02)
     assert int(trace[:, :, 3].max()) == pytest.approx(128, abs=10)
+
+
+def test_a_legend_leaves_each_label_its_width_in_a_broad_font():
+    # The labels of a legend overlapped where the browser had no font narrower than DejaVu Sans.
+    font = FT2Font(findfont(FontProperties(family="DejaVu Sans")))
+    font.set_size(10.0, 72.0)
+    for words in ("model minus measurement", "noise, ±2 sd", "measured, without a law", "belt speed", "law 5, fitted"):
+        font.set_text(words)
+        # Behind each label 8 px are free and 4 px lie between two.
+        assert font.get_width_height()[0] / 64.0 < text_width(words, 10.0) + 12.0, words
+        assert text_width(words, 10.0) < 1.25 * font.get_width_height()[0] / 64.0, words
