@@ -22,6 +22,7 @@
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -222,7 +223,8 @@ def load(path: Path) -> Kinematics | None:
         entry = file["entry"]
         if "smooth" not in entry:
             return None
-        recording = store.load(path, _part(entry, path))
+        part = _part(entry, path)
+        recording = _with_own_events(store.load(path, part), part)
         made_from = nexus.read_text(entry, "smooth/parameters/sha256_input", path)
         if made_from != recording.digest:
             raise InputError(
@@ -259,6 +261,16 @@ def load(path: Path) -> Kinematics | None:
             repaired="repaired" in entry[parameters] and bool(nexus.read_number(entry, f"{parameters}/repaired", path)),
             cpu_s=nexus.read_number(entry, f"{parameters}/cpu_time", path),
         )
+
+
+def _with_own_events(recording: Recording, part: slice) -> Recording:
+    """Return a part of a run with the events of its samples alone, numbered from its first one."""
+    if part == nexus.EVERY:
+        return recording
+    events = zip(recording.event_sample.tolist(), recording.event_kind, recording.event_note, strict=True)
+    inside = [(sample - part.start, kind, note) for sample, kind, note in events if part.start <= sample < part.stop]
+    samples, kinds, notes = zip(*inside, strict=True) if inside else ((), (), ())
+    return replace(recording, event_sample=np.array(samples, np.uint32), event_kind=kinds, event_note=notes)
 
 
 def _part(entry: h5py.Group, path: Path) -> slice:

@@ -113,7 +113,7 @@ def run_sentences(motion: Kinematics, file: Path) -> list[str]:
     """Return what a run holds and what its motion is."""
     data = run_as_json(motion)
     unit = data["unit"]
-    events = ", ".join(f"{count} {kind}" for kind, count in data["events"].items()) or "none"
+    events = ", ".join(f"{count} × {kind}" for kind, count in data["events"].items()) or "none"
     segments = f" in {data['segments']} segments" if data["segments"] > 1 else ""
     (low, high), (slow, fast) = data["position_range"], data["velocity_range"]
     return [

@@ -3,6 +3,7 @@
 import io
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError
 from daq.output import atomic
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 STYLE = Path(__file__).with_name("stickslip.mplstyle")
 FORMATS = (".png", ".svg", ".pdf")
@@ -56,15 +60,20 @@ def lines_over_time(
         axes = drawn.add_subplot()
         for time, values in parts:
             axes.plot(time, values, "." if len(time) == 1 else "-", color="C0", ms=3)
-        for at, words in markers:
-            axes.axvline(at, color=MARKER, lw=1.0, ls=(0, (5, 3)))
-            box = {"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0}
-            place = axes.get_xaxis_transform()
-            axes.text(at, 0.97, f" {words}", transform=place, va="top", color=MARKER, bbox=box, parse_math=False)
+        draw_markers(axes, markers)
         axes.set(xlabel="time (s)", ylabel=ylabel)
         axes.set_title(title, parse_math=False)
         axes.margins(x=0.01)
     return drawn
+
+
+def draw_markers(axes: "Axes", markers: Iterable[tuple[float, str]]) -> None:
+    """Draw markers, (time in s, words), as lines across a picture over time."""
+    for at, words in markers:
+        axes.axvline(at, color=MARKER, lw=1.0, ls=(0, (5, 3)))
+        box = {"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0}
+        place = axes.get_xaxis_transform()
+        axes.text(at, 0.97, f" {words}", transform=place, va="top", color=MARKER, bbox=box, parse_math=False)
 
 
 def check_place(target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:

@@ -211,6 +211,13 @@ class Recording:
                     columns[units.get(name, name)] = values
         return pd.DataFrame(columns)
 
+    @property
+    def markers(self) -> tuple[tuple[float, str], ...]:
+        """The markers that a person set: time, s, and words."""
+        events = zip(self.event_sample, self.event_kind, self.event_note, strict=True)
+        own = ((int(at), words) for at, kind, words in events if kind == "marker")
+        return tuple((float(self.time[at]), words) for at, words in own if at < self.time.size)
+
     def plot(self) -> "PngFigure":
         """Draw position against time, with the markers that a person set.
 
@@ -224,11 +231,10 @@ class Recording:
 
         factor, unit = shown_length(self.unit)
         whole = pieces(self.time, self.segment, 1 / self.rate_hz) if self.time.size > 1 else (slice(None),)
-        events = zip(self.event_sample, self.event_kind, self.event_note, strict=True)
         return lines_over_time(
             [(self.time[part], factor * self.position[part]) for part in whole],
             f"position ({unit})",
-            [(self.time[at], words) for at, kind, words in events if kind == "marker" and at < self.time.size],
+            self.markers,
             f"{self.name}: {self.title}",
         )
 

@@ -289,6 +289,7 @@ class Kinematics(SmoothingHeader):
             self.sticks,
             len(self.cycles),
             self.belt_speed,
+            self.recording.markers,
         )
 
     def facts(self) -> dict[str, str]:

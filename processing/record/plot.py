@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, pieces
 from daq.output.lengths import shown_length, shown_speed
-from daq.output.plot import STYLE, PngFigure, figure
+from daq.output.plot import STYLE, PngFigure, draw_markers, figure
 from processing.record.motion import Phase
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ class DrawnMotion:
         Complete cycles.
     belt_speed : float
         In ``unit``/s; NaN where it is not known.
+    markers : tuple of (float, str)
+        Time, s, and words.
     """
 
     caption: str
@@ -49,6 +51,7 @@ class DrawnMotion:
     sticks: tuple[Phase, ...]
     cycles: int
     belt_speed: float
+    markers: tuple[tuple[float, str], ...] = ()
 
 
 def figure_of(motion: DrawnMotion) -> PngFigure:
@@ -62,8 +65,9 @@ def figure_of(motion: DrawnMotion) -> PngFigure:
 def draw_motion(drawn: "Figure", cell: "SubplotSpec", motion: DrawnMotion) -> None:
     """Draw a motion into a cell of a figure, with its caption above.
 
-    Left: position (mm) and velocity (m/s) against time (s), sticks shaded, from the beginning over at most `CYCLES`
-    cycles.  Right: the phase portrait of the whole record.  In counts for a rig without a calibration.
+    Left: position (mm) and velocity (m/s) against time (s), sticks shaded, with the markers that a person set, from the
+    beginning over at most `CYCLES` cycles.  Right: the phase portrait of the whole record.  In counts for a rig without
+    a calibration.
     """
     grid = cell.subgridspec(2, 2, width_ratios=(1.35, 1.0), hspace=0.04, wspace=0.05)
     above = drawn.add_subplot(grid[0, 0])
@@ -98,6 +102,7 @@ def _against_time(above: "Axes", below: "Axes", motion: DrawnMotion) -> None:
         for k, part in enumerate(_pieces(motion, own)):
             axes.plot(time[part], shown[part], color=MOTION, lw=1.0, label="mass" if k == 0 else None)
         axes.margins(x=0.01)
+    draw_markers(above, [marker for marker in motion.markers if marker[0] <= until])
     if np.isfinite(motion.belt_speed):
         below.axhline(motion.belt_speed, color=BELT, lw=1.0, ls=(0, (5, 3)), label="belt")
     shown_part = "" if own.stop >= motion.time.size else f", first {time[-1] - time[0]:.3g} s of the run"

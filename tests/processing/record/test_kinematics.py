@@ -1,5 +1,6 @@
 """What a motion shows of itself in Python: a short text, tables, and a picture."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import pytest
 
 import daq
 import processing
+from daq.runfile import store
+from processing import stage
 from processing.record.finding import Finding
 
 SAMPLES = Path(__file__).resolve().parents[3] / "data_samples"
@@ -51,3 +54,19 @@ def test_the_picture_shows_position_velocity_and_the_phase_portrait(kinematics):
     np.testing.assert_array_equal(portrait.lines[0].get_xdata(), 1e3 * kinematics.position)
     np.testing.assert_array_equal(portrait.lines[0].get_ydata(), kinematics.velocity)
     assert portrait.get_title(loc="left") == "phase portrait, 5 complete cycles"
+
+
+def test_markers_are_drawn_at_their_times_and_of_a_part_those_within_it(tmp_path):
+    # The picture left out what daq note --mark and the live view had set; a part of a run had the whole run's events.
+    path = tmp_path / "run.h5"
+    shutil.copy(SAMPLES / "law5.h5", path)
+    for at, words in ((1.0, "early"), (7.5, "hand on the guide")):
+        store.annotate(path, {}, [(at, words)])
+    whole = processing.smooth(daq.load(path))
+    assert [words for _, words in whole.drawing().markers] == ["early", "hand on the guide"]
+    assert [text.get_text().strip() for text in whole.plot().axes[0].texts] == ["early", "hand on the guide"]
+    own = store.between(path, 4.0, 11.0)
+    stage.save(processing.smooth(store.load(path, own)), path, own)
+    ((at, words),) = stage.load(path).drawing().markers
+    assert words == "hand on the guide"
+    assert at == pytest.approx(7.5, abs=0.002)
