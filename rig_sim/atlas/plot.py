@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
 from PIL import Image
 
 from rig_sim.atlas.figure import Drawing, Entry, Panel, Trace
@@ -23,6 +24,7 @@ COLOURS = 64  # of a picture: with 24 the edges of thin lines show steps, with 1
 WIDTH, HEIGHT = 7.2, {1: 2.15, 2: 3.0, 3: 2.35}  # of the picture, and of a row by the number of panels in it, inches
 ALONE = 4.1  # height of a panel that is the only one
 LETTERS = 112  # of a line of the sentence
+BEHIND: dict[str, Any] = {"frameon": True, "framealpha": 0.7, "edgecolor": "none"}  # curves show through a legend
 LOOKS: dict[str, dict[str, Any]] = {
     "line": {"lw": 1.2},
     "thick": {"lw": 2.2},
@@ -80,7 +82,10 @@ def draw(axes: "Axes", panel: Panel, explained: set[str]) -> None:
     new = {label: handle for label, handle in zip(labels, handles, strict=True) if label not in explained}
     explained.update(new)
     if new:
-        axes.legend(new.values(), new.keys(), loc="best")
+        legend = axes.legend(new.values(), new.keys(), loc="best", **BEHIND)
+        for handle in legend.legend_handles:
+            if isinstance(handle, Line2D) and handle.get_marker() in (".", ","):
+                handle.set(marker=".", markersize=7.0)  # of the size of a drawn point its colour could not be seen
 
 
 def colour(curve: Trace) -> str:

@@ -35,7 +35,7 @@ def shaker_figure(plane: ShakerPlane, a: float, phi: float) -> Figure:
     for omega in plane.band or ():
         curve = plane.frequency_curve(omega, top)
         axes.plot(*unwrapped(curve.phi, curve.a), color="black", lw=1.2, label=f"omega = {omega:g} rad/s (band)")
-    axes.plot([phi % (2.0 * math.pi)], [a], "k+", ms=12, mew=2, label="asked")
+    axes.plot([phi % (2.0 * math.pi)], [a], "k+", ms=12, mew=2, label="a and phi given")
     axes.set(xlim=(0.0, 2.0 * math.pi), ylim=(0.0, top))
     axes.set_xlabel("phase phi (rad)")
     axes.set_ylabel("amplification a (N s/m, or the scene's unit)")

@@ -38,7 +38,7 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
         path = positions(flow._replace(u0=u0), x, v, times)
         above.plot(times[: len(path)], path, lw=width, label=name)
     above.set(xlabel="t (the scene's unit)", ylabel="x (the scene's unit)", title=f"Dither of omega = {flow.omega:.6g}")
-    above.legend(loc="lower right")
+    above.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0)
     least = threshold(flow)
     if least > 0.0:
         amplitudes = least * np.linspace(*RATIOS)
@@ -51,9 +51,8 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
         ripples = [linear_ripple(driven) for driven in flows]
         below.plot(amplitudes, [math.nan if ripple is None else ripple for ripple in ripples], "--", color="0.5")
         below.axvline(least, color="0.5", lw=0.8)
-        below.annotate(
-            "V = belt speed", (least, 0.6), xycoords=("data", "axes fraction"), rotation=90, va="top", ha="right"
-        )
+        place = {"xycoords": ("data", "axes fraction"), "rotation": 90, "va": "bottom", "ha": "right"}
+        below.annotate("threshold by formula", (least, 0.22), **place)
         below.set_yscale("log")
     below.set(
         xlabel="u0 (the scene's unit)",

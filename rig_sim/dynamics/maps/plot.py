@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+from daq.compute.arrays import Array, Integers
 from daq.output.plot import STYLE, figure
 from rig_sim.dynamics.maps.basins import Basins
 from rig_sim.dynamics.maps.interval_map import IntervalMap
@@ -14,12 +15,14 @@ from rig_sim.dynamics.maps.sweep import AttractorAt
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
 PLACES = 4000  # drawn of a map
+VISIBLE, HALVINGS = 0.005, 30  # least jump of a map, of its interval; what a root does is then 3e-5 of its step
 ORDINATES = {  # of a sweep, by its section and whether the mass is driven
     ("poincare", False): "x1 where the first mass turns forwards",
     ("map", False): "d = x2 - x1 in global stick",
     ("poincare", True): "x at phase 0 of the drive",
     ("slip", True): "x at break-away",
 }
+SHARP = 480.0  # values over size of a point: 200 values and more are drawn as fine points, few as larger ones
 MOST_DRAWN = 5000  # points drawn as shapes; more become an image
 
 
@@ -30,9 +33,9 @@ def map_figure(f: IntervalMap, times: int = 1) -> Figure:
     axes = drawn.add_subplot()
     x = np.linspace(f.lo, f.hi, PLACES)
     y = f(x, times)
-    jumps = np.abs(np.diff(y)) > 0.05 * (f.hi - f.lo)
+    cuts = jumps(f, times, x, y) + 1
     axes.plot([f.lo, f.hi], [f.lo, f.hi], color="0.6", lw=0.8)
-    axes.plot(np.insert(x, np.flatnonzero(jumps) + 1, np.nan), np.insert(y, np.flatnonzero(jumps) + 1, np.nan), lw=1.2)
+    axes.plot(np.insert(x, cuts, np.nan), np.insert(y, cuts, np.nan), lw=1.2)
     for period in range(1, times + 1):
         if times % period:
             continue
@@ -46,12 +49,30 @@ def map_figure(f: IntervalMap, times: int = 1) -> Figure:
         axes.legend(handles.values(), handles.keys(), loc="best")
     name = "f" if times == 1 else f"f^{times}"
     axes.set(
-        xlabel="d = x2 - x1 in global stick (unit of the scene)",
-        ylabel=f"{name}(d)",
+        xlabel="d = x2 - x1 in global stick (the scene's unit)",
+        ylabel=f"{name}(d) (the scene's unit)",
         title=f"Map {name} from stick to stick",
     )
     axes.set_aspect("equal")
     return drawn
+
+
+def jumps(f: IntervalMap, times: int, x: Array, y: Array) -> Integers:
+    """Return where the ``times``-th iterate jumps: after which of the places ``x``, ascending, with the values ``y``.
+
+    Between two places whose values differ visibly the greater half of the difference is followed: where the iterate is
+    continuous, however steep, it becomes small.
+    """
+    found = np.flatnonzero(np.abs(np.diff(y)) > VISIBLE * (f.hi - f.lo))
+    left, right, low, high = x[found], x[found + 1], y[found], y[found + 1]
+    whole = np.abs(high - low)
+    for _ in range(HALVINGS if found.size else 0):
+        middle = 0.5 * (left + right)
+        value = f(middle, times)
+        first = np.abs(value - low) >= np.abs(high - value)
+        left, low = np.where(first, left, middle), np.where(first, low, value)
+        right, high = np.where(first, middle, right), np.where(first, value, high)
+    return found[np.abs(high - low) > 0.5 * whole]
 
 
 @mpl.rc_context(fname=STYLE)
@@ -59,14 +80,16 @@ def sweep_figure(rows: Sequence[AttractorAt], parameter: str, section: str, *, d
     """Return a bifurcation diagram: the points of every attractor, of two masses or a ``driven`` one."""
     drawn = figure(8.6, 5.6)
     axes = drawn.add_subplot()
+    size = min(max(SHARP / max(len({row.value for row in rows}), 1), 2.4), 5.0)
     for number in sorted({row.attractor for row in rows if row.points}):
         own = [row for row in rows if row.attractor == number]
         x = np.concatenate([np.full(len(row.points), row.value) for row in own])
         y = np.concatenate([row.points for row in own])
         colour = COLOURS[(number - 1) % len(COLOURS)]
-        axes.plot(x, y, ".", ms=2.4, mew=0, color=colour, rasterized=len(x) > MOST_DRAWN, label=f"attractor {number}")
+        label = f"attractor {number}"
+        axes.plot(x, y, ".", ms=size, mew=0, color=colour, rasterized=len(x) > MOST_DRAWN, label=label)
     if axes.lines:
-        axes.legend(markerscale=6)
+        axes.legend(markerscale=14.4 / size, framealpha=0.85, edgecolor="none", frameon=True)
     axes.set(xlabel=f"{parameter} (the scene's unit)", ylabel=f"{ORDINATES[section, driven]} (the scene's unit)")
     axes.set_title(f"Attractors over {parameter}")
     return drawn

@@ -13,6 +13,7 @@ from rig_sim.dynamics.maps.basins import basins, merged
 from rig_sim.dynamics.maps.lyapunov import lyapunov
 from rig_sim.dynamics.maps.map_continuation import map_continuation
 from rig_sim.dynamics.maps.periodic_points import periodic_points
+from rig_sim.dynamics.maps.plot import PLACES, jumps
 from rig_sim.dynamics.maps.stick_map import StickMap
 from rig_sim.dynamics.maps.sweep import AttractorAt, attractors_at, numbered
 from rig_sim.flow.flow import Flow
@@ -194,3 +195,14 @@ def test_bifurcations_of_the_two_masses(capsys, span, kind, name):
     (point,) = found["points"]
     assert (point["kind"], point["parameter"]) == (kind, "belt.speed")
     assert point["value"] == pytest.approx(expected["value"], abs=1e-9)
+
+
+def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep():
+    # The jump of 0.03 at d = -0.21 of the two masses was drawn as a line, the steep piece of f^2 at d = 0.2 was not.
+    f = FormulaMap(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
+    x = np.linspace(f.lo, f.hi, PLACES)
+    found = jumps(f, 1, x, f(x))
+    assert np.abs(np.diff(f(x)))[np.searchsorted(x, 0.3) - 1] > 0.02, "the root is not steep enough to be mistaken"
+    assert x[found] == pytest.approx(0.7, abs=2.0 / PLACES)
+    smooth = FormulaMap(lambda x: x * x, -1.0, 1.0)
+    assert jumps(smooth, 1, x, smooth(x)).size == 0
