@@ -12,12 +12,13 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import cast
-from urllib.parse import quote
+from urllib.parse import quote, unquote
 
 from daq.errors import DeviceError, InputError
 from daq.protocols.session import Port
 
 SIMULATED_RIG = "rig://rig"
+LONGEST_SHOWN = 100  # characters of a port in a message
 # The schemes that are opened.  pyserial knows more: spy:// writes to a file that the URL names, and the URL may come
 # from somebody else's rig.toml.
 SCHEMES = ("rig", "socket", "rfc2217", "loop")
@@ -41,6 +42,12 @@ def rig_url(scene: str, changes: list[str], realtime: bool) -> str:
     """Return the URL of the simulated rig: a built-in scene or a TOML file, with ``section.key=value`` changes."""
     query = [f"set={quote(change, safe='')}" for change in changes] + ["realtime=1"] * realtime
     return f"rig://{quote(scene, safe='')}" + ("?" + "&".join(query) if query else "")
+
+
+def shown(url: str) -> str:
+    """Return a port for people: the changes of a simulated rig as they were typed, cut off where they are long."""
+    words = unquote(url) if url.startswith("rig://") else url
+    return words if len(words) <= LONGEST_SHOWN else f"{words[: LONGEST_SHOWN - 3]}..."
 
 
 def waits_for_reader(url: str) -> bool:

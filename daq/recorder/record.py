@@ -99,7 +99,7 @@ def _journal_exists(part: Path) -> InputError:
 def _samples(request: RecordRequest, rate_hz: float) -> int:
     """Return the samples wanted at a rate."""
     if not 1 <= request.duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
-        what = f"the duration is {request.duration_s:g} s, {request.duration_s * rate_hz:g} samples"
+        what = f"the duration is {request.duration_s:g} s, {request.duration_s * rate_hz:g} samples at {rate_hz:g} Hz"
         raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples")
     return round(request.duration_s * rate_hz)
 
@@ -145,7 +145,7 @@ def record(
     if stop.is_set():
         board.close()
         raise RecordingInterruptedError("interrupted before the recording began", request.port, "record again")
-    say(f"{identity.ident.name or 'a board'} on {request.port}, decoder {identity.ident.decoder}")
+    say(f"{identity.ident.name or 'a board'} on {ports.shown(request.port)}, decoder {identity.ident.decoder}")
     logger.info("%s at %g Hz, blocks of %d, journal %s", request.port, plan.rate_hz, plan.block, request.part)
     try:
         samples = _samples(request, plan.rate_hz)

@@ -207,3 +207,10 @@ def test_a_port_is_opened_once_under_whatever_name(tmp_path):
     ports.open_port(str(tmp_path / "ttyLINK")).close()
     os.close(master)
     os.close(slave)
+
+
+def test_a_port_is_shown_readable_and_short():
+    # The first line of a recording of a measured curve was 3000 percent signs long.
+    assert ports.shown("/dev/ttyACM0") == "/dev/ttyACM0"
+    assert ports.shown(ports.rig_url("rig", ["belt.speed=0.15"], False)) == "rig://rig?set=belt.speed=0.15"
+    assert len(ports.shown(ports.rig_url("rig", [f"friction.curve={[[0.0, 1.0]] * 99}"], False))) == 100
