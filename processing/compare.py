@@ -66,8 +66,9 @@ def rows(
     list of MethodError
         Finite differences, Savitzky-Golay, both smoothers and auto, on nominal and on recorded times.
     """
-    for method in ("sg", "segment"):  # compiles what it needs now
-        registry.estimate(method, series.from_recording(recording), Setting())
+    for times in series.TIMES:
+        for method in ("sg", "segment"):  # compiles what it needs now, an even grid needs other kernels
+            registry.estimate(method, series.from_recording(recording, times), Setting())
     true = velocity_at(recording, truth) if truth is not None else None
     found: list[MethodError] = []
     for times in reversed(series.TIMES):
