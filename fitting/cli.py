@@ -303,6 +303,8 @@ def _laws(ranking: "Ranking") -> "Table":
 
 def _adequacy(adequacy: "Adequacy") -> list[Any]:
     """Return goodness of fit, the published forms of the measured curve, and the departures, in words."""
+    from fitting.selection.verdict import format_probability
+
     lines: list[Any] = []
     found, curve = adequacy.goodness, adequacy.curve
     if found is not None:
@@ -310,17 +312,16 @@ def _adequacy(adequacy: "Adequacy") -> list[Any]:
         size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
         lines.append(
             f"goodness of fit: {adequacy.verdict}; residuals {found.misfit:.3g} times the noise of "
-            f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p = {found.p_value:.2g}; "
+            f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p {format_probability(found.p_value)}; "
             f"smallest visible departure of friction: {size}"
         )
     if curve is not None and not adequacy.adequate and adequacy.of_speed:
         table = application.table("published forms of the measured curve", ("form", "chi", "inside band", "parameters"))
         table.columns[0].justify = table.columns[3].justify = "left"
-        table.columns[0].overflow = "fold"
         table.columns[0].no_wrap = table.columns[3].no_wrap = False
         for form in curve.forms[:MOST_FORMS]:
             values = ", ".join(f"{name} = {item.value:.4g} {item.unit}" for name, item in form.determined.items())
-            table.add_row(form.name, f"{form.chi:.2f}", "yes" if form.inside_band else "-", values)
+            table.add_row(form.name.replace("-", " "), f"{form.chi:.2f}", "yes" if form.inside_band else "-", values)
         lines.append(table)
     if adequacy.departures:
         title = "beside the law" if adequacy.adequate else "departures that would explain it"
