@@ -216,7 +216,7 @@ def compare(scene: str, /, *, until: Until, set_: SetChanges = None, json: Json 
     with application.progress("measuring", 100, "%") as show:
         found = measure(_scene(scene, set_), until, progress=show)
     data = asdict(found)
-    table = application.table("", ["method", "setting", "error", "CPU s", "us per cycle"], left=2)
+    table = application.table("", ["method", "setting", "error", "CPU s", "us/cycle"], left=2)
     for row in found.rows:
         error = row.note if row.error is None else f"{row.error:.1e}"
         per_cycle = "" if row.us_per_cycle is None else f"{row.us_per_cycle:.3g}"

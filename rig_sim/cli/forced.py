@@ -7,6 +7,7 @@ from daq.console import application
 from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force, Plot, check_plot
 from daq.errors import InputError
+from rig_sim.cli.numbers import with_error
 
 if TYPE_CHECKING:
     from rig_sim.dynamics.forced.driven_mass import DrivenMass
@@ -89,7 +90,7 @@ def driven_lyapunov(name: str, changes: dict[str, object], events: int) -> Answe
     if per == "landing":
         data["drive_periods_per_landing"] = rotation_number(mass.follow(ROTATIONS))
     orbit = f"period {found.period}, exact" if found.period else f"over {found.events} {per}s"
-    return Answer(data, f"{found.exponent:.8g} +- {found.stderr:.2g} per {per} ({orbit})")
+    return Answer(data, f"{with_error(found.exponent, found.stderr)} per {per} ({orbit})")
 
 
 def quench(

@@ -10,6 +10,7 @@ from daq.console.application import Answer, Json, SetChanges
 from daq.console.flags import Force, Plot, check_plot
 from daq.errors import InputError
 from rig_sim.cli import forced
+from rig_sim.cli.numbers import with_error
 
 if TYPE_CHECKING:
     from rig_sim.cli.parameter_range import ParameterRange
@@ -238,7 +239,7 @@ def lyapunov(
     if found.outcome != "completed":
         return Answer(data, f"{found.outcome}: the motion stops sticking; list its events instead")
     orbit = f"period {found.period}, exact" if found.period else f"over {found.events} events"
-    return Answer(data, f"{found.exponent:.8g} +- {found.stderr:.2g} per event ({orbit})")
+    return Answer(data, f"{with_error(found.exponent, found.stderr)} per event ({orbit})")
 
 
 def stick_map(name: str, changes: list[str] | None, events: int = 0) -> "StickMap":

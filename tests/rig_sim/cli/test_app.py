@@ -16,6 +16,7 @@ import pytest
 import rig_sim
 from daq.console import application
 from rig_sim.cli.app import app
+from rig_sim.cli.numbers import with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
 
@@ -243,3 +244,24 @@ def test_an_interrupted_run_is_one_line_and_leaves_nothing(tmp_path: Path) -> No
     assert process.returncode in (130, -signal.SIGINT)
     assert (out, err) == ("", "rig-sim: interrupted\n")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "stderr", "text"),
+    [
+        (0.86521896, 0.0129, "0.865 +- 0.013"),
+        (-0.53850894, 0.0, "-0.53850894 +- 0"),
+        (12.3, 4.5, "12.3 +- 4.5"),
+        (1234.5, 120.0, "1234 +- 1.2e+02"),
+    ],
+)
+def test_a_value_has_the_digits_that_its_error_leaves(value, stderr, text):
+    assert with_error(value, stderr) == text
+
+
+@pytest.mark.parametrize("scene", ["base", "rig"])
+def test_the_table_of_methods_shows_their_names_whole(scene, capsys, monkeypatch):
+    # Beside "other events from t = 18.2702" the name rk4-henon was cut to "rk4-h...".
+    monkeypatch.setenv("COLUMNS", "80")
+    assert application.run(app, ["compare", scene, "--until", "10"]) == 0
+    assert capsys.readouterr().out.count("rk4-henon") == 4
