@@ -74,7 +74,10 @@ def recorded(done: str, found: "RecordingQuality") -> str:
 
 def columns(found: "Imported") -> str:
     """Return how the columns of a table were read."""
-    line = f"read as: delimiter {found.delimiter}, decimal {found.decimal!r}, time from {found.columns['time']}"
+    form = f"delimiter {found.delimiter}, decimal {found.decimal!r}"
+    if found.delimiter == "MATLAB":
+        form = "vectors of a MATLAB file"
+    line = f"read as: {form}, time from {found.columns['time']}"
     return line + f", position from {found.columns['position']}" + ("" if found.even else "; unevenly sampled")
 
 

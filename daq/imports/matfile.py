@@ -47,7 +47,7 @@ def read(path: Path) -> Table:
     length = Counter(map(len, columns.values())).most_common(1)[0][0]
     names = tuple(name for name, cells in columns.items() if len(cells) == length)
     rows: list[Sequence[str]] = list(zip(*(columns[name] for name in names), strict=True))
-    return Table(path, names, rows, list(range(1, length + 1)), len(names), "\t", ".")
+    return Table(path, names, rows, list(range(1, length + 1)), len(names), "", ".")
 
 
 def _vectors(path: Path) -> bytes:

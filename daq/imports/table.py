@@ -17,7 +17,7 @@ from daq.compute.stages import Stages, silent
 from daq.errors import InputError
 from daq.imports import layout
 
-DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
+DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar", "": "MATLAB"}
 COMMENTS = ("#", "%", "//")
 HDF5 = b"\x89HDF\r\n\x1a\n"  # how such a file begins, a run file among them
 # A column, what makes a number of its cells (None where it cannot), and what a cell should be.
@@ -67,8 +67,8 @@ class Table:
 
     @property
     def delimiter_name(self) -> str:
-        """The delimiter in words; "none" for a single column."""
-        return DELIMITER_NAMES[self.delimiter] if self.width > 1 else "none"
+        """The delimiter in words; "none" for a single column, "MATLAB" for vectors of such a file."""
+        return DELIMITER_NAMES[self.delimiter] if self.width > 1 or not self.delimiter else "none"
 
     def label(self, column: int) -> str:
         """Return the name of a column in messages."""

@@ -6,6 +6,7 @@ from scipy.io import savemat
 
 import daq
 import processing
+from daq.cli import sentences
 from daq.errors import InputError
 from daq.imports import track
 from daq.imports.options import ImportOptions
@@ -26,6 +27,12 @@ def test_vectors_become_columns_bit_for_bit(path):
     found = track.read(path[0], ImportOptions(time="t", position="qm")).run
     assert np.array_equal(found.time, path[1])
     assert np.array_equal(found.position, path[2])
+
+
+def test_vectors_are_not_described_as_text_with_a_delimiter(path):
+    # It was "read as: delimiter tab, decimal '.'".
+    words = sentences.columns(track.read(path[0], ImportOptions(time="t", position="qm")))
+    assert words.startswith("read as: vectors of a MATLAB file, time from column 't' in s")
 
 
 def test_process_smooths_what_daq_import_made_of_it(path, tmp_path):
