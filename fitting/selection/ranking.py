@@ -20,7 +20,7 @@ from fitting.departures.ageing import find_ageing
 from fitting.estimation import break_aways, derived
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
-from fitting.selection import candidates, equivalence, evidence, screening, verdict
+from fitting.selection import candidates, equivalence, evidence, rig_intervals, screening, verdict
 from fitting.selection.contradictions import find_contradictions, name_contradictions
 from fitting.selection.evidence import Evidence, ModelSet
 from fitting.selection.phase_distance import MeasuredOrbit
@@ -141,6 +141,9 @@ def rank(
         ]
         for fit in ordered
     ]
+    by_run = list(zip(*tables, strict=True))
+    depends = [rig_intervals.law_dependent(own) if adequate else () for own in by_run]
+    tables = [list(own) for own in zip(*map(rig_intervals.over_the_set, by_run), strict=True)]
     rows = tuple(table[-1] for table in tables)
     contradicted = find_contradictions(ordered[0], [run.motion for run in runs], tables[0], records)
     if adequate:
@@ -158,7 +161,7 @@ def rank(
         findings = (*seen, *contradicted[number])
         said = verdict.warnings(own, chosen.members, run.motion, run.cut, record, findings, sustained=sustained)
         adequacy = assessed.runs[number]
-        said = (*said, *verdict.not_judged(adequacy), *verdict.level_of_curve(assessed.together))
+        said = (*said, *depends[number], *verdict.not_judged(adequacy), *verdict.level_of_curve(assessed.together))
         # a mass that merely grazes the belt does not break away from rest
         aged = find_ageing(events, run.cut) if adequate and sustained else None
         if aged is not None:
