@@ -300,4 +300,9 @@ def format_interval(item: Parameter) -> tuple[str, str, str, str]:
         return f"{item.value:.4g}", "–", "withheld", symbols.pretty(item.unit)
     digits = item.decimals
     value = f"{item.value:.{digits}f}"
-    return value, f"{item.stderr:.2g}", f"{item.lo:.{digits}f} … {item.hi:.{digits}f}", symbols.pretty(item.unit)
+    return (
+        value,
+        f"{item.stderr:#.2g}".rstrip("."),
+        f"{item.lo:.{digits}f} … {item.hi:.{digits}f}",
+        symbols.pretty(item.unit),
+    )

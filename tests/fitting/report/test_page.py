@@ -5,6 +5,7 @@ import re
 import pytest
 
 from daq.errors import InputError
+from fitting.estimation.result import Parameter
 from fitting.report import page as report
 from processing.smoothing import smooth
 from processing.statistics import from_kinematics
@@ -78,3 +79,11 @@ def test_the_true_laws_orbit_is_the_nearest(ranked):
 def test_the_page_gives_orbits_beside_the_evidence(page, ranked):
     assert f">{100 * ranked(law=5).best.orbit:.2g} %</td>" in page
     assert "Residual against CPU time" in page
+
+
+@pytest.mark.parametrize(
+    ("stderr", "shown"), [(0.05, "0.050"), (4.4e-05, "4.4e-05"), (3e-05, "3.0e-05"), (15.0, "15"), (0.0022, "0.0022")]
+)
+def test_a_standard_error_has_two_digits_as_the_value_beside_it(stderr, shown):
+    value = Parameter(4.648, stderr, 4.5, 4.8, "m/s")
+    assert report.format_interval(value)[1] == shown
