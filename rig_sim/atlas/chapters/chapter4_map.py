@@ -345,7 +345,7 @@ def exponents() -> Drawing:
             Panel(BELT, "X1p (Fs1/k)", (points_of(detail(), "", 1),), "(a)", (0.079, 0.172)),
             Panel(
                 "number of iterations",
-                "Lyapunov exponent (1/event)",
+                "exponent (1/event)",
                 tuple(
                     Trace(count, run, f"V = {speed}", "line", place) for place, (speed, run) in enumerate(runs.items())
                 ),

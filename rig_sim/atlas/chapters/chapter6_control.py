@@ -67,7 +67,7 @@ def growth_curves() -> Drawing:
     """Figure 6.10."""
     plane = ShakerPlane(1.0, 1.0, S)
     traces = tuple(
-        curve(plane.growth_curve(delta, 2.0 * HIGHEST), f"delta = {delta:g} omega0", place)
+        curve(plane.growth_curve(delta, 2.0 * HIGHEST), f"delta = {delta:g} omega0" if delta else "delta = 0", place)
         for place, delta in enumerate((0.0, -0.1, -0.2))
     )
     ((least, _),) = plane.stable_amplifications(math.pi)
