@@ -26,7 +26,7 @@ SURE = 5.0  # standard errors
 # high level also makes the stick before it longer.
 
 
-def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation) -> FoundDeparture | None:
+def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation, level_error: float = 0.0) -> FoundDeparture | None:
     """Return by how much the break-away level exceeds that of slip; None where it does not, or too few show it.
 
     Parameters
@@ -34,13 +34,17 @@ def find_ageing(events: Sequence[BreakAway], cut: CycleSegmentation) -> FoundDep
     events : sequence of BreakAway
         Of a law that describes the record.
     cut : CycleSegmentation
+    level_error : float
+        Standard error of the spring's force at break-away over Fs that all cycles share: of rest position and Fs
+        (`fitting.estimation.derived.break_away_level_error`).
     """
     landing = {cycle.number + 1: cycle.landing for cycle in cut.cycles}
     good = [event for event in events if not event.flag and math.isfinite(event.break_away_level)]
     if len(good) < FEWEST:
         return None
     ratio = np.array([event.break_away_level / event.kinetic_scale for event in good])
-    mean, error = float(ratio.mean()), float(ratio.std(ddof=1)) / math.sqrt(ratio.size)
+    mean = float(ratio.mean())
+    error = math.hypot(float(ratio.std(ddof=1)) / math.sqrt(ratio.size), level_error)
     known = math.hypot(error, LEAST_EXCESS / SURE)
     if mean - 1 < SURE * known:
         return None

@@ -146,6 +146,28 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     return Correlations(tuple(row.name for row, own in zip(rows, shown, strict=True) if own), matrix)
 
 
+def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
+    """Return the standard error of a break-away level over Fs by what all cycles share: rest position, Fs and k/m.
+
+    The level is the spring's force at a measured position.  Without a datum, or on a camera track, it is known far less
+    well than its scatter from cycle to cycle suggests.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of all runs together.
+    motion : MeasuredMotion
+        Of the run.
+    run : int
+        Whose rest position holds.
+    """
+    known = _known(fit, motion, run)
+    p = values(known.own)
+    place = p.datum + p.F / p.K
+    slope = np.array(list(_slopes(lambda q: q.K * (place - q.datum) / q.F, known.own, known.active)))
+    return math.sqrt(max(float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max()), 0.0))
+
+
 class _Known(NamedTuple):
     """What a fit knows of one run.
 

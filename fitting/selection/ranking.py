@@ -163,7 +163,9 @@ def rank(
         adequacy = assessed.runs[number]
         said = (*said, *depends[number], *verdict.not_judged(adequacy), *verdict.level_of_curve(assessed.together))
         # a mass that merely grazes the belt does not break away from rest
-        aged = find_ageing(events, run.cut) if adequate and sustained else None
+        aged = None
+        if adequate and sustained:
+            aged = find_ageing(events, run.cut, derived.break_away_level_error(ordered[0], run.motion, number))
         if aged is not None:
             adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
         side = Ranking(words, chosen.members, own, events, said, run.motion, run.cut, adequacy, findings=findings)
