@@ -13,7 +13,7 @@ Source: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965) 1445.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,10 @@ BLOCK = 4096  # samples smoothed at a time
 FIT_SAMPLES = 12_288  # samples the noise levels are fitted to
 STRETCH = 2**8  # samples of one stretch of them, at first
 LOG_RHO = (-48.0, 12.0)  # of q interval^5/r: from what hardly bends to interpolation
+# Times the standard deviation of a reading that a record of less than four windows may lie off its smoothed motion.
+# The likelihood is that of the record from its first motion on: a mass that rests and is then dragged evenly is a
+# straight line to it, and the whole record was smoothed to one, 20 times the noise off its readings.
+MISSED = 3.0
 ORDER = 5  # of the spline
 EQUIVALENT = 9.0  # window times rho**(1/6) of the Savitzky-Golay filter of order 4 that resembles the smoother
 
@@ -61,17 +65,28 @@ def fit(series: Series) -> Noise:
         stretches = _stretches(series, length)
         if not stretches:
             return Noise(math.exp(LOG_RHO[0]) * floor / series.interval**5, floor)
-        # not the median: where the belt moves whole counts a sample, most third differences are nothing but rounding
-        third = np.percentile(np.abs(np.concatenate([np.diff(position, 3) for _, position in stretches])), 90)
-        scale = max(float(third) ** 2 / 20, floor)  # near the variance of a reading, so that numbers stay near 1
-        log_rho, reading = _likeliest([(time, position / math.sqrt(scale)) for time, position in stretches])
+        log_rho, reading = _scaled(series, stretches, floor)
         whole = len(stretches) * length < FIT_SAMPLES or length >= FIT_SAMPLES
         if whole or equivalent_window(math.exp(log_rho), 8 * length) < length / 4:
             break
         length *= 8
-    reading *= scale
-    reading = max(reading, 0.25 * floor if series.pitch else floor)
-    return Noise(math.exp(log_rho) * reading / series.interval**5, reading)
+    n = series.time.size
+    noise = Noise(math.exp(log_rho) * reading / series.interval**5, reading)
+    if n <= FIT_SAMPLES and equivalent_window(math.exp(log_rho), n) > n / 4:
+        missed = float(np.mean((smooth(series, noise).position - series.origin - series.position) ** 2))
+        if missed > MISSED**2 * reading:
+            log_rho, reading = _scaled(series, _moving(series, series.pieces), floor)
+            noise = Noise(math.exp(log_rho) * reading / series.interval**5, reading)
+    return noise
+
+
+def _scaled(series: Series, stretches: list[tuple[Array, Array]], floor: float) -> tuple[float, float]:
+    """Return log rho of the greatest likelihood and the variance of a reading there, m^2, at least the floor's."""
+    # not the median: where the belt moves whole counts a sample, most third differences are nothing but rounding
+    third = np.percentile(np.abs(np.concatenate([np.diff(position, 3) for _, position in stretches])), 90)
+    scale = max(float(third) ** 2 / 20, floor)  # near the variance of a reading, so that numbers stay near 1
+    log_rho, reading = _likeliest([(time, position / math.sqrt(scale)) for time, position in stretches])
+    return log_rho, max(reading * scale, 0.25 * floor if series.pitch else floor)
 
 
 def _stretches(series: Series, length: int) -> list[tuple[Array, Array]]:
@@ -80,8 +95,13 @@ def _stretches(series: Series, length: int) -> list[tuple[Array, Array]]:
     Many short ones, so that a motion that mostly rests is seen at work too.
     """
     most = max(FIT_SAMPLES, 8 * length)
-    found = [own for own in representative_stretches(series, most, most // length) if own.stop - own.start >= 2 * SHORT]
-    every = [(series.time[own] / series.interval, series.position[own] - series.position[own.start]) for own in found]
+    return _moving(series, representative_stretches(series, most, most // length))
+
+
+def _moving(series: Series, parts: Iterable[slice]) -> list[tuple[Array, Array]]:
+    """Return times, in sample intervals, and positions of the parts in which the readings do more than rise evenly."""
+    long = [own for own in parts if own.stop - own.start >= 2 * SHORT]
+    every = [(series.time[own] / series.interval, series.position[own] - series.position[own.start]) for own in long]
     return [(time, position) for time, position in every if np.any(np.diff(position, 3))]
 
 

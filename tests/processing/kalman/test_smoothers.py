@@ -48,6 +48,20 @@ def test_sticks_and_slips_smoothed_apart_keep_the_flat_top(motion, recorded, see
     assert error[1] < largest
 
 
+@pytest.mark.parametrize("speed", [1e-3, 1e-2])
+def test_a_mass_that_rests_and_is_then_dragged_slowly_is_no_straight_line(speed):
+    # The likelihood of the part that moves knows no bend: the whole record was a line, 51 um off its readings.
+    time, pitch = np.arange(2000) * 1e-3, 7.67e-6
+    true = speed * np.maximum(time - 0.5, 0.0)
+    count = np.floor(true / pitch)
+    data = series.Series(time, pitch * count, 0.0, pitch, 1e-3, (slice(0, 2000),), count=count.astype(np.int64))
+    for method in ("rts", "auto"):
+        found = registry.estimate(method, data, Setting())
+        assert np.sqrt(np.mean((found.position - true + pitch / 2) ** 2)) < pitch
+        assert found.velocity[:400] == pytest.approx(0.0, abs=0.05 * speed)
+        assert found.velocity[600:1900] == pytest.approx(speed, rel=0.05)
+
+
 def test_corners_sticks_and_coverage_are_as_claimed(motion, recorded):
     covered, covered_near = [], []
     for seed in (1, 2, 5):
