@@ -15,7 +15,7 @@ from daq.compute.compile import compiled
 from fitting.estimation import elimination
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.shooting import ShootingWindows, evaluator
-from fitting.selection.nearest import nearest_distances
+from fitting.selection.phase_distance import nearest_distances
 from fitting.sensitivity.path import Path, follow, law_curve
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents

@@ -14,7 +14,7 @@ from daq.compute.arrays import Array
 from fitting.departures.definition.departure import Departure, Forcing, harmonic
 from fitting.departures.definition.fitted_motion import FittedMotion
 
-SLOWEST_HZ, FASTEST_HZ = 0.2, 25.0  # as for the ripple that is fitted
+SLOWEST_HZ, FASTEST_HZ = 0.2, 25.0  # slower, it may be wear or a drift; faster, smoothing has taken it away
 GRID_HZ = 100.0  # rate at which the residuals are averaged
 FINER = 4  # times the transform's own grid of frequencies
 FEWEST = 4  # sticks

@@ -35,7 +35,8 @@ def test_the_scene_holds_the_fitted_law_and_its_covariance(fitted):
     assert tuple(found.fit.parameters) == CALIBRATED
     error = dict(zip(CALIBRATED, np.sqrt(np.diag(found.fit.covariance)), strict=True))
     for key, name in {"spring.k": "k", "friction.Fs": "Fs", "friction.gamma": "gamma", "belt.speed": "v_dr"}.items():
-        assert error[key] == pytest.approx(values[name]["stderr"], rel=1e-6)
+        # no smaller in any direction than both covariances of the fit, and so at times larger along one parameter
+        assert values[name]["stderr"] * (1 - 1e-9) <= error[key] <= 1.5 * values[name]["stderr"]
 
 
 def test_a_scene_that_exists_is_replaced_by_force_alone(fitted, tmp_path):

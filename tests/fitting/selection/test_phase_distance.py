@@ -1,6 +1,8 @@
+"""How far a law's orbit runs from the measured one: distances to the nearest of many points."""
+
 import numpy as np
 
-from fitting.selection.nearest import nearest_distances
+from fitting.selection.phase_distance import nearest_distances
 
 
 def test_the_nearest_point_is_found_by_looking_no_further_than_it_lies():
