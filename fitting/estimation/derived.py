@@ -147,19 +147,10 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
 
 
 def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
-    """Return the standard error of a break-away level over Fs by what all cycles share: rest position, Fs and k/m.
+    """Return the standard error of a run's break-away level over Fs by what all cycles share: rest position, Fs, k/m.
 
     The level is the spring's force at a measured position.  Without a datum, or on a camera track, it is known far less
-    well than its scatter from cycle to cycle suggests.
-
-    Parameters
-    ----------
-    fit : Fit
-        Of all runs together.
-    motion : MeasuredMotion
-        Of the run.
-    run : int
-        Whose rest position holds.
+    well than its scatter from cycle to cycle suggests.  Arguments as of `derived_parameters`.
     """
     known = _known(fit, motion, run)
     p = values(known.own)

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import pytest
 
-from daq.compute import workers
+from daq.compute import cluster, workers
 from daq.console import application
 from daq.errors import DeviceError, InputError
 from fitting import batch, cli, job
@@ -188,7 +188,7 @@ def test_whatever_ends_the_command_ends_its_processes(folder, sent, code):
 
 
 def test_without_dask_the_extra_is_named(folder, monkeypatch):
-    monkeypatch.setattr(workers, "find_spec", lambda name: None)
+    monkeypatch.setattr(cluster, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"not installed; pip install 'stickslip\[cluster\]'"):
         cli.fit(folder / "five.h5", scheduler="tcp://127.0.0.1:8786")
 

@@ -34,7 +34,7 @@ FORBIDDEN_METHODS = {
 }
 FORBIDDEN_KEYWORDS = {"shell", "allow_pickle"}
 # The work that a user sends to a dask scheduler of his own is pickled, here and by dask; nothing read from a file is.
-ALLOWED = {("daq/compute/workers.py", "pickle")}
+ALLOWED = {("daq/compute/cluster.py", "pickle")}
 
 # What a title, a note or a marker may hold.  Executed, each would set window.hacked.
 PAYLOADS = (
