@@ -26,24 +26,24 @@ def over_the_set(rows: Sequence[LawResult]) -> list[LawResult]:
     members = [row for row in rows if row.in_set]
     if len(members) < 2:
         return list(rows)
-    found = []
-    for row in rows:
-        own = row.parameters
-        if row.in_set:
-            own = {name: _widened(name, item, members) if _of_rig(name) else item for name, item in own.items()}
-        found.append(replace(row, parameters=own))
-    return found
+    return [
+        replace(row, parameters={name: _widened(name, item, members) for name, item in row.parameters.items()})
+        if row.in_set
+        else row
+        for row in rows
+    ]
 
 
 def law_dependent(rows: Sequence[LawResult]) -> tuple[str, ...]:
     """Return the warning of belt speed and k/m that depend on the law, from the rows of one run; none without.
 
     ``rows`` have their laws' own intervals: a parameter depends on the law where another law's value lies outside.
+    Laws that do not determine it do not count, as in `over_the_set`.
     """
     members = [row for row in rows if row.in_set]
     warned = []
     for name in ("v_dr", "k/m"):
-        known = {row.law: row.parameters[name] for row in members if name in row.parameters}
+        known = _determined(name, members)
         if any(not (one.lo <= other.value <= one.hi) for one in known.values() for other in known.values()):
             unit = next(iter(known.values())).unit
             values = ", ".join(f"{item.value:.4g} by law {law}" for law, item in known.items())
@@ -51,14 +51,19 @@ def law_dependent(rows: Sequence[LawResult]) -> tuple[str, ...]:
     return tuple(warned)
 
 
-def _of_rig(name: str) -> bool:
-    return name.split(" (")[0] in RIG  # of several runs: "v_dr (2)"
+def _determined(name: str, members: Sequence[LawResult]) -> dict[int, Parameter]:
+    """Return a parameter by each law that determines it."""
+    known = {row.law: row.parameters[name] for row in members if name in row.parameters}
+    if name.startswith("v_dr"):
+        return {law: item for law, item in known.items() if item.stderr < OPEN * abs(item.value)}
+    return known
 
 
 def _widened(name: str, item: Parameter, members: Sequence[LawResult]) -> Parameter:
-    known = [item, *(row.parameters[name] for row in members if name in row.parameters)]
-    if name.startswith("v_dr"):
-        known = [item, *(other for other in known if other.stderr < OPEN * abs(other.value))]
+    """Return a parameter with the interval over the laws that determine it; one of the law alone as it is."""
+    if name.split(" (")[0] not in RIG:  # of several runs: "v_dr (2)"
+        return item
+    known = [item, *_determined(name, members).values()]
     lo, hi = min(other.lo for other in known), max(other.hi for other in known)
     half = max(item.hi - item.value, item.value - item.lo)
     longer = max(hi - item.value, item.value - lo)

@@ -38,3 +38,9 @@ def test_one_law_alone_keeps_its_interval():
     rows = [row(5, 0.2, 0.01), row(6, 0.3, 0.01, in_set=False)]
     assert over_the_set(rows) == rows
     assert law_dependent(rows) == ()
+
+
+def test_a_law_that_does_not_determine_the_belt_speed_does_not_count():
+    rows = [row(1, 2.0, 0.1), row(2, 70.0, 70.0)]
+    assert over_the_set(rows)[0].parameters == rows[0].parameters
+    assert law_dependent(rows) == ()
