@@ -71,8 +71,10 @@ def watch(
 
 
 def _wait_for(journal: Path, wait: float) -> None:
+    from daq.runfile.journal import is_empty
+
     until = time.monotonic() + wait
-    while wait and not journal.exists() and time.monotonic() < until:
+    while wait and is_empty(journal) and time.monotonic() < until:
         time.sleep(LOOK_EVERY_S)
 
 
@@ -94,7 +96,7 @@ def viewer(journal: Path, no_browser: bool) -> Iterator[None]:
     nowhere = subprocess.DEVNULL
     try:
         process = subprocess.Popen(
-            line, stdin=nowhere, stdout=subprocess.PIPE, stderr=nowhere, start_new_session=True, text=True
+            line, stdin=nowhere, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True, text=True
         )
     except OSError as error:
         application.note(f"the live view could not be started: {error.strerror}")
@@ -110,13 +112,15 @@ def viewer(journal: Path, no_browser: bool) -> Iterator[None]:
 
 
 def _announce(process: subprocess.Popen[str], no_browser: bool) -> None:
-    """Tell the person the URL of the page as soon as the viewer serves it."""
-    if process.stdout is None:
+    """Print the URL of the page as soon as the viewer serves it, or why it does not."""
+    if process.stdout is None or process.stderr is None:
         return
     url = process.stdout.readline().strip()
     if url.startswith("http"):
         application.note(url)
         if not no_browser:
             open_browser(url)
-    elif process.wait() > 0:
-        application.note("the live view could not be started; 'daq watch' on the journal says why")
+    # Read to the end: a full pipe would stop the viewer.
+    why = [text.strip() for text in process.stderr if text.strip()]
+    if not url and process.wait() > 0:
+        application.note(f"the live view could not be started: {why[-1] if why else 'it gave no reason'}")

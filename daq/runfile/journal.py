@@ -253,6 +253,16 @@ def _close_quietly(file: IO[bytes]) -> None:
         return
 
 
+def is_empty(path: Path) -> bool:
+    """Return whether a journal contains no record yet: its recorder has just created it, or there is none."""
+    try:
+        with path.open("rb") as file:
+            content = file.read(len(MAGIC) + 1)
+    except OSError:
+        return not path.exists()
+    return len(content) <= len(MAGIC) and MAGIC.startswith(content)
+
+
 def beginning(path: Path) -> dict[str, Any]:
     """Return the header of a journal that is being written; InputError as for `read`."""
     with path.open("rb") as file:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -144,14 +145,32 @@ def test_a_viewer_of_no_recording_says_so(tmp_path: Path) -> None:
         assert what in done.stderr
 
 
+def test_a_viewer_waits_for_the_first_record(keep_journal: Callable[..., Path], tmp_path: Path) -> None:
+    content = keep_journal().read_bytes()
+    part = tmp_path / "live.h5.part"
+    part.write_bytes(content[:5])  # as a recorder leaves it for a moment
+    line = [sys.executable, "-m", "daq.cli.app", "watch", str(part), "--no-browser", "--wait"]
+    done = subprocess.run([*line, "0.2"], capture_output=True, text=True, check=False)
+    assert (done.returncode, "is not a journal of daq" in done.stderr) == (2, True)
+    with subprocess.Popen([*line, "30"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        time.sleep(2.0)
+        assert process.poll() is None
+        with part.open("ab") as file:
+            file.write(content[5:])
+        output, errors = process.communicate(timeout=30)
+    assert (process.returncode, output[:17], errors) == (0, "http://127.0.0.1:", "")
+
+
 @pytest.mark.slow  # it records in real time
 def test_a_viewer_that_is_killed_leaves_the_recording_alone(tmp_path: Path) -> None:
+    run = tmp_path / "run.h5"  # the whole path, so that pkill finds no viewer of a test that runs beside this one
     line = [sys.executable, "-m", "daq.cli.app", "record", "--live", "--no-browser", "--duration", "6", "--json"]
-    with subprocess.Popen(line, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*line, "--output", str(run)], **pipes) as process:
         assert process.stderr is not None
         lines = iter(process.stderr.readline, "")
         url = urlsplit(next(text.strip() for text in lines if text.startswith("http")))
-        subprocess.run(["pkill", "-KILL", "-f", "watch run.h5.part"], check=True)
+        subprocess.run(["pkill", "-KILL", "-f", f"watch {run}.part"], check=True)
         assert url.port is not None
         while is_listening(url.port):  # as long as the kill takes
             time.sleep(0.01)
