@@ -2,8 +2,9 @@
 
 ``python benchmarks/fit_speed.py [--laws 3,5] [--lengths 30,60,120,300,600]``
 
-    warm      CPU seconds of `fitting.rank` alone (user and system, all threads) on the scene `rig` at 1 kHz with 5 %
-              scatter, for a record of each law; compiled and called once before.  The longest three lengths: law 5 only
+    warm      CPU seconds of `fitting.rank` (user and system, all threads) on the scene `rig` at 1 kHz with 5 % scatter,
+              for a record of each law, compiled and called once before: of the six laws, and of goodness of fit and
+              measured curve together (`fitting.adequacy.assess`)
     first     wall and CPU seconds of the command `fit-friction` with an empty folder for machine code
     scipy     one slip window of law 5: the same residuals, priors and unknowns, from the same start to the same
               minimum, by `solve_ivp` with an event at the landing under `least_squares`, compared with this project's
@@ -33,16 +34,17 @@ from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
+from fitting.adequacy.assess import Assessment
 from fitting.data import cycles, frame
 from fitting.estimation import levenberg_marquardt
 from fitting.model import shooting
 from fitting.model.parameters import Global, PerCycle
 from fitting.model.problem import EstimationProblem, Run
+from fitting.selection import ranking
 from processing.record.kinematics import Kinematics
 
 RESULTS = Path(__file__).resolve().parent / "results"
 SCENE = ("scatter.Fs=0.05", "jitter.rms=50e-6", "damper.c=0.01")
-SHORT = 60  # s: up to this length a record of every law is measured, beyond it only law 5
 SOLVERS = ("RK45", "DOP853", "LSODA")  # solve_ivp's default, and the others that suit a smooth slip
 TIGHT = {"rtol": 1e-10, "atol": 1e-13}  # of solve_ivp: its positions good to well below a count
 
@@ -67,15 +69,35 @@ def warm(laws: list[int], lengths: list[float], folder: str) -> list[dict[str, A
     fitting.rank(processing.smooth(store.load(recorded(5, 10, folder))))
     rows = []
     for seconds in lengths:
-        for law in laws if seconds <= SHORT else [5]:
+        for law in laws:
             kinematics = processing.smooth(store.load(recorded(law, seconds, folder)))
             begun = cpu_s()
-            ranking = fitting.rank(kinematics)
-            spent = cpu_s() - begun
-            rows.append({"law": law, "seconds": seconds, "cpu_s": spent, "set": list(ranking.laws_in_set)})
-            print(f"  law {law}, {seconds:4g} s: {spent:6.2f} CPU s   {spent / seconds * 1e3:5.1f} ms/s   "
-                  f"set {list(ranking.laws_in_set)}", flush=True)  # fmt: skip
+            found, assessing = ranked(kinematics)
+            fits = cpu_s() - begun - assessing
+            rows.append({"law": law, "seconds": seconds, "fits_s": fits, "assess_s": assessing,
+                         "set": list(found.laws_in_set)})  # fmt: skip
+            print(f"  law {law}, {seconds:4g} s: six laws {fits:6.2f} CPU s, {fits / seconds * 1e3:5.1f} ms/s   "
+                  f"goodness of fit and curve {assessing:6.2f} CPU s   set {rows[-1]['set']}", flush=True)  # fmt: skip
     return rows
+
+
+def ranked(kinematics: Kinematics) -> tuple[ranking.Ranking, float]:
+    """Rank one record; also return the CPU seconds of goodness of fit and measured curve."""
+    spent, assess = 0.0, ranking.assess
+
+    def timed(*arguments: Any, **options: Any) -> Assessment:
+        nonlocal spent
+        begun = cpu_s()
+        found = assess(*arguments, **options)
+        spent += cpu_s() - begun
+        return found
+
+    ranking.assess = timed
+    try:
+        found = fitting.rank(kinematics)
+    finally:
+        ranking.assess = assess
+    return found, spent
 
 
 def first_call(folder: str) -> dict[str, Any]:
@@ -210,8 +232,11 @@ def main() -> None:
         print("six laws ranked, warm:")
         rows = warm(laws, lengths, folder)
         for seconds in lengths:
-            spent = [row["cpu_s"] for row in rows if row["seconds"] == seconds]
-            print(f"{seconds:5g} s: {np.mean(spent):6.2f} CPU s on average, {max(spent):6.2f} at most")
+            own = [row for row in rows if row["seconds"] == seconds]
+            fits = [row["fits_s"] / seconds * 1e3 for row in own]
+            rest = [row["assess_s"] / seconds * 30 for row in own]
+            print(f"{seconds:5g} s: six laws {np.mean(fits):5.1f} ms/s on average, {max(fits):5.1f} at most; goodness"
+                  f" of fit and curve {np.mean(rest):5.2f} CPU s per 30 s, {max(rest):5.2f} at most")  # fmt: skip
         cold = first_call(folder)
         print(f"first call with nothing compiled: {cold['cpu_s']:.1f} CPU s, {cold['wall_s']:.1f} s; output:")
         for line in cold["said"]:
