@@ -177,13 +177,13 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
     def task_from(start: CurveStart) -> LeastSquaresProblem:
         return _task(fit, thinned, places, curve, basis, start, noise, rest, SEARCH_REST_SD, flow.SEARCH_STEP)
 
-    def task_beside_law(start: CurveStart) -> LeastSquaresProblem:
-        task = task_from(start)
-        return replace(task, weights=task.weights * fit.state.weights)
-
     best = None
-    if _leaves_noise_alone(fit, noise):  # its own curve is next to the minimum, and its outlying cycles are known
-        best = _best_end([own], places, basis, task_beside_law, SEARCH[-1:])
+    usual = (fit.cycle_rms / noise[fit.windows.run])[fit.inlier_cycles]
+    if float(np.mean(np.log(usual))) < math.log(REACHED):
+        # the law leaves nothing but noise: its own curve is next to the minimum, and its outlying cycles are known
+        task = task_from(own)
+        weighted = replace(task, weights=task.weights * fit.state.weights)
+        best = _best_end([own], places, basis, lambda _: weighted, SEARCH[-1:])
     if best is None or not _reached(*best):
         best = _best_end([*weak_starts(fit, curve), own], places, basis, task_from, SEARCH)
     if best is None:
@@ -208,12 +208,6 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
     w = np.repeat(full.weights, [rows.stop - rows.start for rows in full.rows])
     chi = math.sqrt(float(np.sum(w * last.residual**2) / np.sum(w * noise[fit.windows.run][full.owner] ** 2)))
     return SplineFit(fit, places, basis, path, full, last, jacobian[1], chi, weights > INLIER, rest)
-
-
-def _leaves_noise_alone(fit: Fit, noise: Array) -> bool:
-    """Return whether the usual cycles of a law's fit leave no more than the noise."""
-    error = (fit.cycle_rms / noise[fit.windows.run])[fit.inlier_cycles]
-    return float(np.mean(np.log(error))) < math.log(REACHED)
 
 
 def _datum_known(fit: Fit) -> bool:
@@ -364,8 +358,14 @@ def _local_precision(fit: Fit, law: Array, local: Array) -> Array:
     found = law.copy()
     belt = np.array([motion.belt_speed for motion in fit.problem.motions])[fit.windows.run]
     found[:, PerCycle.V_SLIP] = 1 / (START_SPEED_SD * belt) ** 2
-    found[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / _scatter(fit, local) ** 2
-    return found
+    return _with_levels(found, fit, _scatter(fit, local))
+
+
+def _with_levels(precision: Array, fit: Fit, scatter: float) -> Array:
+    """Set the precisions of the levels by their scatter; as for the laws, one that lets the mass overtake is free."""
+    precision[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / scatter**2
+    precision[fit.windows.overtaking, PerCycle.NEXT_LEVEL] = 1 / trajectory.FREE_LEVEL_SD**2
+    return precision
 
 
 def _scatter(fit: Fit, local: Array) -> float:
@@ -392,8 +392,7 @@ def _reweighted(fit: Fit, task: LeastSquaresProblem, solution: Solution) -> Leas
     """Return the task with less weight on cycles that fit worse than the others, and the levels' scatter as found."""
     chi = _cycle_chi(task, solution)
     weight = cycle_weights(chi, max(_usual_chi(task, solution), 1.0))
-    precision = task.local_precision.copy()
     inlier = weight > INLIER
     scatter = _scatter(fit, solution.local[inlier] if inlier.sum() > 1 else solution.local)
-    precision[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / scatter**2
+    precision = _with_levels(task.local_precision.copy(), fit, scatter)
     return replace(task, weights=task.weights * weight, local_precision=precision)

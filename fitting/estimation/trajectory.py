@@ -49,14 +49,15 @@ FINE_PASS = (60, 1e-6)  # most steps, and the gain at which it stops; chosen by 
 CENTRED_PASS = (5, 1e-6)
 CYCLE_PASS: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the cycles' own unknowns alone
 CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
-
 LEFT_BY_OVERTAKING = 0.5  # of a spoilt cycle's mean square beyond the usual one: less is left where the mass overtakes
 STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 ALTERNATIVE_FACTOR = 10.0  # times the best start's error after the first pass: beyond it a start is given up
 LOST_MINIMUM = 1.05  # times the error before: a pass that ends so much worse has left its minimum and is undone
 CONTAINED = 1.0005  # times its jump law's error: a ramp law that errs more is in a poor minimum
 SAME_MINIMUM = 1.001  # times the best start's error: a start that ends so near it has led to the same minimum
-OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
+# Of the log levels that have no weight in the mean: an outlier cycle's, and one that lets the mass overtake the belt,
+# which is low for that reason, and the next cycle's.
+FREE_LEVEL_SD = 10.0
 
 
 def coarse_fit(
@@ -265,8 +266,7 @@ def _restart_cycles(problem: EstimationProblem, windows: ShootingWindows, state:
     if state.solution is None or state.weights.min() > INLIER_WEIGHT:
         return state
     task = _least_squares(problem, windows, state, [])
-    found = _from_smoothed(problem, windows, state, task)
-    if found is None:
+    if (found := _from_smoothed(problem, windows, state, task)) is None:
         return state
     before = levenberg_marquardt.cost_by_cycle(task, state.local, state.solution.residual)
     better = levenberg_marquardt.cost_by_cycle(task, found.local, found.residual) < CYCLE_GAIN * before
@@ -283,8 +283,7 @@ def _from_smoothed(
 
 def find_overtaking(fit: Fit) -> Mask:
     """Return in which spoilt cycles (cycles,) the mass overtakes the belt unseen: that explains what they leave."""
-    seen = np.array([cycle.overtakes for cycle in fit.cycles])
-    asked: Mask = fit.windows.spoilt(fit.residual) & ~seen
+    asked: Mask = fit.windows.spoilt(fit.residual) & ~fit.windows.overtaking
     if not asked.any():
         return asked
     trial = with_overtaking(fit, asked)
@@ -373,7 +372,8 @@ def _least_squares(
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
     level = problem.level_prior * state.scatter
     local_sd = np.array([[x, v, level, level, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
-    local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
+    local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = FREE_LEVEL_SD
+    local_sd[windows.overtaking, PerCycle.NEXT_LEVEL] = FREE_LEVEL_SD
     return LeastSquaresProblem(
         evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),
         rows=windows.rows,
