@@ -19,9 +19,9 @@ from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.departures.host import Host
 from fitting.departures.scores import Score, log_probability, score
 from fitting.estimation import levenberg_marquardt
-from fitting.estimation.fit import cycle_weights
 from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.trajectory import cycle_weights
 from fitting.model.parameters import PerCycle
 from fitting.sensitivity.columns import local_tangents
 from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
