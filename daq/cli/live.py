@@ -116,11 +116,12 @@ def _announce(process: subprocess.Popen[str], no_browser: bool) -> None:
     if process.stdout is None or process.stderr is None:
         return
     url = process.stdout.readline().strip()
-    if url.startswith("http"):
+    served = url.startswith("http")
+    if served:
         application.note(url)
         if not no_browser:
             open_browser(url)
     # Read to the end: a full pipe would stop the viewer.
     why = [text.strip() for text in process.stderr if text.strip()]
-    if not url and process.wait() > 0:
+    if not served and process.wait() > 0:
         application.note(f"the live view could not be started: {why[-1] if why else 'it gave no reason'}")

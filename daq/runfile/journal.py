@@ -260,7 +260,11 @@ def is_empty(path: Path) -> bool:
             content = file.read(len(MAGIC) + 1)
     except OSError:
         return not path.exists()
-    return len(content) <= len(MAGIC) and MAGIC.startswith(content)
+    return _has_no_record(content)
+
+
+def _has_no_record(content: bytes | Content) -> bool:
+    return len(content) <= len(MAGIC) and MAGIC.startswith(content[:])
 
 
 def beginning(path: Path) -> dict[str, Any]:
@@ -292,7 +296,7 @@ def read(path: Path) -> Journal:
 
 
 def _read(path: Path, content: Content) -> Journal:
-    if len(content) <= len(MAGIC) and MAGIC.startswith(content[:]):
+    if _has_no_record(content):
         raise InputError("contains no record: the recording ended immediately", str(path), "delete it and record again")
     damaged = journal_records.wrong_in_magic(content)
     if damaged is None:

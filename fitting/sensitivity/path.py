@@ -204,9 +204,9 @@ def follow(
     reached = np.zeros(N, np.int64)
     first_point, first_step = np.zeros((2, rows + 1), np.int64)
     kernel = compiled(flow.follow_windows, KERNELS, _nrt=False)
-    # On ramps a sample takes many steps: as many as along the earlier path.
-    a_sample = STEPS_A_SAMPLE[bool(curve.ramp)]
-    size = int(max(a_sample * N, 0.0 if along is None else 1.2 * along.steps.shape[0])) + 20 * rows
+    # Where an earlier path took more steps, this one takes about as many.
+    earlier = 0.0 if along is None else 1.2 * along.steps.shape[0]
+    size = int(max(STEPS_A_SAMPLE[bool(curve.ramp)] * N, earlier)) + 20 * rows
     most = max(size, MOST_STEPS, MOST_STEPS_A_SAMPLE * N)
     while True:
         points, kinds = np.empty((10, 2 * size)), np.empty((2, 2 * size), np.int64)

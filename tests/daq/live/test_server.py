@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -165,8 +164,8 @@ def test_a_viewer_waits_for_the_first_record(keep_journal: Callable[..., Path], 
 def test_a_viewer_that_is_killed_leaves_the_recording_alone(tmp_path: Path) -> None:
     run = tmp_path / "run.h5"  # the whole path, so that pkill finds no viewer of a test that runs beside this one
     line = [sys.executable, "-m", "daq.cli.app", "record", "--live", "--no-browser", "--duration", "6", "--json"]
-    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen([*line, "--output", str(run)], **pipes) as process:
+    line += ["--output", str(run)]
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         lines = iter(process.stderr.readline, "")
         url = urlsplit(next(text.strip() for text in lines if text.startswith("http")))
