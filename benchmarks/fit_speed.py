@@ -36,7 +36,8 @@ from daq.recorder.record import record
 from daq.runfile import store
 from fitting.adequacy.assess import Assessment
 from fitting.data import cycles, frame
-from fitting.estimation import levenberg_marquardt
+from fitting.least_squares import levenberg_marquardt
+from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model import shooting
 from fitting.model.parameters import Global, PerCycle
 from fitting.model.problem import EstimationProblem, Run
@@ -143,7 +144,7 @@ class OneWindow:
         """Return unknowns, cost and CPU seconds of this project's minimiser."""
         s = self.problem
         begun = clock.process_time()
-        problem = levenberg_marquardt.LeastSquaresProblem(
+        problem = LeastSquaresProblem(
             evaluate=shooting.evaluator(s.curve, s.ramp, self.windows, s.start, self.index, s.scale, s.local_scale),
             rows=self.windows.rows, weights=np.array([self.weight]),
             lower=s.lower[self.index], upper=s.upper[self.index],

@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.compute.compile import compiled
-from fitting.estimation import elimination
+from fitting.least_squares import elimination
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.shooting import ShootingWindows, evaluator
 from fitting.selection.phase_distance import nearest_distances

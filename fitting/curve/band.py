@@ -10,8 +10,8 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
-from fitting.estimation.levenberg_marquardt import eigen
 from fitting.estimation.linearised import LinearisedFit
+from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
 
 SPEEDS = 200

@@ -30,9 +30,9 @@ from daq.compute.distributions import chi_square_quantile, normal_quantile
 from fitting.curve.result import FormFit
 from fitting.curve.spline_fit import SplineFit
 from fitting.curve.starts import project
-from fitting.estimation.levenberg_marquardt import eigen
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import Parameter
+from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import Global
 
 GRID = 300  # speeds at which a form is projected on the spline, as dense as the knots

@@ -18,9 +18,9 @@ import numpy as np
 from daq.compute.arrays import Array, Mask
 from daq.compute.compile import compiled
 from daq.runfile.rig import Measured
-from fitting.estimation import elimination
 from fitting.estimation.fit import Fit
-from fitting.estimation.levenberg_marquardt import Solution
+from fitting.least_squares import elimination
+from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import Run
 from fitting.sensitivity.path import Path

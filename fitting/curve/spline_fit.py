@@ -25,10 +25,12 @@ from fitting.curve.level import (
     unseen,
 )
 from fitting.curve.starts import CurveStart, own_start, weak_starts
-from fitting.estimation import levenberg_marquardt, trajectory
+from fitting.estimation import trajectory
 from fitting.estimation.fit import Fit
-from fitting.estimation.levenberg_marquardt import LeastSquaresProblem, Solution
 from fitting.estimation.linearised import LinearisedFit
+from fitting.least_squares import levenberg_marquardt
+from fitting.least_squares.levenberg_marquardt import Solution
+from fitting.least_squares.problem import LeastSquaresProblem, cost
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import level_prior
@@ -225,7 +227,7 @@ def _best_end(
         u = basis.unknowns(start.u[list(places)], start.coefficients)
         found = task.evaluate(u, start.local, False)
         if found is not None:
-            value = levenberg_marquardt.cost(_noisier(task, SEARCH[0][0]), u, start.local, found[0])
+            value = cost(_noisier(task, SEARCH[0][0]), u, start.local, found[0])
             ranked.append((value, task, start, u))
     lowest = min((row[0] for row in ranked), default=0.0)
     best: tuple[LeastSquaresProblem, Solution] | None = None
@@ -260,7 +262,7 @@ def _descend(
             return None
         u, local = solution.u, solution.local
         if _usual_chi(own, solution) > LOST:
-            value = levenberg_marquardt.cost(task, u, local, solution.residual)
+            value = cost(task, u, local, solution.residual)
             return replace(solution, cost=value, outcome="no progress")
     return solution
 

@@ -8,8 +8,8 @@ from daq.compute.arrays import Array, Mask
 from fitting.curve.coordinates import CurveCoordinates
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.fit import Fit
-from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.trajectory import least_squares
+from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model import parameters
 from fitting.model.parameters import PerCycle
 from fitting.model.problem import EstimationProblem

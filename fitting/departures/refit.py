@@ -18,10 +18,10 @@ from fitting.departures.definition.departure import Departure, Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.departures.host import Host
 from fitting.departures.scores import Score, log_probability, score
-from fitting.estimation import levenberg_marquardt
-from fitting.estimation.levenberg_marquardt import LeastSquaresProblem
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.trajectory import cycle_weights
+from fitting.least_squares import levenberg_marquardt
+from fitting.least_squares.problem import LeastSquaresProblem, cost
 from fitting.model.parameters import PerCycle
 from fitting.sensitivity.columns import local_tangents
 from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
@@ -221,9 +221,9 @@ class _Model:
             trial = np.clip(shared + part * step, problem.lower, problem.upper), local + part * own_step
             found = problem.evaluate(*trial, False)
             if found is not None:
-                cost = levenberg_marquardt.cost(problem, *trial, found[0])
-                if best is None or cost < best[0]:
-                    best = cost, trial
+                value = cost(problem, *trial, found[0])
+                if best is None or value < best[0]:
+                    best = value, trial
         return (*((shared, local) if best is None else best[1]), 0)
 
     def problem(self, noise: float) -> LeastSquaresProblem:
@@ -338,7 +338,7 @@ class _Model:
         return _Unknowns(u, curve, shared[p : p + k], scale)
 
     def _evaluate(self, shared: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
-        """As `fitting.estimation.levenberg_marquardt.Evaluate`."""
+        """As `fitting.least_squares.problem.Evaluate`."""
         unknowns = self._apart(shared)
         followed = self._follow(unknowns, local)
         if followed is None:

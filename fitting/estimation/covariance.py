@@ -20,7 +20,8 @@ import numpy as np
 from daq.compute.arrays import Array, autocorrelation_time
 from daq.runfile.rig import Measured
 from fitting.estimation.fit import Fit
-from fitting.estimation.levenberg_marquardt import LeastSquaresProblem, SchurComplement, eigen, normal_equations
+from fitting.least_squares.normal_equations import SchurComplement, eigen, normal_equations
+from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model.parameters import PerCycle
 
 # Times the variance that the fit assumes of a cycle's residuals: what they may have, since a correlation time from one

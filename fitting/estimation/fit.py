@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, autocorrelation_time
 from fitting.data.cycles import Cycle
-from fitting.estimation import levenberg_marquardt, wear
+from fitting.estimation import wear
+from fitting.least_squares import levenberg_marquardt
 from fitting.model import parameters
 from fitting.model.parameters import NUISANCE, PER_RUN, Global, PerCycle
 from fitting.model.problem import EstimationProblem

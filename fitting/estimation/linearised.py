@@ -3,8 +3,8 @@
 How would the residuals change with other noise, what does the record show of an unknown that was not fitted, how do
 single cycles pull at the estimates: all of it follows from the derivatives at the solution, without another search.
 
-The cost is 1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in `fitting.estimation.levenberg_marquardt`; the
-unknowns of each cycle are eliminated by their Schur complement.
+The cost is 1/2 sum_c w_c |r_c|^2 and the priors' quadratic forms, as in
+`fitting.least_squares.levenberg_marquardt`; the unknowns of each cycle are eliminated by their Schur complement.
 """
 
 from collections.abc import Callable
@@ -15,9 +15,10 @@ import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
 from daq.compute.compile import compiled
-from fitting.estimation import elimination, trajectory
+from fitting.estimation import trajectory
 from fitting.estimation.covariance import scaled_inverse
 from fitting.estimation.fit import Fit
+from fitting.least_squares import elimination
 
 UNSEEN = 1e-6  # of its weight: what is left to a cycle that does not count, so that its own unknowns stay determined
 

@@ -20,8 +20,9 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation import levenberg_marquardt
 from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState, effective_sigma
+from fitting.least_squares import levenberg_marquardt
+from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
@@ -268,8 +269,8 @@ def _restart_cycles(problem: EstimationProblem, windows: ShootingWindows, state:
     found = levenberg_marquardt.minimise(task, np.empty(0), first, max_steps=max_steps, tolerance=tolerance)
     if found is None:
         return state
-    before = levenberg_marquardt.cost_by_cycle(task, state.local, state.solution.residual)
-    better = levenberg_marquardt.cost_by_cycle(task, found.local, found.residual) < CYCLE_GAIN * before
+    before = cost_by_cycle(task, state.local, state.solution.residual)
+    better = cost_by_cycle(task, found.local, found.residual) < CYCLE_GAIN * before
     return replace(state, local=np.where(better[:, None], found.local, state.local))
 
 
@@ -328,21 +329,21 @@ def _priors(problem: EstimationProblem, state: PassState) -> tuple[Array, Array]
     return prior, precision
 
 
-def least_squares(fit: Fit) -> levenberg_marquardt.LeastSquaresProblem:
+def least_squares(fit: Fit) -> LeastSquaresProblem:
     """Return what the last pass of a fit minimised."""
     return _least_squares(fit.problem, fit.windows, fit.state, list(fit.active))
 
 
 def _least_squares(
     problem: EstimationProblem, windows: ShootingWindows, state: PassState, index: list[int]
-) -> levenberg_marquardt.LeastSquaresProblem:
+) -> LeastSquaresProblem:
     """Return what a pass minimises when it moves the shared unknowns at ``index``."""
     prior, precision = _priors(problem, state)
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
     level = problem.level_prior * state.scatter
     local_sd = np.array([[x, v, level, level, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
     local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
-    return levenberg_marquardt.LeastSquaresProblem(
+    return LeastSquaresProblem(
         evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),
         rows=windows.rows,
         weights=state.weights / state.sigma[windows.run] ** 2,

@@ -29,7 +29,7 @@ from fitting.curve.spline_fit import SplineFit
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import covariance
 from fitting.estimation.fit import Fit
-from fitting.estimation.levenberg_marquardt import eigen
+from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
 from fitting.selection.result import Ranking

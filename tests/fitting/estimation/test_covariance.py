@@ -11,7 +11,7 @@ from fitting.data import cycles, frame
 from fitting.estimation import search
 from fitting.estimation.covariance import covariance
 from fitting.estimation.derived import correlations, derived_parameters
-from fitting.estimation.levenberg_marquardt import NormalEquations
+from fitting.least_squares.normal_equations import NormalEquations
 from fitting.model.problem import Run
 from processing.smoothing import smooth
 

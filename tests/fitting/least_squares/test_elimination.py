@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from daq.compute.compile import compiled
-from fitting.estimation import elimination
+from fitting.least_squares import elimination
 
 CYCLES, SAMPLES, SHARED, LOCAL = 3, 8, 4, 2
 

@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from fitting.estimation import levenberg_marquardt
+from fitting.least_squares import levenberg_marquardt
+from fitting.least_squares.normal_equations import SchurComplement, normal_equations
+from fitting.least_squares.problem import LeastSquaresProblem
 
 CYCLES, SAMPLES, SHARED, LOCAL = 7, 11, 3, 2
 
@@ -45,7 +47,7 @@ def problem(evaluate, rows, **changes):
         "local_prior": np.zeros((CYCLES, LOCAL)),
         "local_precision": np.full((CYCLES, LOCAL), 1e-12),
     }
-    return levenberg_marquardt.LeastSquaresProblem(**(values | changes))
+    return LeastSquaresProblem(**(values | changes))
 
 
 def test_a_linear_problem_is_solved_as_by_the_full_matrix(linear):
@@ -63,8 +65,8 @@ def test_the_reduced_hessian_is_the_inverse_of_the_marginal_covariance(linear):
     evaluate, rows, full, _ = linear
     u, local = np.zeros(SHARED), np.zeros((CYCLES, LOCAL))
     task = problem(evaluate, rows)
-    blocks = levenberg_marquardt.normal_equations(task, u, local, *evaluate(u, local, True))
-    H = levenberg_marquardt.SchurComplement(blocks).H
+    blocks = normal_equations(task, u, local, *evaluate(u, local, True))
+    H = SchurComplement(blocks).H
     covariance = np.linalg.inv(full.T @ full + 1e-12 * np.eye(full.shape[1]))[:SHARED, :SHARED]
     assert np.linalg.inv(H) == pytest.approx(covariance, rel=1e-6)
 
@@ -88,7 +90,7 @@ def test_a_prior_pulls_with_its_precision():
     def evaluate(u, local, derivatives):
         return np.array([u[0] - 1.0 + local[0, 0]]), np.array([[1.0, 1.0]])
 
-    task = levenberg_marquardt.LeastSquaresProblem(
+    task = LeastSquaresProblem(
         evaluate,
         (slice(0, 1),),
         np.array([4.0]),
@@ -114,7 +116,7 @@ def test_steps_into_what_cannot_be_followed_are_refused():
             return None
         return np.array([u[0]]), np.array([[1.0, 0.0]])
 
-    task = levenberg_marquardt.LeastSquaresProblem(
+    task = LeastSquaresProblem(
         evaluate,
         (slice(0, 1),),
         np.ones(1),
@@ -138,7 +140,7 @@ def test_a_bent_valley_is_followed_in_few_steps():
         slope = np.array([[-2e2 * math.exp(2 * u[0]), 1e2, 0.0], [1.0, 0.0, 0.0]])
         return residual, slope
 
-    task = levenberg_marquardt.LeastSquaresProblem(
+    task = LeastSquaresProblem(
         evaluate,
         (slice(0, 2),),
         np.ones(1),
@@ -163,7 +165,7 @@ def test_one_cycle_gone_astray_does_not_hold_up_the_others():
         slope = np.c_[np.arange(1.0, CYCLES + 1), np.ones(CYCLES)]
         return residual, slope
 
-    task = levenberg_marquardt.LeastSquaresProblem(
+    task = LeastSquaresProblem(
         evaluate,
         rows,
         np.ones(CYCLES),

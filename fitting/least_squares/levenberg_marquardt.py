@@ -11,17 +11,14 @@ arXiv:1201.5885).  A cycle that would not follow (a kick, a corner on the wrong 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, Integers
-from daq.compute.compile import compiled
-from fitting.estimation import elimination
+from daq.compute.arrays import Array
+from fitting.least_squares import elimination
+from fitting.least_squares.normal_equations import NormalEquations, SchurComplement, eigen, kernel, normal_equations
+from fitting.least_squares.problem import LeastSquaresProblem, cost, cost_by_cycle
 
 # Chosen by trial on the runs of docs/identification.md, not swept.  The objective does not depend on them.
 FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
@@ -32,80 +29,6 @@ FEW = 0.35  # of the cycles: where more are outliers, the shared parameters are 
 LARGEST_CYCLE_DAMPING = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
 ROUNDED = 1e-13  # of the largest eigenvalue: weaker directions are rounding; not swept
 LARGEST_ACCELERATION = 0.75  # of the step: twice the acceleration may be as long, else the step is too long for it
-
-# Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
-Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
-
-
-@dataclass(frozen=True, eq=False)
-class LeastSquaresProblem:
-    """What is minimised.
-
-    Attributes
-    ----------
-    evaluate : callable
-        ``evaluate(u, l, derivatives)`` with u (p,), l (cycles, q).
-    rows : tuple of slice
-        Which residuals belong to which cycle.
-    weights : (cycles,) f8
-        1/variance of each cycle's residuals, 1/m^2.
-    lower, upper : (p,) f8
-        Bounds of u.
-    prior, precision : (p,) f8
-        Prior means of u and 1/sd^2; 0 where nothing is known.
-    local_prior, local_precision : (cycles, q) f8
-        The same for the cycles' own unknowns.
-    local_upper : (cycles, q) f8
-        Upper bounds of the cycles' own unknowns, to which a longer step is cut.
-    """
-
-    evaluate: Evaluate
-    rows: tuple[slice, ...]
-    weights: Array
-    lower: Array
-    upper: Array
-    prior: Array
-    precision: Array
-    local_prior: Array
-    local_precision: Array
-    local_upper: Array | float = math.inf
-
-    @cached_property
-    def starts(self) -> NDArray[np.int64]:
-        """First residual of each cycle; the cycles' rows follow one another without a gap."""
-        return np.array([rows.start for rows in self.rows], np.int64)
-
-    @cached_property
-    def first(self) -> Integers:
-        """First residual of each cycle, and how many there are, shape (cycles + 1,)."""
-        return np.append(self.starts, self.rows[-1].stop)
-
-    @cached_property
-    def owner(self) -> NDArray[np.int64]:
-        """Which cycle each residual belongs to."""
-        return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave ``evaluate`` out: a closure over kernels and their buffers, which no other process can use."""
-        return vars(self) | {"evaluate": _not_carried}
-
-
-def _not_carried(u: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
-    """Stand for ``evaluate`` in a problem that came from another process."""
-    raise RuntimeError("a problem that came from another process cannot be evaluated")
-
-
-@dataclass(frozen=True, eq=False)
-class NormalEquations:
-    """Normal equations: gradient and Hessian in blocks; shapes (p,), (p, p), (c, q), (c, q, q), (c, p, q)."""
-
-    g: Array
-    H: Array
-    gl: Array
-    Hl: Array
-    cross: Array
-    cycle_g: Array  # (c, p): each cycle's share of g, without the priors of u
-    cycle_curvature: Array  # (c, p, p): each cycle's share of H, likewise
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,80 +63,6 @@ class Step:
 
     u: Array
     local: Array
-
-
-def cost(problem: LeastSquaresProblem, u: Array, local: Array, residual: Array) -> float:
-    """Return the objective."""
-    shared = 0.5 * float(np.sum(problem.precision * (u - problem.prior) ** 2))
-    return shared + float(np.sum(cost_by_cycle(problem, local, residual)))
-
-
-def normal_equations(
-    problem: LeastSquaresProblem, u: Array, local: Array, residual: Array, jacobian: Array
-) -> NormalEquations:
-    """Return gradient and Gauss-Newton Hessian, cycle by cycle."""
-    p, (c, q) = u.size, local.shape
-    square, gradient = np.zeros((c, p + q, p + q)), np.zeros((c, p + q))
-    _kernel(elimination.sum_products)(jacobian, residual, problem.first, square, gradient)
-    square *= problem.weights[:, None, None]
-    gradient *= problem.weights[:, None]
-    H = square[:, :p, :p].sum(axis=0) + np.diag(problem.precision)
-    Hl = square[:, p:, p:] + problem.local_precision[:, :, None] * np.eye(q)
-    g = gradient[:, :p].sum(axis=0) + problem.precision * (u - problem.prior)
-    gl = gradient[:, p:] + problem.local_precision * (local - problem.local_prior)
-    return NormalEquations(g, H, gl, Hl, np.ascontiguousarray(square[:, :p, p:]), gradient[:, :p], square[:, :p, :p])
-
-
-class SchurComplement:
-    """The normal equations with the cycles' own unknowns eliminated.
-
-    Parameters
-    ----------
-    blocks : NormalEquations
-    damping : (cycles,) f8, optional
-        Adds to the curvatures of the cycles' own unknowns; the least of it to those of the shared ones.
-
-    Attributes
-    ----------
-    H : (p, p) f8
-        The information on the shared unknowns with every cycle's own unknowns also fitted.
-    """
-
-    def __init__(self, blocks: NormalEquations, damping: Array | None = None) -> None:
-        c, q = blocks.gl.shape
-        p = blocks.g.size
-        least, Hl = 0.0, blocks.Hl
-        if damping is not None:
-            least = float(damping.min())
-            Hl = Hl + (damping[:, None] * np.einsum("cii->ci", Hl))[:, :, None] * np.eye(q)
-        self._cross = blocks.cross
-        self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))
-        self.H = blocks.H + least * np.diag(np.diag(blocks.H))
-        _kernel(elimination.invert)(Hl, self._inverse)
-        _kernel(elimination.eliminate)(self._cross, self._inverse, self.H, self._spread)
-
-    def by_cycle(self, cycle_curvature: Array) -> Array:
-        """Return what each cycle informs of the shared unknowns, (c, p, p), with its own unknowns also fitted."""
-        return np.asarray(cycle_curvature - np.einsum("cpq,cqr->cpr", self._cross, self._spread))
-
-    def by_prior(self, precision: Array) -> Array:
-        """Return the covariance of each cycle's reduced gradient, (c, p, p), that its own unknowns' priors lead to.
-
-        ``precision`` (c, q) are the priors' 1/sd^2, where the unknowns scatter by sd.
-        """
-        return np.asarray(np.einsum("cqp,cq,cqr->cpr", self._spread, precision, self._spread))
-
-    def local_step(self, gl: Array) -> Array:
-        """Return inv(Hl) gl, shape (cycles, q)."""
-        return np.asarray(np.einsum("cij,cj->ci", self._inverse, gl))
-
-    def reduced_gradient(self, g: Array, pull: Array) -> Array:
-        """Return the gradient (p,) with the cycles' unknowns eliminated."""
-        return np.asarray(g - np.einsum("cpq,cq->p", self._cross, pull))
-
-    def back_substitute(self, step: Array, pull: Array) -> Array:
-        """Return the cycles' own step (cycles, q) beside a shared one."""
-        return np.asarray(-pull - np.einsum("cqp,p->cq", self._spread, step))
 
 
 def minimise(
@@ -300,24 +149,6 @@ def minimise(
     return Solution(u, local, value, residual, blocks, outcome, steps)
 
 
-def eigen(matrix: Array) -> tuple[Array, Array]:
-    """Return the eigenvalues (n,) of a symmetric matrix (n, n), in no order, and its eigenvectors as columns (n, n)."""
-    turned, vectors = matrix.copy(), np.empty(matrix.shape)  # one layout: compiled once
-    _kernel(elimination.eigen)(turned, vectors)
-    return np.diag(turned).copy(), vectors
-
-
-def _kernel(function: Callable[..., None]) -> Callable[..., None]:
-    return compiled(function, (elimination.__name__,))
-
-
-def cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -> Array:
-    """Return each cycle's share of the objective, shape (cycles,)."""
-    own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
-    own += problem.weights * np.add.reduceat(residual**2, problem.starts)
-    return np.asarray(0.5 * own)
-
-
 def _accelerated_step(
     problem: LeastSquaresProblem,
     u: Array,
@@ -343,11 +174,11 @@ def _accelerated_step(
         return np.zeros(damping.size)
     both = np.hstack([np.tile(step.u, (damping.size, 1)), step.local])
     straight = np.empty(residual.size)
-    _kernel(elimination.along)(jacobian, problem.first, both, straight)
+    kernel(elimination.along)(jacobian, problem.first, both, straight)
     bend = ((near[0] - residual) / PROBE_STEP - straight) * (2 / PROBE_STEP)
     push = bend * problem.weights[problem.owner]
     gradient = np.zeros_like(both)
-    _kernel(elimination.sum_gradients)(jacobian, push, problem.first, gradient)
+    kernel(elimination.sum_gradients)(jacobian, push, problem.first, gradient)
     turn = _step(problem, u, damped, gradient[:, :p].sum(axis=0), gradient[:, p:])
     scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
     with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long

@@ -1,0 +1,104 @@
+"""The normal equations of a least-squares problem, and the same with the cycles' own unknowns eliminated."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from daq.compute.compile import compiled
+from fitting.least_squares import elimination
+from fitting.least_squares.problem import LeastSquaresProblem
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Normal equations: gradient and Hessian in blocks; shapes (p,), (p, p), (c, q), (c, q, q), (c, p, q)."""
+
+    g: Array
+    H: Array
+    gl: Array
+    Hl: Array
+    cross: Array
+    cycle_g: Array  # (c, p): each cycle's share of g, without the priors of u
+    cycle_curvature: Array  # (c, p, p): each cycle's share of H, likewise
+
+
+def normal_equations(
+    problem: LeastSquaresProblem, u: Array, local: Array, residual: Array, jacobian: Array
+) -> NormalEquations:
+    """Return gradient and Gauss-Newton Hessian, cycle by cycle."""
+    p, (c, q) = u.size, local.shape
+    square, gradient = np.zeros((c, p + q, p + q)), np.zeros((c, p + q))
+    kernel(elimination.sum_products)(jacobian, residual, problem.first, square, gradient)
+    square *= problem.weights[:, None, None]
+    gradient *= problem.weights[:, None]
+    H = square[:, :p, :p].sum(axis=0) + np.diag(problem.precision)
+    Hl = square[:, p:, p:] + problem.local_precision[:, :, None] * np.eye(q)
+    g = gradient[:, :p].sum(axis=0) + problem.precision * (u - problem.prior)
+    gl = gradient[:, p:] + problem.local_precision * (local - problem.local_prior)
+    return NormalEquations(g, H, gl, Hl, np.ascontiguousarray(square[:, :p, p:]), gradient[:, :p], square[:, :p, :p])
+
+
+class SchurComplement:
+    """The normal equations with the cycles' own unknowns eliminated.
+
+    Parameters
+    ----------
+    blocks : NormalEquations
+    damping : (cycles,) f8, optional
+        Adds to the curvatures of the cycles' own unknowns; the least of it to those of the shared ones.
+
+    Attributes
+    ----------
+    H : (p, p) f8
+        The information on the shared unknowns with every cycle's own unknowns also fitted.
+    """
+
+    def __init__(self, blocks: NormalEquations, damping: Array | None = None) -> None:
+        c, q = blocks.gl.shape
+        p = blocks.g.size
+        least, Hl = 0.0, blocks.Hl
+        if damping is not None:
+            least = float(damping.min())
+            Hl = Hl + (damping[:, None] * np.einsum("cii->ci", Hl))[:, :, None] * np.eye(q)
+        self._cross = blocks.cross
+        self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))
+        self.H = blocks.H + least * np.diag(np.diag(blocks.H))
+        kernel(elimination.invert)(Hl, self._inverse)
+        kernel(elimination.eliminate)(self._cross, self._inverse, self.H, self._spread)
+
+    def by_cycle(self, cycle_curvature: Array) -> Array:
+        """Return what each cycle informs of the shared unknowns, (c, p, p), with its own unknowns also fitted."""
+        return np.asarray(cycle_curvature - np.einsum("cpq,cqr->cpr", self._cross, self._spread))
+
+    def by_prior(self, precision: Array) -> Array:
+        """Return the covariance of each cycle's reduced gradient, (c, p, p), that its own unknowns' priors lead to.
+
+        ``precision`` (c, q) are the priors' 1/sd^2, where the unknowns scatter by sd.
+        """
+        return np.asarray(np.einsum("cqp,cq,cqr->cpr", self._spread, precision, self._spread))
+
+    def local_step(self, gl: Array) -> Array:
+        """Return inv(Hl) gl, shape (cycles, q)."""
+        return np.asarray(np.einsum("cij,cj->ci", self._inverse, gl))
+
+    def reduced_gradient(self, g: Array, pull: Array) -> Array:
+        """Return the gradient (p,) with the cycles' unknowns eliminated."""
+        return np.asarray(g - np.einsum("cpq,cq->p", self._cross, pull))
+
+    def back_substitute(self, step: Array, pull: Array) -> Array:
+        """Return the cycles' own step (cycles, q) beside a shared one."""
+        return np.asarray(-pull - np.einsum("cqp,p->cq", self._spread, step))
+
+
+def eigen(matrix: Array) -> tuple[Array, Array]:
+    """Return the eigenvalues (n,) of a symmetric matrix (n, n), in no order, and its eigenvectors as columns (n, n)."""
+    turned, vectors = matrix.copy(), np.empty(matrix.shape)  # one layout: compiled once
+    kernel(elimination.eigen)(turned, vectors)
+    return np.diag(turned).copy(), vectors
+
+
+def kernel(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a function of `elimination` compiled."""
+    return compiled(function, (elimination.__name__,))

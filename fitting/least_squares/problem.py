@@ -1,0 +1,86 @@
+"""A least-squares problem of unknowns that all cycles share and of each cycle's own, and its objective."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.arrays import Array, Integers
+
+# Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
+Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
+
+
+@dataclass(frozen=True, eq=False)
+class LeastSquaresProblem:
+    """What is minimised.
+
+    Attributes
+    ----------
+    evaluate : callable
+        ``evaluate(u, l, derivatives)`` with u (p,), l (cycles, q).
+    rows : tuple of slice
+        Which residuals belong to which cycle.
+    weights : (cycles,) f8
+        1/variance of each cycle's residuals, 1/m^2.
+    lower, upper : (p,) f8
+        Bounds of u.
+    prior, precision : (p,) f8
+        Prior means of u and 1/sd^2; 0 where nothing is known.
+    local_prior, local_precision : (cycles, q) f8
+        The same for the cycles' own unknowns.
+    local_upper : (cycles, q) f8
+        Upper bounds of the cycles' own unknowns, to which a longer step is cut.
+    """
+
+    evaluate: Evaluate
+    rows: tuple[slice, ...]
+    weights: Array
+    lower: Array
+    upper: Array
+    prior: Array
+    precision: Array
+    local_prior: Array
+    local_precision: Array
+    local_upper: Array | float = math.inf
+
+    @cached_property
+    def starts(self) -> NDArray[np.int64]:
+        """First residual of each cycle; the cycles' rows follow one another without a gap."""
+        return np.array([rows.start for rows in self.rows], np.int64)
+
+    @cached_property
+    def first(self) -> Integers:
+        """First residual of each cycle, and how many there are, shape (cycles + 1,)."""
+        return np.append(self.starts, self.rows[-1].stop)
+
+    @cached_property
+    def owner(self) -> NDArray[np.int64]:
+        """Which cycle each residual belongs to."""
+        return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave ``evaluate`` out: a closure over kernels and their buffers, which no other process can use."""
+        return vars(self) | {"evaluate": _not_carried}
+
+
+def _not_carried(u: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
+    """Stand for ``evaluate`` in a problem that came from another process."""
+    raise RuntimeError("a problem that came from another process cannot be evaluated")
+
+
+def cost(problem: LeastSquaresProblem, u: Array, local: Array, residual: Array) -> float:
+    """Return the objective."""
+    shared = 0.5 * float(np.sum(problem.precision * (u - problem.prior) ** 2))
+    return shared + float(np.sum(cost_by_cycle(problem, local, residual)))
+
+
+def cost_by_cycle(problem: LeastSquaresProblem, local: Array, residual: Array) -> Array:
+    """Return each cycle's share of the objective, shape (cycles,)."""
+    own = np.sum(problem.local_precision * (local - problem.local_prior) ** 2, axis=1)
+    own += problem.weights * np.add.reduceat(residual**2, problem.starts)
+    return np.asarray(0.5 * own)
