@@ -36,6 +36,12 @@ def joined(pieces: Sequence[Columns]) -> Columns:
     return replace(pieces[0], **{name: np.concatenate([vars(piece)[name] for piece in pieces]) for name in names})
 
 
+def end_to_end(parts: Sequence[slice]) -> tuple[slice, ...]:
+    """Return slices of the lengths of ``parts``, the first from 0 and each from where the one before ends."""
+    edges = np.cumsum([0, *(part.stop - part.start for part in parts)]).tolist()
+    return tuple(slice(first, last) for first, last in pairwise(edges))
+
+
 def runs(mask: Mask) -> list[tuple[int, int]]:
     """Return the half-open index ranges over which ``mask``, shape (n,), is true, in order."""
     edges = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))

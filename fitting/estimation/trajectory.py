@@ -18,11 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState, effective_sigma
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
+from fitting.least_squares.problem import Evaluate, LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
@@ -343,8 +343,18 @@ def _least_squares(
     level = problem.level_prior * state.scatter
     local_sd = np.array([[x, v, level, level, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
     local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
+
+    def some(u: Array, cycles: Integers) -> Evaluate:
+        full = state.u.copy()
+        full[index] = u
+        full = parameters.copy_shared(full)
+        return evaluator(
+            problem.curve, problem.ramp, windows.some(cycles), full, [], problem.scale, problem.local_scale
+        )
+
     return LeastSquaresProblem(
         evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),
+        some=some,
         rows=windows.rows,
         weights=state.weights / state.sigma[windows.run] ** 2,
         lower=problem.lower[index],

@@ -7,11 +7,13 @@ normal equations are q x q, so the cost grows with the number of cycles, not wit
 The valley of a friction law is long and bent (its curve's shape, level, damping and datum trade against each other),
 and a straight step along it soon leaves its floor.  So each step is bent: the second derivative of the residuals
 along it, one evaluation more, gives the acceleration with which a geodesic would follow the floor (Transtrum & Sethna,
-arXiv:1201.5885).  A cycle that would not follow (a kick, a corner on the wrong side) is held back by itself.
+arXiv:1201.5885).  Where a step fails because of a few cycles (a kick, a corner on the wrong side, a valley of their own
+that bends more), their own unknowns are fitted anew beside the shared ones that the step leads to.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,9 +26,11 @@ from fitting.least_squares.problem import LeastSquaresProblem, cost, cost_by_cyc
 FIRST_DAMPING, DAMPING_CUT, DAMPING_RISE = 1e-4, 30.0, 10.0  # of the curvatures; factors after a step taken, refused
 CAUTIOUS_CUT = 3.0  # factor after a step that was first refused
 PROBE_STEP = 0.1  # of the step: where the second derivative along it is measured
-OUTLIER_SHARE = 0.1  # of the cost increase of all cycles: a cycle with more is an outlier and is damped by itself
-FEW = 0.35  # of the cycles: where more are outliers, the shared parameters are damped instead
-LARGEST_CYCLE_DAMPING = 1e12  # times the shared damping: from there on a cycle's own unknowns stand still
+LARGEST_DAMPING, LEAST_DAMPING = 1e10, 1e-12
+LEAST_CHANGE = 1e-12  # of the cost: less is rounding
+# Of the rise of the cost in all cycles where a step fails: a cycle with more is fitted anew.  0.03 does the same.
+FAILED_SHARE = 0.1
+ANEW: dict[str, Any] = {"max_steps": 2, "tolerance": 1e-3, "damping": 1e-6}  # three or five steps gain no more
 ROUNDED = 1e-13  # of the largest eigenvalue: weaker directions are rounding; not swept
 LARGEST_ACCELERATION = 0.75  # of the step: twice the acceleration may be as long, else the step is too long for it
 
@@ -57,12 +61,30 @@ class Solution:
     steps: int
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
+class Step(NamedTuple):
     """A step of the shared unknowns (p,) and of the cycles' own (cycles, q)."""
 
     u: Array
     local: Array
+
+
+class Point(NamedTuple):
+    """Where a search stands: unknowns (p,) and (cycles, q), residuals (N,), derivatives (N, p + q), and the cost."""
+
+    u: Array
+    local: Array
+    residual: Array
+    jacobian: Array
+    cost: float
+    blocks: NormalEquations
+
+
+class Trial(NamedTuple):
+    """Where a step leads, and the cost there."""
+
+    u: Array
+    local: Array
+    cost: float
 
 
 def minimise(
@@ -89,104 +111,106 @@ def minimise(
         Of the first step, times the curvatures: less where the start is known to be near.
     """
     u = np.clip(u, problem.lower, problem.upper)
-    first = problem.evaluate(u, local, True)
-    if first is None:
+    at = _point(problem, u, local)
+    if at is None:
         return None
-    residual, jacobian = first
-    value = cost(problem, u, local, residual)
-    cycle_damping = np.ones(local.shape[0])
     calm, outcome, steps = 0, "step limit", 1
-    blocks = normal_equations(problem, u, local, residual, jacobian)
     while steps < max_steps:
-        moved, refused = False, 0
-        while damping < 1e10:
-            step = _accelerated_step(problem, u, local, blocks, damping * cycle_damping, residual, jacobian)
-            if isinstance(step, Step):
-                trial, local_trial = np.clip(u + step.u, problem.lower, problem.upper), local + step.local
-                local_trial = np.minimum(local_trial, problem.local_upper)
-                found = problem.evaluate(trial, local_trial, False)
-                trial_value = math.inf if found is None else cost(problem, trial, local_trial, found[0])
-                if trial_value < value:
-                    moved = True
-                    break
-                if found is not None and trial_value - value < 1e-12 * value:
-                    break
-                cost_increase = np.zeros(cycle_damping.size)
-                if found is not None:
-                    cost_increase = cost_by_cycle(problem, local_trial, found[0]) - cost_by_cycle(
-                        problem, local, residual
-                    )
-            else:
-                cost_increase = step
+        trial, refused = None, 0
+        while damping < LARGEST_DAMPING:
+            trial = _trial(problem, at, damping)
+            if trial is not None and trial.cost - at.cost < LEAST_CHANGE * at.cost:
+                break
             refused += 1
-            # One outlying cycle (a velocity step, a wrong switching time) must not slow down all the others.
-            outlier_cycles = cost_increase > OUTLIER_SHARE * np.sum(np.maximum(cost_increase, 0.0))
-            if (
-                0 < outlier_cycles.sum() <= FEW * outlier_cycles.size
-                and cycle_damping[outlier_cycles].max() < LARGEST_CYCLE_DAMPING
-            ):
-                cycle_damping[outlier_cycles] *= DAMPING_RISE**2
-            else:
-                damping *= DAMPING_RISE
-        if not moved:
-            outcome = "converged" if damping < 1e10 else "no progress"
+            damping *= DAMPING_RISE
+        if trial is None or trial.cost >= at.cost:
+            outcome = "converged" if damping < LARGEST_DAMPING else "no progress"
             break
-        gain, value = value - trial_value, trial_value
-        u, local = trial, local_trial
-        ease = CAUTIOUS_CUT if refused else DAMPING_CUT
-        damping, cycle_damping = max(damping / ease, 1e-12), np.maximum(cycle_damping / ease, 1.0)
-        again = problem.evaluate(u, local, True)
+        damping = max(damping / (CAUTIOUS_CUT if refused else DAMPING_CUT), LEAST_DAMPING)
+        gain = at.cost - trial.cost
         steps += 1
-        if again is None:  # the point itself can be followed, one of its neighbours cannot
-            outcome = "no progress"
+        there = _point(problem, trial.u, trial.local)
+        if there is None:  # the point itself can be followed, one of its neighbours cannot
+            at, outcome = at._replace(u=trial.u, local=trial.local, cost=trial.cost), "no progress"
             break
-        residual, jacobian = again
-        blocks = normal_equations(problem, u, local, residual, jacobian)
-        calm = calm + 1 if gain < tolerance * value or gain < tolerance else 0
+        at = there
+        calm = calm + 1 if gain < tolerance * at.cost or gain < tolerance else 0
         if calm >= 2:
             outcome = "converged"
             break
-    return Solution(u, local, value, residual, blocks, outcome, steps)
+    return Solution(at.u, at.local, at.cost, at.residual, at.blocks, outcome, steps)
 
 
-def _accelerated_step(
-    problem: LeastSquaresProblem,
-    u: Array,
-    local: Array,
-    blocks: NormalEquations,
-    damping: Array,
-    residual: Array,
-    jacobian: Array,
-) -> Step | Array:
-    """Return the damped step with its acceleration, or whose fault it is that it leads too far.
+def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None:
+    found = problem.evaluate(u, local, True)
+    if found is None:
+        return None
+    blocks = normal_equations(problem, u, local, *found)
+    return Point(u, local, *found, cost(problem, u, local, found[0]), blocks)
 
-    Too far is where the second order no longer holds; a cycle's fault (cycles,) is its share of the second derivative,
-    and nobody's (0) where the flow cannot be followed at all.
 
-    ``damping`` is the cycles' own (cycles,); the least of them is that of the shared unknowns.
+def _trial(problem: LeastSquaresProblem, at: Point, damping: float) -> Trial | None:
+    """Return where a step leads; None where that cannot be followed, or where the second order no longer holds."""
+    step = _accelerated_step(problem, at, damping)
+    if step is None:
+        return None
+    u = np.clip(at.u + step.u, problem.lower, problem.upper)
+    local = np.minimum(at.local + step.local, problem.local_upper)
+    found = problem.evaluate(u, local, False)
+    if found is None:
+        return None
+    trial = Trial(u, local, cost(problem, u, local, found[0]))
+    failed = trial.cost - at.cost >= LEAST_CHANGE * at.cost
+    return _with_failed_cycles_anew(problem, at, trial, found[0]) if failed else trial
+
+
+def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Trial, residual: Array) -> Trial:
+    """Return where a failed step leads after the own unknowns of the few cycles that made it fail are fitted anew.
+
+    Each of them starts where it was or where the step led, whichever costs less.
     """
-    p = u.size
-    damped = SchurComplement(blocks, damping)
-    step = _step(problem, u, damped, blocks.g, blocks.gl)
-    beside = np.minimum(local + PROBE_STEP * step.local, problem.local_upper)
-    near = problem.evaluate(u + PROBE_STEP * step.u, beside, False)
+    by_cycle = cost_by_cycle(problem, trial.local, residual)
+    rise = by_cycle - cost_by_cycle(problem, at.local, at.residual)
+    cycles = np.flatnonzero(rise > FAILED_SHARE * np.sum(np.maximum(rise, 0.0)))
+    if problem.some is None or not cycles.size:
+        return trial
+    part = problem.of_cycles(problem.some(trial.u, cycles), cycles)
+    begin, held = trial.local[cycles], at.local[cycles]
+    stayed = part.evaluate(part.prior, held, False)
+    if stayed is not None:
+        cheaper = cost_by_cycle(part, held, stayed[0]) < by_cycle[cycles]
+        begin = np.where(cheaper[:, None], held, begin)
+    found = minimise(part, part.prior, begin, **ANEW)
+    if found is None:
+        return trial
+    local = trial.local.copy()
+    local[cycles] = found.local
+    return Trial(trial.u, local, trial.cost - float(by_cycle[cycles].sum()) + found.cost)
+
+
+def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -> Step | None:
+    """Return the damped step with its acceleration; None where it leads too far for the second order to hold."""
+    p = at.u.size
+    damped = SchurComplement(at.blocks, damping)
+    step = _step(problem, at.u, damped, at.blocks.g, at.blocks.gl)
+    beside = np.minimum(at.local + PROBE_STEP * step.local, problem.local_upper)
+    near = problem.evaluate(at.u + PROBE_STEP * step.u, beside, False)
     if near is None:
-        return np.zeros(damping.size)
-    both = np.hstack([np.tile(step.u, (damping.size, 1)), step.local])
-    straight = np.empty(residual.size)
-    kernel(elimination.along)(jacobian, problem.first, both, straight)
-    bend = ((near[0] - residual) / PROBE_STEP - straight) * (2 / PROBE_STEP)
+        return None
+    both = np.hstack([np.tile(step.u, (at.local.shape[0], 1)), step.local])
+    straight = np.empty(at.residual.size)
+    kernel(elimination.along)(at.jacobian, problem.first, both, straight)
+    bend = ((near[0] - at.residual) / PROBE_STEP - straight) * (2 / PROBE_STEP)
     push = bend * problem.weights[problem.owner]
     gradient = np.zeros_like(both)
-    kernel(elimination.sum_gradients)(jacobian, push, problem.first, gradient)
-    turn = _step(problem, u, damped, gradient[:, :p].sum(axis=0), gradient[:, p:])
-    scale, local_scale = np.diag(blocks.H), np.einsum("cii->ci", blocks.Hl)
+    kernel(elimination.sum_gradients)(at.jacobian, push, problem.first, gradient)
+    turn = _step(problem, at.u, damped, gradient[:, :p].sum(axis=0), gradient[:, p:])
+    scale, local_scale = np.diag(at.blocks.H), np.einsum("cii->ci", at.blocks.Hl)
     with np.errstate(over="ignore", invalid="ignore"):  # a turn too long for a number is too long
         length = float(np.sum(scale * step.u**2) + np.sum(local_scale * step.local**2))
         turned = float(np.sum(scale * turn.u**2) + np.sum(local_scale * turn.local**2))
-        strain = np.add.reduceat(bend * push, problem.starts)
     if not turned <= LARGEST_ACCELERATION**2 * length < math.inf:
-        return np.asarray(strain) if np.isfinite(strain).all() else np.zeros(damping.size)
+        return None
     return Step(step.u + 0.5 * turn.u, step.local + 0.5 * turn.local)
 
 
@@ -217,10 +241,13 @@ def _step(problem: LeastSquaresProblem, u: Array, damped: SchurComplement, g: Ar
 def _solve(H: Array, target: Array) -> Array:
     """Return x of H x = target, H (n, n) positive semidefinite, with nothing along directions that only rounding holds.
 
-    Where these begin must be no cliff: they fade out.
+    Where these begin must be no cliff: they fade out.  An unknown that the elimination left no curvature does not move.
     """
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    curvature = np.diag(H)
+    held = curvature > 0
+    scale = np.where(held, 1 / np.sqrt(np.where(held, curvature, 1.0)), 0.0)
     size, axes = eigen(H * scale[:, None] * scale)
     size = np.maximum(size, 0.0)
-    along = np.einsum("ij,i->j", axes, scale * target) * size / (size**2 + (ROUNDED * size.max()) ** 2)
+    rounded = ROUNDED * max(float(size.max()), 1.0)
+    along = np.einsum("ij,i->j", axes, scale * target) * size / (size**2 + rounded**2)
     return np.asarray(scale * np.einsum("ij,j->i", axes, along))

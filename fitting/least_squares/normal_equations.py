@@ -46,8 +46,8 @@ class SchurComplement:
     Parameters
     ----------
     blocks : NormalEquations
-    damping : (cycles,) f8, optional
-        Adds to the curvatures of the cycles' own unknowns; the least of it to those of the shared ones.
+    damping : float
+        By which part of them the curvatures are raised.
 
     Attributes
     ----------
@@ -55,16 +55,13 @@ class SchurComplement:
         The information on the shared unknowns with every cycle's own unknowns also fitted.
     """
 
-    def __init__(self, blocks: NormalEquations, damping: Array | None = None) -> None:
+    def __init__(self, blocks: NormalEquations, damping: float = 0.0) -> None:
         c, q = blocks.gl.shape
         p = blocks.g.size
-        least, Hl = 0.0, blocks.Hl
-        if damping is not None:
-            least = float(damping.min())
-            Hl = Hl + (damping[:, None] * np.einsum("cii->ci", Hl))[:, :, None] * np.eye(q)
+        Hl = blocks.Hl + damping * np.einsum("cii->ci", blocks.Hl)[:, :, None] * np.eye(q)
         self._cross = blocks.cross
         self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))
-        self.H = blocks.H + least * np.diag(np.diag(blocks.H))
+        self.H = blocks.H + damping * np.diag(np.diag(blocks.H))
         kernel(elimination.invert)(Hl, self._inverse)
         kernel(elimination.eliminate)(self._cross, self._inverse, self.H, self._spread)
 

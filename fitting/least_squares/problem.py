@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, Integers
+from daq.compute.arrays import Array, Integers, end_to_end
 
 # Residuals (N,) m and, when asked for, their derivatives (N, p + q); None when the flow cannot be followed there.
 Evaluate = Callable[[Array, Array, bool], tuple[Array, Array] | None]
@@ -35,6 +35,9 @@ class LeastSquaresProblem:
         The same for the cycles' own unknowns.
     local_upper : (cycles, q) f8
         Upper bounds of the cycles' own unknowns, to which a longer step is cut.
+    some : callable, optional
+        ``some(u, cycles)`` returns ``evaluate(nothing, l, derivatives)`` of these cycles alone, u held.  Without it no
+        cycle is followed by itself.
     """
 
     evaluate: Evaluate
@@ -47,6 +50,23 @@ class LeastSquaresProblem:
     local_prior: Array
     local_precision: Array
     local_upper: Array | float = math.inf
+    some: Callable[[Array, Integers], Evaluate] | None = None
+
+    def of_cycles(self, evaluate: Evaluate, cycles: Integers) -> "LeastSquaresProblem":
+        """Return the problem of these cycles (indices) alone, which has no shared unknowns."""
+        nothing = np.empty(0)
+        return LeastSquaresProblem(
+            evaluate=evaluate,
+            rows=end_to_end([self.rows[k] for k in cycles]),
+            weights=self.weights[cycles],
+            lower=nothing,
+            upper=nothing,
+            prior=nothing,
+            precision=nothing,
+            local_prior=self.local_prior[cycles],
+            local_precision=self.local_precision[cycles],
+            local_upper=np.broadcast_to(self.local_upper, self.local_prior.shape)[cycles],
+        )
 
     @cached_property
     def starts(self) -> NDArray[np.int64]:
@@ -64,8 +84,8 @@ class LeastSquaresProblem:
         return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave ``evaluate`` out: a closure over kernels and their buffers, which no other process can use."""
-        return vars(self) | {"evaluate": _not_carried}
+        """Leave ``evaluate`` and ``some`` out: closures over kernels and buffers, which no other process can use."""
+        return vars(self) | {"evaluate": _not_carried, "some": None}
 
 
 def _not_carried(u: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:

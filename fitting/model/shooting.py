@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, end_to_end
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.model import fading, parameters
@@ -143,6 +143,25 @@ class ShootingWindows:
             source=np.concatenate([part.source for part in parts]),
             rows=tuple(rows),
             parts=tuple(parts),
+        )
+
+    def some(self, cycles: NDArray[np.int64]) -> "ShootingWindows":
+        """Return the windows of these cycles (indices, rising) alone."""
+        number = np.full(len(self.rows), -1)
+        number[cycles] = np.arange(cycles.size)
+        own = number[self.table[:, 0]] >= 0
+        table = self.table[own]
+        samples = np.concatenate([np.arange(first, first + size) for first, size in table[:, 2:4]])
+        table[:, 0] = number[table[:, 0]]
+        table[:, 2] = np.cumsum(table[:, 3]) - table[:, 3]
+        return ShootingWindows(
+            table=table,
+            level_epoch=self.level_epoch[own],
+            earliest_landing=self.earliest_landing[own],
+            time=self.time[samples],
+            position=self.position[samples],
+            source=self.source[samples],
+            rows=end_to_end([self.rows[k] for k in cycles]),
         )
 
     @property

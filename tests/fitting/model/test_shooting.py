@@ -1,5 +1,7 @@
 """Predicted positions: exact in closed form, and continuous where a window's start touches the belt."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -171,3 +173,22 @@ def test_derivatives_are_those_of_the_positions():
     down = evaluate(u - h * direction, local - h * own, False)[0]
     slope = jacobian @ np.r_[direction, own]
     assert (up - down) / (2 * h) == pytest.approx(slope, abs=1e-4 * np.abs(slope).max())
+
+
+def test_some_cycles_are_predicted_as_among_all():
+    time = np.linspace(0.0, 1.2, 121)
+    windows = ShootingWindows.join([one_window(time[:50]), one_window(time[50:90], stick=1), one_window(time[90:])])
+    windows = replace(windows, table=windows.table * [1, 1, 1, 1, 1, 0], parts=())  # three cycles of one run
+    u = np.array([K, np.log(F), V, 9.6, 0.03, 0.0, 0.02, 0.001, 0.02, *STEADY, 1.0])
+    local = np.array([start(0.12, 0.15), start(-0.1, 0.2, stick=True), start(0.1, 0.05, level=1.1)])
+    cycles = np.array([0, 2])
+
+    def evaluated(windows, local):
+        return evaluator(2, True, windows, u, [], np.ones(PER_RUN), np.ones(PER_CYCLE))(u[:0], local, True)
+
+    position, jacobian = evaluated(windows, local)
+    own, own_jacobian = evaluated(windows.some(cycles), local[cycles])
+    kept = np.r_[0:50, 90:121]
+    assert np.array_equal(own, position[kept])
+    assert np.array_equal(own_jacobian, jacobian[kept])
+    assert windows.some(cycles).rows == (slice(0, 50), slice(50, 81))
