@@ -26,7 +26,7 @@ from fitting.curve.level import (
 )
 from fitting.curve.starts import CurveStart, own_start, weak_starts
 from fitting.estimation import trajectory
-from fitting.estimation.fit import Fit
+from fitting.estimation.fit import OVERTAKING_FACTOR, Fit, cycle_weights
 from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.levenberg_marquardt import Solution
@@ -48,7 +48,7 @@ REACHED = 1.03  # times the noise: no other start can be much better
 # From one start on the thinned record: times the noise, most steps, the gain at which it stops, and the first damping.
 SEARCH = ((30.0, 8, 1e-2, 1e-4), (4.0, 8, 1e-2, 1e-6), (1.0, 15, 1e-3, 1e-6))
 # The valley of the low-speed coefficients is flat: with a first damping of 1e-4 the last steps number nine, not four.
-WEIGHTED: dict[str, Any] = {"max_steps": 6, "tolerance": 1e-4, "damping": 1e-8}  # the same with the cycles' weights
+WEIGHTED: dict[str, Any] = {"max_steps": 20, "tolerance": 1e-5, "damping": 1e-8}  # the same with the cycles' weights
 FINAL: dict[str, Any] = {"max_steps": 10, "tolerance": 3e-5, "damping": 1e-10}  # the same on every sample
 # Most steps where the scatter of the levels determines the rest position: levels and friction are a product, and the
 # valley bends.  After 10 steps one contact in ten was still 15 to 20 % off.
@@ -180,9 +180,12 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
         return _task(fit, thinned, places, curve, basis, start, noise, rest, SEARCH_REST_SD, flow.SEARCH_STEP)
 
     best = None
-    if fit.geometric_mean_rms < REACHED * math.exp(float(np.mean(np.log(noise[fit.windows.run])))):
-        # the law leaves nothing but noise: its own curve is next to the minimum
-        best = _best_end([own], places, basis, task_from, SEARCH[-1:])
+    usual = (fit.cycle_rms / noise[fit.windows.run])[fit.inlier_cycles]
+    if float(np.mean(np.log(usual))) < math.log(REACHED):
+        # the law leaves nothing but noise: its own curve is next to the minimum, and its outlying cycles are known
+        task = task_from(own)
+        weighted = replace(task, weights=task.weights * fit.state.weights)
+        best = _best_end([own], places, basis, lambda _: weighted, SEARCH[-1:])
     if best is None or not _reached(*best):
         best = _best_end([*weak_starts(fit, curve), own], places, basis, task_from, SEARCH)
     if best is None:
@@ -357,8 +360,14 @@ def _local_precision(fit: Fit, law: Array, local: Array) -> Array:
     found = law.copy()
     belt = np.array([motion.belt_speed for motion in fit.problem.motions])[fit.windows.run]
     found[:, PerCycle.V_SLIP] = 1 / (START_SPEED_SD * belt) ** 2
-    found[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / _scatter(fit, local) ** 2
-    return found
+    return _with_levels(found, fit, _scatter(fit, local))
+
+
+def _with_levels(precision: Array, fit: Fit, scatter: float) -> Array:
+    """Set the precisions of the levels by their scatter, as the priors of the laws do."""
+    precision[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / scatter**2
+    precision[fit.windows.overtaking, PerCycle.NEXT_LEVEL] /= OVERTAKING_FACTOR**2
+    return precision
 
 
 def _scatter(fit: Fit, local: Array) -> float:
@@ -384,9 +393,8 @@ def _usual_chi(task: LeastSquaresProblem, solution: Solution) -> float:
 def _reweighted(fit: Fit, task: LeastSquaresProblem, solution: Solution) -> LeastSquaresProblem:
     """Return the task with less weight on cycles that fit worse than the others, and the levels' scatter as found."""
     chi = _cycle_chi(task, solution)
-    weight = trajectory.cycle_weights(chi, max(_usual_chi(task, solution), 1.0))
-    precision = task.local_precision.copy()
+    weight = cycle_weights(chi, max(_usual_chi(task, solution), 1.0))
     inlier = weight > INLIER
     scatter = _scatter(fit, solution.local[inlier] if inlier.sum() > 1 else solution.local)
-    precision[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = 1 / scatter**2
+    precision = _with_levels(task.local_precision.copy(), fit, scatter)
     return replace(task, weights=task.weights * weight, local_precision=precision)

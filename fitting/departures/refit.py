@@ -18,8 +18,8 @@ from fitting.departures.definition.departure import Departure, Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.departures.host import Host
 from fitting.departures.scores import Score, log_probability, score
+from fitting.estimation.fit import cycle_weights
 from fitting.estimation.linearised import LinearisedFit
-from fitting.estimation.trajectory import cycle_weights
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.problem import LeastSquaresProblem, cost
 from fitting.model.parameters import PerCycle

@@ -131,11 +131,10 @@ def _founded(fit: Fit) -> Array:
 
 def _excess(fit: Fit) -> Array:
     """Return the part of the precisions (cycles, q) of the levels' prior by which it is wider than their scatter."""
-    wider = fit.problem.level_prior
+    sd = fit.state.level_sd(fit.windows, fit.problem.level_prior)
+    excess = (1 - (fit.state.scatter / sd) ** 2) / sd**2
     found = np.zeros_like(fit.solution.blocks.gl)
-    found[fit.inlier_cycles, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = (1 - wider**-2) / (
-        wider * fit.state.scatter
-    ) ** 2
+    found[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = np.where(fit.inlier_cycles[:, None], excess, 0.0)
     return found
 
 

@@ -1,6 +1,7 @@
 """What a search knows after a pass, and the fit that it ends in."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, autocorrelation_time
 from fitting.data.cycles import Cycle
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation import wear
 from fitting.least_squares import levenberg_marquardt
 from fitting.model import parameters
@@ -19,6 +21,16 @@ from fitting.sensitivity.path import Path, follow, law_curve
 DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 LEAST_FADE_SD = 1e-6  # 1/s
+OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
+# Times the levels' scatter, for one under which the mass overtakes the belt: it is low for that reason, and it is the
+# next cycle's as well.  With 20 it counts in the mean by 1 in 400; unbounded, a search that leaves the overtaking
+# loses it.
+OVERTAKING_FACTOR = 20.0
+
+
+def cycle_weights(errors: Array, usual: float) -> Array:
+    """Return weights (cycles,) of cycles with these errors: 1, and less for one that fits worse than the usual one."""
+    return np.minimum(2 / (1 + (errors / usual) ** 2), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +66,28 @@ class PassState:
         u[Global.LOG_F :: PER_RUN] += shift
         local[:, levels] -= shift
         return replace(self, u=u, local=local)
+
+    def level_sd(self, windows: ShootingWindows, wider: float) -> Array:
+        """Return the standard deviations (cycles, 2) of the priors of the log levels: ``wider`` times the scatter."""
+        found = np.full((len(windows.rows), 2), wider * self.scatter)
+        found[windows.overtaking, 1] *= OVERTAKING_FACTOR
+        found[self.weights <= INLIER_WEIGHT] = OUTLIER_LEVEL_SD
+        return found
+
+    def with_noise(self, windows: ShootingWindows, motions: Sequence[MeasuredMotion], *, first: bool) -> "PassState":
+        """Return the state with noise level, weights and scatter from the residuals of the pass, run by run."""
+        if self.solution is None:
+            return self
+        weights, sigma = np.ones(len(windows.rows)), self.sigma.copy()
+        for run, motion in enumerate(motions):
+            own = np.flatnonzero(windows.run == run)
+            middle = max(float(np.median(self.cycle_rms[own])), motion.resolution)
+            weights[own] = cycle_weights(self.cycle_rms[own], middle)
+            seen = effective_sigma(self.solution.residual, [windows.rows[k] for k in own if weights[k] > 0.5])
+            # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
+            sigma[run] = max(seen if first else min(seen, float(sigma[run])), motion.resolution)
+        scatter = float(np.clip(np.std(self.local[weights > INLIER_WEIGHT, PerCycle.LEVEL]), 0.01, 0.5))
+        return replace(self, weights=weights, sigma=sigma, scatter=scatter)
 
     def gain_over(self, before: "PassState", windows: ShootingWindows) -> float:
         """Return by how much the cost has fallen, without what spoilt cycles have gained.

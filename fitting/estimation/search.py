@@ -8,7 +8,10 @@ import logging
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
+
 from daq.compute.workers import workers
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation import trajectory
 from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit
@@ -101,7 +104,7 @@ def _started_from_others(laws: Sequence[int], runs: Sequence[Run], coarse: Seque
             if related and (law not in own or near.geometric_mean_rms < factor * own[law].geometric_mean_rms):
                 _keep_better(own, law, trajectory.coarse_fit(EstimationProblem.build(law, runs), near, alone=True))
     lowest = min(fit.geometric_mean_rms for fit in coarse)
-    if lowest > LOST * max(run.motion.resolution for run in runs):
+    if lowest > LOST * _resolution([run.motion for run in runs]):
         for law, fit in list(own.items()):
             if fit.geometric_mean_rms < NEAR * lowest:
                 _keep_better(own, law, trajectory.coarse_fit(fit.problem, fit, alone=True))
@@ -111,13 +114,28 @@ def _started_from_others(laws: Sequence[int], runs: Sequence[Run], coarse: Seque
     return list(own.values())
 
 
+def _resolution(motions: Sequence[MeasuredMotion]) -> float:
+    return max(motion.resolution for motion in motions)
+
+
 def _refined(chain: Sequence[Fit], limit: float) -> list[Fit]:
     """Refine the laws of one curve whose error is below ``limit``; the others stay as they are."""
-    found = {fit.law: fit for fit in chain}
+    found = {fit.law: fit for fit in _with_overtaking(chain)}
     for law, fit in list(found.items()):
         again = trajectory.refine(fit) if fit.geometric_mean_rms < limit else None
         found[law] = fit if again is None else again
     return _retried(found, limit, trajectory.fit_from)
+
+
+def _with_overtaking(chain: Sequence[Fit]) -> Sequence[Fit]:
+    """Return the fits of one curve with the cycles in which the mass overtakes the belt by one of them.
+
+    A ramp law may describe such a cycle by a very low level, where its jump law shows that it is spoilt.
+    """
+    near = [fit for fit in chain if fit.geometric_mean_rms < LOST * _resolution(fit.problem.motions)]
+    found = [trajectory.find_overtaking(fit) for fit in near]
+    overtaking = np.any(found, axis=0)
+    return [trajectory.with_overtaking(fit, overtaking) for fit in chain] if overtaking.any() else chain
 
 
 def _retried(
@@ -132,7 +150,7 @@ def _retried(
         slowest = min(motion.belt_speed for motion in found[ramp].problem.motions)
         narrow = found[ramp].values.d < trajectory.NARROW_RAMP * slowest
         better, own = found[ramp].geometric_mean_rms, found[ramp - 1].geometric_mean_rms
-        hidden = own < NOISE_ALONE * max(motion.resolution for motion in found[ramp].problem.motions)
+        hidden = own < NOISE_ALONE * _resolution(found[ramp].problem.motions)
         factor = LOCAL_MINIMUM_IN_NOISE if hidden else LOCAL_MINIMUM
         if (narrow or hidden) and better < limit and better < factor * own:
             _keep_better(found, ramp - 1, fit_from(found[ramp - 1].problem, found[ramp]))

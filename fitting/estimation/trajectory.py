@@ -15,12 +15,12 @@ import math
 import time as clock
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from fitting.data.frame import MeasuredMotion
-from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState, effective_sigma
+from daq.compute.arrays import Array, Integers, Mask
+from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.problem import Evaluate, LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
@@ -47,15 +47,14 @@ STATIC_GAIN = 5.0  # least gain in log likelihood for which a ramp's break-away 
 STATIC_HINT = 0.5
 FINE_PASS = (60, 1e-6)  # most steps, and the gain at which it stops; chosen by trial
 CENTRED_PASS = (5, 1e-6)
-CYCLE_PASS = (15, 1e-4)  # of the cycles' own unknowns alone
+CYCLE_PASS: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the cycles' own unknowns alone
 CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
-
+LEFT_BY_OVERTAKING = 0.5  # of a spoilt cycle's mean square beyond the usual one: less is left where the mass overtakes
 STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 ALTERNATIVE_FACTOR = 10.0  # times the best start's error after the first pass: beyond it a start is given up
 LOST_MINIMUM = 1.05  # times the error before: a pass that ends so much worse has left its minimum and is undone
 CONTAINED = 1.0005  # times its jump law's error: a ramp law that errs more is in a poor minimum
 SAME_MINIMUM = 1.001  # times the best start's error: a start that ends so near it has led to the same minimum
-OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
 
 
 def coarse_fit(
@@ -157,8 +156,8 @@ def final_fit(fit: Fit) -> Fit:
         last, trial = (freed, False) if gain > STATIC_GAIN else (last, gain > STATIC_HINT)
     windows = fitted_windows(problem, thinned=False)
     if last is not None and windows.time.size > fit.windows.time.size:
-        noise = _reestimate_noise(last, fit.windows, problem.motions, first=False)
-        last = _minimise(problem, windows, noise, *FINE_PASS)
+        noise = last.with_noise(fit.windows, problem.motions, first=False)
+        last = _minimise(problem, windows, _restart_cycles(problem, fit.windows, noise), *FINE_PASS)
     else:
         windows = fit.windows
     if last is None:
@@ -228,7 +227,7 @@ def _search_pass(
     limit, tolerance = passes[number]
     first = _restart_cycles(problem, windows, state) if number == 1 else state
     found = _minimise(problem, windows, first, limit if max_steps is None else max_steps, tolerance)
-    return None if found is None else _reestimate_noise(found, windows, problem.motions, first=number == 0)
+    return None if found is None else found.with_noise(windows, problem.motions, first=number == 0)
 
 
 def _minimise(
@@ -250,28 +249,64 @@ def _minimise(
     u = state.u.copy()
     u[index] = solution.u
     u = parameters.copy_shared(u)
-    rms = np.array([math.sqrt(float(np.mean(solution.residual[rows] ** 2))) for rows in windows.rows])
     prior, precision = _priors(problem, state)
-    return replace(state, u=u, local=solution.local, cycle_rms=rms, solution=solution, prior=prior, precision=precision)
+    found = replace(state, u=u, local=solution.local, cycle_rms=windows.rms(solution.residual), solution=solution)
+    return replace(found, prior=prior, precision=precision)
 
 
 def _restart_cycles(problem: EstimationProblem, windows: ShootingWindows, state: PassState) -> PassState:
-    """Let outlying cycles start again from the smoothed motion, the shared unknowns held, and keep what fits better.
+    """Let outlying cycles start again from the smoothed motion, and keep what fits better.
 
     A cycle with a velocity step has several minima, and one pass can leave it in a poor one: from there it distorts the
     law's error although its weight is low.
     """
-    if state.solution is None or state.weights.min() > INLIER_WEIGHT:
+    cycles = np.flatnonzero(state.weights <= INLIER_WEIGHT)
+    if state.solution is None or (found := _from_smoothed(problem, windows, state, cycles)) is None:
         return state
-    task = _least_squares(problem, windows, state, [])
-    max_steps, tolerance = CYCLE_PASS
-    first = starts.cycle_starts(windows, problem.motions, problem.cycles, state.u)
-    found = levenberg_marquardt.minimise(task, np.empty(0), first, max_steps=max_steps, tolerance=tolerance)
-    if found is None:
-        return state
-    before = cost_by_cycle(task, state.local, state.solution.residual)
-    better = cost_by_cycle(task, found.local, found.residual) < CYCLE_GAIN * before
-    return replace(state, local=np.where(better[:, None], found.local, state.local))
+    part, solution = found
+    residual = np.concatenate([state.solution.residual[windows.rows[k]] for k in cycles])
+    before = cost_by_cycle(part, state.local[cycles], residual)
+    better = cost_by_cycle(part, solution.local, solution.residual) < CYCLE_GAIN * before
+    local = state.local.copy()
+    local[cycles[better]] = solution.local[better]
+    return replace(state, local=local)
+
+
+def _from_smoothed(
+    problem: EstimationProblem, windows: ShootingWindows, state: PassState, cycles: Integers
+) -> tuple[LeastSquaresProblem, levenberg_marquardt.Solution] | None:
+    """Fit the own unknowns of these cycles (indices) from the smoothed motion; return what was minimised, and how."""
+    part = _least_squares(problem, windows, state, []).of_cycles(np.empty(0), cycles)
+    if part is None:
+        return None
+    first = starts.cycle_starts(windows, problem.motions, problem.cycles, state.u)[cycles]
+    found = levenberg_marquardt.minimise(part, np.empty(0), first, **CYCLE_PASS)
+    return None if found is None else (part, found)
+
+
+def find_overtaking(fit: Fit) -> Mask:
+    """Return in which spoilt cycles (cycles,) the mass overtakes the belt unseen: that explains what they leave."""
+    asked: Mask = fit.windows.spoilt(fit.residual) & ~fit.windows.overtaking
+    overtaking = np.zeros(asked.size, np.bool_)
+    if not asked.any():
+        return overtaking
+    cycles = np.flatnonzero(asked)
+    trial = with_overtaking(fit, asked)
+    found = _from_smoothed(trial.problem, trial.windows, fit.state, cycles)
+    if found is not None:
+        usual = np.array([np.median(fit.cycle_rms[fit.windows.run == run]) for run in fit.windows.run[cycles]]) ** 2
+        left = trial.windows.some(cycles).rms(found[1].residual) ** 2 - usual
+        overtaking[cycles] = left < LEFT_BY_OVERTAKING * (fit.cycle_rms[cycles] ** 2 - usual)
+    return overtaking
+
+
+def with_overtaking(fit: Fit, overtaking: Mask) -> Fit:
+    """Return where a fit starts again with a mass that overtakes the belt after landing in these cycles (cycles,)."""
+    problem = fit.problem.with_overtaking(overtaking)
+    windows = fitted_windows(problem, thinned=True)
+    first = starts.cycle_starts(windows, problem.motions, problem.cycles, fit.u)
+    state = replace(fit.state, local=np.where(overtaking[:, None], first, fit.local))
+    return replace(fit, problem=problem, windows=windows, cycles=problem.cycles, state=state)
 
 
 def _started_below_belt(problem: EstimationProblem, windows: ShootingWindows, state: PassState) -> PassState:
@@ -304,8 +339,7 @@ def _with_static(
     ``levels`` are starts of the level over Fs, ``limits`` most steps and the gain at which they stop.  The gain is 0
     where there is no ramp of a width to speak of, or where nothing is gained.
     """
-    slowest = min(motion.belt_speed for motion in problem.motions)
-    narrow = state.u[Global.D] < NARROW_RAMP * slowest
+    narrow = state.u[Global.D] < NARROW_RAMP * min(motion.belt_speed for motion in problem.motions)
     if Global.STATIC not in problem.active or narrow or state.solution is None:
         return state, 0.0
     best, cost = state, state.solution.cost
@@ -340,9 +374,8 @@ def _least_squares(
     """Return what a pass minimises when it moves the shared unknowns at ``index``."""
     prior, precision = _priors(problem, state)
     wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
-    level = problem.level_prior * state.scatter
-    local_sd = np.array([[x, v, level, level, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
-    local_sd[state.weights <= INLIER_WEIGHT, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = OUTLIER_LEVEL_SD
+    local_sd = np.array([[x, v, 0.0, 0.0, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
+    local_sd[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = state.level_sd(windows, problem.level_prior)
 
     def some(u: Array, cycles: Integers) -> Evaluate:
         full = state.u.copy()
@@ -377,26 +410,3 @@ def _active(problem: EstimationProblem, state: PassState) -> tuple[int, ...]:
     late = () if state.fade_sd is not None else (Global.FADE, *RIPPLE)
     late = late if state.static else (*late, Global.STATIC)
     return tuple(place for place in problem.active if place % PER_RUN not in late)
-
-
-def _reestimate_noise(
-    state: PassState, windows: ShootingWindows, motions: Sequence[MeasuredMotion], *, first: bool
-) -> PassState:
-    """Take noise level, weights and scatter from the residuals of the pass before, run by run."""
-    if state.solution is None:
-        return state
-    weights, sigma = np.ones(len(windows.rows)), state.sigma.copy()
-    for run, motion in enumerate(motions):
-        own = np.flatnonzero(windows.run == run)
-        middle = max(float(np.median(state.cycle_rms[own])), motion.resolution)
-        weights[own] = cycle_weights(state.cycle_rms[own], middle)
-        seen = effective_sigma(state.solution.residual, [windows.rows[k] for k in own if weights[k] > 0.5])
-        # Only downwards after the first pass: a wrong law must not talk itself into noise that excuses it.
-        sigma[run] = max(seen if first else min(seen, float(sigma[run])), motion.resolution)
-    scatter = float(np.clip(np.std(state.local[weights > INLIER_WEIGHT, PerCycle.LEVEL]), 0.01, 0.5))
-    return replace(state, weights=weights, sigma=sigma, scatter=scatter)
-
-
-def cycle_weights(errors: Array, usual: float) -> Array:
-    """Return weights (cycles,) of cycles with these errors: 1, and less for one that fits worse than the usual one."""
-    return np.minimum(2 / (1 + (errors / usual) ** 2), 1.0)

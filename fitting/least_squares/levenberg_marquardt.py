@@ -172,9 +172,9 @@ def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Tri
     by_cycle = cost_by_cycle(problem, trial.local, residual)
     rise = by_cycle - cost_by_cycle(problem, at.local, at.residual)
     cycles = np.flatnonzero(rise > FAILED_SHARE * np.sum(np.maximum(rise, 0.0)))
-    if problem.some is None or not cycles.size:
+    part = problem.of_cycles(trial.u, cycles)
+    if part is None:
         return trial
-    part = problem.of_cycles(problem.some(trial.u, cycles), cycles)
     begin, held = trial.local[cycles], at.local[cycles]
     stayed = part.evaluate(part.prior, held, False)
     if stayed is not None:

@@ -52,11 +52,13 @@ class LeastSquaresProblem:
     local_upper: Array | float = math.inf
     some: Callable[[Array, Integers], Evaluate] | None = None
 
-    def of_cycles(self, evaluate: Evaluate, cycles: Integers) -> "LeastSquaresProblem":
-        """Return the problem of these cycles (indices) alone, which has no shared unknowns."""
+    def of_cycles(self, u: Array, cycles: Integers) -> "LeastSquaresProblem | None":
+        """Return the problem of these cycles (indices) alone, u (p,) held; None of no cycles, or without ``some``."""
+        if self.some is None or not cycles.size:
+            return None
         nothing = np.empty(0)
         return LeastSquaresProblem(
-            evaluate=evaluate,
+            evaluate=self.some(u, cycles),
             rows=end_to_end([self.rows[k] for k in cycles]),
             weights=self.weights[cycles],
             lower=nothing,

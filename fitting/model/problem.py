@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from daq.runfile.rig import Measured
@@ -120,6 +121,18 @@ class EstimationProblem:
             precision=precision.ravel(),
             local_scale=np.array([travel, fastest, 1.0, 1.0, travel, fastest]),
         )
+
+    def with_overtaking(self, overtaking: NDArray[np.bool_]) -> "EstimationProblem":
+        """Return the problem with these cycles (cycles,) as ones in which the mass overtakes the belt after landing."""
+        flags = iter(overtaking)
+        runs = []
+        for run in self.runs:
+            cycles = [
+                cycle if cycle.flag else replace(cycle, overtakes=bool(next(flags)) or cycle.overtakes)
+                for cycle in run.cut.cycles
+            ]
+            runs.append(replace(run, cut=replace(run.cut, cycles=tuple(cycles))))
+        return replace(self, runs=tuple(runs))
 
     def start_with_drag(self, drag: Callable[[Array], Array]) -> tuple[Array, float]:
         """Return other starting values (13 runs,), regressed together with a drag, and its size."""

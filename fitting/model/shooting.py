@@ -171,6 +171,17 @@ class ShootingWindows:
         found[self.table[:, 0]] = self.table[:, 5]
         return found
 
+    @property
+    def overtaking(self) -> NDArray[np.bool_]:
+        """Return in which cycles (cycles,) the mass overtakes the belt."""
+        found = np.zeros(len(self.rows), np.bool_)
+        found[self.table[:, 0]] = self.table[:, 4] == 1
+        return found
+
+    def rms(self, residual: Array) -> Array:
+        """Return the rms (cycles,) of each cycle's residuals (N,)."""
+        return np.array([math.sqrt(float(np.mean(residual[rows] ** 2))) for rows in self.rows])
+
     def spoilt(self, residual: Array) -> NDArray[np.bool_]:
         """Return which cycles (cycles,) leave far more of the residuals (N,) than the usual one of their run."""
         square = np.array([np.mean(residual[rows] ** 2) for rows in self.rows])
