@@ -14,7 +14,8 @@ from daq.compute.arrays import Array
 from daq.compute.compile import compiled
 from fitting.least_squares import elimination
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
-from fitting.model.shooting import ShootingWindows, evaluator
+from fitting.model.shooting import evaluator
+from fitting.model.windows import ShootingWindows
 from fitting.selection.phase_distance import nearest_distances
 from fitting.sensitivity.path import Path, follow, law_curve
 from fitting.sensitivity.spline import FrictionSpline

@@ -18,7 +18,7 @@ from fitting.departures.refit import Refit
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.fit import Fit
 from fitting.estimation.linearised import LinearisedFit
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path
 
 NUMBER_OF_LAWS = 6

@@ -20,7 +20,7 @@ from fitting.adequacy.noise import PositionNoise, estimate_noise
 from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, cycle_squares
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
-from fitting.model.shooting import SPOILT, ShootingWindows
+from fitting.model.windows import SPOILT, ShootingWindows
 
 REPETITIONS = 60  # the spread of a statistic is then known to 9 %
 SEED = 13

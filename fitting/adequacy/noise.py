@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.compute.arrays import Array, Mask
 from fitting.data.frame import MeasuredMotion
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 
 ORDER, SQUARED_WEIGHTS = 4, 70.0  # of the differences: (1, 4, 6, 4, 1) squared and summed
 ROUNDED_TWICE = 0.1  # pitches: counts printed with a few decimals are that near whole multiples of the pitch

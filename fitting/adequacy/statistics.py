@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 
 BINS = 60  # of a slip: 8 to 20 samples each at 1 kHz
 

@@ -10,7 +10,7 @@ import numpy as np
 from daq.compute.arrays import Array, Integers, Mask
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.linearised import LinearisedFit
-from fitting.model.shooting import SPOILT
+from fitting.model.windows import SPOILT
 from fitting.sensitivity.path import Path
 from fitting.sensitivity.tangents import tangents
 

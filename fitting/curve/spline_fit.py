@@ -34,7 +34,7 @@ from fitting.least_squares.problem import LeastSquaresProblem, cost
 from fitting.model import parameters
 from fitting.model.parameters import PER_RUN, Global, PerCycle
 from fitting.model.problem import level_prior
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 from fitting.sensitivity import flow
 from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
 from fitting.sensitivity.path import Curve, Path, follow, spline_curve, with_coefficients

@@ -11,7 +11,7 @@ from fitting.data.frame import MeasuredMotion
 from fitting.departures.definition.departure import Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.estimation.linearised import LinearisedFit
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.flow import SEARCH_STEP
 from fitting.sensitivity.path import Path, follow
 from fitting.sensitivity.tangents import tangents

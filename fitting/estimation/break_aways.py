@@ -15,7 +15,8 @@ from fitting.data.ripple import Ripple
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway
 from fitting.model.parameters import PER_CYCLE, Global, PerCycle
-from fitting.model.shooting import ShootingWindows, evaluator
+from fitting.model.shooting import evaluator
+from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
 SEARCH_RANGE_S = 0.15  # about the smoothed break-away

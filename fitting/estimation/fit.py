@@ -15,7 +15,7 @@ from fitting.least_squares import levenberg_marquardt
 from fitting.model import parameters
 from fitting.model.parameters import NUISANCE, PER_RUN, Global, PerCycle
 from fitting.model.problem import EstimationProblem
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path, follow, law_curve
 
 DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear

@@ -26,7 +26,8 @@ from fitting.least_squares.problem import Evaluate, LeastSquaresProblem, cost_by
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, RIPPLE, Global, PerCycle
 from fitting.model.problem import EstimationProblem
-from fitting.model.shooting import ShootingWindows, evaluator
+from fitting.model.shooting import evaluator
+from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
 # Starting values and limits of the search.  Chosen by trial on the runs of docs/identification.md; none was swept by

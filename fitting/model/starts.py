@@ -18,7 +18,7 @@ from daq.runfile.rig import Measured
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 from rig_sim.friction.curve import CONSTANT, HYPERBOLIC, LINEAR, magnitude
 
 LOOSE = 0.05  # of the travel: a rest position with a larger error is also fitted

@@ -8,7 +8,7 @@ import numpy as np
 from daq.compute.arrays import Array, Integers, Mask
 from daq.compute.compile import compiled
 from fitting.model.parameters import PER_RUN
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 from fitting.sensitivity import flow, rates
 from fitting.sensitivity.friction import SPLINE
 from fitting.sensitivity.spline import FrictionSpline

@@ -7,7 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from fitting.model.parameters import PER_CYCLE, PER_RUN
-from fitting.model.shooting import ShootingWindows, evaluator
+from fitting.model.shooting import evaluator
+from fitting.model.windows import ShootingWindows
 
 K, F, V = 35.184, 4.598, 0.22
 OMEGA = K**0.5

@@ -9,7 +9,7 @@ from daq.runfile.rig import Measured
 from fitting.data import cycles
 from fitting.model import starts
 from fitting.model.parameters import PerCycle, Values, to_array
-from fitting.model.shooting import ShootingWindows
+from fitting.model.windows import ShootingWindows
 from rig_sim.friction.curve import magnitude
 
 KNOWN = Measured(0.0, 5e-4)

@@ -1,0 +1,176 @@
+"""The samples that a fit predicts: a stick window and a slip window of each cycle."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.arrays import Array, end_to_end
+from fitting.data.cycles import Cycle
+from fitting.data.frame import MeasuredMotion
+from fitting.model import parameters
+from fitting.model.parameters import PER_CYCLE, PER_RUN, PerCycle
+
+# Mean square of a cycle over the usual one of its run, above which it is spoilt.  Noise alone gives up to 1.2; a joint
+# that steps by 10 mm/s gives 3 to 20.  At 3 slips that were struck lightly still pulled true laws to p = 1e-8.
+SPOILT = 1.5
+BESIDE_BELT = 0.9995  # of the belt's speed: the fastest start of a slip window
+
+
+@dataclass(frozen=True, eq=False)
+class ShootingWindows:
+    """The samples of all windows, end to end, each cycle's stick window before its slip window.
+
+    Attributes
+    ----------
+    table : (windows, 6) i8
+        Cycle, 1 for a stick window and 0 for a slip window, first sample, number of samples, 1 where the mass was seen
+        to overtake the belt after landing, run (0 when there is one).
+    level_epoch : (windows,) f8
+        s; the cycle's break-away: its level is the level then.
+    earliest_landing : (windows,) f8
+        s; half way from a slip window's start to the measured landing: a touch of the belt before is no landing.
+    time, position : (N,) f8
+        s, m.
+    source : (N,) i8
+        Index of each sample in its run's record.
+    rows : tuple of slice
+        The samples of each cycle.
+    parts : tuple of ShootingWindows
+        Each run's own, where several are joined.
+    """
+
+    table: NDArray[np.int64]
+    level_epoch: Array
+    earliest_landing: Array
+    time: Array
+    position: Array
+    source: NDArray[np.int64]
+    rows: tuple[slice, ...]
+    parts: "tuple[ShootingWindows, ...]" = ()
+
+    @classmethod
+    def from_cycles(cls, motion: MeasuredMotion, cycles: tuple[Cycle, ...], stride: int = 1) -> "ShootingWindows":
+        """Gather the windows of the given cycles, taking every ``stride``-th sample."""
+        table, level_epoch, earliest_landing, source, rows, total = [], [], [], [], [], 0
+        for k, cycle in enumerate(cycles):
+            begin = total
+            for stick, (first, end) in ((1, cycle.stick), (0, cycle.slip)):
+                if end > first:
+                    taken = np.arange(first, end, stride)
+                    table.append((k, stick, total, taken.size, cycle.overtakes, 0))
+                    level_epoch.append(cycle.break_away)
+                    earliest_landing.append(0.5 * (float(motion.time[first]) + cycle.landing))
+                    source.append(taken)
+                    total += taken.size
+            rows.append(slice(begin, total))
+        index = np.concatenate(source)
+        return cls(
+            np.array(table, np.int64),
+            np.array(level_epoch),
+            np.array(earliest_landing),
+            motion.time[index],
+            motion.measured[index],
+            index,
+            tuple(rows),
+        )
+
+    @classmethod
+    def join(cls, parts: "Sequence[ShootingWindows]") -> "ShootingWindows":
+        """Put the windows of several runs end to end; those of one run stay as they are."""
+        if len(parts) == 1:
+            return parts[0]
+        tables: list[NDArray[np.int64]] = []
+        rows: list[slice] = []
+        total = 0
+        for run, part in enumerate(parts):
+            tables.append(part.table + np.array([len(rows), 0, total, 0, 0, run]))
+            rows += [slice(own.start + total, own.stop + total) for own in part.rows]
+            total += part.time.size
+        return cls(
+            table=np.concatenate(tables),
+            level_epoch=np.concatenate([part.level_epoch for part in parts]),
+            earliest_landing=np.concatenate([part.earliest_landing for part in parts]),
+            time=np.concatenate([part.time for part in parts]),
+            position=np.concatenate([part.position for part in parts]),
+            source=np.concatenate([part.source for part in parts]),
+            rows=tuple(rows),
+            parts=tuple(parts),
+        )
+
+    def some(self, cycles: NDArray[np.int64]) -> "ShootingWindows":
+        """Return the windows of these cycles (indices, rising) alone."""
+        number = np.full(len(self.rows), -1)
+        number[cycles] = np.arange(cycles.size)
+        own = number[self.table[:, 0]] >= 0
+        table = self.table[own]
+        samples = np.concatenate([np.arange(first, first + size) for first, size in table[:, 2:4]])
+        table[:, 0] = number[table[:, 0]]
+        table[:, 2] = np.cumsum(table[:, 3]) - table[:, 3]
+        return ShootingWindows(
+            table=table,
+            level_epoch=self.level_epoch[own],
+            earliest_landing=self.earliest_landing[own],
+            time=self.time[samples],
+            position=self.position[samples],
+            source=self.source[samples],
+            rows=end_to_end([self.rows[k] for k in cycles]),
+        )
+
+    @property
+    def run(self) -> NDArray[np.int64]:
+        """Which run each cycle is of, shape (cycles,)."""
+        found = np.zeros(len(self.rows), np.int64)
+        found[self.table[:, 0]] = self.table[:, 5]
+        return found
+
+    @property
+    def overtaking(self) -> NDArray[np.bool_]:
+        """Return in which cycles (cycles,) the mass overtakes the belt."""
+        found = np.zeros(len(self.rows), np.bool_)
+        found[self.table[:, 0]] = self.table[:, 4] == 1
+        return found
+
+    def rms(self, residual: Array) -> Array:
+        """Return the rms (cycles,) of each cycle's residuals (N,)."""
+        return np.array([math.sqrt(float(np.mean(residual[rows] ** 2))) for rows in self.rows])
+
+    def spoilt(self, residual: Array) -> NDArray[np.bool_]:
+        """Return which cycles (cycles,) leave far more of the residuals (N,) than the usual one of their run."""
+        square = np.array([np.mean(residual[rows] ** 2) for rows in self.rows])
+        run = self.run
+        usual = np.array([np.median(square[run == one]) for one in range(int(run.max()) + 1)])
+        return np.asarray(square > SPOILT * usual[run])
+
+    def starting_values(self, motions: Sequence[MeasuredMotion]) -> Array:
+        """Return starting values of the cycles' own unknowns, from the smoothed motions; shape (cycles, 6)."""
+        local = np.zeros((len(self.rows), PER_CYCLE))
+        for k, stick, first, _, _, run in self.table:
+            motion = motions[run]
+            at = self.source[first]
+            column = 4 if stick else 0
+            local[k, column] = motion.position[at]
+            local[k, column + 1] = motion.velocity[at]
+        return local
+
+    def fastest_starts(self, u: Array) -> Array:
+        """Return upper bounds (cycles, 6) of the cycles' own unknowns: a slip starts slower than the belt.
+
+        A start beyond the belt's speed meets friction in the other direction.  Noise hides that, and curve, level and
+        damping can use it: local minima with Fs 15 % and friction 7 % off.
+
+        Parameters
+        ----------
+        u : (13 runs,) f8
+            The unknowns, for the belt's speed when each window starts.
+        """
+        found = np.full((len(self.rows), PER_CYCLE), np.inf)
+        for k, stick, first, _, _, run in self.table:
+            p = parameters.values(u[PER_RUN * run : PER_RUN * (run + 1)])
+            turn = p.omega * self.time[first]
+            belt = p.v_dr + p.cosine * math.cos(turn) + p.sine * math.sin(turn)
+            if not stick:
+                found[k, PerCycle.V_SLIP] = BESIDE_BELT * belt
+        return found
