@@ -25,9 +25,9 @@ from fitting.curve.level import (
     unseen,
 )
 from fitting.curve.starts import CurveStart, own_start, weak_starts
-from fitting.estimation import trajectory
 from fitting.estimation.fit import OVERTAKING_FACTOR, Fit, cycle_weights
 from fitting.estimation.linearised import LinearisedFit
+from fitting.estimation.objective import fit_objective, fitted_windows
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.problem import LeastSquaresProblem, cost
@@ -174,7 +174,7 @@ def _fit_spline(fit: Fit, noise: Array, rest: Measured | None) -> SplineFit | No
     datums = np.array([place % PER_RUN == Global.DATUM for place in places])
     offset = np.where(datums, -fit.values.K / fit.runs, 0.0)
     basis = CurveCoordinates.around(own.coefficients, offset, fit.u[list(places)])
-    thinned = trajectory.fitted_windows(problem, thinned=True)
+    thinned = fitted_windows(problem, thinned=True)
 
     def task_from(start: CurveStart) -> LeastSquaresProblem:
         return _task(fit, thinned, places, curve, basis, start, noise, rest, SEARCH_REST_SD, flow.SEARCH_STEP)
@@ -316,7 +316,7 @@ def _task(
     longest_step: float,
 ) -> LeastSquaresProblem:
     """Return what is minimised over ``windows``; priors are the law's, those of the curve's coordinates besides."""
-    law = trajectory.least_squares(fit)
+    law = fit_objective(fit)
     kept = [fit.active.index(place) for place in places]
     lower, upper, prior, precision = (part[kept] for part in (law.lower, law.upper, law.prior, law.precision))
     for number, run in enumerate(fit.problem.runs):

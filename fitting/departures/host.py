@@ -8,7 +8,7 @@ from daq.compute.arrays import Array, Mask
 from fitting.curve.coordinates import CurveCoordinates
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.fit import Fit
-from fitting.estimation.trajectory import least_squares
+from fitting.estimation.objective import fit_objective
 from fitting.least_squares.problem import LeastSquaresProblem
 from fitting.model import parameters
 from fitting.model.parameters import PerCycle
@@ -76,7 +76,7 @@ class Host:
             places=fit.active,
             curve=law_curve(fit.problem.curve, fit.problem.ramp),
             basis=None,
-            task=least_squares(fit),
+            task=fit_objective(fit),
             first=fit.windows.starting_values(fit.problem.motions),
             fastest=free if fit.problem.ramp else fit.windows.fastest_starts(fit.u),
             problem=fit.problem,

@@ -15,9 +15,9 @@ import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
 from daq.compute.compile import compiled
-from fitting.estimation import trajectory
 from fitting.estimation.covariance import scaled_inverse
 from fitting.estimation.fit import Fit
+from fitting.estimation.objective import fit_objective
 from fitting.least_squares import elimination
 
 UNSEEN = 1e-6  # of its weight: what is left to a cycle that does not count, so that its own unknowns stay determined
@@ -94,7 +94,7 @@ class LinearisedFit:
     @classmethod
     def at(cls, fit: Fit) -> "LinearisedFit | None":
         """Linearise a fit; None where the flow cannot be followed beside its solution."""
-        task = trajectory.least_squares(fit)
+        task = fit_objective(fit)
         u = fit.u[list(fit.active)]
         found = task.evaluate(u, fit.local, True)
         if found is None:

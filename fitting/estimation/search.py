@@ -15,6 +15,7 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation import trajectory
 from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit
+from fitting.estimation.objective import fit_objective
 from fitting.model.problem import EstimationProblem, Run
 from rig_sim.friction.law import LAWS
 
@@ -177,7 +178,7 @@ def _final(chain: Sequence[Fit], limit: float) -> list[Fit]:
     What all of them know is then without the errors of the levels.
     """
     found = {fit.law: trajectory.final_fit(fit) if fit.geometric_mean_rms < limit else fit for fit in chain}
-    return [without_level_errors(fit, trajectory.least_squares(fit)) for fit in _retried(found, limit, _final_from)]
+    return [without_level_errors(fit, fit_objective(fit)) for fit in _retried(found, limit, _final_from)]
 
 
 def _final_from(problem: EstimationProblem, near: Fit) -> Fit | None:

@@ -21,12 +21,12 @@ import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
 from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState
+from fitting.estimation.objective import active_unknowns, fitted_windows, pass_objective, priors
 from fitting.least_squares import levenberg_marquardt
-from fitting.least_squares.problem import Evaluate, LeastSquaresProblem, cost_by_cycle
+from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
 from fitting.model import parameters, starts
-from fitting.model.parameters import PER_RUN, RIPPLE, Global, PerCycle
+from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem
-from fitting.model.shooting import evaluator
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
@@ -35,7 +35,6 @@ from rig_sim.friction.law import LAWS
 FIRST_SCATTER = 0.1  # standard deviation of the friction levels before the fit has seen them
 FIRST_SIGMA = 10.0  # of the resolution: nearly any misfit outweighs the calibrations in the first pass
 NARROW_RAMP = 0.02  # of the belt's speed: a jump law may start from a ramp law with a narrower ramp
-COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
 PASSES = ((30, 1e-3), (15, 1e-4), (10, 1e-4))  # most steps of each, and the gain at which it stops
 LONG_PASSES = ((200, 1e-5), (30, 1e-4), (10, 1e-4))  # without a datum: down a long bent valley, datum against Fs
 FADE_PASS = (40, 1e-5)
@@ -51,7 +50,6 @@ CENTRED_PASS = (5, 1e-6)
 CYCLE_PASS: dict[str, Any] = {"max_steps": 15, "tolerance": 1e-4}  # of the cycles' own unknowns alone
 CYCLE_GAIN = 0.99  # of a cycle's cost: another start of its own unknowns led to another minimum
 LEFT_BY_OVERTAKING = 0.5  # of a spoilt cycle's mean square beyond the usual one: less is left where the mass overtakes
-STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 ALTERNATIVE_FACTOR = 10.0  # times the best start's error after the first pass: beyond it a start is given up
 LOST_MINIMUM = 1.05  # times the error before: a pass that ends so much worse has left its minimum and is undone
 CONTAINED = 1.0005  # times its jump law's error: a ramp law that errs more is in a poor minimum
@@ -172,17 +170,8 @@ def final_fit(fit: Fit) -> Fit:
     return _fit(problem, windows, last, fit.cpu_s + clock.process_time() - begun)
 
 
-def fitted_windows(problem: EstimationProblem, *, thinned: bool) -> ShootingWindows:
-    """Return the windows of all runs, of every sample or thinned to `COARSE_HZ`."""
-    parts = []
-    for run in problem.runs:
-        stride = max(1, round(run.motion.time.size / run.motion.span / COARSE_HZ)) if thinned else 1
-        parts.append(ShootingWindows.from_cycles(run.motion, run.cut.used, stride))
-    return ShootingWindows.join(parts)
-
-
 def _fit(problem: EstimationProblem, windows: ShootingWindows, state: PassState, cpu_s: float) -> Fit:
-    active = _active(problem, state)
+    active = active_unknowns(problem, state)
     index = list(active)
     solution = state.solution
     if solution is None or state.precision is None:
@@ -240,17 +229,17 @@ def _minimise(
     fastest: Array | float = math.inf,
 ) -> PassState | None:
     """Minimise once with the noise assumed so far; ``fastest`` are upper bounds of the cycles' own unknowns."""
-    index = list(_active(problem, state))
+    index = list(active_unknowns(problem, state))
     if problem.level_prior > 1 and Global.COMPLIANCE not in [place % PER_RUN for place in index]:
         state = state.centred()
-    task = replace(_least_squares(problem, windows, state, index), local_upper=fastest)
+    task = replace(pass_objective(problem, windows, state, index), local_upper=fastest)
     solution = levenberg_marquardt.minimise(task, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance)
     if solution is None:
         return None
     u = state.u.copy()
     u[index] = solution.u
     u = parameters.copy_shared(u)
-    prior, precision = _priors(problem, state)
+    prior, precision = priors(problem, state)
     found = replace(state, u=u, local=solution.local, cycle_rms=windows.rms(solution.residual), solution=solution)
     return replace(found, prior=prior, precision=precision)
 
@@ -277,7 +266,7 @@ def _from_smoothed(
     problem: EstimationProblem, windows: ShootingWindows, state: PassState, cycles: Integers
 ) -> tuple[LeastSquaresProblem, levenberg_marquardt.Solution] | None:
     """Fit the own unknowns of these cycles (indices) from the smoothed motion; return what was minimised, and how."""
-    part = _least_squares(problem, windows, state, []).of_cycles(np.empty(0), cycles)
+    part = pass_objective(problem, windows, state, []).of_cycles(np.empty(0), cycles)
     if part is None:
         return None
     first = starts.cycle_starts(windows, problem.motions, problem.cycles, state.u)[cycles]
@@ -354,60 +343,3 @@ def _with_static(
         if freed is not None and freed.solution is not None and freed.solution.cost < cost:
             best, cost = freed, freed.solution.cost
     return best, best.gain_over(state, windows)
-
-
-def _priors(problem: EstimationProblem, state: PassState) -> tuple[Array, Array]:
-    """Return means and precisions of the shared unknowns' priors."""
-    prior, precision = problem.prior.copy(), problem.precision.copy()
-    if state.fade_sd is not None:
-        precision[Global.FADE :: PER_RUN] = [1 / sd**2 for sd in state.fade_sd]
-    return prior, precision
-
-
-def least_squares(fit: Fit) -> LeastSquaresProblem:
-    """Return what the last pass of a fit minimised."""
-    return _least_squares(fit.problem, fit.windows, fit.state, list(fit.active))
-
-
-def _least_squares(
-    problem: EstimationProblem, windows: ShootingWindows, state: PassState, index: list[int]
-) -> LeastSquaresProblem:
-    """Return what a pass minimises when it moves the shared unknowns at ``index``."""
-    prior, precision = _priors(problem, state)
-    wide = [(0.1 * motion.travel, motion.belt_speed) for motion in problem.motions]
-    local_sd = np.array([[x, v, 0.0, 0.0, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
-    local_sd[:, PerCycle.LEVEL : PerCycle.NEXT_LEVEL + 1] = state.level_sd(windows, problem.level_prior)
-
-    def some(u: Array, cycles: Integers) -> Evaluate:
-        full = state.u.copy()
-        full[index] = u
-        full = parameters.copy_shared(full)
-        return evaluator(
-            problem.curve, problem.ramp, windows.some(cycles), full, [], problem.scale, problem.local_scale
-        )
-
-    return LeastSquaresProblem(
-        evaluate=evaluator(problem.curve, problem.ramp, windows, state.u, index, problem.scale, problem.local_scale),
-        some=some,
-        rows=windows.rows,
-        weights=state.weights / state.sigma[windows.run] ** 2,
-        lower=problem.lower[index],
-        upper=problem.upper[index],
-        prior=prior[index],
-        precision=precision[index],
-        local_prior=windows.starting_values(problem.motions),
-        local_precision=1 / local_sd**2,
-    )
-
-
-def _active(problem: EstimationProblem, state: PassState) -> tuple[int, ...]:
-    """Return the unknowns that a pass moves.
-
-    A ramp's break-away level is moved only where it gains something (`_with_static`).
-
-    Fading comes last: the levels must be known first, whose trend says about how much of it there may be.  So does a
-    ripple, which the sticks have shown well enough: far from the end its phase would be turned to please the slips.
-    """
-    late = () if state.fade_sd is not None else (Global.FADE, *RIPPLE)
-    late = late if state.static else (*late, Global.STATIC)
-    return tuple(place for place in problem.active if place % PER_RUN not in late)

@@ -18,6 +18,7 @@ from daq.runfile.rig import Measured
 from fitting.estimation import derived, trajectory
 from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit
+from fitting.estimation.objective import fit_objective
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem, Run
 from fitting.selection.evidence import ModelSet
@@ -72,7 +73,7 @@ def equivalent_jump_law(fits: Sequence[Fit], members: Sequence[int], runs: Seque
     if fit is None:
         return None
     final = trajectory.final_fit(fit)
-    return without_level_errors(final, trajectory.least_squares(final))
+    return without_level_errors(final, fit_objective(final))
 
 
 def closed_ramps(fits: Sequence[Fit]) -> list[tuple[int, int]]:
