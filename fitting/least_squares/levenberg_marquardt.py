@@ -191,7 +191,7 @@ def _with_failed_cycles_anew(problem: LeastSquaresProblem, at: Point, trial: Tri
 def _accelerated_step(problem: LeastSquaresProblem, at: Point, damping: float) -> Step | None:
     """Return the damped step with its acceleration; None where it leads too far for the second order to hold."""
     p = at.u.size
-    damped = SchurComplement(at.blocks, damping)
+    damped = SchurComplement(at.blocks, damping, (at.local >= problem.local_upper) & (at.blocks.gl < 0))
     step = _step(problem, at.u, damped, at.blocks.g, at.blocks.gl)
     beside = np.minimum(at.local + PROBE_STEP * step.local, problem.local_upper)
     near = problem.evaluate(at.u + PROBE_STEP * step.u, beside, False)

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Mask
 from daq.compute.compile import compiled
 from fitting.least_squares import elimination
 from fitting.least_squares.problem import LeastSquaresProblem
+
+HOLD = 1e12  # times its curvature: an unknown that does not move
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +50,8 @@ class SchurComplement:
     blocks : NormalEquations
     damping : float
         By which part of them the curvatures are raised.
+    held : (cycles, q) bool, optional
+        Unknowns of the cycles that do not move.
 
     Attributes
     ----------
@@ -55,10 +59,11 @@ class SchurComplement:
         The information on the shared unknowns with every cycle's own unknowns also fitted.
     """
 
-    def __init__(self, blocks: NormalEquations, damping: float = 0.0) -> None:
+    def __init__(self, blocks: NormalEquations, damping: float = 0.0, held: Mask | None = None) -> None:
         c, q = blocks.gl.shape
         p = blocks.g.size
-        Hl = blocks.Hl + damping * np.einsum("cii->ci", blocks.Hl)[:, :, None] * np.eye(q)
+        raised = damping if held is None else np.where(held, HOLD, damping)
+        Hl = blocks.Hl + (raised * np.einsum("cii->ci", blocks.Hl))[:, :, None] * np.eye(q)
         self._cross = blocks.cross
         self._inverse, self._spread = np.empty((c, q, q)), np.empty((c, q, p))
         self.H = blocks.H + damping * np.diag(np.diag(blocks.H))
