@@ -244,3 +244,20 @@ def test_a_search_next_to_a_bound_goes_on_along_it(linear):
     assert found.u[1] >= lower[1]
     assert found.u[1] == pytest.approx(lower[1], rel=1e-14)
     assert found.u[[0, 2]] == pytest.approx(rest[:2], abs=1e-6)
+
+
+def test_a_cycles_own_unknown_on_its_bound_stays_there_and_the_others_settle_beside_it(linear):
+    # A step that is merely cut off at the bound no longer fits the others: under noise a search stood still there.
+    evaluate, rows, full, data = linear
+    place = SHARED + 2 * LOCAL  # the first unknown of the third cycle
+    bound = np.linalg.lstsq(full, data, rcond=None)[0][place] - 0.5
+    upper = np.full((CYCLES, LOCAL), np.inf)
+    upper[2, 0] = bound
+    start = np.zeros((CYCLES, LOCAL))
+    start[2, 0] = bound
+    task = problem(evaluate, rows, local_upper=upper)
+    found = levenberg_marquardt.minimise(task, np.zeros(SHARED), start, max_steps=6, tolerance=1e-14)
+    kept = np.delete(np.arange(full.shape[1]), place)
+    rest = np.linalg.lstsq(full[:, kept], data - full[:, place] * bound, rcond=None)[0]
+    assert found.local[2, 0] == pytest.approx(bound, rel=1e-9)
+    assert found.u == pytest.approx(rest[:SHARED], abs=1e-6)
