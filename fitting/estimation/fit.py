@@ -21,11 +21,22 @@ from fitting.sensitivity.path import Path, follow, law_curve
 DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
 LEAST_FADE_SD = 1e-6  # 1/s
+# In the last pass an outlier's weight is this power of weight/`INLIER_WEIGHT` times as large, and at least that share.
+OUTLIER_POWER, LEAST_OUTLIER_SHARE = 3, 0.02
 OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
 # Times the levels' scatter, for one under which the mass overtakes the belt: it is low for that reason, and it is the
 # next cycle's as well.  With 20 it counts in the mean by 1 in 400; unbounded, a search that leaves the overtaking
 # loses it.
 OVERTAKING_FACTOR = 20.0
+
+
+def without_outliers(weights: Array) -> Array:
+    """Return weights (cycles,) under which outlying cycles hardly count.
+
+    Those of `cycle_weights` are enough for an outlier to pull: its residuals keep one sign over much of a slip, those
+    of noise do not.  Not 0, since the cycle's own unknowns must still follow it.
+    """
+    return weights * np.clip((weights / INLIER_WEIGHT) ** OUTLIER_POWER, LEAST_OUTLIER_SHARE, 1.0)
 
 
 def cycle_weights(errors: Array, usual: float) -> Array:

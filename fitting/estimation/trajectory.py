@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
-from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState
+from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState, without_outliers
 from fitting.estimation.objective import active_unknowns, fitted_windows, pass_objective, priors
 from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.problem import LeastSquaresProblem, cost_by_cycle
@@ -156,7 +156,8 @@ def final_fit(fit: Fit) -> Fit:
     windows = fitted_windows(problem, thinned=False)
     if last is not None and windows.time.size > fit.windows.time.size:
         noise = last.with_noise(fit.windows, problem.motions, first=False)
-        last = _minimise(problem, windows, _restart_cycles(problem, fit.windows, noise), *FINE_PASS)
+        noise = _restart_cycles(problem, fit.windows, noise)
+        last = _minimise(problem, windows, replace(noise, weights=without_outliers(noise.weights)), *FINE_PASS)
     else:
         windows = fit.windows
     if last is None:
