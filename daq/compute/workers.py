@@ -60,7 +60,7 @@ def workers(jobs: int = 1, scheduler: str | None = None, *, join: bool = False) 
 
 @contextmanager
 def _processes(number: int, join: bool) -> Iterator[Map]:
-    """Give ``map`` in fresh processes, which are ended, not waited for, when the block is left by an exception."""
+    """Give ``map`` in fresh processes, which are ended, whatever they do, when the block is left by an exception."""
     others = set(active_children())
     fresh = number - 1 if join else number
     pool = ProcessPoolExecutor(fresh, mp_context=get_context("spawn"), initializer=_follow_parent)
@@ -77,9 +77,9 @@ def _processes(number: int, join: bool) -> Iterator[Map]:
     try:
         yield each
     except BaseException as error:
-        pool.shutdown(wait=False, cancel_futures=True)
         for child in set(active_children()) - others:
             child.terminate()
+        pool.shutdown(cancel_futures=True)  # a thread of the pool that still ran when Python ends could fail there
         if isinstance(error, BrokenProcessPool):
             do = "a machine short of memory does that: use fewer --jobs"
             raise DeviceError("a process of this command was killed", "--jobs", do) from None
