@@ -25,7 +25,7 @@ from fitting.curve.level import (
     unseen,
 )
 from fitting.curve.starts import CurveStart, own_start, weak_starts
-from fitting.estimation.fit import OVERTAKING_FACTOR, Fit, cycle_weights
+from fitting.estimation.fit import OVERTAKING_FACTOR, Fit, cycle_weights, without_outliers
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.objective import fit_objective, fitted_windows
 from fitting.least_squares import levenberg_marquardt
@@ -393,7 +393,7 @@ def _usual_chi(task: LeastSquaresProblem, solution: Solution) -> float:
 def _reweighted(fit: Fit, task: LeastSquaresProblem, solution: Solution) -> LeastSquaresProblem:
     """Return the task with less weight on cycles that fit worse than the others, and the levels' scatter as found."""
     chi = _cycle_chi(task, solution)
-    weight = cycle_weights(chi, max(_usual_chi(task, solution), 1.0))
+    weight = without_outliers(cycle_weights(chi, max(_usual_chi(task, solution), 1.0)))
     inlier = weight > INLIER
     scatter = _scatter(fit, solution.local[inlier] if inlier.sum() > 1 else solution.local)
     precision = _with_levels(task.local_precision.copy(), fit, scatter)
