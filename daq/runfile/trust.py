@@ -48,7 +48,12 @@ def opened(path: Path) -> h5py.File:
         As h5py, for what is no HDF5 file.
     """
     check(path, _visit)
-    return h5py.File(path, "r")
+    return _read_only(path)
+
+
+def _read_only(path: Path) -> h5py.File:
+    """Open a file without HDF5's lock: a run is replaced as a whole, and just then its writer still holds a lock."""
+    return h5py.File(path, "r", locking=False)
 
 
 @contextmanager
@@ -94,7 +99,7 @@ def _key(path: Path, work: Callable[[Path], bytes]) -> tuple[object, ...]:
 def _visit(path: Path) -> bytes:
     """Read everything in a run; InputError for what does not belong into one, or cannot be listed."""
     with suppress(OSError):  # whoever opens it finds out what it is
-        file = h5py.File(path, "r")
+        file = _read_only(path)
         with file, damage(path):
             if is_marked(file):
                 file["entry"].attrs.get("default")

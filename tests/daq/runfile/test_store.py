@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from daq.errors import InputError
+from daq.output.lock import FileLock
 from daq.runfile import nexus, schema, store
 from daq.runfile.recording import EVENTS, Raw, Recording, Truth, positions
 from daq.runfile.rig import Measured, Rig
@@ -228,6 +229,18 @@ def test_what_is_written_reads_back_to_the_last_bit(tmp_path: Path, data: Record
         assert truth is not None
         for name in ("time", "x", "v", "F"):
             np.testing.assert_array_equal(getattr(truth, name), getattr(data.truth, name))
+
+
+def test_a_run_that_its_writer_still_holds_a_lock_on_is_read(tmp_path: Path) -> None:
+    """For an instant after it was replaced; HDF5 takes a lock too, and a reader saw a damaged file."""
+    path, made = tmp_path / "run.h5", run()
+    store.write(path, made)
+    path.touch()  # a file that this process has not checked yet
+    lock = FileLock(path)
+    try:
+        assert np.array_equal(store.load(path).count, made.count)
+    finally:
+        lock.release()
 
 
 def test_equal_runs_give_equal_bytes(tmp_path: Path) -> None:
