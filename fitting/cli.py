@@ -311,11 +311,11 @@ def _adequacy(adequacy: "Adequacy") -> list[Any]:
         visible = adequacy.smallest_visible
         size = f"{visible:.2g} % of Fs" if visible is not None else "not determined by this record"
         lines.append(
-            f"goodness of fit: {adequacy.verdict}; residuals {found.misfit:.3g} times the noise of "
+            f"goodness of fit: {adequacy.said}; residuals {found.misfit:.3g} times the noise of "
             f"{1e6 * found.noise_m:.3g} um, repeating share {found.repeat:.2g}, p {format_probability(found.p_value)}; "
             f"smallest visible departure of friction: {size}"
         )
-    if curve is not None and not adequacy.adequate and adequacy.of_speed:
+    if curve is not None and adequacy.rejected and adequacy.of_speed:
         table = application.table("published forms of the measured curve", ("form", "chi", "inside band", "parameters"))
         table.columns[0].justify = table.columns[3].justify = "left"
         table.columns[0].no_wrap = table.columns[3].no_wrap = False
@@ -324,7 +324,7 @@ def _adequacy(adequacy: "Adequacy") -> list[Any]:
             table.add_row(form.name.replace("-", " "), f"{form.chi:.2f}", "yes" if form.inside_band else "-", values)
         lines.append(table)
     if adequacy.departures:
-        title = "beside the law" if adequacy.adequate else "departures that would explain it"
+        title = "departures that would explain it" if adequacy.rejected else "beside the law"
         table = application.table(title, ("departure", "sigmas", "size", "std. error", "unit", "explained"))
         table.columns[0].justify = "left"
         for one in adequacy.departures:

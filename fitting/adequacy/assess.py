@@ -56,7 +56,7 @@ def assess(
     alpha: float = 0.05,
     revolution: float | None = None,
 ) -> Assessment:
-    """Assess the laws of a set until one describes the record, and measure the friction curve without a law.
+    """Assess the laws of a set until one is not rejected, and measure the friction curve without a law.
 
     Parameters
     ----------
@@ -79,22 +79,23 @@ def assess(
         By the first law that describes the record, or by the best where none does.  Of a single run of several,
         goodness of fit and the smallest visible departure alone: curve and departures are those of all together.
     """
-    chosen = _first_adequate([fit for fit in fits if fit.law in members], motions)
+    chosen = _first_not_rejected([fit for fit in fits if fit.law in members], motions)
     noise = np.array([own.noise_m for own in chosen.slips])
     curve = measure_curve([chosen.fit, *(fit for fit in fits if fit is not chosen.fit)], noise, alpha)
-    adequate = chosen.together.adequate
+    rejected = chosen.together.rejected
     curve_goodness = None
-    if curve is not None and not (adequate and curve.chi <= MISSED):
+    if curve is not None and (rejected or curve.chi > MISSED):
         curve_goodness = _judge_curve(curve, motions)
-    of_speed = curve is not None and (curve_goodness is None or curve_goodness.adequate)
-    if adequate:
-        outcome = ADEQUATE
+    of_speed = curve is not None and (curve_goodness is None or not curve_goodness.rejected)
+    outcome: str | None
+    if not rejected:
+        outcome = ADEQUATE if chosen.together.judged else None
     elif laws < NUMBER_OF_LAWS:
         outcome = NONE_FITTED
     else:
         outcome = NONE_OF_SIX if of_speed else NOT_OF_SPEED
     departures: tuple[FoundDeparture, ...] = ()
-    if curve is not None and not adequate:
+    if curve is not None and rejected:
         others = [fit for fit in fits if fit is not chosen.fit]
         departures = _departures(chosen, others, curve, motions, noise, revolution, of_speed=of_speed)
     visible = (
@@ -119,15 +120,15 @@ def assess(
     if len(motions) == 1:
         return Assessment(chosen.fit.law, together, (together,))
     each = [
-        Adequacy(ADEQUATE if own.adequate else outcome, own.noise_m, own, size)
+        Adequacy(outcome if own.rejected else ADEQUATE if own.judged else None, own.noise_m, own, size)
         for own, size in zip(chosen.each, visible, strict=True)
     ]
     return Assessment(chosen.fit.law, together, tuple(each))
 
 
 def describes(fits: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> bool:
-    """Return whether one of the laws leaves no more than noise."""
-    return _first_adequate(fits, motions).together.adequate
+    """Return whether one of the laws leaves no more than noise, as far as that can be judged."""
+    return not _first_not_rejected(fits, motions).together.rejected
 
 
 def known_mass(motion: MeasuredMotion, curve: MeasuredCurve) -> float | None:
@@ -143,7 +144,7 @@ def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> Mea
     return curve if mass is None else in_newtons(curve, mass)
 
 
-def _first_adequate(members: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> Judged:
+def _first_not_rejected(members: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> Judged:
     first = None
     for fit in members:
         linearised = LinearisedFit.at(fit)
@@ -154,7 +155,7 @@ def _first_adequate(members: Sequence[Fit], motions: Sequence[MeasuredMotion]) -
         else:
             usual, slips = _judged_without_faults(linearised, fit.path, fit, fit.windows, motions)
         found = Judged(fit, linearised, usual, slips, *goodness_of_fit(slips))
-        if found.together.adequate:
+        if not found.together.rejected:
             return found
         first = first or found
     if first is None:
@@ -212,7 +213,7 @@ def _departures(
     def describes(refit: Refit) -> bool:
         fit = next(fit for fit in fits if fit.law == refit.law)
         _, slips = _judged_without_faults(refit.linear, lambda: refit.path, fit, refit.path.windows, motions)
-        return goodness_of_fit(slips)[0].adequate
+        return not goodness_of_fit(slips)[0].rejected
 
     asked = Question.of(fits, motions, float(np.max(noise)), revolution)
     return explain_beside_curve(asked, describes) if of_speed else explain_misfit(asked, curve, describes)

@@ -3,8 +3,9 @@
 Null distribution: the fitted motion is read again and again with the record's own noise (`fitting.adequacy.noise`), all
 unknowns are fitted again, linearly, and the statistics of the slips (`fitting.adequacy.statistics`) are taken of what
 is left.  The other two statistics are of whole cycles, sticks included: the largest mean square over the usual one, and
-the rms of all.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  The draws are
-seeded: the same record gives the same number.
+the rms of all.  Rounding makes patterns that repeat from cycle to cycle; the repetitions have them too.  A statistic
+that is the same in all repetitions distinguishes nothing and is not judged.  The draws are seeded: the same record
+gives the same number.
 """
 
 import math
@@ -33,6 +34,7 @@ TESTS = 4  # what repeats, what is smooth, the worst cycle, and the size of all
 # Times the noise by which all judged cycles together may exceed that of the repetitions: a noise that is not quite that
 # of the model is no misfit.  True laws leave 0.97 to 1.04.
 NOISE_KNOWN = 1.2
+ROUNDING = 1e-9  # of a statistic's mean: numbers that differ by less are equal but for rounding
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,9 @@ class GoodnessOfFit:
         Rms of the residuals of the judged cycles over ``noise_m``.
     lag1, repeat : float
         As in `fitting.adequacy.statistics.SlipStatistics`; 0 where no slip can be judged.
-    p_value : float
-        Probability of statistics at least as large by noise alone; 1 where no slip can be judged.
+    p_value : float or None
+        Probability of statistics at least as large by noise alone; None where nothing could be judged: fewer than
+        `FEWEST_SLIPS` slips, or no statistic that differs between repetitions.
     left_out : tuple of int
         Numbers of the cycles that are not judged (`fitting.adequacy.struck`); of several runs together none.
     """
@@ -57,13 +60,23 @@ class GoodnessOfFit:
     misfit: float
     lag1: float
     repeat: float
-    p_value: float
+    p_value: float | None
     left_out: tuple[int, ...] = ()
 
     @property
+    def judged(self) -> bool:
+        """Whether anything could be judged."""
+        return self.p_value is not None
+
+    @property
     def adequate(self) -> bool:
-        """Whether noise may have made the residuals."""
-        return self.p_value >= REJECTED
+        """Whether noise may have made the residuals, as far as that could be judged."""
+        return self.p_value is not None and self.p_value >= REJECTED
+
+    @property
+    def rejected(self) -> bool:
+        """Whether noise has not made the residuals."""
+        return self.p_value is not None and self.p_value < REJECTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +123,10 @@ class RunSlips:
         return self.bins.slips >= FEWEST_SLIPS
 
     def limits(self, p: float) -> tuple[float, float, float]:
-        """Return at what `repeat`, from its least value, at what `smooth` and at what rms (m) noise is rejected."""
+        """Return at what `repeat`, from its least value, at what `smooth` and at what rms (m) noise is rejected.
+
+        Infinite for a statistic that is not judged.
+        """
         found = (self.null.repeat - least(self.bins), self.null.smooth, self.null_cycles.rms)
         repeat, smooth, rms = (limit(p / TESTS, null) for null in found)
         return repeat, smooth, NOISE_KNOWN * rms
@@ -214,24 +230,33 @@ def goodness_of_fit(slips: Sequence[RunSlips]) -> tuple[GoodnessOfFit, tuple[Goo
         misfit=math.sqrt(float(np.sum(share * [one.misfit**2 for one in each]))),
         lag1=float(np.sum(share * [one.lag1 for one in each])),
         repeat=float(np.sum(share * [one.repeat for one in each])),
-        p_value=min(1.0, len(each) * min(one.p_value for one in each)),
+        p_value=_corrected([one.p_value for one in each], len(each)),
     )
     return together, tuple(each)
 
 
-def probability(slips: RunSlips) -> float:
-    """Return the probability of the statistics by noise alone, corrected for how many there are."""
+def probability(slips: RunSlips) -> float | None:
+    """Return the probability of the statistics by noise alone, corrected for how many there are.
+
+    None where none of them is judged.
+    """
     if not slips.judged:
-        return 1.0
+        return None
     begin, cycles, null = least(slips.bins), slips.cycles, slips.null_cycles
     worst = float(cycles.worst[0])
     found = (
         tail(float(slips.seen.repeat[0]) - begin, slips.null.repeat - begin),
         tail(float(slips.seen.smooth[0]), slips.null.smooth),
-        tail(worst, null.worst) if worst > SPOILT else 1.0,
+        tail(worst, null.worst) if worst > SPOILT else None,
         tail(float(cycles.rms[0]) / NOISE_KNOWN, null.rms),
     )
-    return min(1.0, TESTS * min(found))
+    return _corrected(found, TESTS)
+
+
+def _corrected(found: Sequence[float | None], tests: int) -> float | None:
+    """Return the least of the probabilities, corrected for as many tests; None where there is none."""
+    judged = [p for p in found if p is not None]
+    return min(1.0, tests * min(judged)) if judged else None
 
 
 def least(bins: SlipBins) -> float:
@@ -239,15 +264,23 @@ def least(bins: SlipBins) -> float:
     return -1 / max(bins.slips - 1, 1)
 
 
-def tail(value: float, null: Array) -> float:
-    """Return the probability of a value or a larger one under a gamma distribution with the moments of ``null``."""
-    mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
-    if not mean > 0 or not spread > 0:
-        return 1.0
-    return gamma_tail(value, mean, spread)
+def tail(value: float, null: Array) -> float | None:
+    """Return the probability of a value or a larger one under a gamma distribution with the moments of ``null``.
+
+    None where the repetitions do not differ.
+    """
+    moments = _moments(null)
+    return None if moments is None else gamma_tail(value, *moments)
 
 
 def limit(p: float, null: Array) -> float:
-    """Return the value that is exceeded with probability p under that distribution."""
+    """Return the value that is exceeded with probability p under that distribution; inf where there is none."""
+    moments = _moments(null)
+    return math.inf if moments is None else gamma_upper_quantile(p, *moments)
+
+
+def _moments(null: Array) -> tuple[float, float] | None:
+    """Return mean and standard deviation of a statistic of the repetitions; None where it does not vary."""
     mean, spread = float(np.mean(null)), float(np.std(null, ddof=1))
-    return gamma_upper_quantile(p, mean, spread)
+    # The mean of equal numbers differs from them by rounding, and so would their spread from 0.
+    return (mean, spread) if mean > 0 and spread > ROUNDING * mean else None

@@ -12,6 +12,7 @@ ADEQUATE = "adequate"
 NONE_OF_SIX = "none of the six"
 NOT_OF_SPEED = "not a function of relative speed"
 NONE_FITTED = "none of the laws fitted"
+NOT_JUDGED = "not judged"
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,9 +21,9 @@ class Adequacy:
 
     Attributes
     ----------
-    verdict : str
+    verdict : str or None
         `ADEQUATE`; `NONE_OF_SIX`: no law, but a curve without a law may; `NOT_OF_SPEED`: not even that; `NONE_FITTED`
-        where not all six laws were fitted.
+        where not all six laws were fitted; None where nothing could be judged (`fitting.adequacy.goodness`).
     noise_m : float
         Standard deviation of one position, m.
     goodness : GoodnessOfFit or None
@@ -42,7 +43,7 @@ class Adequacy:
         What would explain the misfit, strongest first.
     """
 
-    verdict: str
+    verdict: str | None
     noise_m: float
     goodness: GoodnessOfFit | None = None
     smallest_visible: float | None = None
@@ -53,14 +54,24 @@ class Adequacy:
     departures: tuple[FoundDeparture, ...] = ()
 
     @property
+    def said(self) -> str:
+        """The verdict in words, `NOT_JUDGED` where there is none."""
+        return self.verdict or NOT_JUDGED
+
+    @property
     def adequate(self) -> bool:
         """Whether a law describes the record."""
         return self.verdict == ADEQUATE
 
     @property
+    def rejected(self) -> bool:
+        """Whether no law describes the record.  Neither this nor `adequate` holds where nothing could be judged."""
+        return self.verdict is not None and not self.adequate
+
+    @property
     def of_speed(self) -> bool:
         """Whether the measured curve describes the record."""
-        return self.curve is not None and (self.curve_goodness is None or self.curve_goodness.adequate)
+        return self.curve is not None and (self.curve_goodness is None or not self.curve_goodness.rejected)
 
     def as_json(self) -> dict[str, Any]:
         """Return the document's form."""

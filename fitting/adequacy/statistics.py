@@ -13,7 +13,11 @@ import numpy as np
 from daq.compute.arrays import Array, Integers, Mask
 from fitting.model.windows import ShootingWindows
 
-BINS = 60  # of a slip: 8 to 20 samples each at 1 kHz
+MOST_BINS = 60  # of a slip, with 8 to 20 samples each at 1 kHz
+# Samples in a bin of the usual slip, at the least.  Chosen: the mean of one sample is that sample, so a bin of 1.5
+# hides what is smooth in a slip; with 6, a slip of 12 samples has two bins, in which what repeats from slip to slip
+# cancels.
+SAMPLES_IN_BIN = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +83,9 @@ class SlipBins:
     count : (occupied bins,) f8
         Residuals in it.
     slips : int
+    bins : int
+        Into how many the phase of a slip is cut: `SAMPLES_IN_BIN` of the usual slip's samples in each, at most
+        `MOST_BINS`.
     """
 
     rows: Integers
@@ -87,26 +94,29 @@ class SlipBins:
     phase: Integers
     count: Array
     slips: int
+    bins: int
 
     @classmethod
     def cut(cls, windows: ShootingWindows, landings: Array, inliers: Mask, run: int = 0) -> "SlipBins":
         """Cut the slips of one run's inlier cycles; ``landings`` (cycles,), s."""
-        rows, cell, slips = [], [], 0
+        rows, phases = [], []
         for k, stick, first, count, _, own in windows.table:
             if stick or own != run or not inliers[k]:
                 continue
             time = windows.time[first : first + count]
             phase = (time - time[0]) / (landings[k] - time[0])
-            place = np.floor(BINS * phase).astype(np.int64)
-            before = place < BINS
+            before = phase < 1.0
             rows.append(first + np.flatnonzero(before))
-            cell.append(slips * BINS + place[before])
-            slips += 1
+            phases.append(phase[before])
+        slips = len(rows)
         if not slips:
             empty = np.empty(0, np.int64)
-            return cls(empty, empty, empty, empty, np.empty(0), 0)
+            return cls(empty, empty, empty, empty, np.empty(0), 0, 1)
+        usual = float(np.median([phase.size for phase in phases]))
+        bins = int(min(max(usual // SAMPLES_IN_BIN, 1), MOST_BINS))
+        cell = [slip * bins + np.floor(bins * phase).astype(np.int64) for slip, phase in enumerate(phases)]
         occupied, starts, count = np.unique(np.concatenate(cell), return_index=True, return_counts=True)
-        return cls(np.concatenate(rows), starts, occupied // BINS, occupied % BINS, count.astype(float), slips)
+        return cls(np.concatenate(rows), starts, occupied // bins, occupied % bins, count.astype(float), slips, bins)
 
     def sums(self, values: Array) -> Array:
         """Return the sum of values (N, B) in each bin, shape (occupied bins, B)."""
@@ -137,7 +147,7 @@ class SlipBins:
         weight = np.sqrt(np.minimum(usual / square, 1.0))  # a spoilt slip is scaled down to the usual one
         mean = sums / self.count[:, None] * weight[self.slip]
         own = np.sum(mean**2, axis=0)
-        together = np.zeros((BINS, sums.shape[1]))
+        together = np.zeros((self.bins, sums.shape[1]))
         np.add.at(together, self.phase, mean)
         return SlipStatistics(
             repeat=(np.sum(together**2, axis=0) - own) / np.maximum((self.slips - 1) * own, 1e-300),

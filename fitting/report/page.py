@@ -138,7 +138,7 @@ def render(
         version=VERSION,
         said=ranking.verdict,
         verdict=symbols.pretty(ranking.verdict),
-        alone=len(ranking.laws_in_set) == 1 and ranking.adequacy.adequate,
+        alone=len(ranking.laws_in_set) == 1 and not ranking.adequacy.rejected,
         rows=[_row(row, ranking) for row in ranking.rows],
         best=ranking.best if ranking.rows else None,
         parameters=[
@@ -170,7 +170,7 @@ def _run(number: int, side: Ranking, kinematics: Kinematics) -> dict[str, Any]:
         "remarks": recording.remarks(),
         "digest": recording.digest,
         "colour": run_colour(number),
-        "adequacy": side.adequacy.verdict,
+        "adequacy": side.adequacy.said,
         "rms": symbols.pretty(format_length(best.rms_m)) if best else "",
         "cycles": best.cycles if best else "",
         "speed": " ± ".join(format_interval(best.parameters["v_dr"])[:2]) if best else "",
@@ -198,7 +198,7 @@ def _adequacy_facts(adequacy: Adequacy) -> list[tuple[str, str]]:
     if found is None:
         return []
     facts = [
-        ("verdict", adequacy.verdict),
+        ("verdict", adequacy.said),
         ("noise of one position", symbols.pretty(format_length(found.noise_m))),
         ("residuals of the best law", f"{found.misfit:.3g} times the noise"),
         ("share that repeats in every cycle", f"{found.repeat:.2g}"),

@@ -79,7 +79,7 @@ def save_joint(
         about = entry["runs"]
         for name, place in (("begin", 0), ("end", -1)):
             nexus.field(about, name, np.array([side.motion.time[place] for side in ranking.runs]), "s")
-        nexus.field(about, "adequacy", [side.adequacy.verdict for side in ranking.runs])
+        nexus.field(about, "adequacy", [side.adequacy.said for side in ranking.runs])
         if ranking.rows:
             nexus.field(about, "cycles", np.array([side.best.cycles for side in ranking.runs], np.uint32), "")
             nexus.field(about, "rms", np.array([side.best.rms_m for side in ranking.runs]), "m")
@@ -91,7 +91,7 @@ def _write(entry: h5py.Group, ranking: Ranking, part: str) -> None:
     fit = nexus.process(entry, "fit", "fit-friction", 2, "ranking" if ranking.rows else "parameters")
     about = nexus.group(fit, "parameters", "NXparameters")
     nexus.field(about, "verdict", ranking.verdict)
-    nexus.field(about, "adequacy", ranking.adequacy.verdict)
+    nexus.field(about, "adequacy", ranking.adequacy.said)
     if part:
         nexus.field(about, "part", part)
     nexus.field(about, "cpu_time", np.float64(ranking.cpu_s), "s")

@@ -95,7 +95,7 @@ def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene
         Neither describes the record.
     """
     adequacy = ranking.adequacy
-    if adequacy.adequate and ranking.rows:
+    if not adequacy.rejected and ranking.rows:
         return of_law(ranking)
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(

@@ -130,23 +130,23 @@ def rank(
         member = "in the set" if fit.law in chosen.members else "not in the set"
         logger.info("law %d: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
     assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha, _revolution(records))
-    adequate = assessed.together.adequate
-    logger.info("goodness of fit: %s", assessed.together.verdict)
+    rejected = assessed.together.rejected
+    logger.info("goodness of fit: %s", assessed.together.said)
     outside = assessed.together.outside_band
     orbits = [MeasuredOrbit.of(run.motion) for run in runs]
     tables = [
         [
             replace(row, outside_band=outside.get(fit.law))
-            for row in _rows(fit, chosen, runs, orbits, alpha, sustained=sustained, trusted=adequate)
+            for row in _rows(fit, chosen, runs, orbits, alpha, sustained=sustained, trusted=not rejected)
         ]
         for fit in ordered
     ]
     by_run = list(zip(*tables, strict=True))
-    depends = [rig_intervals.law_dependent(own) if adequate else () for own in by_run]
+    depends = [() if rejected else rig_intervals.law_dependent(own) for own in by_run]
     tables = [list(own) for own in zip(*map(rig_intervals.over_the_set, by_run), strict=True)]
     rows = tuple(table[-1] for table in tables)
     contradicted = find_contradictions(ordered[0], [run.motion for run in runs], tables[0], records)
-    if adequate:
+    if not rejected:
         measured = all(run.motion.belt_measured for run in runs)
         words = verdict.verdict_sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
         words = name_contradictions(words, contradicted)
@@ -164,7 +164,7 @@ def rank(
         said = (*said, *depends[number], *verdict.not_judged(adequacy), *verdict.level_of_curve(assessed.together))
         # a mass that merely grazes the belt does not break away from rest
         aged = None
-        if adequate and sustained:
+        if sustained and not rejected:
             aged = find_ageing(events, run.cut, derived.break_away_level_error(ordered[0], run.motion, number))
         if aged is not None:
             adequacy = replace(adequacy, departures=(*adequacy.departures, aged))

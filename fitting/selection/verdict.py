@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from daq.output.lengths import format_length
 from fitting.adequacy.goodness import REJECTED
-from fitting.adequacy.result import NONE_FITTED, Adequacy
+from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.curve.result import FormFit
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
@@ -243,11 +243,17 @@ def warnings(
 
 
 def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
-    """Return the warning of the cycles that do not count in the goodness of fit; none where all do."""
-    numbers = () if adequacy.goodness is None else adequacy.goodness.left_out
-    if not numbers:
+    """Return the warnings of what the goodness of fit does not judge: some cycles, or the whole record."""
+    found = adequacy.goodness
+    if found is None:
         return ()
-    listed = ", ".join(map(str, numbers))
+    if not found.judged:
+        return (
+            "goodness of fit not judged: too few slips, or noise leaves the same in every repetition of the record",
+        )
+    if not found.left_out:
+        return ()
+    listed = ", ".join(map(str, found.left_out))
     return (f"cycles not judged: {listed} (a velocity step, as of the belt's joint, or another single disturbance)",)
 
 
@@ -275,6 +281,8 @@ def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tup
     return (*common, *(f"{name}: {text}" for name, text in apart))
 
 
-def format_probability(p: float) -> str:
-    """Return a probability as "= 0.3" or "< 1e-06": the tails of a null distribution are known roughly."""
+def format_probability(p: float | None) -> str:
+    """Return a probability as "= 0.3", or as "< 1e-06": the tails of a null distribution are known roughly."""
+    if p is None:
+        return NOT_JUDGED
     return f"= {p:.2g}" if p >= REJECTED else f"< {REJECTED:g}"

@@ -12,8 +12,10 @@ import pytest
 from daq.console import application
 from fitting import cli, job
 from fitting.adequacy import visible
-from fitting.adequacy.goodness import REJECTED, RunSlips, probability, tail
+from fitting.adequacy.goodness import REJECTED, GoodnessOfFit, RunSlips, limit, probability, tail
+from fitting.adequacy.result import Adequacy
 from fitting.adequacy.statistics import CycleSquares, SlipBins, cycle_squares
+from fitting.selection import verdict
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 
@@ -24,7 +26,7 @@ def test_what_repeats_and_what_is_smooth_is_found_beside_noise():
     count = np.full(slips * 60, 8.0)
     slip, phase = np.divmod(np.arange(slips * 60), 60)
     rows = np.arange(slips * samples)
-    bins = SlipBins(rows, rows[::8], slip, phase, count, slips)
+    bins = SlipBins(rows, rows[::8], slip, phase, count, slips, 60)
     noise = rng.standard_normal((slips * samples, 2))
     wave = np.sin(2 * np.pi * 3 * np.arange(samples) / samples)
     noise[:, 1] += 0.7 * np.tile(wave, slips)
@@ -40,7 +42,7 @@ def test_the_smallest_visible_wave_is_rejected_in_half_of_the_repetitions():
     rng = np.random.default_rng(4)
     slips, samples, draws = 12, 480, 30
     rows, (slip, phase) = np.arange(slips * samples), np.divmod(np.arange(slips * 60), 60)
-    bins = SlipBins(rows, rows[::8], slip, phase, np.full(slips * 60, 8.0), slips)
+    bins = SlipBins(rows, rows[::8], slip, phase, np.full(slips * 60, 8.0), slips, 60)
     cycles = [slice(k * samples, (k + 1) * samples) for k in range(slips)]
 
     def repetitions(added):
@@ -66,6 +68,40 @@ def test_a_probability_is_that_of_the_null_distribution():
     null = rng.gamma(30.0, 0.1, 4000)
     assert tail(float(np.quantile(null, 0.99)), null) == pytest.approx(0.01, rel=0.2)
     assert tail(1e3, null) < 1e-100
+
+
+def test_a_statistic_that_is_the_same_in_all_repetitions_is_not_judged():
+    """Its probability was 1, so every law passed, and its limit a division by zero."""
+    null = np.full(60, 0.1)
+    assert tail(5.0, null) is None
+    assert limit(1e-6, null) == np.inf
+
+
+def test_a_record_that_cannot_be_judged_is_neither_adequate_nor_rejected():
+    found = GoodnessOfFit(noise_m=1e-6, misfit=1.0, lag1=0.0, repeat=0.0, p_value=None)
+    assert not found.judged
+    assert not found.adequate
+    assert not found.rejected
+    adequacy = Adequacy(None, 1e-6, found)
+    document = adequacy.as_json()
+    assert document["verdict"] is document["p_value"] is None
+    assert adequacy.said == "not judged"
+    assert job.exit_code({"adequacy": document, "set": [5]}) == 0
+    assert job.exit_code({"adequacy": document, "set": [5, 6]}) == 5
+    assert len(verdict.not_judged(adequacy)) == 1
+
+
+@pytest.mark.parametrize(("curve", "adequate"), [("hyperbolic", True), ("stribeck", False)])
+def test_slips_of_25_samples_are_judged(contacts, synthetic, tmp_path, curve, adequate):
+    """With fewer samples than bins the statistics had no spread: an error, or "adequate" whatever the law."""
+    time, position = contacts.recorded(contacts.Contact(curve=curve, duration=30.0), rate=50.0, count=0.0)
+    position += 5e-6 * np.random.default_rng(5).standard_normal(time.size)
+    ranking = rank(smooth(synthetic.imported(tmp_path / "track.csv", time, position, decimals=7)), laws=(5,))
+    found = ranking.adequacy.goodness
+    assert found.judged
+    assert found.adequate == adequate
+    assert (found.p_value > 1e-3) == adequate
+    assert (ranking.adequacy.smallest_visible is not None) == adequate
 
 
 @pytest.mark.parametrize("law", [3, 5])
