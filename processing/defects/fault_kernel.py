@@ -6,6 +6,11 @@ and returns how many there are.
 
 from daq.compute.arrays import Array, Integers
 
+BEYOND = 4  # readings that `find_outliers` looks at on either side of one
+# Times the third difference of readings on a parabola: how far the next one may lie off it.  Chosen: towards a landing
+# the third difference of a sine falls, so 1 would do in the limit of many samples; with 0.75 landings of slips of 10
+# samples are called faults seven times as often, and with 2 each of two equal faults side by side excuses the other.
+PARABOLA = 1.5
 NEAR = 32  # samples on either side that say how much readings scatter there
 WIDE = 7  # steps on either side that say how long one usually is
 # Of the usual step: the most that the mean steps of both sides differ by.  A lost frame among the neighbours makes 1/7,
@@ -28,18 +33,22 @@ def find_outliers(x: Array, limit: float, share: float, found: Integers, size: A
     samples from another, have half of it; 0.3 where one side is straight), and most differences from the median nearby
     must be below ``share`` of its own, so that a stretch of larger noise has none.
 
+    Where the motion beside it bends by more than ``limit`` from sample to sample, as in slips of 10 to 50 samples, a
+    line says little: there the reading must be off the parabolas of both sides too (`on_parabola`).  A landing is on
+    one of them, since the acceleration changes there, and position and velocity do not.
+
     Parameters
     ----------
-    x : array of shape (n + 6,)
-        Positions, m, with three more on either side.
+    x : array of shape (n + 2 BEYOND,)
+        Positions, m, with `BEYOND` more on either side.
     limit, share : float
         As above.
     found, size : array of shape (k,)
         Get the samples, 0 to n - 1, and by how much they are out of line, m.
     """
     count = 0
-    n = x.size - 6
-    for i in range(3, n + 3):
+    n = x.size - 2 * BEYOND
+    for i in range(BEYOND, n + BEYOND):
         here = x[i]
         # These first: they cost least, and reject nearly every reading.  Of two opposite spikes with a sound reading
         # between them each lies on the line through the other: a side agrees if the line past its second reading does.
@@ -56,17 +65,30 @@ def find_outliers(x: Array, limit: float, share: float, found: Integers, size: A
         less, more = min(before, behind), max(before, behind)
         if off <= 2 * less + (0.3 if less <= limit else 0.4) * more:
             continue
+        if more > limit and (on_parabola(x, i, -1, limit) or on_parabola(x, i, 1, limit)):
+            continue
         quiet = total = 0
-        for j in range(max(i - NEAR, 2), min(i + NEAR, n + 3) + 1):
+        for j in range(max(i - NEAR, BEYOND - 1), min(i + NEAR, n + BEYOND) + 1):
             near = abs(x[j] - median_of_five(x[j - 2], x[j - 1], x[j], x[j + 1], x[j + 2]))
             quiet += near < share * off
             total += 1
         if 2 * quiet <= total:
             continue
         if count < found.size:
-            found[count], size[count] = i - 3, off
+            found[count], size[count] = i - BEYOND, off
         count += 1
     return count
+
+
+def on_parabola(x: Array, i: int, way: int, limit: float) -> bool:
+    """Return whether reading i lies on the parabola through three neighbours, to ``limit`` and its own error.
+
+    ``way`` is -1 for the neighbours before, 1 for those behind.  The parabola errs by about the third difference.
+    Where that is larger than the second, there is a fault among the neighbours, and nothing lies on their parabola.
+    """
+    a, b, c, d = x[i + way], x[i + 2 * way], x[i + 3 * way], x[i + 4 * way]
+    bend, error = abs(a - 2 * b + c), abs(a - 3 * b + 3 * c - d)
+    return bool(error < bend and abs(x[i] - 3 * a + 3 * b - c) <= limit + PARABOLA * error)
 
 
 def find_held(x: Array, least: int, jump: float, found: Integers) -> int:

@@ -161,9 +161,9 @@ def _outliers(x: Array, limit: float) -> Integers:
 
 
 def _beyond(x: Array) -> Array:
-    """Return three values before the first, nearest first, on a line through medians of those behind it."""
+    """Return the values before the first, nearest first, on a line through medians of those behind it."""
     near, far = float(np.median(x[1:4])), float(np.median(x[3:6]))
-    return near - (far - near) / 2 * np.array([3.0, 4.0, 5.0])
+    return near - (far - near) / 2 * (3.0 + np.arange(fault_kernel.BEYOND))
 
 
 def _outlying(padded: Array, limit: float) -> tuple[Integers, Array]:
