@@ -6,11 +6,11 @@ r"""Cuts a record into cycles: window A from break-away to mid-stick, window B f
            \              /        |       \
             \            /         |        \
              \__________/          |         \___
-          |<------- A ------------>|<-- B -->|50 ms|<-- A of the next cycle
+          |<------- A ------------>|<-- B -->|  |<-- A of the next cycle
 
-The break-away is random and falls into no window: window B ends 50 ms before it and window A starts once the mass has
-left the belt by a twentieth of its speed.  A *cycle* is a break-away with the B before it and the A after it; both
-share one kinetic level, because the level is drawn anew at each landing.
+The break-away is random and falls into no window: window B ends a tenth of a slip before it and window A starts once
+the mass has left the belt by a twentieth of its speed.  A *cycle* is a break-away with the B before it and the A after
+it; both share one kinetic level, because the level is drawn anew at each landing.
 """
 
 import math
@@ -19,14 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.compute.arrays import Array, runs
-from fitting.data.frame import REST_FRACTION, MeasuredMotion
+from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
 
-BEFORE_BREAK_AWAY_S = 0.05
-SHORTEST_S = 0.03
+# Times below are in slips (`MeasuredMotion.slip_s`).
+BEFORE_BREAK_AWAY = (
+    0.1  # at half the smoothed corner is still random in camera tracks; twice loses the end of short sticks
+)
+SHORTEST = (
+    0.06  # of a stick or slip; at half noise beside a corner is one, twice is half a stick at the end of stick-slip
+)
 LEFT_THE_BELT = 0.05  # of the belt's speed
-SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
 OVERTAKING = 0.02  # of the belt's speed, above the plateau
-REST_S = 0.5  # a mass at rest for longer stands on a belt that stands; a sliding mass only turns there
+REST = 1.0  # a mass at rest for longer stands on a belt that stands; a sliding mass only turns there
 FEWEST_AT_REST = 8  # samples of a line that shows rest
 SURE = 4.0  # standard errors of that line's slope: at 400 a second and 1 mm of noise 5.5 mm/s each in a quarter second
 WIDEST_SLACK = 0.25  # of the belt's speed: a line less certain than that shows nothing
@@ -78,8 +82,8 @@ class CycleSegmentation:
     starts_at_rest : bool
         Whether the record begins before the belt does.
     drag : (first, end)
-        Samples of the start-up drag, from shortly after the first landing to 50 ms before the first break-away; empty
-        when the record does not begin at rest.
+        Samples of the start-up drag, from shortly after the first landing to a tenth of a slip before the first
+        break-away; empty when the record does not begin at rest.
     """
 
     cycles: tuple[Cycle, ...]
@@ -125,13 +129,13 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
     """
     time, v, a = motion.time, motion.velocity, motion.acceleration
     n = time.size
-    shortest = max(3, round(SHORTEST_S / float(np.median(np.diff(time)))))
+    shortest = max(3, round(SHORTEST * motion.slip_s / float(np.median(np.diff(time)))))
     slow = [(i, j) for i, j in runs(v < SLIPPING * motion.belt_speed) if j - i >= shortest]
     if not slow:
         return CycleSegmentation((), 0.0, False, (0, 0))
     at_rest = np.abs(v) < REST_FRACTION * motion.belt_speed
     starts_at_rest = slow[0][0] == 0 and (bool(at_rest[: min(shortest, n)].all()) or _rests(motion, slow[0][1]))
-    rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > REST_S]
+    rests = [(i, j) for i, j in runs(at_rest) if time[j - 1] - time[i] > REST * motion.slip_s]
     slipping = np.zeros(n, np.bool_)
     for stretch in slow:
         slipping[slice(*stretch)] = True
@@ -153,11 +157,11 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         if k == 0 and begin == 0:
             continue  # the start-up, or a slip whose beginning was not recorded
         onset = onsets[k]
-        last = int(np.searchsorted(time, time[onset] - BEFORE_BREAK_AWAY_S))
+        last = int(np.searchsorted(time, time[onset] - BEFORE_BREAK_AWAY * motion.slip_s))
         if k == 0:
             first = _calm(motion, onset, still)
         elif k == 1 and starts_at_rest:
-            settle = max(SHORTEST_S, motion.half_window)
+            settle = max(SHORTEST * motion.slip_s, motion.half_window)
             first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
             drag = (first, last) if last - first >= shortest else (0, 0)
         else:
@@ -198,7 +202,7 @@ def _rests(motion: MeasuredMotion, end: int) -> bool:
     ``end`` is the end of the first slow stretch, in samples.  The line must be flat to within its own error, and that
     error small against the belt's speed.
     """
-    last = min(int(np.searchsorted(motion.time, motion.time[0] + 0.5 * REST_S)), end)
+    last = min(int(np.searchsorted(motion.time, motion.time[0] + 0.5 * REST * motion.slip_s)), end)
     if last < FEWEST_AT_REST:
         return False
     t, x = motion.time[:last] - motion.time[:last].mean(), motion.measured[:last]
@@ -244,7 +248,7 @@ def _creep(motion: MeasuredMotion, landing: int, begin: int, still: float) -> fl
     On a wide ramp it creeps the more the larger the load, and slows down from the first.  0 where that is less than
     ``still``, or as much as in a slip.
     """
-    first = int(np.searchsorted(motion.time, motion.time[landing] + max(SHORTEST_S, motion.half_window)))
+    first = int(np.searchsorted(motion.time, motion.time[landing] + max(SHORTEST * motion.slip_s, motion.half_window)))
     part = motion.acceleration[first : (first + begin) // 2]
     slowing = -float(np.median(part)) if part.size else 0.0
     return slowing if still < slowing < FASTEST_CREEP * still else 0.0

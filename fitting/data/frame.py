@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import HOLE, Array
+from daq.compute.arrays import HOLE, Array, runs
 from daq.errors import DataError, InputError
 from daq.runfile.rig import Measured, Rig
 from fitting.data import belt_line
@@ -22,6 +22,7 @@ from processing.record.noise import smallest_step
 from processing.record.series import LONG
 from processing.record.setting import is_possible_speed
 
+SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
 FEWEST_STICKS = 4
 FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
@@ -56,6 +57,8 @@ class MeasuredMotion:
         Standard error of the smoothed velocity, m/s; median over the record.
     half_window : float
         Half of the smoothing window, s: how far a corner is blurred.
+    slip_s : float
+        About how long a slip lasts, s (`typical_slip`): the unit of all times in the fit.
     length_error : float
         Relative standard error of every length: that of the metres per count.
     compliance : Measured or None
@@ -84,6 +87,7 @@ class MeasuredMotion:
     step: float
     velocity_error: float
     half_window: float
+    slip_s: float
     length_error: float = 0.0
     compliance: Measured | None = None
     belt_measured: bool = False
@@ -138,7 +142,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
     resolution, step = _resolution(kinematics)
     kept = _kept(kinematics)
-    position = kinematics.steady_position[kept]
+    time, position, velocity = kinematics.time[kept], kinematics.steady_position[kept], kinematics.velocity[kept]
     if np.ptp(position) < 20 * resolution:
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
@@ -158,10 +162,10 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         prior = channel.speed_without_load(unknown if rest is None else Measured(sign * rest.value, rest.sd))
         prior = replace(prior, sd=math.hypot(prior.sd, _length_error(recording.rig) * prior.value))
     return MeasuredMotion(
-        time=kinematics.time[kept],
+        time=time,
         measured=sign * (kinematics.measured - (0.0 if kinematics.repaired else kinematics.offset))[kept],
         position=sign * position,
-        velocity=sign * kinematics.velocity[kept],
+        velocity=sign * velocity,
         acceleration=sign * kinematics.acceleration[kept],
         broken=_broken(kinematics, usual),
         belt_speed=abs(speed),
@@ -176,6 +180,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         step=step,
         velocity_error=float(np.median(kinematics.velocity_errors[kept])),
         half_window=kinematics.window * usual / 2,
+        slip_s=typical_slip(time, sign * position, sign * velocity < SLIPPING * abs(speed)),
         length_error=_length_error(recording.rig),
         compliance=Measured(-channel.slope.value, channel.slope.sd)
         if channel is not None and channel.slows_under_load
@@ -183,6 +188,32 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         belt_measured=channel is not None,
         speed_variation=0.0 if channel is None or not channel.is_unsteady else channel.speed_variation,
     )
+
+
+def typical_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
+    """Return about how long a slip lasts, s: a power of two, from 0.55 to 1.1 times the usual duration.
+
+    Half of all travel in slips is in slips that last as long as the usual one or longer, so that short stretches of
+    noise do not count.  A power of two scales times without rounding: a record in slow motion gives the same answer.
+
+    Parameters
+    ----------
+    time, position : (n,) f8
+        s, m.
+    slips : (n,) bool
+        Where the mass moves much slower than the belt.
+    """
+    parts = runs(slips)
+    last = time.size - 1
+    if not parts:
+        parts = [(0, time.size)]
+    lengths = np.array([time[min(j, last)] - time[i] for i, j in parts])
+    ways = np.array([np.ptp(position[i:j]) for i, j in parts])
+    order = np.argsort(lengths)
+    travelled = np.cumsum(ways[order])
+    usual = float(lengths[order][np.searchsorted(travelled, 0.5 * travelled[-1])])
+    # Slips of the six laws last 1.05 to 1.3 half periods of the mass on its spring: 4/pi of one rounds them alike.
+    return math.ldexp(1.0, round(math.log2(usual * math.pi / 4)))
 
 
 def _kept(kinematics: Kinematics) -> NDArray[np.bool_]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
 from daq.compute.least_squares import least_squares
-from fitting.data.cycles import BEFORE_BREAK_AWAY_S, CycleSegmentation
+from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 
 LEFT = 0.45  # of the velocity's variance in stick: a ripple worth the name leaves no more than this
@@ -29,12 +29,12 @@ SMALLEST = 2e-3  # of the belt's speed
 # Of the amplitude that the lines do not take up.  True ripples show 0.28 to 1.0 of theirs; one that ageing sticks of a
 # steady belt seemed to have, slower than a stick is long, 0.17.
 VISIBLE = 0.25
-# Slower, or below `ANYHOW_HZ` with fewer periods, it may be wear or a drift; faster, smoothing has taken it away.  When
-# 0.2 Hz was the slowest, a ripple of 0.1 Hz was missed, or taken for one of 0.7 Hz, which the sticks meet at the same
-# phases.
-SLOWEST_HZ, ANYHOW_HZ, FASTEST_HZ = 0.05, 0.2, 25.0
+# Periods in a slip (`MeasuredMotion.slip_s`).  Slower, or below `ANYHOW` with fewer periods, it may be wear or a drift;
+# faster, smoothing has taken it away.  When 0.1 was the slowest, a ripple of half of it was missed, or taken for one
+# that the sticks meet at the same phases.
+SLOWEST, ANYHOW, FASTEST = 0.025, 0.1, 12.5
 FEWEST_PERIODS = 2.0
-GRID_HZ = 100.0  # rate of the thinned record that is transformed
+GRID = 50.0  # samples a slip of the thinned record that is transformed: four of the fastest period
 FINER = 4  # times the transform's own grid of frequencies
 CANDIDATES = 5  # the gaps between sticks make false peaks beside the true one
 # Times the mean square that the likeliest frequency leaves in stick: what leaves more is not tried in its place.  Over
@@ -48,9 +48,9 @@ HARMONIC = 3  # unknowns: amplitude, phase and frequency
 RAMP_LIKE = 0.9  # of the sticks have velocities that fall: on a ramp all but those that noise hides, else half
 PLACES = 41  # of the point that lines of own slopes share, over twice the travel, before it is looked for more closely
 HALVINGS = 9  # of the steps of frequency and point: the frequency is then known to 1e-3 of a turn over the record
-SETTLED_S = 0.02  # after a landing, at the least
-# Of a stick: so much of it at the most is left out at an end for the seconds above and before a break-away.  Of a stick
-# of 60 ms they left nothing, and the ripple went unseen: a true law was "none of the six", or law 3 was named law 4.
+SETTLED = 0.04  # slips after a landing, at the least
+# Of a stick: so much of it at the most is left out at an end for the times above and before a break-away.  Of a stick
+# of a tenth of a slip they left nothing, and the ripple went unseen: a true law was "none of the six", or another's.
 LEFT_OUT = 1 / 6
 
 
@@ -222,11 +222,11 @@ def _harmonics(motion: MeasuredMotion, stuck: InStick, slopes: OwnSlopes | None)
         Lines that are also fitted instead of one for all sticks.  The point that they share is looked for anew: without
         the harmonic it is displaced to where the lines make up for most of it.
     """
-    rest, peaks = stuck.rest, _peaks(stuck.time, stuck.rest)
+    rest, peaks = stuck.rest, _peaks(stuck.time, stuck.rest, motion.slip_s)
     if slopes is not None:
         rest = slopes.left(stuck.v)
-        peaks += _peaks(stuck.time, rest)
-    thin = slice(None, None, max(1, int(motion.time.size / motion.span / GRID_HZ)))
+        peaks += _peaks(stuck.time, rest, motion.slip_s)
+    thin = slice(None, None, max(1, int(motion.time.size / motion.span * motion.slip_s / GRID)))
     every, stuck, before = stuck, stuck.thinned(thin), float(np.mean(rest[thin] ** 2))
     time, v = stuck.time, stuck.v
     slopes = None if slopes is None else slopes.thinned(thin)
@@ -301,12 +301,12 @@ def _gains(
     slopes : OwnSlopes or None
         Lines that are also fitted; one for all sticks without.
     """
-    window = max(2 * motion.half_window, SETTLED_S)
+    window = max(2 * motion.half_window, SETTLED * motion.slip_s)
     samples = np.bincount(own)
     lengths = samples[samples > 0] * float(np.median(np.diff(motion.time)))
     independent = float(np.sum(np.maximum(lengths / window, 1.0)))
     lines = 2 if slopes is None else lengths.size
-    needed = 2 * (math.log((FASTEST_HZ - SLOWEST_HZ) * motion.span) + SURE_LOG)
+    needed = 2 * (math.log((FASTEST - SLOWEST) / motion.slip_s * motion.span) + SURE_LOG)
     noise = motion.velocity_error**2
     if independent * (before - after) <= needed * noise:
         return False
@@ -325,23 +325,24 @@ def _in_stick(motion: MeasuredMotion, cut: CycleSegmentation) -> list[NDArray[np
     parts, long = [], 0
     for before, after in zip(cut.cycles[:-1], cut.cycles[1:], strict=True):
         stick_s = max(after.break_away - before.landing, 0.0)
-        settle = max(motion.half_window, min(SETTLED_S, LEFT_OUT * stick_s))
+        settle = max(motion.half_window, min(SETTLED * motion.slip_s, LEFT_OUT * stick_s))
         first = int(np.searchsorted(motion.time, before.landing + settle))
-        end = int(np.searchsorted(motion.time, after.break_away - min(BEFORE_BREAK_AWAY_S, LEFT_OUT * stick_s)))
+        before_break_away = min(BEFORE_BREAK_AWAY * motion.slip_s, LEFT_OUT * stick_s)
+        end = int(np.searchsorted(motion.time, after.break_away - before_break_away))
         if end > first:
             parts.append(np.arange(first, end))
             long += motion.time[end - 1] - motion.time[first] > settle
     return parts if long >= FEWEST else []
 
 
-def _peaks(time: Array, rest: Array) -> list[float]:
+def _peaks(time: Array, rest: Array, slip_s: float) -> list[float]:
     """Return the strongest frequencies of what is left in stick, Hz."""
-    grid = np.bincount(((time - time[0]) * GRID_HZ).astype(np.int64), weights=rest)
+    grid = np.bincount(((time - time[0]) * (GRID / slip_s)).astype(np.int64), weights=rest)
     size = FINER * grid.size
     power = np.abs(np.fft.rfft(grid, size)) ** 2
-    hertz = np.fft.rfftfreq(size, 1 / GRID_HZ)
-    slowest = min(max(SLOWEST_HZ, FEWEST_PERIODS / (time[-1] - time[0])), ANYHOW_HZ)
-    power[(hertz < slowest) | (hertz > FASTEST_HZ)] = 0.0
+    hertz = np.fft.rfftfreq(size, slip_s / GRID)
+    slowest = min(max(SLOWEST / slip_s, FEWEST_PERIODS / (time[-1] - time[0])), ANYHOW / slip_s)
+    power[(hertz < slowest) | (hertz > FASTEST / slip_s)] = 0.0
     found: list[float] = []
     while len(found) < CANDIDATES and power.any():
         top = int(np.argmax(power))

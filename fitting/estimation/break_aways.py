@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from daq.compute.arrays import Array
-from fitting.data.cycles import BEFORE_BREAK_AWAY_S, CycleSegmentation
+from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.estimation.fit import Fit
@@ -19,8 +19,9 @@ from fitting.model.shooting import evaluator
 from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
-SEARCH_RANGE_S = 0.15  # about the smoothed break-away
-AFTER_S = 0.05  # of the slip that the break-away is judged by
+# Times in slips (`MeasuredMotion.slip_s`).
+SEARCH_RANGE, SEARCH_STEP = 0.3, 2e-4  # about the smoothed break-away
+AFTER = 0.1  # of the slip that the break-away is judged by
 ROUNDS, TRIALS = 3, 21  # of the search: each round looks closer, about the best trial before
 POOR_CYCLE = 3.0  # times the usual error of a cycle: a larger one means that something else happened in it
 
@@ -101,7 +102,8 @@ def _friction(fit: Fit, time: Array, x: Array) -> Array:
 def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
     """Return when the friction in stick reaches the level of the slip after it, s."""
     smoothed = fit.cycles[k].break_away
-    time = np.arange(smoothed - SEARCH_RANGE_S, smoothed + SEARCH_RANGE_S, 1e-4)
+    reach = SEARCH_RANGE * motion.slip_s
+    time = np.arange(smoothed - reach, smoothed + reach, SEARCH_STEP * motion.slip_s)
     level = math.exp(float(fit.u[Global.LOG_F] + fit.local[k, PerCycle.LEVEL]))
     enough = _friction(fit, time, _in_stick(fit, motion, k, time)) >= level
     return float(time[np.argmax(enough)]) if enough.any() else smoothed
@@ -117,8 +119,8 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
     local: list[Array] = []
     total = 0
     for k, cycle in enumerate(fit.cycles):
-        first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_BREAK_AWAY_S))
-        last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + AFTER_S))
+        first = int(np.searchsorted(motion.time, trials[k].min() - BEFORE_BREAK_AWAY * motion.slip_s))
+        last = int(np.searchsorted(motion.time, motion.time[cycle.slip[0]] + AFTER * motion.slip_s))
         starts = zip(trials[k], _in_stick(fit, motion, k, trials[k]), _edge_speed(fit, trials[k]), strict=True)
         for j, (begin, x, edge) in enumerate(starts):
             after = max(first, int(np.searchsorted(motion.time, begin, side="right")))

@@ -11,16 +11,17 @@ from fitting.model.problem import EstimationProblem
 from fitting.model.shooting import evaluator
 from fitting.model.windows import ShootingWindows
 
-COARSE_HZ = 125.0  # residuals are correlated over many samples: the search runs on a thinned record
+COARSE = 62.5  # samples a slip: residuals are correlated over many samples, and the search runs on a thinned record
 STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed in the middle of a stick
 
 
 def fitted_windows(problem: EstimationProblem, *, thinned: bool) -> ShootingWindows:
-    """Return the windows of all runs, of every sample or thinned to `COARSE_HZ`."""
+    """Return the windows of all runs, of every sample or thinned to `COARSE` a slip."""
     parts = []
     for run in problem.runs:
-        stride = max(1, round(run.motion.time.size / run.motion.span / COARSE_HZ)) if thinned else 1
-        parts.append(ShootingWindows.from_cycles(run.motion, run.cut.used, stride))
+        motion = run.motion
+        stride = max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE)) if thinned else 1
+        parts.append(ShootingWindows.from_cycles(motion, run.cut.used, stride))
     return ShootingWindows.join(parts)
 
 

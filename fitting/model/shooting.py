@@ -21,7 +21,10 @@ from rig_sim.integrate.phases import sample_phase
 
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
 STICK_LOCK = 10.0  # break-away level over Fs of a stick inside a window: the break-away itself lies in no window
-FADE_STEP_S = 0.05  # how often the level is lowered; what that leaves out is less than a tenth of a count
+# How often the level is lowered, in times of 1/omega of mass and spring: a tenth of a slip.  Chosen: what that leaves
+# out is less than a tenth of a count in records that lose a tenth of their level; at half it takes more steps, at twice
+# it is four times as much.
+FADE_STEP = 0.3
 WORK_STEPS = 10_000  # phases and Taylor steps one window may take
 # Slots and columns as plain integers, for the kernels.
 V_DR, COMPLIANCE, OMEGA = int(Global.V_DR), int(Global.COMPLIANCE), int(Global.OMEGA)
@@ -222,7 +225,7 @@ def integrate_window(
     while i < n:
         # The level fades steadily; the flow's is constant, so it is lowered in small steps.
         steady = p.fade == 0.0 or mode == STICK
-        end = last if steady else min(t + FADE_STEP_S, last)
+        end = last if steady else min(t + FADE_STEP / math.sqrt(p.K), last)
         factor = level * remaining(p.fade, 0.5 * (t + end), window.level_epoch)
         if not factor > 0.0:
             return NOT_FINITE

@@ -27,7 +27,7 @@ LEAST_SHAPE = 1e-3  # of one over the fastest slip: next to a constant
 BREAK_AWAY_MARGIN = 0.1  # of the travel: how far beyond the observed break-aways the level at rest may lie
 OVERTAKING_LEVEL = 0.9  # of the load at landing: the friction level where the mass overtakes the belt
 LEAST_LEVEL = 0.2  # of Fs: of that
-STICK_SLOPE_S = 0.06  # shortest stretch of stick whose slope is worth a fit
+STICK_SLOPE = 0.12  # slips: shortest stretch of stick whose slope is worth a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def stick_velocity_line(motion: MeasuredMotion, cut: CycleSegmentation) -> tuple
     rows: list[Array] = []
     for cycle in cut.used:
         i, j = cycle.stick
-        if j - i and motion.time[j - 1] - motion.time[i] >= STICK_SLOPE_S:
+        if j - i and motion.time[j - 1] - motion.time[i] >= STICK_SLOPE * motion.slip_s:
             rows.append(np.c_[motion.position[i:j], motion.velocity[i:j]])
     if not rows:
         return motion.belt_speed, 0.0

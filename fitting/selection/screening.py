@@ -14,8 +14,8 @@ import numpy as np
 from daq.compute.arrays import Array, Integers
 from daq.compute.least_squares import least_squares
 from daq.errors import DataError
-from fitting.data.cycles import SLIPPING, Cycle, CycleSegmentation
-from fitting.data.frame import REST_FRACTION, MeasuredMotion
+from fitting.data.cycles import Cycle, CycleSegmentation
+from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
 from fitting.estimation import trajectory
 from fitting.estimation.fit import Fit
 from fitting.model.problem import EstimationProblem, Run

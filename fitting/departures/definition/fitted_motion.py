@@ -104,9 +104,14 @@ class FittedMotion:
         return max(record.travel for record in self.records)
 
     @property
-    def rate(self) -> float:
-        """Samples per second of the fastest run."""
-        return max(record.time.size / record.span for record in self.records)
+    def slip_s(self) -> float:
+        """About how long a slip of the slowest run lasts, s."""
+        return max(record.slip_s for record in self.records)
+
+    @property
+    def samples_per_slip(self) -> float:
+        """Largest of the runs."""
+        return max(record.time.size / record.span * record.slip_s for record in self.records)
 
     @cached_property
     def rows_of_runs(self) -> tuple[Mask, ...]:

@@ -14,8 +14,9 @@ from daq.compute.arrays import Array
 from fitting.departures.definition.departure import Departure, Forcing, harmonic
 from fitting.departures.definition.fitted_motion import FittedMotion
 
-SLOWEST_HZ, FASTEST_HZ = 0.2, 25.0  # slower, it may be wear or a drift; faster, smoothing has taken it away
-GRID_HZ = 100.0  # rate at which the residuals are averaged
+# Periods in a slip (`MeasuredMotion.slip_s`): slower, it may be wear or a drift; faster, smoothing has taken it away.
+SLOWEST, FASTEST = 0.1, 12.5
+GRID = 50.0  # averages of the residuals a slip
 FINER = 4  # times the transform's own grid of frequencies
 FEWEST = 4  # sticks
 PEAKS = 8  # gaps between the sticks make false peaks beside the true one, two or three strong ones
@@ -29,18 +30,19 @@ def forcing(trajectory: FittedMotion, hertz: float) -> Forcing:
 def frequencies(trajectory: FittedMotion) -> Array:
     """Return the strongest frequencies of the residuals in stick, Hz, each between its neighbours."""
     window, time = trajectory.window[trajectory.samples], trajectory.time[trajectory.samples]
+    slip_s = trajectory.slip_s
     bins, left = [], []
     for own in np.flatnonzero(trajectory.sticks):
         part = window == own
-        bins.append(((time[part] - time[0]) * GRID_HZ).astype(np.int64))
+        bins.append(((time[part] - time[0]) * (GRID / slip_s)).astype(np.int64))
         left.append(trajectory.residual[part] - trajectory.residual[part].mean())
     if len(bins) < FEWEST:
         return np.empty(0)
     grid = np.bincount(np.concatenate(bins), weights=np.concatenate(left))
     size = grid.size
-    hertz = np.fft.rfftfreq(FINER * size, 1 / GRID_HZ)
+    hertz = np.fft.rfftfreq(FINER * size, slip_s / GRID)
     power = np.abs(np.fft.rfft(grid, FINER * size)) ** 2
-    power[(hertz < SLOWEST_HZ) | (hertz > FASTEST_HZ)] = 0.0
+    power[(hertz < SLOWEST / slip_s) | (hertz > FASTEST / slip_s)] = 0.0
     found: list[int] = []
     while len(found) < PEAKS and power.any():
         top = int(np.argmax(power))

@@ -22,7 +22,7 @@ from fitting.departures.definition.fitted_motion import FittedMotion
 DAMPING = 0.01  # of the critical one
 SLOWEST, FASTEST = 1.5, 15.0  # times the main spring's frequency: slower is a second spring, faster moves with the mass
 STEP = 0.012  # of the frequency: about half the width of the resonance
-DRIVE_S = 4e-3  # s: for so long the acceleration is held; at the fastest mode a tenth of its period
+DRIVE = 8e-3  # slips: for so long the acceleration is held; at the fastest mode a tenth of its period
 
 
 def forcing(trajectory: FittedMotion, omega: float) -> Forcing:
@@ -48,9 +48,9 @@ def frequencies(trajectory: FittedMotion) -> Array:
 
 @lru_cache(maxsize=8)  # one a run: every frequency uses the same drive
 def held_acceleration(record: MeasuredMotion) -> tuple[Array, Array]:
-    """Return times and mean accelerations, m/s^2, of steps of about `DRIVE_S`; shapes (n,)."""
+    """Return times and mean accelerations, m/s^2, of steps of about `DRIVE` slips; shapes (n,)."""
     interval = float(np.median(np.diff(record.time)))
-    held = max(1, int(DRIVE_S / interval))
+    held = max(1, int(DRIVE * record.slip_s / interval))
     count = int((record.time[-1] - record.time[0]) / (held * interval))
     fine = record.time[0] + interval * np.arange(count * held)
     mean = np.interp(fine, record.time, record.acceleration).reshape(count, held).mean(axis=1)
