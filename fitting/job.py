@@ -168,7 +168,7 @@ def fit_runs(
         )
     except DataError as error:
         together = pooled(counted)
-        findings = [vars(finding) for motion in motions for finding in motion.findings]
+        findings = error.data.get("findings", []) + [vars(own) for motion in motions for own in motion.findings]
         document = {"statistics": together.as_json(), "findings": findings}
         error.add_result(document, together.sentences(motions[0].unit))
         raise

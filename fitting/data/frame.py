@@ -58,7 +58,9 @@ class MeasuredMotion:
     half_window : float
         Half of the smoothing window, s: how far a corner is blurred.
     slip_s : float
-        About how long a slip lasts, s (`typical_slip`): the unit of all times in the fit.
+        About how long a slip lasts, s, a power of two (`rounded_slip`): the unit of all times in the fit.
+    samples_per_slip : float
+        Of the usual slip.
     length_error : float
         Relative standard error of every length: that of the metres per count.
     compliance : Measured or None
@@ -88,6 +90,7 @@ class MeasuredMotion:
     velocity_error: float
     half_window: float
     slip_s: float
+    samples_per_slip: float
     length_error: float = 0.0
     compliance: Measured | None = None
     belt_measured: bool = False
@@ -155,6 +158,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     sign = math.copysign(1.0, speed)
     usual = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig, sign)
+    slip = usual_slip(time, sign * position, sign * velocity < SLIPPING * abs(speed))
     prior = believed
     if channel is not None:
         middle = 0.5 * float(position.max() + position.min())
@@ -180,7 +184,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         step=step,
         velocity_error=float(np.median(kinematics.velocity_errors[kept])),
         half_window=kinematics.window * usual / 2,
-        slip_s=typical_slip(time, sign * position, sign * velocity < SLIPPING * abs(speed)),
+        slip_s=rounded_slip(slip),
+        samples_per_slip=slip / usual,
         length_error=_length_error(recording.rig),
         compliance=Measured(-channel.slope.value, channel.slope.sd)
         if channel is not None and channel.slows_under_load
@@ -190,11 +195,10 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     )
 
 
-def typical_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
-    """Return about how long a slip lasts, s: a power of two, from 0.55 to 1.1 times the usual duration.
+def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
+    """Return how long a slip usually lasts, s.
 
-    Half of all travel in slips is in slips that last as long as the usual one or longer, so that short stretches of
-    noise do not count.  A power of two scales times without rounding: a record in slow motion gives the same answer.
+    Half of all travel in slips is in slips that last as long or longer, so that short stretches of noise do not count.
 
     Parameters
     ----------
@@ -211,8 +215,15 @@ def typical_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> floa
     ways = np.array([np.ptp(position[i:j]) for i, j in parts])
     order = np.argsort(lengths)
     travelled = np.cumsum(ways[order])
-    usual = float(lengths[order][np.searchsorted(travelled, 0.5 * travelled[-1])])
-    # Slips of the six laws last 1.05 to 1.3 half periods of the mass on its spring: 4/pi of one rounds them alike.
+    return float(lengths[order][np.searchsorted(travelled, 0.5 * travelled[-1])])
+
+
+def rounded_slip(usual: float) -> float:
+    """Return a power of two, from 0.55 to 1.1 times how long a slip usually lasts, s.
+
+    A power of two scales times without rounding: a record in slow motion gives the same answer.  Slips of the six laws
+    last 1.05 to 1.3 half periods of the mass on its spring; rounded after pi/4, they give the same number.
+    """
     return math.ldexp(1.0, round(math.log2(usual * math.pi / 4)))
 
 

@@ -85,8 +85,9 @@ def rank(
         a record in counts, a belt speed of zero, belt
         counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
-        When a record shows no stick-slip, when there are fewer than four complete cycles, when some of the
-        runs stick and others do not, or when frames were lost or doubled among even times.
+        When a record shows no stick-slip, when a slip has fewer than eight samples, when there are fewer than four
+        complete cycles, when some of the runs stick and others do not, or when frames were lost or doubled among even
+        times.
 
     Notes
     -----
@@ -117,6 +118,7 @@ def rank(
     runs = []
     for record, known in zip(records, rigs, strict=True):
         motion = frame.from_kinematics(record, record.recording.rig if known is None else known, belt_speed)
+        screening.refuse_few_samples(motion, record)
         runs.append(candidates.cut_run(motion, frozenset(excluded)))
         found = runs[-1].cut
         logger.info("%s: %d cycles, %d to fit", record.recording.name, len(found.cycles), len(found.used))

@@ -21,12 +21,16 @@ from fitting.estimation.fit import Fit
 from fitting.model.problem import EstimationProblem, Run
 from fitting.selection import lost_frames
 from fitting.selection.evidence import constant_friction_limit
+from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 COMES_BACK = 0.2  # of a slip's range; with sustained sticks a slip leads back by half of it and more
 ONE_SPEED = 0.2  # of the usual stick's: on a ramp a third of the belt's speed wide, scatter moves a stick by 0.1
 FEWEST_STICKS = 2  # to distinguish one speed from several
+# Samples in the usual slip.  Chosen: with 4, wrong laws are named alone and corners are found at the wrong places; from
+# 16 on nothing is gained.
+FEWEST_SAMPLES = 8
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
 FILLED = 0.5  # of a record that sticks, slips and rest fill at least
 STICK_SPEEDS = (0.6, 1.2)  # of the belt's speed
@@ -85,6 +89,28 @@ def refuse_wrong_times(record: Kinematics) -> None:
     for finding in record.findings:
         if finding.code in WRONG_TIMES:
             raise _wrong_times(f"{100 * finding.value:.2g}", WRONG_TIMES[finding.code], record)
+
+
+def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
+    """Raise DataError for a record with fewer than `FEWEST_SAMPLES` in the usual slip; it holds the finding."""
+    samples = round(motion.samples_per_slip)
+    if samples >= FEWEST_SAMPLES:
+        return
+    slip_s = samples * float(np.median(np.diff(motion.time)))
+    what = f"a slip has {samples} samples; a verdict needs {FEWEST_SAMPLES}"
+    lasts = f"{slip_s:.2g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
+    # one sample more than needed: how many a slip has is known to one
+    do = f"record at {_rounded_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts {lasts}"
+    error = DataError(what, str(record.recording.source), do)
+    found = Finding("samples-per-slip", f"{what}: {do}", float(samples), float(FEWEST_SAMPLES))
+    error.add_result({"findings": [vars(found)]}, [])
+    raise error
+
+
+def _rounded_up(rate: float) -> float:
+    """Return a rate in two digits, Hz, and not a lower one."""
+    step = 10.0 ** (math.floor(math.log10(rate)) - 1)
+    return step * math.ceil(rate / step)
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
