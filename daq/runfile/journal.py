@@ -32,6 +32,7 @@ from typing import IO, Any
 from daq.errors import InputError
 from daq.output import disk
 from daq.output.lock import FileLock
+from daq.output.text import storable
 from daq.runfile import journal_header, journal_records
 from daq.runfile.journal_records import (
     CONFIGURATION,
@@ -369,5 +370,5 @@ def read_markers(path: Path) -> tuple[tuple[int, str], ...]:
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         stamp, _, text = line.strip().partition(" ")
         if stamp.isascii() and stamp.isdecimal() and len(stamp) < 20:
-            found.append((int(stamp), text))
+            found.append((int(stamp), storable(text)))
     return tuple(sorted(found))

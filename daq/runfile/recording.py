@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from daq.output.lengths import shown_length, shown_range
 from daq.output.spill import BLOCK, blocks
+from daq.output.text import storable
 from daq.runfile.rig import Rig
 
 if TYPE_CHECKING:
@@ -182,7 +183,7 @@ class Recording:
     @property
     def name(self) -> str:
         """Name of its file; "a run in memory" when it was not loaded from one."""
-        return self.source.name or "a run in memory"
+        return storable(self.source.name) or "a run in memory"
 
     def remarks(self) -> dict[str, str]:
         """Return what people wrote about the run, by name: operator, sample, note, then the tags."""
