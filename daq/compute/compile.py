@@ -18,6 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from daq import user_folders
 from daq.output.lock import FileLock
 
 ANNOUNCEMENT = "compiling numerical kernels, once per installation"
@@ -209,6 +210,8 @@ def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
     for name in modules:
         digest.update(Path(str(import_module(name).__file__)).read_bytes())
     root = cache_root()
+    if root is None:
+        return None
     folder = root / f"kernels-{digest.hexdigest()[:16]}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -221,7 +224,10 @@ def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
 
 
 def _is_own(folder: Path) -> bool:
-    """Return whether this user alone writes to a folder; the right of others is taken away where that is possible."""
+    """Return whether this user alone writes to a folder; the right of others is taken away where that is possible.
+
+    Where others had that right, what one of them has left there counts: the folder is not used.
+    """
     if sys.platform == "win32":
         return True
     found = folder.stat()
@@ -229,19 +235,16 @@ def _is_own(folder: Path) -> bool:
         return False
     others = stat.S_IWGRP | stat.S_IWOTH
     if found.st_mode & others:
+        if any(inside.lstat().st_uid != found.st_uid for inside in folder.rglob("*")):
+            return False
         folder.chmod(stat.S_IMODE(found.st_mode) & ~others)
     return True
 
 
-def cache_root() -> Path:
-    """Return where machine code is kept: $NUMBA_CACHE_DIR, else this user's cache folder."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen:
-        return Path(chosen) / "stickslip"
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = str(Path.home() / "Library" / "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-    return Path(base) / "stickslip"
+def cache_root() -> Path | None:
+    """Return where machine code is kept: $NUMBA_CACHE_DIR, else this user's cache folder; None without either.
+
+    Numba's index of it is a pickle, so who writes there has this user run it: a relative path does not count.
+    """
+    base = user_folders.absolute("NUMBA_CACHE_DIR") or user_folders.cache()
+    return None if base is None else base / "stickslip"

@@ -23,10 +23,10 @@ from daq.finalise.quality import DataTotals, RecordingQuality
 from daq.finalise.timeline import Samples, Timeline, parts_of
 from daq.output import atomic
 from daq.output.spill import Spill
-from daq.output.text import storable
 from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
+from daq.text import storable
 from daq.wire import decode, frames
 
 logger = logging.getLogger(__name__)

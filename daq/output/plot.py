@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError
 from daq.output import atomic
-from daq.output.text import printable
+from daq.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from daq.output.text import storable
+from daq.text import storable
 from daq.version import VERSION
 
 

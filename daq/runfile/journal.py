@@ -32,7 +32,6 @@ from typing import IO, Any
 from daq.errors import InputError
 from daq.output import disk
 from daq.output.lock import FileLock
-from daq.output.text import storable
 from daq.runfile import journal_header, journal_records
 from daq.runfile.journal_records import (
     CONFIGURATION,
@@ -47,6 +46,7 @@ from daq.runfile.journal_records import (
     Place,
     Record,
 )
+from daq.text import storable
 
 __all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Content", "Record"]
 

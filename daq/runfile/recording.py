@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from daq.output.lengths import shown_length, shown_range
 from daq.output.spill import BLOCK, blocks
-from daq.output.text import storable
 from daq.runfile.rig import Rig
+from daq.text import storable
 
 if TYPE_CHECKING:
     import pandas as pd

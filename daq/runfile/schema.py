@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.output.spill import Column, blocks
-from daq.output.text import storable
 from daq.runfile import nexus
 from daq.runfile.recording import EVENT_NAMES, EVENTS, Recording, first_disorder
 from daq.runfile.rig import Measured
+from daq.text import storable
 from daq.version import VERSION
 
 SCHEMA = 1

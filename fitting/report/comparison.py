@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.errors import InputError
 from daq.output import atomic
-from daq.output.text import storable
+from daq.text import storable
 from daq.version import VERSION
 from fitting.drawing.palette import COLOURS, WIDE
 from fitting.estimation.result import Parameter

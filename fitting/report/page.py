@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from daq.errors import InputError
 from daq.output import atomic
 from daq.output.lengths import format_length
-from daq.output.text import storable
+from daq.text import storable
 from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
 from fitting.drawing.palette import COLOURS, run_colour

@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.compute.arrays import Array, Mask
 from daq.output.lengths import format_length, shown_speed
-from daq.output.text import printable
+from daq.text import printable
 from processing.polynomial.even_grid import is_even
 from processing.record.finding import Finding
 from processing.record.motion import Fault, Phase, VelocityStep, mask_of

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.output.text import printable, storable
 from daq.runfile import nexus
+from daq.text import printable, storable
 
 ANY = st.text(st.characters(codec=None), max_size=30)
 
