@@ -20,6 +20,7 @@ from typing import Any
 
 from daq import user_folders
 from daq.output.lock import FileLock
+from daq.text import printable
 
 ANNOUNCEMENT = "compiling numerical kernels, once per installation"
 LONGEST_WAIT_S = 120.0  # for another process that compiles the same kernel; the slowest takes 15 s on an idle core
@@ -167,7 +168,7 @@ def _compile_in_one_process(entry: Any, folder: Path) -> None:
         try:
             save(*what)
         except OSError as error:
-            sys.stderr.write(f"machine code is not kept: {folder}: {error.strerror or error}\n")
+            sys.stderr.write(printable(f"machine code is not kept: {folder}: {error.strerror or error}\n"))
         finally:
             while held:
                 held.pop().release()

@@ -281,7 +281,7 @@ class Kinematics(SmoothingHeader):
         if self.method != "fd":
             window = f"{self.method}, window {self.window}, order {self.order}"
         return DrawnMotion(
-            f"{self.recording.name}: {printable(self.recording.title)}   ({window}, {self.times} times)",
+            printable(f"{self.recording.name}: {self.recording.title}   ({window}, {self.times} times)"),
             self.time,
             self.position,
             self.velocity,

@@ -28,12 +28,16 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits of file 
 
 
 @pytest.fixture
-def full():
+def full(monkeypatch):
     """Return a context in which no file grows beyond so many bytes: to a writer, a full disk.
 
-    It ends with the block, not with the test: what pytest itself prints may go to a file.
+    It ends with the block, not with the test: what pytest itself prints may go to a file.  No bytecode is kept: Python
+    3.11 kept what fitted of a module that was first imported in the block, and later commands ended with "marshal data
+    too short".
     """
     import resource
+
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
 
     @contextmanager
     def limited(size):
