@@ -45,6 +45,27 @@ def test_processes_wait_for_the_one_that_compiles(tmp_path: Path) -> None:
     assert sorted(err for _, err in answers) == ["", kernels.ANNOUNCEMENT + "\n"]
 
 
+def test_compilation_is_announced_once_per_installation(tmp_path: Path) -> None:
+    """Each process said "once per installation", three in one session.  One that prints nowhere counts for none."""
+    said = []
+    for number, stderr in enumerate((subprocess.DEVNULL, subprocess.PIPE, subprocess.PIPE)):
+        (tmp_path / "kernel_used_by_a_test.py").write_text(f"{KERNEL}\nNUMBER = {number}\n")  # compiled anew each time
+        line = [sys.executable, "-c", USE.format(folder=str(tmp_path))]
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+        done = subprocess.run(line, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment, check=True)
+        said.append(done.stderr)
+    assert len(list((tmp_path / "stickslip").glob("kernels-*"))) == 3
+    assert said == [None, kernels.ANNOUNCEMENT + "\n", ""]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="modes are POSIX")
+def test_compilation_that_is_not_kept_is_said_by_each_process(tmp_path: Path) -> None:
+    (tmp_path / "kernel_used_by_a_test.py").write_text(KERNEL)
+    tmp_path.chmod(0o777)  # where another user could write, nothing is kept
+    for process in (start(tmp_path), start(tmp_path)):
+        assert process.communicate() == ("90.0\n", kernels.NOT_KEPT + "\n")
+
+
 def test_a_lock_held_for_too_long_does_not_stop_a_fit(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(kernels, "LONGEST_WAIT_S", 0.1)
     path = tmp_path / "entry.lock"
