@@ -239,9 +239,7 @@ def _take(
 def _ask(line: str, wait: bool) -> None:
     """Print what to do, and wait for Enter on a terminal."""
     if wait and sys.stdin.isatty():
-        sys.stderr.write(f"{line}; press Enter to begin ")
-        sys.stderr.flush()
-        sys.stdin.readline()
+        application.ask(f"{line}; press Enter to begin ")
     else:
         application.note(line)
 

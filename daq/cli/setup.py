@@ -6,7 +6,7 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Self
+from typing import Self, TextIO
 
 import cyclopts
 
@@ -223,7 +223,7 @@ class _KernelsOfAFit:
         return subprocess.Popen(line, stdin=quiet, stdout=quiet, stderr=quiet)
 
 
-def _demo_steps(folder: Path, out: IO[str], kernels: _KernelsOfAFit) -> tuple[list[dict[str, object]], str]:
+def _demo_steps(folder: Path, out: TextIO, kernels: _KernelsOfAFit) -> tuple[list[dict[str, object]], str]:
     """Run the three commands in a folder; return each with its exit code, and the line of the verdict."""
     steps: list[dict[str, object]] = []
     verdict = ""
@@ -250,10 +250,10 @@ class StepError(StickslipError):
     exit_code = EXIT_DEVICE
 
 
-def _echo(command: list[str], folder: Path, out: IO[str]) -> tuple[int, list[str]]:
+def _echo(command: list[str], folder: Path, out: TextIO) -> tuple[int, list[str]]:
     """Run a command in a folder, pass its stdout through as it comes, return its exit code and lines."""
     lines = []
-    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True, encoding=out.encoding) as process:
         if process.stdout is not None:
             for line in process.stdout:
                 out.write(line)

@@ -18,9 +18,16 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from daq import user_folders
 from daq.output.lock import FileLock
+from daq.text import printable
+from daq.version import VERSION
 
-ANNOUNCEMENT = "compiling numerical kernels, once per installation"
+COMPILING = "compiling numerical kernels"
+# Printed once for all commands.  The kernels of smoothing, fits and simulations take 40 s of CPU time together: about
+# 30 s on two idle cores, up to a minute where nothing of the installation is in the disk cache yet.
+ANNOUNCEMENT = f"{COMPILING}, once per installation: about 30 s in all, on a slow or cold machine a minute"
+NOT_KEPT = f"{COMPILING}: some seconds to half a minute in each command, as no folder of this user's own can keep them"
 LONGEST_WAIT_S = 120.0  # for another process that compiles the same kernel; the slowest takes 15 s on an idle core
 
 
@@ -28,7 +35,7 @@ LONGEST_WAIT_S = 120.0  # for another process that compiles the same kernel; the
 def compiled(function: Callable[..., Any], modules: tuple[str, ...], **options: Any) -> Callable[..., Any]:
     """Return ``function`` compiled; called like the plain one.
 
-    Where its machine code is not yet kept, the first call compiles it, and stderr says so once per process.
+    Where its machine code is not yet kept, the first call compiles it, and stderr says so once per installation.
 
     Parameters
     ----------
@@ -80,7 +87,7 @@ def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> 
     from numba import config
 
     _load_array_functions()
-    _announce_compilation()
+    _announce_compilation(folder is not None)
     settings = vars(config)  # numba reads the folder when a cache is enabled
     before = settings["CACHE_DIR"]
     try:
@@ -110,8 +117,10 @@ def _load_array_functions() -> None:
 
 
 @cache
-def _announce_compilation() -> None:
-    """Report on stderr that numba compiles: one line per process, and on a terminal how many functions are done.
+def _announce_compilation(kept: bool) -> None:
+    """Report on stderr that numba compiles: one line per installation, and on a terminal how many functions are done.
+
+    Where machine code is not ``kept`` it is one line per process.
 
     The garbage collector rests meanwhile: nearly all that a compiler makes lives until it is done, and to search it
     again and again takes a twelfth of the time.
@@ -124,7 +133,11 @@ def _announce_compilation() -> None:
 
         def on_start(self, _: Any) -> None:
             if self.depth == self.done == 0:
-                sys.stderr.write(ANNOUNCEMENT + ("" if sys.stderr.isatty() else "\n"))
+                if not kept or _is_first():
+                    sys.stderr.write(f"{ANNOUNCEMENT if kept else NOT_KEPT}\n")
+                if sys.stderr.isatty():
+                    sys.stderr.write(f"{COMPILING} ...")
+                    sys.stderr.flush()
             if self.depth == 0:
                 self.collecting = gc.isenabled()
                 gc.disable()
@@ -136,10 +149,33 @@ def _announce_compilation() -> None:
             if self.depth == 0 and self.collecting:
                 gc.enable()
             if sys.stderr.isatty():
-                sys.stderr.write(f"\r{ANNOUNCEMENT}: {self.done} functions" + ("\r\x1b[K" if self.depth == 0 else ""))
+                sys.stderr.write(f"\r{COMPILING}: {self.done} functions" + ("\r\x1b[K" if self.depth == 0 else ""))
                 sys.stderr.flush()
 
     event.register("numba:compile", Announcer())  # type: ignore[no-untyped-call]
+
+
+def _is_first() -> bool:
+    """Return whether no process of this installation has said yet that it compiles; where nobody listens, nobody has.
+
+    A file beside the machine code marks that it was said.
+    """
+    import numba
+
+    root = cache_root()
+    if root is None:
+        return True
+    made = f"{VERSION} {numba.__version__} {sys.version} {Path(__file__).resolve()}"
+    mark = root / f"announced-{hashlib.sha256(os.fsencode(made)).hexdigest()[:16]}"
+    try:
+        if os.path.samestat(os.fstat(sys.stderr.fileno()), os.stat(os.devnull)):
+            return False
+        mark.touch(exist_ok=False)
+    except FileExistsError:
+        return False
+    except (OSError, ValueError):  # a stream that is no file, or no room for the mark
+        return True
+    return True
 
 
 def _compile_in_one_process(entry: Any, folder: Path) -> None:
@@ -166,7 +202,7 @@ def _compile_in_one_process(entry: Any, folder: Path) -> None:
         try:
             save(*what)
         except OSError as error:
-            sys.stderr.write(f"machine code is not kept: {folder}: {error.strerror or error}\n")
+            sys.stderr.write(printable(f"machine code is not kept: {folder}: {error.strerror or error}\n"))
         finally:
             while held:
                 held.pop().release()
@@ -209,6 +245,8 @@ def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
     for name in modules:
         digest.update(Path(str(import_module(name).__file__)).read_bytes())
     root = cache_root()
+    if root is None:
+        return None
     folder = root / f"kernels-{digest.hexdigest()[:16]}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -221,7 +259,10 @@ def cache_folder(modules: tuple[str, ...], options: str = "") -> Path | None:
 
 
 def _is_own(folder: Path) -> bool:
-    """Return whether this user alone writes to a folder; the right of others is taken away where that is possible."""
+    """Return whether this user alone writes to a folder; the right of others is taken away where that is possible.
+
+    Where others had that right, what one of them has left there counts: the folder is not used.
+    """
     if sys.platform == "win32":
         return True
     found = folder.stat()
@@ -229,19 +270,16 @@ def _is_own(folder: Path) -> bool:
         return False
     others = stat.S_IWGRP | stat.S_IWOTH
     if found.st_mode & others:
+        if any(inside.lstat().st_uid != found.st_uid for inside in folder.rglob("*")):
+            return False
         folder.chmod(stat.S_IMODE(found.st_mode) & ~others)
     return True
 
 
-def cache_root() -> Path:
-    """Return where machine code is kept: $NUMBA_CACHE_DIR, else this user's cache folder."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    if chosen:
-        return Path(chosen) / "stickslip"
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local"))
-    elif sys.platform == "darwin":
-        base = str(Path.home() / "Library" / "Caches")
-    else:
-        base = os.environ.get("XDG_CACHE_HOME", str(Path.home() / ".cache"))
-    return Path(base) / "stickslip"
+def cache_root() -> Path | None:
+    """Return where machine code is kept: $NUMBA_CACHE_DIR, else this user's cache folder; None without either.
+
+    Numba's index of it is a pickle, so who writes there has this user run it: a relative path does not count.
+    """
+    base = user_folders.absolute("NUMBA_CACHE_DIR") or user_folders.cache()
+    return None if base is None else base / "stickslip"

@@ -6,7 +6,10 @@ what such an error has found out all the same goes to stdout, before the line or
 Nothing here imports numpy: arrays are written through their own ``tolist``.
 
 What is printed decides nothing: a stderr that is closed, full or gone loses its lines and raises no error.  A result
-that stdout does not take ends in exit code 3; the work is done then.
+that stdout does not take ends in exit code 3; the work is done then.  A reader that goes away (`| head`) is no error.
+
+Text may come from a board, a file or a path.  All of it goes to the terminal through `daq.text.printable`, in the
+encoding of the stream: control characters are printed as escapes, and characters that the encoding lacks are spelled.
 """
 
 import contextlib
@@ -22,15 +25,19 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import cyclopts
 
 from daq.console import log
 from daq.errors import EXIT_BUG, EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, EXIT_INTERRUPTED, StickslipError
+from daq.text import SPELLED, printable
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
 # New objects between two searches for cyclic garbage.  Python's 700 costs a short command 4 % of its CPU time.
 GARBAGE = 100_000
@@ -134,7 +141,33 @@ def print_json(value: Any) -> None:
 def note(line: str) -> None:
     """Write a line on stderr."""
     logger.debug(line)
-    sys.stderr.write(_wrapped(line, sys.stderr) + "\n")
+    _write(line + "\n", sys.stderr)
+
+
+def ask(line: str) -> None:
+    """Write a question on stderr, and wait for Enter on stdin."""
+    _write(line, sys.stderr)
+    sys.stderr.flush()
+    sys.stdin.readline()
+
+
+def _write(text: str, stream: TextIO) -> None:
+    """Write text, from wherever it came, on a stream that may be a terminal."""
+    stream.write(_wrapped(printable(text, stream.encoding), stream))
+
+
+def _console(stderr: bool = False, markup: bool = False) -> "Console":
+    """Return rich's console, for tables, bars and help pages; text is markup only where that is asked for."""
+    from rich.console import Console
+
+    class Printing(Console):
+        def render_str(self, text: str, **how: Any) -> "Text":
+            return super().render_str(printable(text, self.encoding), **how)
+
+        def on_broken_pipe(self) -> None:  # rich's own ends the process with exit code 1
+            raise BrokenPipeError
+
+    return Printing(stderr=stderr, markup=markup, emoji=False, soft_wrap=False)
 
 
 def _wrapped(text: str, stream: TextIO) -> str:
@@ -173,11 +206,9 @@ def _print_text(text: Any) -> None:
     for part in parts:
         if isinstance(part, str):
             if part:
-                sys.stdout.write(_wrapped(part.rstrip("\n"), sys.stdout) + "\n")
+                _write(part.rstrip("\n") + "\n", sys.stdout)
         else:
-            from rich.console import Console
-
-            Console(soft_wrap=False).print(part)
+            _console().print(part)
     sys.stdout.flush()
 
 
@@ -188,12 +219,13 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
     if as_json and "--version" in arguments:
         from daq.version import VERSION
 
-        print_json({"command": name, "version": VERSION})
-        return EXIT_DONE
+        return _printed(name, Answer({"command": name, "version": VERSION}), as_json)
     try:
         rest, flags = log.taken_off(arguments)
         if any(flag in rest for flag in app.help_flags):
             _reflow_help(app)
+        if any(flag in rest for flag in (*app.help_flags, *app.version_flags)):
+            app.console = _console(markup=True)
         with log.logging_to(flags, name, arguments):
             answer = app(rest, exit_on_error=False, print_error=False)
     except StickslipError as error:
@@ -217,6 +249,11 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
             raise
         do = "this is a bug: run it again without --json and report it"
         return _fail(name, StickslipError(f"{type(error).__name__}: {error}", name, do), EXIT_BUG, as_json)
+    return _printed(name, answer, as_json)
+
+
+def _printed(name: str, answer: object, as_json: bool) -> int:
+    """Print what a command returned; return the exit code, also of a stdout that does not take it."""
     try:
         return _shown(answer, as_json)
     except BrokenPipeError:
@@ -226,8 +263,7 @@ def run(app: cyclopts.App, arguments: Sequence[str]) -> int:
         _discard_stdout()
         what = f"the command is done, but its result could not be printed: {error.strerror or error}"
         unprinted = StickslipError(what, "stdout", "check the free space where stdout goes")
-        code = _fail(name, unprinted, EXIT_DEVICE, as_json=False)
-        return (answer.exit_code if isinstance(answer, Answer) else EXIT_DONE) or code
+        return _fail(name, unprinted, EXIT_DEVICE, as_json=False)
 
 
 def _discard_stdout() -> None:
@@ -267,6 +303,7 @@ def reflowed(text: str) -> str:
 def main(app: cyclopts.App) -> NoReturn:
     """Run the process's own command line and exit; a bug shows its traceback and exits 1."""
     _open_standard_streams()
+    sys.excepthook = _show_bug
     gc.set_threshold(GARBAGE)
     code = run(app, sys.argv[1:])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the work is done, and a traceback of the way out would say otherwise
@@ -274,10 +311,17 @@ def main(app: cyclopts.App) -> NoReturn:
     sys.exit(code)
 
 
+def _show_bug(kind: type[BaseException], error: BaseException, where: TracebackType | None) -> None:
+    import traceback
+
+    sys.stderr.write(printable("".join(traceback.format_exception(kind, error, where)), sys.stderr.encoding))
+
+
 def _open_standard_streams() -> None:
     """Replace standard streams that the caller has closed by the null device, and make stderr raise nothing.
 
-    A closed descriptor would be that of the next file that is opened, into which messages would then be written.
+    A closed descriptor would be that of the next file that is opened, into which messages would then be written.  What
+    other packages print is spelled where the encoding lacks it.
     """
     for descriptor in range(3):
         try:
@@ -286,11 +330,13 @@ def _open_standard_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor, which is this one
     if sys.stdout is None:
         sys.stdout = open(1, "w", closefd=False)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors=SPELLED)
     buffer = getattr(sys.stderr, "buffer", None)
     if sys.stderr is None or isinstance(getattr(buffer, "raw", buffer), io.FileIO):  # not the console of Windows
         encoding = "utf-8" if sys.stderr is None else sys.stderr.encoding
         written = io.BufferedWriter(_UnfailingFile(2, "wb", closefd=False))
-        sys.stderr = io.TextIOWrapper(written, encoding, "backslashreplace", line_buffering=True)
+        sys.stderr = io.TextIOWrapper(written, encoding, SPELLED, line_buffering=True)
 
 
 class _UnfailingFile(io.FileIO):
@@ -353,7 +399,6 @@ def progress(description: str, total: float | None, unit: str = "") -> Iterator[
     if not sys.stderr.isatty():
         yield Progress()
         return
-    from rich.console import Console
     from rich.progress import BarColumn, ProgressColumn, Task, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
     from rich.text import Text
@@ -362,7 +407,7 @@ def progress(description: str, total: float | None, unit: str = "") -> Iterator[
         def render(self, task: Task) -> Text:
             speed = task.finished_speed or task.speed
             each = f"{speed:.3g} {unit}/s" if speed and unit and unit != "%" else ""
-            return Text(task.fields["words"] or each)
+            return Text(printable(task.fields["words"], sys.stderr.encoding) or each)
 
     class TimeLeft(TimeRemainingColumn):
         def render(self, task: Task) -> Text:
@@ -380,7 +425,7 @@ def progress(description: str, total: float | None, unit: str = "") -> Iterator[
         Amount(),
         Rate(),
         TimeLeft(compact=True),
-        console=Console(stderr=True),
+        console=_console(stderr=True),
         transient=True,
     )
     with bar:

@@ -6,6 +6,7 @@ written by a thread of its own, so that a slow disk delays nobody.
 """
 
 import contextlib
+import errno
 import logging
 import platform
 import sys
@@ -14,8 +15,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from daq.errors import InputError
+from daq.text import printable
 
 PACKAGES = ("daq", "processing", "fitting", "rig_sim")
 MARK = "# log of stickslip"
@@ -23,6 +26,8 @@ FLAGS = (
     "Besides, every command takes --verbose, which prints on stderr what it does, and --log FILE, which adds that to a "
     "file in more detail."
 )
+# What the disk may answer to who writes on it: it is full, a quota is, it is damaged, it has become read-only.
+TAKES_NOTHING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 logger = logging.getLogger(__name__)
 
 
@@ -70,7 +75,7 @@ def logging_to(flags: LogFlags, name: str, arguments: Sequence[str]) -> Iterator
     InputError
         The file is no log of ours, which is not added to.
     OSError
-        It cannot be opened.
+        It cannot be opened.  Where the disk takes nothing there is no error: stderr says that no log is written.
     """
     if not flags.verbose and flags.file is None:
         yield
@@ -103,25 +108,56 @@ def logging_to(flags: LogFlags, name: str, arguments: Sequence[str]) -> Iterator
 def _handlers(flags: LogFlags, stack: contextlib.ExitStack) -> Iterator[tuple[logging.Handler, int]]:
     if flags.verbose:
         shown = _StderrHandler()
-        shown.setFormatter(logging.Formatter("%(message)s"))
+        shown.setFormatter(_Printable("%(message)s"))
         yield shown, logging.INFO
     if flags.file is not None:
         import queue
         from logging.handlers import QueueHandler, QueueListener
 
         _refuse_foreign(flags.file)
-        stream = stack.enter_context(flags.file.open("a", encoding="utf-8"))
-        if stream.tell() == 0:
-            stream.write(MARK + "\n")
+        stream = _opened(flags.file)
+        if stream is None:
+            return
+        stack.callback(_close, stream)
         written = logging.StreamHandler(stream)
-        written.setFormatter(
-            logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%F %T")
-        )
+        written.setFormatter(_Printable("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%F %T"))
         waiting: queue.SimpleQueue[logging.LogRecord] = queue.SimpleQueue()
         listener = QueueListener(waiting, written)
         listener.start()
         stack.callback(listener.stop)
         yield QueueHandler(waiting), logging.DEBUG
+
+
+def _opened(file: Path) -> TextIO | None:
+    """Return a log, with its first line; None where the disk takes nothing."""
+    try:
+        stream = file.open("a", encoding="utf-8")
+        try:
+            if stream.tell() == 0:
+                stream.write(MARK + "\n")
+                stream.flush()
+        except OSError:
+            _close(stream)
+            raise
+    except OSError as error:
+        if error.errno not in TAKES_NOTHING:
+            raise
+        sys.stderr.write(printable(f"no log is written: {file}: {error.strerror}\n", sys.stderr.encoding))
+        return None
+    return stream
+
+
+def _close(stream: TextIO) -> None:
+    with contextlib.suppress(OSError):  # of what waits to be written
+        stream.close()
+
+
+class _Printable(logging.Formatter):
+    """Writes control characters as escapes: a log is read in a terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line, or the lines with a traceback."""
+        return printable(super().format(record))
 
 
 def _refuse_foreign(file: Path) -> None:

@@ -13,7 +13,8 @@ flag             environment            [board] key         what
 ===============  =====================  ==================  ===========================================================
 
 A rig.toml is `daq.runfile.rig`'s calibration and, beside it, a section [board] with these keys.  The user config is
-``$XDG_CONFIG_HOME/stickslip/config.toml`` (``~/.config`` without): the section [board] alone, and ``rig``.
+``$XDG_CONFIG_HOME/stickslip/config.toml`` (``~/.config`` where that is no absolute path): the section [board] alone,
+and ``rig``.
 """
 
 import os
@@ -24,7 +25,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from daq import toml
+from daq import toml, user_folders
 from daq.console.application import Whole
 from daq.console.flags import whole_rate
 from daq.errors import InputError, check_known
@@ -103,14 +104,11 @@ def board_toml(known: Mapping[str, Any]) -> str:
     return "\n".join(["[board]", *lines]) + "\n" if lines else ""
 
 
-def user_config() -> Path:
-    """Return the path of the user's configuration."""
-    home = os.environ.get("XDG_CONFIG_HOME")
-    return (Path(home) if home else Path.home() / ".config") / "stickslip" / "config.toml"
-
-
 def _user() -> dict[str, Any]:
-    path = user_config()
+    folder = user_folders.config()
+    if folder is None:
+        return {}
+    path = folder / "stickslip" / "config.toml"
     try:
         if not path.is_file():
             return {}

@@ -26,6 +26,7 @@ from daq.output.spill import Spill
 from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
+from daq.text import storable
 from daq.wire import decode, frames
 
 logger = logging.getLogger(__name__)
@@ -201,7 +202,7 @@ def calibration(
     configurations: Iterable[journal.Record], streams: Sequence[decode.Stream], ident: frames.Ident | None
 ) -> tuple[str, Rig, list[str]]:
     """Return the configuration's text, the rig it describes, and warnings; the decoder is what the board reports."""
-    given = [record.data.decode(errors="replace") for record in configurations]
+    given = [storable(record.data.decode(errors="replace")) for record in configurations]
     sent = next((stream.configs for stream in streams if stream.configs), ())
     config = (*given, *(text for _, text in sent), "")[0]
     warnings = []

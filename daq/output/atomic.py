@@ -1,7 +1,11 @@
 """An output file: refused where one stands, written beside its place, and put there whole.
 
-The file beside it, ``.NAME.*.partial``, is locked while it is written: one that is not locked was left by a killed
-command, and is removed.  Two commands that write one file do so one after the other.
+The file beside it, ``.NAME.partial``, is locked while it is written: one that is not locked was left by a killed
+command, and is removed.  Two commands that write one file do so one after the other.  No other file and no folder is
+locked: others lock folders for reasons of their own (``flock DIR command``).
+
+Whoever finds the name free makes the file and locks it, and whoever finds it unlocked locks and removes it.  In either
+case another command may have been faster, so what counts is whether the file that was locked still has the name.
 """
 
 import contextlib
@@ -16,7 +20,7 @@ from pathlib import Path
 
 from daq.errors import InputError
 from daq.output import disk
-from daq.output.lock import FileLock, folder_locked
+from daq.output.lock import FileLock
 
 # Where the file system has no locks: a temporary file that was not written to for so long belongs to no running
 # command, as a file of an hour at 5 kHz is written in 30 s.  Half is still ten times that; double keeps a dead file
@@ -88,44 +92,71 @@ def replacing(target: Path, force: bool) -> Iterator[Path]:
             yield temporary
             _take_its_place(temporary, lock, target, force)
         finally:
-            temporary.unlink(missing_ok=True)
-            if lock is not None:
-                lock.release()
+            if lock is None:
+                temporary.unlink(missing_ok=True)
+            elif lock.held:  # else its name may be another command's by now
+                lock.remove(temporary)
 
 
 def _temporary(target: Path) -> tuple[Path, FileLock | None]:
     """Create a file beside ``target`` and lock it, as soon as no other command writes one."""
-    folder = target.absolute().parent
+    own = target.with_name(f".{target.name}.partial")  # relative as the target is: a folder may be renamed meanwhile
     until = time.monotonic() + WAIT_S
     while True:
-        with folder_locked(folder):  # between its creation and its lock a file looks abandoned
-            if not _is_being_written(target):
-                handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=folder)
-                os.close(handle)
-                made = target.with_name(Path(name).name)  # relative as the target is: a folder may be renamed meanwhile
-                try:
-                    return made, FileLock(made)
-                except OSError:  # no locks here
-                    return made, None
+        if not _is_being_written(target, own):
+            try:
+                return own, FileLock(own, new=True)
+            except BlockingIOError:
+                pass
+            except FileExistsError:
+                if not _can_be_locked(own):
+                    return _unlocked(target), None
+            except OSError:  # no locks here, or no file can be made
+                return _unlocked(target), None
         if time.monotonic() > until:
             raise InputError("another command is writing this file", str(target), "wait until that one has ended")
         time.sleep(LOOK_EVERY_S)
 
 
-def _is_being_written(target: Path) -> bool:
+def _unlocked(target: Path) -> Path:
+    """Create a file beside ``target`` under a name that no other command takes."""
+    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".partial", dir=target.absolute().parent)
+    os.close(handle)
+    return target.with_name(Path(name).name)
+
+
+def _can_be_locked(path: Path) -> bool:
+    """Return whether a file that exists can be locked sooner or later: not a link, nor where it is another user's."""
+    if path.is_symlink():
+        return False
+    try:
+        FileLock(path).release()
+    except (BlockingIOError, FileNotFoundError):
+        return True
+    except OSError:
+        return False
+    return True
+
+
+def _is_being_written(target: Path, own: Path) -> bool:
     """Return whether another command writes this target; remove the files of those that were killed over it."""
     found = False
-    for left in target.parent.glob(f".{glob.escape(target.name)}.*.partial"):
-        if "." in left.name[len(target.name) + 2 : -len(".partial")]:
+    for left in (own, *target.parent.glob(f".{glob.escape(target.name)}.*.partial")):
+        if left != own and "." in left.name[len(target.name) + 2 : -len(".partial")]:
             continue  # of another target, NAME.x
         try:
-            FileLock(left).remove(left)
+            lock = FileLock(left)
         except BlockingIOError:
             found = True
-        except OSError:  # no locks here, or another command has removed it
+        except OSError:  # no locks here, another user's, or another command has removed it
             with contextlib.suppress(OSError):
                 if left.lstat().st_mtime < time.time() - ABANDONED_S:
                     left.unlink()
+        else:
+            if lock.is_of(left):
+                lock.remove(left)
+            else:
+                lock.release()
     return found
 
 

@@ -5,10 +5,9 @@ the lock respect it.  Windows: one byte far beyond the end of the file is locked
 either; the file can also not be removed while it is open.  Some network file systems have no locks.
 """
 
+import errno
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 if sys.platform == "win32":
@@ -26,25 +25,50 @@ class FileLock:
     ----------
     path : Path
         An existing file.
+    new : bool
+        The file does not exist, and is made.
 
     Raises
     ------
     BlockingIOError
-        Another process, or another lock of this one, holds it.
+        Another process, or another lock of this one, holds it; or a new file was removed before it was locked.
+    FileExistsError
+        A new file exists.
     OSError
-        The file cannot be opened, or its file system has no locks.
+        The file cannot be opened, or its file system has no locks; a new file is removed.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, new: bool = False) -> None:
         try:
-            self._fd = os.open(path, os.O_RDWR)
+            self._fd = os.open(path, os.O_RDWR | (os.O_CREAT | os.O_EXCL if new else 0), 0o600)
         except PermissionError:
+            if new:
+                raise
             self._fd = os.open(path, os.O_RDONLY)  # enough, except on network file systems
         try:
             _lock(self._fd)
-        except OSError:
+            if new and not self.is_of(path):
+                raise BlockingIOError(errno.EWOULDBLOCK, "removed before it was locked", str(path))
+        except BlockingIOError:
             self.release()
             raise
+        except OSError:
+            self.release()
+            if new:
+                path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def held(self) -> bool:
+        """Whether the lock was not yet let go of."""
+        return self._fd >= 0
+
+    def is_of(self, path: Path) -> bool:
+        """Return whether the locked file has this name: it may have been removed or renamed before it was locked."""
+        try:
+            return os.path.samestat(os.fstat(self._fd), os.lstat(path))
+        except OSError:
+            return False
 
     def release(self) -> None:
         """Let go of the file; a second call does nothing."""
@@ -63,27 +87,17 @@ class FileLock:
         """Give the file the name of another one, which it replaces, and let go of it."""
         if sys.platform == "win32":
             self.release()
-        path.replace(target)
+            try:
+                path.replace(target)
+            except OSError:  # another program has the target open
+                path.unlink(missing_ok=True)
+                raise
+        else:
+            path.replace(target)
         self.release()
 
 
-@contextmanager
-def folder_locked(folder: Path) -> Iterator[None]:
-    """Wait for the lock on a folder, and hold it; where folders cannot be locked, hold nothing."""
-    try:
-        fd = os.open(folder, os.O_RDONLY)
-    except OSError:  # Windows opens no folders
-        yield
-        return
-    try:
-        with suppress(OSError):  # a file system without locks
-            _lock(fd, wait=True)
-        yield
-    finally:
-        os.close(fd)
-
-
-def _lock(fd: int, wait: bool = False) -> None:
+def _lock(fd: int) -> None:
     if sys.platform == "win32":
         os.lseek(fd, _BEYOND, os.SEEK_SET)
         try:
@@ -91,4 +105,4 @@ def _lock(fd: int, wait: bool = False) -> None:
         except PermissionError as error:
             raise BlockingIOError(error.errno, error.strerror) from error
     else:
-        fcntl.flock(fd, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)

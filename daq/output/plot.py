@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from daq.errors import InputError
 from daq.output import atomic
+from daq.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +63,7 @@ def lines_over_time(
             axes.plot(time, values, "." if len(time) == 1 else "-", color="C0", ms=3)
         draw_markers(axes, markers)
         axes.set(xlabel="time (s)", ylabel=ylabel)
-        axes.set_title(title, parse_math=False)
+        axes.set_title(printable(title), parse_math=False)
         axes.margins(x=0.01)
     return drawn
 
@@ -73,7 +74,7 @@ def draw_markers(axes: "Axes", markers: Iterable[tuple[float, str]]) -> None:
         axes.axvline(at, color=MARKER, lw=1.0, ls=(0, (5, 3)))
         box = {"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0}
         place = axes.get_xaxis_transform()
-        axes.text(at, 0.97, f" {words}", transform=place, va="top", color=MARKER, bbox=box, parse_math=False)
+        axes.text(at, 0.97, f" {printable(words)}", transform=place, va="top", color=MARKER, bbox=box, parse_math=False)
 
 
 def check_place(target: Path, *sources: Path, force: bool = False, digest: str = "") -> None:

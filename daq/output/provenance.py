@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from daq.text import storable
 from daq.version import VERSION
 
 
@@ -25,7 +26,7 @@ def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
     -------
     dict
         ``software, python, numpy, platform, hostname, command_line`` and, in a checkout with git, ``git_commit`` and
-        ``git_dirty`` (1 when the checkout had changes).
+        ``git_dirty`` (1 when the checkout had changes).  Bytes of a path that are no UTF-8 are escaped.
     """
     import numpy as np
 
@@ -37,7 +38,8 @@ def here(command: Sequence[str] | None = None) -> dict[str, str | int]:
         "hostname": platform.node(),
         "command_line": shlex.join(_typed() if command is None else command),
     }
-    return found | _commit(Path(__file__).resolve().parents[2])
+    known = found | _commit(Path(__file__).resolve().parents[2])
+    return {name: storable(value) if isinstance(value, str) else value for name, value in known.items()}
 
 
 def _typed() -> list[str]:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import DeviceError, InputError, check_known
@@ -9,6 +10,7 @@ from daq.protocols import link_budget
 from daq.protocols import session as sessions
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Port, Session, Tally
+from daq.text import printable, storable
 from daq.wire import frames
 from daq.wire.counters import fits, is_late, signed
 
@@ -162,7 +164,8 @@ class Frames(Session):
         rest = self.drain()
         if rest:
             self.received.append((time.monotonic_ns(), rest))
-        return Identity(ident, config)
+        named = replace(ident, name=printable(ident.name))
+        return Identity(named, None if config is None else storable(config))
 
 
 session = Frames
@@ -193,7 +196,7 @@ class FrameTally(Tally):
                 self.resets += 1  # identified after the first sample: it has restarted
                 self._newest = self._illegal_before = None
             elif payload[0] == frames.NOTICE:
-                self.notice = payload[2:].decode(errors="replace")
+                self.notice = printable(payload[2:].decode(errors="replace"))
 
     def begin_again(self, reached: int) -> None:
         """Begin with sequence number 0 again, ``reached`` periods after the start."""

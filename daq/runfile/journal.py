@@ -46,6 +46,7 @@ from daq.runfile.journal_records import (
     Place,
     Record,
 )
+from daq.text import storable
 
 __all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Content", "Record"]
 
@@ -369,5 +370,5 @@ def read_markers(path: Path) -> tuple[tuple[int, str], ...]:
     for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         stamp, _, text = line.strip().partition(" ")
         if stamp.isascii() and stamp.isdecimal() and len(stamp) < 20:
-            found.append((int(stamp), text))
+            found.append((int(stamp), storable(text)))
     return tuple(sorted(found))

@@ -1,6 +1,7 @@
 """The header of a journal: what its fields are, and what they may hold.
 
-A checksum guards it, so a value that cannot be true was written so: by another program, or to do harm.
+A checksum guards it, so a value that cannot be true was written so: by another program, or to do harm.  Text is no such
+value, whatever is in it: a board names itself, and a path is bytes.  What a run file cannot hold of it is escaped.
 """
 
 import json
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.errors import InputError
+from daq.text import storable
 
 # Rates that a board, a sketch or a QSB may have, Hz, with room on both sides.
 SLOWEST_HZ, FASTEST_HZ = 1e-3, 1e7
@@ -19,8 +21,7 @@ DO = "keep it: its samples are there, but how they were recorded is not known"
 
 
 def _text(value: Any) -> bool:
-    """Return whether a value is a text that HDF5 can hold: no NUL, no half of a surrogate pair."""
-    return isinstance(value, str) and "\0" not in value and not any("\ud800" <= letter <= "\udfff" for letter in value)
+    return isinstance(value, str)
 
 
 def _whole(least: int, most: int) -> Callable[[Any], bool]:
@@ -42,7 +43,7 @@ def _named(value: Any, kind: Callable[[Any], bool]) -> bool:
 
 def _is_name(name: str) -> bool:
     """Return whether a name can be that of a field of the run file."""
-    return _text(name) and name not in ("", ".", "..", DIGEST) and "/" not in name
+    return storable(name) == name and name not in ("", ".", "..", DIGEST) and "/" not in name
 
 
 def _or_none(kind: Callable[[Any], bool]) -> Callable[[Any], bool]:
@@ -79,7 +80,7 @@ _DEFAULTS: dict[str, Any] = {
 
 
 def parse(text: bytes, path: Path) -> dict[str, Any]:
-    """Return a header.
+    """Return a header; its texts are `daq.text.storable`.
 
     Parameters
     ----------
@@ -104,7 +105,16 @@ def parse(text: bytes, path: Path) -> dict[str, Any]:
             found = repr(header[name])
             found = found if len(found) <= 40 else found[:37] + "..."
             raise InputError(f"its header gives {name} as {found}, not {what}", str(path), DO)
-    return header
+    return {name: _storable(value) for name, value in header.items()}
+
+
+def _storable(value: Any) -> Any:
+    """Return a field with its texts as a run file can hold them (`daq.text.storable`)."""
+    if isinstance(value, str):
+        return storable(value)
+    if isinstance(value, list):
+        return [_storable(item) for item in value]
+    return {name: _storable(item) for name, item in value.items()} if isinstance(value, dict) else value
 
 
 def complete(header: dict[str, Any], path: Path) -> dict[str, Any]:

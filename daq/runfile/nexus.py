@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from daq.errors import InputError
 from daq.output.spill import BLOCK, Column
+from daq.text import storable
 from daq.version import VERSION
 
 CHUNK = 16384
@@ -33,7 +34,7 @@ def group(parent: h5py.Group, name: str, nx_class: str, **attributes: Any) -> h5
     made = parent.create_group(name)
     made.attrs["NX_class"] = nx_class
     for key, value in attributes.items():
-        made.attrs[key] = value
+        made.attrs[key] = storable(value) if isinstance(value, str) else value
     return made
 
 
@@ -57,6 +58,7 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     name : str
         Its name.
     data : array, Column, number, str or sequence of str
+        What HDF5 cannot hold of a text is escaped (`daq.text.storable`).
         Arrays are stored in their own type, chunked by 16384, with gzip, shuffle and a checksum per chunk.
     units : str, optional
         Stored as ``@units``; a float without units is refused; "" means dimensionless.
@@ -69,9 +71,9 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
         For a float field without units.
     """
     if isinstance(data, str):
-        made = parent.create_dataset(name, data=data, dtype=h5py.string_dtype())
+        made = parent.create_dataset(name, data=storable(data), dtype=h5py.string_dtype())
     elif isinstance(data, list | tuple) and data and isinstance(data[0], str):
-        made = parent.create_dataset(name, data=list(data), dtype=h5py.string_dtype())
+        made = parent.create_dataset(name, data=[storable(text) for text in data], dtype=h5py.string_dtype())
     elif isinstance(data, Column):
         made = column(parent, name, len(data), data.dtype.str, units)
         for first in range(0, len(data), BLOCK):
@@ -88,7 +90,7 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     if units is not None:
         made.attrs["units"] = units
     for key, value in attributes.items():
-        made.attrs[key] = value
+        made.attrs[key] = storable(value) if isinstance(value, str) else value
     return made
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from daq.output.lengths import shown_length, shown_range
 from daq.output.spill import BLOCK, blocks
 from daq.runfile.rig import Rig
+from daq.text import storable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -182,7 +183,7 @@ class Recording:
     @property
     def name(self) -> str:
         """Name of its file; "a run in memory" when it was not loaded from one."""
-        return self.source.name or "a run in memory"
+        return storable(self.source.name) or "a run in memory"
 
     def remarks(self) -> dict[str, str]:
         """Return what people wrote about the run, by name: operator, sample, note, then the tags."""

@@ -26,6 +26,7 @@ from daq.output.spill import Column, blocks
 from daq.runfile import nexus
 from daq.runfile.recording import EVENT_NAMES, EVENTS, Recording, first_disorder
 from daq.runfile.rig import Measured
+from daq.text import storable
 from daq.version import VERSION
 
 SCHEMA = 1
@@ -112,7 +113,7 @@ def _duration(run: Recording) -> int:
 
 
 def _identity(run: Recording) -> str:
-    return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{run.started} {run.title} {run.digest}"))
+    return str(uuid.uuid5(uuid.NAMESPACE_OID, f"{run.started} {storable(run.title)} {run.digest}"))
 
 
 def _sample(run: Recording) -> str:
@@ -259,7 +260,7 @@ def write(file: h5py.File, run: Recording, file_name: str) -> None:
     file.attrs["NX_class"] = "NXroot"
     file.attrs["default"] = "entry"
     file.attrs["creator"] = f"stickslip {VERSION}"
-    file.attrs["file_name"] = file_name
+    file.attrs["file_name"] = storable(file_name)
     file.attrs["file_time"] = run.ended
     file.attrs["HDF5_Version"] = h5py.version.hdf5_version
     file.attrs["h5py_version"] = h5py.version.version
@@ -270,7 +271,7 @@ def write(file: h5py.File, run: Recording, file_name: str) -> None:
     entry["program_name"].attrs.update({"version": VERSION, "configuration": "configuration/data"})
     entry[f"{ENCODER_LOG}/time"].attrs["start"] = run.started
     entry[f"{ENCODER_LOG}/value"].attrs["long_name"] = f"position ({run.unit})"
-    entry["data"].attrs["title"] = run.title
+    entry["data"].attrs["title"] = storable(run.title)
 
 
 def rewrite_notes(file: h5py.File, run: Recording) -> None:
@@ -281,7 +282,7 @@ def rewrite_notes(file: h5py.File, run: Recording) -> None:
         if name in entry:
             del entry[name]
     _write_fields(file, rows, run)
-    entry["data"].attrs["title"] = run.title
+    entry["data"].attrs["title"] = storable(run.title)
 
 
 def _write_fields(file: h5py.File, rows: Iterable[Field], run: Recording) -> None:

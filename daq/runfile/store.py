@@ -2,7 +2,7 @@
 
 Raw data are never open for writing again: `write` builds a new file beside the old name and moves it into place,
 `extend` copies the file, adds groups to the copy and moves that into place.  A reader therefore sees the old file
-or the new one, whole, and a crash leaves at worst a ``.NAME.*.partial`` beside it.
+or the new one, whole, and a crash leaves at worst a ``.NAME.partial`` beside it.
 
 Equal runs give equal bytes under the same file name and library versions: nothing here reads a clock.
 """

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.text import printable, storable
 from daq.wire import frames as wire
 from daq.wire.splitter import Splitter
 
@@ -42,7 +43,7 @@ class Stream:
     idents : (i,) int64
         Before which frame each identification came.
     configs, notices : tuple of (int, str)
-        Before which frame, and its text.
+        Before which frame, and its text: what a file cannot hold, and of a notice what does not show, is escaped.
     time_error : (f,) int64 or None
         The time as sent less ``ticks``: not 0 where it was not true and has been interpolated.  None: as sent.
     truth_seq, truth_frame : (m,) int64
@@ -244,8 +245,12 @@ def _stream(lines: _Lines, ident: wire.Ident | None, first_piece: bool) -> Strea
         **columns,
         ident=ident,
         idents=before[np.array([line for line, frame in others if isinstance(frame, wire.Ident)], dtype=np.int64)],
-        configs=tuple((int(before[line]), frame.toml) for line, frame in others if isinstance(frame, wire.Config)),
-        notices=tuple((int(before[line]), frame.text) for line, frame in others if isinstance(frame, wire.Notice)),
+        configs=tuple(
+            (int(before[line]), storable(frame.toml)) for line, frame in others if isinstance(frame, wire.Config)
+        ),
+        notices=tuple(
+            (int(before[line]), printable(frame.text)) for line, frame in others if isinstance(frame, wire.Notice)
+        ),
         truth_seq=np.array(truth_seq, dtype=np.int64),
         truth_frame=np.repeat(before[np.array([line for line, _ in truths], dtype=np.int64)], truth_n),
         truth=np.array([row for _, frame in truths for row in frame.rows], dtype=np.float64).reshape(-1, 4),

@@ -11,6 +11,7 @@ import numpy as np
 
 from daq.errors import InputError
 from daq.output import atomic
+from daq.text import storable
 from daq.version import VERSION
 from fitting.drawing.palette import COLOURS, WIDE
 from fitting.estimation.result import Parameter
@@ -95,7 +96,7 @@ def write(runs: Sequence[ComparedRun], path: Path, alpha: float, summary: str, *
     refuse_foreign_file(path, [run.file for run in runs], force=force)
     text = render(runs, alpha, summary)
     with atomic.replacing(path, force=True) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(storable(text), encoding="utf-8")
 
 
 def render(runs: Sequence[ComparedRun], alpha: float, summary: str) -> str:

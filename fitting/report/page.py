@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from daq.errors import InputError
 from daq.output import atomic
 from daq.output.lengths import format_length
+from daq.text import storable
 from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
 from fitting.drawing.palette import COLOURS, run_colour
@@ -89,7 +90,7 @@ def write(page: str, path: Path, digests: Sequence[str], *, force: bool = False)
     """
     refuse_foreign_file(path, digests, force=force)
     with atomic.replacing(path, force=True) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(storable(page), encoding="utf-8")
 
 
 def template(name: str) -> "Template":

@@ -22,7 +22,7 @@ def refuse_foreign_file(path: Path, files: Sequence[Path], *, force: bool = Fals
     """
     atomic.refuse_existing(path, force, *files, own=HEAD, kind="ranking", flag="--csv")
     if path.exists() and not force:
-        with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        with path.open(newline="", encoding="utf-8", errors="surrogateescape") as file:
             others = {Path(row["file"]).name for row in csv.DictReader(file)} - {run.name for run in files}
         if others:
             what = f"exists and is the ranking of another run, {min(others)}"
@@ -59,7 +59,10 @@ def write(path: Path, documents: Sequence[tuple[Path, dict[str, Any]]]) -> None:
     """
     rows = [(file, row) for file, document in documents for row in document.get("ranking", ())]
     names = dict.fromkeys(name for _, row in rows for name in row["parameters"])
-    with atomic.replacing(path, force=True) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+    with (
+        atomic.replacing(path, force=True) as temporary,
+        temporary.open("w", newline="", encoding="utf-8", errors="surrogateescape") as file,  # the bytes of a path
+    ):
         out = csv.writer(file)
         columns = [f"{name}{part}" for name in names for part in ("", " stderr")]
         out.writerow(["file", *EVIDENCE, *columns])

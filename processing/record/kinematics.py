@@ -14,6 +14,7 @@ import numpy as np
 
 from daq.compute.arrays import Array, Mask
 from daq.output.lengths import format_length, shown_speed
+from daq.text import printable
 from processing.polynomial.even_grid import is_even
 from processing.record.finding import Finding
 from processing.record.motion import Fault, Phase, VelocityStep, mask_of
@@ -280,7 +281,7 @@ class Kinematics(SmoothingHeader):
         if self.method != "fd":
             window = f"{self.method}, window {self.window}, order {self.order}"
         return DrawnMotion(
-            f"{self.recording.name}: {self.recording.title}   ({window}, {self.times} times)",
+            printable(f"{self.recording.name}: {self.recording.title}   ({window}, {self.times} times)"),
             self.time,
             self.position,
             self.velocity,

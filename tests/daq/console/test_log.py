@@ -1,12 +1,15 @@
 """--verbose and --log: they show what a command does, and change nothing of what it does."""
 
+import errno
 import json
+import subprocess
+import sys
 
 import pytest
 
 from daq.cli.app import app
 from daq.console import application, log
-from daq.errors import EXIT_INPUT, InputError
+from daq.errors import EXIT_DEVICE, EXIT_INPUT, InputError
 
 
 def record(folder, *flags):
@@ -57,3 +60,35 @@ def test_a_log_needs_one_file(typed):
 
 def test_what_follows_two_dashes_is_no_flag_of_the_log():
     assert log.taken_off(["note", "--", "--verbose"]) == (["note", "--", "--verbose"], log.LogFlags())
+
+
+def test_a_disk_that_takes_no_log_ends_no_command(tmp_path, capsys, monkeypatch):
+    # A disk without a byte left ended the command before it began, exit code 3, though a log decides nothing.
+    def full(path, *how, **more):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    file = tmp_path / "a.log"
+    with monkeypatch.context() as patch:
+        patch.setattr(log.Path, "open", full)
+        patch.setattr(log.Path, "exists", lambda path: False)
+        with log.logging_to(log.LogFlags(file=file), "daq", []):
+            pass
+    assert capsys.readouterr().err == f"no log is written: {file}: No space left on device\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of file size are POSIX")
+@pytest.mark.parametrize("room", [0, 5, 100])
+def test_a_log_that_outgrows_its_disk_is_cut_and_no_more(tmp_path, room):
+    file = tmp_path / "a.log"
+    line = [sys.executable, "-m", "daq.cli.app", "list", str(tmp_path), "--log", str(file)]
+    limit = "import resource, os, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+    limit += f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room})); os.execv(sys.argv[1], sys.argv[1:])"
+    done = subprocess.run([sys.executable, "-c", limit, *line], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"no runs in {tmp_path}\n"), done.stderr
+    assert file.stat().st_size <= room
+    assert ("no log is written" in done.stderr) == (room < len(log.MARK))
+
+
+def test_a_log_in_a_folder_that_does_not_exist_is_still_refused(tmp_path, capsys):
+    assert record(tmp_path, "--log", str(tmp_path / "none" / "a.log")) == EXIT_DEVICE
+    assert not (tmp_path / "run.h5").exists()

@@ -91,3 +91,15 @@ def test_a_missing_rig_file_and_a_word_for_a_number_are_named(tmp_path, monkeypa
 def test_a_section_that_is_written_is_read_back():
     text = settings.board_toml({"port": 'C:\\"x"', "protocol": "qsb", "baud": 230_400, "rate_hz": 500})
     assert settings.board_section(text, "x") == {"port": 'C:\\"x"', "protocol": "qsb", "baud": 230_400, "rate": 500}
+
+
+@pytest.mark.parametrize("value", ["", "config", "."])
+def test_a_user_config_is_never_looked_for_in_the_current_folder(tmp_path, monkeypatch, value):
+    # A relative XDG_CONFIG_HOME read the port and the rate from the folder of the data.
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", value)
+    for folder in (tmp_path, tmp_path / "config"):
+        (folder / "stickslip").mkdir(parents=True)
+        (folder / "stickslip" / "config.toml").write_text('[board]\nport = "theirs"\n')
+    assert resolve() == {}

@@ -5,6 +5,7 @@ import mmap
 import os
 import random
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -21,19 +22,26 @@ from daq.cli.app import app
 from daq.console import application as terminal
 from daq.errors import InputError
 from daq.output import atomic, disk
+from daq.output import lock as lock_module
 from daq.runfile import store
 from rig_sim.motion import file as motion_file
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits of file size are POSIX")
 
+HANGS_S = 120
+
 
 @pytest.fixture
-def full():
+def full(monkeypatch):
     """Return a context in which no file grows beyond so many bytes: to a writer, a full disk.
 
-    It ends with the block, not with the test: what pytest itself prints may go to a file.
+    It ends with the block, not with the test: what pytest itself prints may go to a file.  No bytecode is kept: Python
+    3.11 kept what fitted of a module that was first imported in the block, and later commands ended with "marshal data
+    too short".
     """
     import resource
+
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
 
     @contextmanager
     def limited(size):
@@ -134,10 +142,10 @@ def test_a_picture_that_does_not_fit_leaves_no_file(full, run, capsys):
 
 
 def test_a_folder_that_may_not_be_written_is_told_by_the_files_name(tmp_path, monkeypatch):
-    def refuse(**_):
+    def refuse(*_, **__):
         raise PermissionError(13, "Permission denied", "some.partial")
 
-    monkeypatch.setattr(atomic.tempfile, "mkstemp", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(disk.RefusedError, match=r"out.h5: may not be written; give a place"):
         atomic.replacing(tmp_path / "out.h5", force=False).__enter__()
 
@@ -252,7 +260,7 @@ def test_what_a_killed_command_left_is_removed_by_the_next(tmp_path):
     # It stayed for ten minutes, whoever came.
     target = tmp_path / "run[1].h5"
     left, longer, other = (tmp_path / f".{name}.abc.partial" for name in ("run[1].h5", "run[1].h5.x", "run1.h5"))
-    for path in (left, longer, other):
+    for path in (tmp_path / ".run[1].h5.partial", left, longer, other):
         path.write_text("half")
     with atomic.replacing(target, force=True) as temporary:
         temporary.write_text("whole")
@@ -279,6 +287,65 @@ def test_two_commands_that_write_one_file_do_so_one_after_the_other(tmp_path):
         thread.join()
     assert sorted(target.read_text().split()) == ["0", "1", "2", "3"]
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_lock_on_the_folder_holds_nobody_up(tmp_path):
+    # `flock DIR command` is how people keep two scripts apart: every command that writes waited for that lock, which
+    # its own caller held, for ever and without a word.
+    import fcntl
+
+    folder = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    line = [sys.executable, "-m", "daq.cli.app", "record", "--duration", "0.1", "-o", str(tmp_path / "run.h5")]
+    try:
+        done = subprocess.run(line, capture_output=True, text=True, timeout=HANGS_S, check=False)
+    finally:
+        os.close(folder)
+    assert done.returncode == 0, done.stderr
+    assert list(tmp_path.iterdir()) == [tmp_path / "run.h5"]
+
+
+@pytest.mark.parametrize("kind", ["link", "folder", "another user's"])
+def test_a_name_that_is_taken_by_something_else_is_left_alone(tmp_path, kind, monkeypatch):
+    # In a folder that others may write to, who put a link there must not have its target written or removed.
+    taken, theirs = tmp_path / ".run.h5.partial", tmp_path / "theirs"
+    theirs.write_text("theirs")
+    if kind == "link":
+        taken.symlink_to(theirs)
+    elif kind == "folder":
+        taken.mkdir()
+    else:
+        taken.write_text("half")
+        opened = os.open
+
+        def refuse(path, *how, **more):
+            if Path(path) == taken and not how[0] & os.O_CREAT:
+                raise PermissionError(13, "Permission denied", str(path))
+            return opened(path, *how, **more)
+
+        monkeypatch.setattr(os, "open", refuse)
+    with atomic.replacing(tmp_path / "run.h5", force=False) as temporary:
+        temporary.write_text("whole")
+    assert (tmp_path / "run.h5").read_text() == "whole"
+    assert theirs.read_text() == "theirs"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".run.h5.partial", "run.h5", "theirs"]
+
+
+def test_a_file_that_loses_its_name_before_it_is_locked_is_not_taken_for_the_one_that_has_it(tmp_path, monkeypatch):
+    # Between creation and lock another command may take a new file for one that was left, and remove it.
+    path = tmp_path / "new"
+    lock = lock_module._lock
+
+    def slow(fd):
+        monkeypatch.setattr(lock_module, "_lock", lock)
+        path.unlink()
+        path.write_text("another command's")
+        lock(fd)
+
+    monkeypatch.setattr(lock_module, "_lock", slow)
+    with pytest.raises(BlockingIOError):
+        lock_module.FileLock(path, new=True)
+    assert path.read_text() == "another command's"
 
 
 def test_a_command_that_goes_on_writing_is_named_instead_of_waited_for_without_end(tmp_path, monkeypatch):

@@ -160,6 +160,36 @@ def raising(error):
     return fault
 
 
+def test_a_board_may_send_any_text(tmp_path, attach):
+    # A NUL in a board's name, CONFIG or NOTICE ended in "VLEN strings do not support embedded NULLs", exit code 1,
+    # and so did `daq recover`: nothing could build the journal.
+    class Odd(FakeBoard):
+        def ident(self):
+            return frames.encode_ident(
+                frames.Ident(
+                    (1, 2, 3), self.decoder, self.capabilities, 16, 1000, self.block, 5000, 10**8, "a\0\x1b[7m"
+                )
+            )
+
+    board = Odd(faults={50: lambda line: line + frames.encode_notice("b\0\x1b[7m")}, config="# c\0\n" + CONFIG)
+    attach(board)
+    said = []
+    found = record(request(tmp_path), say=said.append)
+    run = daq.load(tmp_path / "run.h5")
+    assert run.title == r"a\x00\x1b[7m, 1000 Hz"
+    assert r"b\x00\x1b[7m" in run.event_note
+    assert run.config_toml.startswith("# c\\x00\n")
+    assert said[0] == r"a\x00\x1b[7m on fake://board, decoder x4"
+    assert any(r"b\x00\x1b[7m" in warning for warning in found.warnings)
+
+
+def test_a_calibration_may_hold_any_text(tmp_path, attach):
+    # TOML spells a NUL: the name of a rig.toml ended as that of a board did.
+    attach(FakeBoard())
+    record(request(tmp_path, calibration=CONFIG.replace("[rig]", '[rig]\nname = "a\\u0000b"')))
+    assert daq.load(tmp_path / "run.h5").rig.name == r"a\x00b"
+
+
 def test_every_sample_comes_through_the_counters_roll_overs(tmp_path, attach):
     attach(FakeBoard())
     found = record(request(tmp_path, 5000))

@@ -10,7 +10,8 @@ import pytest
 
 from daq.errors import InputError, StickslipError
 from daq.finalise.run import finalise, run_data
-from daq.runfile import journal
+from daq.runfile import journal, store
+from daq.text import storable
 
 FIXTURE = Path(__file__).with_name("fixtures") / "clean.h5.part"
 NOTES = {"columns": None, "decoder": None, "baud": None, "sample_name": "", "note": "", "tags": {}}
@@ -61,6 +62,26 @@ def test_no_field_ends_in_a_traceback(tmp_path, start, name):
     write(part, {other: value for other, value in header.items() if other != name}, records)
     said = outcome(part)
     assert not said if name in (*NOTES, "pid", "host") else f"no {name}" in said
+
+
+@pytest.mark.parametrize("text", ["a\0b", "r\udcfe.h5", "\ud800"])
+def test_a_journal_is_built_whatever_its_texts_hold(tmp_path, start, text):
+    # A NUL of a board, and the bytes of a folder that are no UTF-8, stand in journals of earlier versions: `daq record`
+    # and `daq recover` ended with exit code 1, or refused the header, and nothing could build the run.
+    header, records = start
+    odd = dict.fromkeys(("title", "operator", "sample_name", "note"), text)
+    odd |= {"warnings": [text], "tags": {"tag": text}, "provenance": header["provenance"] | {"command_line": text}}
+    part = tmp_path / "run.h5.part"
+    configuration = replace(records[0], kind=journal.CONFIGURATION, data=b"# a\0b\n")
+    write(part, header | odd, [configuration, *records])
+    journal.markers_path(part).write_bytes(b"%d a\0b\n" % records[-1].stamp_ns)
+    found = finalise(part, tmp_path / "run.h5", finished_by="test")
+    run = store.load(tmp_path / "run.h5")
+    held = storable(text)
+    assert (run.title, run.operator, run.sample_name, run.note) == (held,) * 4
+    assert (run.tags["tag"], run.provenance["command_line"], run.config_toml) == (held, held, "# a\\x00b\n")
+    assert held in found.warnings
+    assert r"a\x00b" in run.event_note
 
 
 def test_a_record_of_dropped_bytes_longer_than_a_number_counts_nothing(tmp_path, start):
