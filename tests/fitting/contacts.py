@@ -1,8 +1,9 @@
 """Contacts on a belt that are one of the six laws or none, followed by scipy's DOP853 from event to event.
 
 Nothing of rig_sim is used: one right-hand side in newtons, a stick in closed form, and a root search for each event.
-A departure is one field of `Contact`; 0 means that it is absent.  `simulate` gives exact positions, `recorded` what a
-counting encoder shows of them.
+A departure is one field of `Contact`; 0 means that it is absent.  Contacts of any scale are followed alike: steps and
+tolerances are in units of the contact's own, 1/omega and Fs/k.  `follow` gives exact positions with the break-aways and
+landings, `simulate` the positions alone, `recorded` what a counting encoder shows of them.
 """
 
 import math
@@ -12,8 +13,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-STEP = 2e-3  # s: longest time between two looks for an event
-TIGHT = {"method": "DOP853", "rtol": 1e-9, "atol": 1e-11}
+STEP = 0.012  # of 1/omega: longest time between two looks for an event; the rig's 2 ms
+FIRST = 6e-6  # of 1/omega: the step by which a slip leaves the belt, so that it does not land where it begins
+TIGHT = 1e-10  # of Fs/k: absolute tolerance; the relative one is 1e-9
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Contact:
     Fs: float = 1.379353536
     gamma: float = 9.618
     G_slip: float = 0.3
+    ramp: float = 0.0  # half-width of the ramp through w = 0, m/s; 0 lets the mass stick
     Fc: float = 0.5  # Stribeck: level at high speed, N
     v_s: float = 0.08  # Stribeck: speed over which it falls, m/s
     power: float = 1.0  # Stribeck: 1 exponential, 2 Gaussian
@@ -53,9 +56,36 @@ class Contact:
     sticks_at_start: bool = False  # the mass moves with the belt from its first moment on
     seed: int = 1
 
+    @property
+    def omega(self):
+        """Natural frequency, rad/s."""
+        return math.sqrt(self.k / self.m)
+
+    @property
+    def tight(self):
+        """Tolerances of the integration."""
+        return {"method": "DOP853", "rtol": 1e-9, "atol": TIGHT * self.Fs / self.k}
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a contact did.
+
+    Attributes
+    ----------
+    position : array (samples,)
+        m, from the spring's rest.
+    break_aways, landings : array
+        Times at which slips begin and end, s; of a ramp, those at which the mass leaves it and comes back to it.
+    """
+
+    position: np.ndarray
+    break_aways: np.ndarray
+    landings: np.ndarray
+
 
 def curve(p, s):
-    """Friction at slip speed s >= 0, N."""
+    """Friction at slip speed s >= 0, N; of a ramp, s counts from its end."""
     if p.curve == "constant":
         return p.Fs
     if p.curve == "linear":
@@ -114,6 +144,17 @@ def side_mass(p, state, v):
 
 def simulate(p, times):
     """Exact positions (m) at ``times`` (s, rising from 0), starting at the spring's rest on a belt at rest."""
+    return follow(p, times).position
+
+
+def follow(p, times):
+    """Exact motion at ``times`` (s, rising from 0), starting at the spring's rest on a belt at rest.
+
+    LuGre's model has no break-aways and landings.  A ramp knows no break-away level above its own, no guide, and no
+    start on the belt.
+    """
+    if p.ramp and (p.static != 1 or p.ageing or p.guide or p.sticks_at_start):
+        raise ValueError("a ramp with static, ageing, guide or sticks_at_start")
     times = np.asarray(times, float)
     rng = np.random.default_rng(p.seed + 991)
     found = np.full(times.size, np.nan)
@@ -123,8 +164,9 @@ def simulate(p, times):
     if p.lugre:
         stage = _memory(p, t, end, state, times)
         found[times >= p.belt_start] = stage
-        return found
+        return Motion(found, np.array([]), np.array([]))
     slipping, side, level = not p.sticks_at_start, -1.0, 1.0
+    broke, landings = [t] if slipping else [], []
     began = 0.0 if p.sticks_at_start else t
 
     def store(first, last, position):
@@ -137,19 +179,27 @@ def simulate(p, times):
             t2, state, landed = _slip(p, t, end, state, side, level, store)
             if landed:
                 level = 1 + p.scatter * float(np.clip(rng.standard_normal(), -3, 3))
+                landings.append(t2)
+        elif p.ramp:
+            t2, state = _creep(p, t, end, state, level, store)
         else:
             t2, state = _stick(p, t, end, state, level, began, store)
         t = t2
         if t >= end:
             break
+        if p.ramp:
+            slipping, side = not slipping, math.copysign(1.0, state[1] - belt_motion(p, t)[1])
+            broke += [t] if slipping else []
+            continue
         belt, v, a = belt_motion(p, t)
         state[1] = v
         need = p.m * a - other_forces(p, t, state, v, 1.0)
         if not slipping or abs(need) > level * p.Fs * p.static * place(p, state[0], belt):
             slipping, side = True, -math.copysign(1.0, need)
+            broke.append(t)
         else:
             slipping, began = False, t
-    return found
+    return Motion(found, np.array(broke), np.array(landings))
 
 
 def _slip(p, t, end, state, side, level, store):
@@ -158,31 +208,63 @@ def _slip(p, t, end, state, side, level, store):
 
     def rates(time, y):
         belt, speed, _ = belt_motion(p, time)
-        s = max(side * (y[1] - speed), 0.0)
+        s = max(side * (y[1] - speed) - p.ramp, 0.0)
         friction = -side * level * curve(p, s) * place(p, y[0], belt)
         a = (other_forces(p, time, y, y[1], way) + friction) / p.m
         return (y[1], a, *side_mass(p, y, y[1])) if p.second_mass else (y[1], a)
 
     def lands(time, y):
-        return side * (y[1] - belt_motion(p, time)[1])
+        return side * (y[1] - belt_motion(p, time)[1]) - p.ramp
 
     def turns(time, y):
         return y[1]
 
+    def nears(time, y):
+        return side * (rates(time, y)[1] - belt_motion(p, time)[2])
+
     lands.terminal, lands.direction = True, -1
-    turns.terminal, turns.direction = p.guide != 0, -way
+    turns.terminal, turns.direction = p.guide != 0 or p.drag != 0, -way  # both forces have a corner there
+    nears.terminal, nears.direction = True, 1  # a landing that grazes begins and ends within one step
     # Leave the belt's speed by one small step, so that the event is not found where the slip begins.
-    h, begin = min(1e-6, end - t), state
+    h, begin = min(FIRST / p.omega, end - t), state
     store(t, t + h, lambda when: np.full(when.size, begin[0]))
     t, state = t + h, begin + h * np.array(rates(t, begin))
     while True:
-        run = solve_ivp(rates, (t, end), state, events=[lands, turns], dense_output=True, max_step=STEP * 5, **TIGHT)
-        store(t, run.t[-1] if run.status == 1 else end + 1, lambda when, run=run: run.sol(when)[0])
-        t, state = float(run.t[-1]), run.y[:, -1].copy()
-        if run.status != 1 or run.t_events[0].size:
-            return t, state, run.status == 1
-        way = -way
-        turns.direction = -way
+        looks = {"events": [lands, turns, nears], "dense_output": True, "max_step": 5 * STEP / p.omega}
+        run = solve_ivp(rates, (t, end), state, **looks, **p.tight)
+        before, last, state = float(run.t[-2]), float(run.t[-1]), run.y[:, -1].copy()
+        landed = run.status == 1 and run.t_events[0].size > 0
+        if run.status == 1 and not landed and lands(last, state) < 0 < lands(before, run.sol(before)):
+            last = brentq(lambda when, run=run: lands(when, run.sol(when)), before, last, xtol=1e-13)
+            landed, state = True, run.sol(last)
+        store(t, last if run.status == 1 else end + 1, lambda when, run=run: run.sol(when)[0])
+        t = last
+        if run.status != 1 or landed:
+            return t, state, landed
+        if run.t_events[1].size:
+            way = -way
+            turns.direction = -way
+        else:
+            nears.direction = -nears.direction
+
+
+def _creep(p, t, end, state, level, store):
+    """Creep within the ramp, where friction is linear and stiff, until the mass leaves it."""
+
+    def rates(time, y):
+        belt, speed, _ = belt_motion(p, time)
+        friction = -level * p.Fs * (y[1] - speed) / p.ramp * place(p, y[0], belt)
+        a = (other_forces(p, time, y, y[1], 0.0) + friction) / p.m
+        return (y[1], a, *side_mass(p, y, y[1])) if p.second_mass else (y[1], a)
+
+    def leaves(time, y):
+        return p.ramp - abs(y[1] - belt_motion(p, time)[1])
+
+    leaves.terminal, leaves.direction = True, -1
+    stiff = p.tight | {"method": "LSODA"}
+    run = solve_ivp(rates, (t, end), state, events=leaves, dense_output=True, **stiff)
+    store(t, run.t[-1] if run.status == 1 else end + 1, lambda when: run.sol(when)[0])
+    return (float(run.t[-1]) if run.status == 1 else end), run.y[:, -1].copy()
 
 
 def _stick(p, t, end, state, level, began, store):
@@ -195,7 +277,7 @@ def _stick(p, t, end, state, level, began, store):
             (t, min(t + 3.0, end)),
             state[2:],
             dense_output=True,
-            **TIGHT,
+            **p.tight,
         )
 
     def at(time):
@@ -213,14 +295,14 @@ def _stick(p, t, end, state, level, began, store):
 
     last = t
     while last < end:
-        ahead = min(last + STEP, end)
+        ahead = min(last + STEP / p.omega, end)
         if spare(ahead) < 0:
             ahead = brentq(spare, last, ahead, xtol=1e-13) if spare(last) > 0 else last
             break
         last = ahead
     else:
         ahead = end
-    store(t, ahead, lambda when: np.array([at(one)[0] for one in when]))
+    store(t, ahead, lambda when: x0 - origin + np.array([belt_motion(p, one)[0] for one in when]))
     return ahead, at(ahead)
 
 

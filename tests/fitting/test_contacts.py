@@ -15,6 +15,9 @@ CASES = {  # changes of `Contact`, and the same for the other simulator
     "hyperbolic": ({}, {"code": 5}),
     "linear": ({"curve": "linear"}, {"code": 3, "G": 0.3}),
     "stribeck": ({"curve": "stribeck"}, {"code": 7, "Fc": 0.5, "vs": 0.08, "p": 1, "Fv": 0.1}),
+    "ramp": ({"curve": "constant", "ramp": 0.03}, {"code": 1, "ramp": 1, "d": 0.03}),
+    "linear, ramp": ({"curve": "linear", "ramp": 0.03}, {"code": 3, "G": 0.3, "ramp": 1, "d": 0.03}),
+    "hyperbolic, ramp": ({"ramp": 0.03, "c": 0.01}, {"code": 5, "ramp": 1, "d": 0.03, "c": 0.01}),
     "logarithmic": ({"curve": "logarithmic"}, {"code": 8, "logb": 0.2, "logv": 0.01}),
     "static": ({"static": 1.3}, {"static": 1.3}),
     "hard spring": ({"k3": 0.05 * K / 0.177**2}, {"k3": 0.05 * K / 0.177**2}),
@@ -46,10 +49,34 @@ def test_another_simulator_finds_the_same_motion(contacts, case, monkeypatch):
 
     mine, others = CASES[case]
     times = np.arange(0, 12, 1e-3)
-    contact = replace(contacts.Contact(duration=12.0, sticks_at_start=True), **mine)
+    contact = replace(contacts.Contact(duration=12.0, sticks_at_start="ramp" not in mine), **mine)
     expected, _, _ = simulate(times, **{"T": 12.0, **others})
     assert np.ptp(expected) > 0.15
     np.testing.assert_allclose(contacts.simulate(contact, times), expected, atol=AGREEMENT.get(case, 2e-9))
+
+
+@pytest.mark.parametrize("changes", [{}, {"curve": "stribeck"}, {"ramp": 0.03}, {"scatter": 0.05}])
+def test_a_contact_of_another_scale_moves_alike(contacts, changes):
+    """Steps and tolerances used to be seconds and metres of the rig."""
+    length, time = 2.0**-9, 2.0**-6  # a slip of 0.3 mm, 380 rad/s
+    speed = length / time
+    times = np.arange(0, 6, 2e-3)
+    contact = contacts.Contact(duration=6.0, **changes)
+    other = replace(
+        contact,
+        **{name: getattr(contact, name) * speed for name in ("belt", "v_s", "ramp", "log_speed")},
+        gamma=contact.gamma / speed,
+        Fv=contact.Fv / speed,
+        k=contact.k / length,
+        m=contact.m / length * time**2,
+        belt_start=contact.belt_start * time,
+        duration=contact.duration * time,
+    )
+    found, expected = contacts.follow(other, times * time), contacts.follow(contact, times)
+    assert expected.landings.size >= 4
+    np.testing.assert_allclose(found.position / length, expected.position, atol=1e-8)
+    np.testing.assert_allclose(found.break_aways / time, expected.break_aways, atol=1e-6)
+    np.testing.assert_allclose(found.landings / time, expected.landings, atol=1e-6)
 
 
 def test_levels_scatter_from_landing_to_landing_and_only_there(contacts):

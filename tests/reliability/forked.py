@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,7 @@ class Server:
         action: int = COUNT,
         error: int = 0,
         send: list[tuple[float, int]] | None = None,
+        hangs_s: float = HANGS_S,
     ) -> Ended:
         """Run a command in a fork.
 
@@ -133,9 +135,11 @@ class Server:
             Which calls count; from which one on (from 1) what happens; the errno, or the signal of SEND.
         send : list of (float, int)
             Signals to send: seconds after the fork, number.
+        hangs_s : float
+            How long it may take; then it is killed.
         """
         armed = {"watched": str(watched or cwd), "kinds": kinds, "at": at, "action": action, "error": error}
-        return self.start(line, cwd, **armed).wait(send or [])
+        return self.start(line, cwd, **armed).wait(send, hangs_s)
 
     def start(self, line: list[str], cwd: Path, **armed: Any) -> "Fork":
         """Run a command in a fork, and return at once; counts of calls are those of the fork started last."""
@@ -145,9 +149,9 @@ class Server:
         asked = {"do": "start", "line": line, "cwd": str(cwd), "output": output, **armed}
         return Fork(self, self._ask(asked)["pid"], output)
 
-    def wait(self, pid: int, output: str, send: list[tuple[float, int]]) -> Ended:
+    def wait(self, pid: int, output: str, send: list[tuple[float, int]], hangs_s: float) -> Ended:
         """Wait for a fork that `start` made."""
-        found = self._ask({"do": "wait", "pid": pid, "send": send})
+        found = self._ask({"do": "wait", "pid": pid, "send": send, "hangs_s": hangs_s})
         texts = {}
         for name in ("out", "err"):
             place = Path(f"{output}.{name}")
@@ -179,9 +183,9 @@ class Fork:
         """Send a signal."""
         os.kill(self.pid, number)
 
-    def wait(self, send: list[tuple[float, int]] | None = None) -> Ended:
-        """Wait for its end; send signals meanwhile, so many seconds from now."""
-        return self.server.wait(self.pid, self.output, send or [])
+    def wait(self, send: list[tuple[float, int]] | None = None, hangs_s: float = HANGS_S) -> Ended:
+        """Wait for its end, at most so long; send signals meanwhile, so many seconds from now."""
+        return self.server.wait(self.pid, self.output, send or [], hangs_s)
 
 
 def _serve(library: ctypes.CDLL) -> None:
@@ -229,7 +233,7 @@ def _wait(library: ctypes.CDLL, asked: dict[str, Any]) -> dict[str, Any]:
         passed = time.monotonic() - began
         while waiting and waiting[0][0] <= passed:
             os.kill(asked["pid"], waiting.pop(0)[1])
-        if passed > HANGS_S:
+        if passed > asked["hangs_s"]:
             hung = True
             os.kill(asked["pid"], signal.SIGKILL)
         time.sleep(0.001)
@@ -263,6 +267,8 @@ def _become(library: ctypes.CDLL, asked: dict[str, Any]) -> None:
         os.chdir(asked["cwd"])
         command, *arguments = asked["line"]
         sys.argv = [command, *arguments]
+        # A process of its own has not shown any; those that the server has shown would not be shown again.
+        warnings.simplefilter("always", RuntimeWarning)
         app = importlib.import_module(APPS[command]).app
         library.preload_begin()
         application.main(app)

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from . import page
 from .campaign import CAMPAIGNS, Result
 
@@ -26,10 +28,13 @@ def test_a_campaign_replaces_its_own_rows_and_the_total(tmp_path):
     assert total.endswith("the longest one 2000.0.")
 
 
-def test_every_campaign_has_its_rows_and_its_cost():
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_every_campaign_has_its_rows_and_its_cost(name):
     text = PAGE.read_text(encoding="utf-8")
     runs = text.partition(page.BEGIN.format("runs"))[2].partition(page.END.format("runs"))[0]
-    for name in CAMPAIGNS:
-        assert len(re.findall(rf"^\| {name} \|.*\| \d+\.\d \| \d+\.\d \|$", runs, re.MULTILINE)) == 1, name
-        assert f"test_short_form.py[{name}]" in text
-    assert "faults**" not in text
+    assert len(re.findall(rf"^\| {name} \|.*\| \d+\.\d \| \d+\.\d \|$", runs, re.MULTILINE)) == 1
+    assert f"test_short_form.py[{name}]" in text
+
+
+def test_the_page_holds_no_fault():
+    assert "faults**" not in PAGE.read_text(encoding="utf-8")
