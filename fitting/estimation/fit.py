@@ -18,9 +18,9 @@ from fitting.model.problem import EstimationProblem
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path, follow, law_curve
 
-DEFAULT_FADE_SD = 0.01  # 1/s: what a friction level may fade by where a run has too few cycles to show wear
+DEFAULT_FADE_SD = 0.005  # a slip: what a friction level may fade by where a run has too few cycles to show wear
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
-LEAST_FADE_SD = 1e-6  # 1/s
+LEAST_FADE_SD = 5e-7  # a slip
 # In the last pass an outlier's weight is this power of weight/`INLIER_WEIGHT` times as large, and at least that share.
 OUTLIER_POWER, LEAST_OUTLIER_SHARE = 3, 0.02
 OUTLIER_LEVEL_SD = 10.0  # of the log level of an outlier cycle, so that it has no weight in the mean
@@ -229,10 +229,10 @@ class Fit:
     def fade_sd(self) -> tuple[float, ...]:
         """How much the levels of each run may fade within a cycle, 1/s: about what they lose from cycle to cycle."""
         found = []
-        for run in range(self.runs):
+        for run, motion in enumerate(self.problem.motions):
             trend = self.level_trend(run)
-            lost = DEFAULT_FADE_SD if trend is None else math.hypot(trend.rate.value, trend.rate.sd)
-            found.append(max(lost, LEAST_FADE_SD))
+            lost = DEFAULT_FADE_SD / motion.slip_s if trend is None else math.hypot(trend.rate.value, trend.rate.sd)
+            found.append(max(lost, LEAST_FADE_SD / motion.slip_s))
         return tuple(found)
 
     def for_run(self, run: int) -> "Fit":

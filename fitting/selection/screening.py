@@ -97,7 +97,7 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
     if samples >= FEWEST_SAMPLES:
         return
     slip_s = samples * float(np.median(np.diff(motion.time)))
-    what = f"a slip has {samples} samples; a verdict needs {FEWEST_SAMPLES}"
+    what = f"{samples} samples a slip; a verdict needs {FEWEST_SAMPLES}"
     lasts = f"{slip_s:.2g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
     # one sample more than needed: how many a slip has is known to one
     do = f"record at {_rounded_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts {lasts}"

@@ -139,7 +139,7 @@ def test_slips_of_too_few_samples_are_refused_with_the_rate_to_take(tmp_path, co
     capsys.readouterr()
     assert application.run(cli.app, [str(run), "--json"]) == 4
     document = json.loads(capsys.readouterr().out)
-    assert document["error"]["what"] == "a slip has 6 samples; a verdict needs 8"
+    assert document["error"]["what"] == "6 samples a slip; a verdict needs 8"
     rate = float(document["error"]["do"].removeprefix("record at ").split(" Hz")[0])
     assert 13 <= rate * slower <= 18
     (found,) = (row for row in document["findings"] if row["code"] == "samples-per-slip")

@@ -1,0 +1,57 @@
+"""One contact at any scale: the fit measures times in slips, so a record in slow motion gives the same answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fitting.data import frame
+from fitting.selection.ranking import rank
+from processing.smoothing import smooth
+
+
+@pytest.fixture(scope="module")
+def track(synthetic, tmp_path_factory):
+    """Give a camera's record of law 5, times of which are divided by ``faster``."""
+    time, position = synthetic.camera(5, 5e-5, duration=20.0)
+    table = tmp_path_factory.mktemp("track") / "track.csv"
+
+    def at(faster):
+        recording = synthetic.imported(table, time, position, decimals=7)
+        return replace(recording, time=recording.time / faster, rate_hz=recording.rate_hz * faster)
+
+    return at
+
+
+@pytest.mark.parametrize("faster", [20.0, 64.0, 1 / 64])
+def test_a_contact_in_fast_or_slow_motion_is_the_same_contact(track, faster):
+    """Twenty times as fast it was "no slip between two sticks", and ten times as fast k/m was 1.4 errors off."""
+    expected = rank(smooth(track(1.0)), laws=(3, 5))
+    found = rank(smooth(track(faster)), laws=(3, 5))
+    assert found.laws_in_set == expected.laws_in_set == (5,)
+    assert found.adequacy.adequate
+    for name, power in (("k/m", 2), ("v_dr", 1), ("gamma", -1)):
+        ours, theirs = (ranking.best.parameters[name] for ranking in (found, expected))
+        assert ours.value / faster**power == pytest.approx(theirs.value, abs=0.5 * theirs.stderr)
+    assert len(found.events) == len(expected.events)
+
+
+def test_times_scaled_by_a_power_of_two_scale_the_slip_and_nothing_else(motion_of):
+    motion = motion_of(law=5, duration=12.0)
+    for power in (-12, 3, 12):
+        time = np.ldexp(motion.time, power)
+        slips = motion.velocity < 0.5 * motion.belt_speed
+        assert frame.usual_slip(time, motion.position, slips) == np.ldexp(
+            frame.usual_slip(motion.time, motion.position, slips), power
+        )
+    assert frame.rounded_slip(0.58) == 0.5
+    assert frame.rounded_slip(0.58 * 2**-7) == 0.5 * 2**-7
+
+
+@pytest.mark.parametrize("law", [1, 2, 3, 4, 5, 6])
+def test_slips_of_all_laws_round_to_the_same_time(motion_of, law):
+    """Else a result would jump with the last digit of a slip's duration."""
+    motion = motion_of(law=law, duration=12.0)
+    assert motion.slip_s == 0.5
+    usual = motion.samples_per_slip * 1e-3
+    assert frame.rounded_slip(0.85 * usual) == frame.rounded_slip(1.15 * usual) == 0.5
