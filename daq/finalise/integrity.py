@@ -31,7 +31,7 @@ class CheckedCounts:
     ----------
     count : (n,) int64
         Unwrapped net count.
-    segment : (n,) uint16
+    segment : (n,) uint16, or uint32 where the run may have more than 65,536 segments
         From 0.
     flags : (n,) uint16
         Status as sent, less the levels, and the host's checks (`daq.wire.counters`).
@@ -50,7 +50,7 @@ class CheckedCounts:
     """
 
     count: NDArray[np.int64]
-    segment: NDArray[np.uint16]
+    segment: NDArray[np.uint16] | NDArray[np.uint32]
     flags: NDArray[np.uint16]
     lost: NDArray[np.int64]
     illegal: int
@@ -102,6 +102,7 @@ class CountCheck:
         self._has_illegal = frames.Capability.ILLEGAL in has
         self._starts_at_phase = starts_at_phase
         self._safe_s = float("inf")
+        self._wide = False  # whether segment numbers take 32 bits
         self._offsets: NDArray[np.uint8] | None = None  # of each segment
         self._last: Samples | None = None
         self._taken = self._count = self._segments = self._risen = 0
@@ -113,13 +114,16 @@ class CountCheck:
         peak, belt_peak = _PeakRate(stride), _PeakRate(stride)
         self._begin()
         has_belt = False
+        most = 1  # segments that there can be
         for samples in pieces:
             window, fresh, _, _, gap = self._follow(samples)
             ups, downs = (counters.increments(column, bits) for column in (window.up, window.down))
             peak.take(window.time, np.maximum(ups, downs), gap | fresh)
+            most += int(np.count_nonzero(gap | fresh))
             if window.belt is not None:
                 has_belt = True
                 belt_peak.take(window.time, np.abs(counters.moves(window.belt, bits)), gap | fresh)
+        self._wide = most > 1 << 16
         self.peak_count_rate = peak.found()
         rate_hz = link_budget.peak_edge_rate_hz(self._ident, self._rig, self.peak_count_rate * edges)
         self._safe_s = counters.longest_gap_s(rate_hz, edges, bits)
@@ -163,7 +167,7 @@ class CountCheck:
         if self._has_phase:
             wrong = counters.phase_error(window.up, window.down, window.status)
             if self._offsets is not None:
-                wrong -= self._offsets[segment & 0xFFFF]
+                wrong -= self._offsets[segment]
             flags[wrong & 3 != 0] |= counters.FLAG_PHASE
         rise = np.zeros(n, dtype=np.int64)
         if self._has_illegal:
@@ -185,7 +189,7 @@ class CountCheck:
         self._taken += len(samples)
         return CheckedCounts(
             count=count[own],
-            segment=segment[own].astype(np.uint16),
+            segment=segment[own].astype(np.uint32) if self._wide else segment[own].astype(np.uint16),
             flags=flags[own],
             lost=lost[own],
             illegal=int(rise.sum()),

@@ -102,7 +102,7 @@ def findings(run: Recording) -> dict[str, int]:
     return found | {"crc_errors": run.event_kind.count("crc")}
 
 
-def _recount(raw: Raw, segment: NDArray[np.uint16], bits: int) -> NDArray[np.int64]:
+def _recount(raw: Raw, segment: NDArray[np.unsignedinteger], bits: int) -> NDArray[np.int64]:
     count = np.empty(segment.size, np.int64)
     for one in np.unique(segment):
         part = segment == one

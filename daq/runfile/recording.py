@@ -107,8 +107,8 @@ class Recording:
         Unwrapped count; None for an import.
     raw : Raw or None
         The samples as sent; None for an import.
-    segment : (n,) u2
-        A new one after every unplug; not given: 0 throughout.
+    segment : (n,) u2, or u4 where there may be more than 65,536
+        A new one after every unplug and restart of the board; not given: 0 throughout.
     config_toml : str
         The configuration the run was made with, verbatim.
     clock_sample, clock_offset : (c,) u4, (c,) f8
@@ -146,7 +146,7 @@ class Recording:
     position: NDArray[np.float64]
     count: NDArray[np.int64] | None = None
     raw: Raw | None = None
-    segment: NDArray[np.uint16] = field(default_factory=_none(np.uint16))
+    segment: NDArray[np.uint16] | NDArray[np.uint32] = field(default_factory=_none(np.uint16))
     config_toml: str = ""
     clock_sample: NDArray[np.uint32] = field(default_factory=_none(np.uint32))
     clock_offset: NDArray[np.float64] = field(default_factory=_none(np.float64))
@@ -269,7 +269,7 @@ class Recording:
         return notebook.table(f"Recording {self.name}: {self.title}", self.facts().items())
 
 
-def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.uint16]) -> int:
+def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.unsignedinteger]) -> int:
     """Return how many samples the sequence numbers skip within segments; both arguments have shape (n,)."""
     within = np.diff(segment) == 0
     return int((np.diff(sample.astype(np.int64))[within] - 1).sum())

@@ -119,7 +119,7 @@ def _sample(run: Recording) -> str:
     return run.sample_name or run.rig.name or "mass"
 
 
-def _segment(run: Recording) -> NDArray[np.uint16] | None:
+def _segment(run: Recording) -> NDArray[np.uint16] | NDArray[np.uint32] | None:
     return None if run.raw is None else run.segment
 
 
@@ -196,7 +196,7 @@ TREE: tuple[Group | Field, ...] = (
     Field("instrument/belt/calibration/metres_per_count", "measured", "m", "pitch", "rig.belt_metres_per_count"),
     Group("raw", "NXdata", optional=True, attributes=RAW),
     Field("raw/sample", "u4[n]", "", "sequence number: skips lost samples, restarts in each segment", "raw.sample"),
-    Field("raw/segment", "u2[n]", "", "a new one after every unplug", "segment", _segment),
+    Field("raw/segment", "u2 or u4[n]", "", "a new one after every unplug and restart", "segment", _segment),
     Field("raw/count_up", "u2 or u4[n]", "", "counter of steps up, rolling over at its width", "raw.count_up"),
     Field("raw/count_down", "u2 or u4[n]", "", "counter of steps down", "raw.count_down"),
     Field("raw/device_time", "u4[n]", "us", "device time, rolling over at 2^32", "raw.device_time"),
