@@ -182,8 +182,8 @@ class FrameTally(Tally):
         self._frames = frames.FrameReader()
         self._newest: tuple[int, int, int] | None = None  # sequence number, device time, samples
 
-    def feed(self, data: bytes) -> None:
-        """Take bytes as they came."""
+    def feed(self, data: bytes, at_s: float | None = None) -> None:
+        """Take bytes as they came; their sequence numbers tell more than when they came."""
         for payload in self._frames.payloads(data):
             if payload[0] == frames.SAMPLES and len(payload) > frames.SAMPLES_HEADER:
                 self._step(payload[3] | payload[4] << 8, int.from_bytes(payload[5:9], "little"), payload[2])

@@ -132,7 +132,7 @@ class Reader(threading.Thread):
                     silence.begin()
                     self.heard += len(data)
                     self._keep(journal.RECEIVED, data)
-                    self.tally.feed(data)
+                    self.tally.feed(data, time.monotonic())
                     if not self.waits:
                         time.sleep(PAUSE_S)
                 if self.tally.resets > resets:
