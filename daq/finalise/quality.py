@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -259,10 +260,11 @@ def _incomplete(found: RecordingQuality, totals: DataTotals) -> list[str]:
 
 
 def _port_outages(records: journal.Records) -> list[str]:
-    """Return one sentence for each time the port was lost, with how long it was away, or when it was lost for good."""
+    """Return one sentence for all times the port was lost and reopened, and one if it was lost for good at last."""
     first = heard = None
     lost = ""
-    outages = []
+    away: list[tuple[int, int, str]] = []  # how long, since when, and why
+    for_good = []
     # Of the reads, which are nearly the whole journal, the first one and the last ones before something else.
     begun, after = records.kinds.find(journal.RECEIVED), records.kinds[1:] + bytes([journal.END])
     pairs = enumerate(zip(records.kinds, after, strict=True))
@@ -276,15 +278,25 @@ def _port_outages(records: journal.Records) -> list[str]:
         elif heard is None or first is None:
             continue
         elif record.kind == journal.REOPENED:
-            outages.append(
-                f"the port was lost ({lost}) and reopened: {(record.stamp_ns - heard) / 1e6:.0f} ms are missing"
-            )
+            away.append((record.stamp_ns - heard, heard - first, lost))
             lost = ""
         elif record.kind == journal.END and b"port lost" in record.data:
-            outages.append(
+            for_good.append(
                 f"the port was lost ({lost}) {(heard - first) / 1e9:.3g} s after the start and was not reopened"
             )
-    return outages
+    return [*_reopened(away), *for_good]
+
+
+def _reopened(away: Sequence[tuple[int, int, str]]) -> list[str]:
+    """Return one sentence for all outages: how long each was, ns, when it began after the start, ns, and why."""
+    if not away:
+        return []
+    longest_ns, begun_ns, why = max(away, key=itemgetter(0))
+    if len(away) == 1:
+        return [f"the port was lost ({why}) and reopened: {longest_ns / 1e6:.0f} ms are missing"]
+    total_s = sum(each for each, _, _ in away) / 1e9
+    longest = f"the longest time {longest_ns / 1e6:.0f} ms, {begun_ns / 1e9:.3g} s after the start ({why})"
+    return [f"the port was lost and reopened {len(away)} times: {total_s:.3g} s are missing in all, {longest}"]
 
 
 def _times(found_s: Sequence[float]) -> str:

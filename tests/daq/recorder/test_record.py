@@ -857,3 +857,47 @@ def test_a_recorder_that_began_meanwhile_is_not_taken_for_a_crash(tmp_path, atta
         record(request(tmp_path))
     assert "recover" not in str(caught.value)
     other[0].close()
+
+
+def ends_by_itself(request):
+    """Record, and stop a recording that does not end; return what was found, and whether it had to be stopped."""
+    stop = threading.Event()
+    timer = threading.Timer(20, stop.set)
+    timer.start()
+    try:
+        return record(request, stop=stop), stop.is_set()
+    finally:
+        timer.cancel()
+
+
+def test_a_board_that_sends_the_same_samples_again_and_again_ends_at_its_duration(tmp_path, attach):
+    # It used to be read for ever: bytes came, so the port was not silent, and no sample was new.
+    same = FakeBoard().samples(0)
+    attach(*(FakeBoard(dict.fromkeys(range(100_000), lambda line: same)) for _ in range(20)))
+    found, stopped = ends_by_itself(request(tmp_path, 300))
+    assert not stopped
+    assert found.short
+    assert found.samples <= 8 * found.segments
+    assert any("no new sample in the" in warning for warning in found.warnings)
+    assert any("came twice or late" in warning for warning in found.warnings)
+
+
+def test_a_board_that_sends_noise_ends_and_its_bytes_are_kept(tmp_path, attach):
+    # It used to be read for ever.
+    attach(FakeBoard(dict.fromkeys(range(100_000), lambda line: b"\x55" * 300 + b"\0")))
+    with pytest.raises(DataError, match="not one sample can be read in the"):
+        ends_by_itself(request(tmp_path, 300))
+    recorded = journal.read(tmp_path / "run.h5.part")
+    assert journal.end_reason(list(recorded.records)[-1]) == journal.PORT_LOST
+
+
+def test_a_port_that_is_lost_again_and_again_is_one_warning(tmp_path, attach):
+    # There used to be one for each time: 52 kB for 1000.
+    attach(*(FakeBoard({5: raising(SerialException("gone"))}) for _ in range(12)), FakeBoard())
+    found = record(request(tmp_path, 2000))
+    assert (found.segments, found.port_lost) == (13, 12)
+    lost = [warning for warning in found.warnings if "port was lost" in warning]
+    assert len(lost) == 1
+    assert "lost and reopened 12 times" in lost[0]
+    assert "the longest time" in lost[0]
+    assert "(gone)" in lost[0]
