@@ -23,6 +23,7 @@ LEAST_HELD = 0.9  # of the samples asked for: with fewer, or with more than the 
 # A drift of fewer standard errors than CLEAR is not shown by the run.  How large it can be is then said, unless that is
 # more than TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
 CLEAR, TELLING_PPM = 2.0, 1000.0
+WHY = {"clock": "the clock leapt"}  # of a segment's beginning, where one word does not say it
 LONG_GAP_S = 0.5  # a gap that a warning places in time
 
 
@@ -138,6 +139,12 @@ class DataTotals:
         What began each segment.
     jumped_s : list of float
         When sequence numbers jumped.
+    leapt : list of (float, float)
+        When the board's clock leapt, and by how much, s.
+    paused : list of (float, float)
+        When the board paused without a gap in its sequence, and for how long, s.
+    segment, source : list of int
+        From which segment on the samples were sent under which identification.
     places : tuple of two int, or None
         Sample periods from the start of the run to the first and to the last sample.
     last_s : float
@@ -156,6 +163,10 @@ class DataTotals:
     overruns: int = 0
     reasons: list[str] = field(default_factory=list)
     jumped_s: list[float] = field(default_factory=list)
+    leapt: list[tuple[float, float]] = field(default_factory=list)
+    paused: list[tuple[float, float]] = field(default_factory=list)
+    segment: list[int] = field(default_factory=list)
+    source: list[int] = field(default_factory=list)
     travel: tuple[float, float] = (np.inf, -np.inf)
     places: tuple[int, int] | None = None
     last_s: float = 0.0
@@ -178,6 +189,14 @@ class DataTotals:
         self.overruns += int(np.count_nonzero(samples.status & frames.OVERRUN))
         begun = samples.time[checked.starts - self.samples].tolist()
         self.jumped_s += [at for at, why in zip(begun, checked.reasons, strict=True) if why == "jumped"]
+        leaps = zip(begun, checked.leap_s.tolist(), checked.reasons, strict=True)
+        self.leapt += [(at, leap_s) for at, leap_s, why in leaps if why == "clock"]
+        pauses = samples.time[checked.paused - self.samples].tolist()
+        self.paused += list(zip(pauses, checked.paused_s.tolist(), strict=True))
+        for number, source in enumerate(checked.source.tolist(), start=len(self.reasons)):
+            if not self.source or source != self.source[-1]:
+                self.segment.append(number)
+                self.source.append(source)
         self.reasons += checked.reasons
         self.travel = min(self.travel[0], float(position.min())), max(self.travel[1], float(position.max()))
         self.places = (int(piece.place[0]) if self.places is None else self.places[0]), int(piece.place[-1])
@@ -305,12 +324,19 @@ def _times(found_s: Sequence[float]) -> str:
     return ", ".join(at) + (f" and {len(found_s) - 5} times more" if len(found_s) > 5 else "")
 
 
+def _amounts(by: str, found: Sequence[tuple[float, float]]) -> str:
+    """Return the first few of some times and amounts, s, in words."""
+    at = [f"{by} {amount:.3g} s at {time_s:.3f} s" for time_s, amount in found[:5]]
+    return ", ".join(at) + (f" and {len(found) - 5} times more" if len(found) > 5 else "")
+
+
 def _data_warnings(
     found: RecordingQuality, totals: DataTotals, repeated: int, rig: Rig, streams: Sequence[Stream]
 ) -> list[str]:
     """Return one sentence for each kind of damage in the data, with its number."""
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
     unknown = sum(stream.unknown for stream in streams)
+    reasons = "; ".join(sorted({WHY.get(why, why) for why in totals.reasons[1:]}))
     lines = [
         (found.lost, f"{found.lost} samples were lost in {totals.gaps} places"),
         (found.crc_errors, f"{found.crc_errors} damaged frames were thrown away"),
@@ -330,13 +356,21 @@ def _data_warnings(
         (found.dropped_bytes, f"{found.dropped_bytes} bytes were dropped: this machine could not keep up"),
         (
             found.segments - 1,
-            f"{found.segments} segments: {'; '.join(sorted(set(totals.reasons[1:])))}; positions are not connected "
-            "across them",
+            f"{found.segments} segments: {reasons}; positions are not connected across them",
         ),
         (
             len(totals.jumped_s),
             f"the board's sequence numbers jumped against its clock, {_times(totals.jumped_s)} after the first "
             "sample: it was reset, or sent wrong numbers; each time a new segment begins",
+        ),
+        (
+            len(totals.leapt),
+            f"the board's clock leapt, {_amounts('by', totals.leapt)}, against its sequence numbers and this machine's "
+            "clock; each time a new segment begins, timed by the sequence",
+        ),
+        (
+            len(totals.paused),
+            f"the board paused, {_amounts('for', totals.paused)}, and its sequence numbers do not show it",
         ),
     ]
     lines += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from daq.compute import arrays
 from daq.compute.arrays import Array
-from daq.protocols.arrival import LeastDelay
 from daq.protocols.neighbours import LOOK_AHEAD, leaps, off_course, periods_between, running, spread, time_ahead
+from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, moves
 
 # Lines before and behind one that stages 2 to 4 keep.  They look 6, 19 (`SPIKE_AMONG` lines, and three about each) and

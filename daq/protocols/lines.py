@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute import arrays
-from daq.protocols.arrival import LeastDelay
 from daq.protocols.judge import Between, Judge, Lines
 from daq.protocols.neighbours import LOOK_AHEAD, time_ahead
 from daq.protocols.session import Tally
 from daq.wire import frames
+from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter

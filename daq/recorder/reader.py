@@ -191,6 +191,8 @@ class Reader(threading.Thread):
                 for stamp, data in self.board.received:
                     self._put((journal.RECEIVED, stamp, data))
                 self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))
+                for _, data in self.board.received:  # another board may be behind the port
+                    self.tally.feed(data)
                 self.board.start()
             except (OSError, StickslipError):
                 self.board.close()

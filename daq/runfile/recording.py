@@ -71,6 +71,28 @@ class Raw:
 
 
 @dataclass(frozen=True)
+class SentAs:
+    """The identifications that a run was sent under, where there were several; i stretches of segments.
+
+    Attributes
+    ----------
+    segment : (i,) u4
+        First segment of each stretch.
+    counter_bits : (i,) u1
+        Width of the counters there.
+    counts : (i,) u1
+        Counts of the run in one count of these counters: 4 of a decoder that counts one edge in four.
+    ident : (i,) str
+        The identification, in words.
+    """
+
+    segment: NDArray[np.uint32]
+    counter_bits: NDArray[np.uint8]
+    counts: NDArray[np.uint8]
+    ident: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Truth:
     """The exact motion of a simulated rig: time (s), x (m), v (m/s), friction force F (N), each of shape (m,)."""
 
@@ -126,6 +148,8 @@ class Recording:
     truth : Truth or None
         The exact motion, on the way into a file only: `store.load` leaves it out, so that nobody reads it by accident
         (`store.truth` reads it).
+    sent_as : SentAs or None
+        The identifications that the samples were sent under; None where there was one.
     operator, sample_name, note : str
         Who recorded, what was measured, remarks; "" where nobody wrote any.
     tags : mapping of str to str
@@ -159,6 +183,7 @@ class Recording:
     belt_velocity: NDArray[np.float64] | None = None
     belt_count: NDArray[np.int64] | None = None
     truth: Truth | None = None
+    sent_as: SentAs | None = None
     operator: str = ""
     sample_name: str = ""
     note: str = ""

@@ -9,8 +9,7 @@ ahead of the host makes it less.  Late reads, stalls and a suspended computer ma
 from collections.abc import Sequence
 
 import numpy as np
-
-from daq.compute.arrays import Array
+from numpy.typing import NDArray
 
 # By how much a line may seem to come before the least delay: the share of a gap by which the clocks may differ (a
 # crystal 0.01 %, a ceramic resonator 0.5 %), and the least delay's own uncertainty, s (reads every 20 ms, chips that
@@ -31,7 +30,9 @@ class LeastDelay:
         self._first: tuple[float, float] | None = None  # device's time and delay of the first line, s
         self._least = float("inf")
 
-    def note(self, device_s: Sequence[float] | Array, delay_s: Sequence[float] | Array) -> None:
+    def note(
+        self, device_s: Sequence[float] | NDArray[np.float64], delay_s: Sequence[float] | NDArray[np.float64]
+    ) -> None:
         """Take lines, (n,): the device's time and the delay of each, s."""
         if len(delay_s) == 0:
             return
