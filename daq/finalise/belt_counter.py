@@ -40,28 +40,26 @@ def decoded(
 
 
 class BeltCount:
-    """The belt's count without roll-over, each segment beginning at its own first reading, piece by piece.
+    """The belt's count without roll-over, each segment beginning at its own first reading, piece by piece."""
 
-    Parameters
-    ----------
-    bits : int
-        Width of the counter.
-    """
-
-    def __init__(self, bits: int) -> None:
-        self._bits = bits
+    def __init__(self) -> None:
         self._last: tuple[int, int] | None = None  # reading and count
 
-    def take(self, values: NDArray[np.integer], begins: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Return the count of the next readings, (n,), as sent modulo 2^bits; ``begins``: the first of a segment."""
+    def take(
+        self, values: NDArray[np.integer], begins: NDArray[np.bool_], bits: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Return the count of the next readings, (n,), each as sent modulo 2^bits; ``begins``: the first of a segment.
+
+        ``bits`` is the width of the counter at each of them, (n,).
+        """
         whole = values.astype(np.int64)
         first, begins = whole.copy(), begins.copy()
         if self._last is not None:
             whole, begins = np.concatenate(([self._last[0]], whole)), np.concatenate(([True], begins))
-            first = np.concatenate(([self._last[1]], first))
+            first, bits = np.concatenate(([self._last[1]], first)), np.concatenate((bits[:1], bits))
         if len(whole) == 0:
             return whole
-        count = counters.running_sum(begins, counters.moves(whole, self._bits), first)
+        count = counters.running_sum(begins, counters.moves(whole, bits[1:]), first)
         own = count[0 if self._last is None else 1 :]
         self._last = int(whole[-1]), int(count[-1])
         return own
@@ -81,7 +79,7 @@ def unwrapped(values: NDArray[np.integer], bits: int, starts: NDArray[np.int64])
     """
     begins = np.zeros(len(values), dtype=np.bool_)
     begins[starts] = True
-    return BeltCount(bits).take(values, begins)
+    return BeltCount().take(values, begins, np.full(len(values), bits))
 
 
 def velocity(

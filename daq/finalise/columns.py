@@ -1,5 +1,6 @@
 """The columns of a run, gathered piece by piece: of each sample its motion, what was sent, and the exact motion."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ from numpy.typing import NDArray
 
 from daq.finalise import belt_counter
 from daq.finalise.belt_counter import BeltCount
+from daq.finalise.connections import TICK_NS
 from daq.finalise.integrity import CheckedCounts
 from daq.finalise.timeline import Samples, TruthRows, parts_of, sample_keys
 from daq.output.spill import Column, Shelf, Spill
@@ -22,8 +24,8 @@ class RunColumns:
     ----------
     rig : Rig
         Its calibration.
-    tick_ns : int
-        Tick of the device's clock, ns.
+    idents : sequence of Ident or None
+        The identifications that it was sent under.
     truth : Shelf of TruthRows
         The exact motion as sent.
     spill : Spill
@@ -35,13 +37,19 @@ class RunColumns:
         Host's stamp of the first sample.
     """
 
-    def __init__(self, rig: Rig, tick_ns: int, truth: Shelf[TruthRows], spill: Spill) -> None:
+    def __init__(self, rig: Rig, idents: Sequence[frames.Ident | None], truth: Shelf[TruthRows], spill: Spill) -> None:
         self.first_ns = 0
-        self._rig, self._tick_ns, self._spill = rig, tick_ns, spill
+        self._rig, self._spill = rig, spill
+        ticks: list[int] = []
+        bits: list[int] = []
+        for ident in idents:
+            ticks.append(TICK_NS if ident is None else ident.tick_ns)
+            bits.append(rig.counter_bits if ident is None else ident.counter_bits)
+        self._ticks, self._bits = np.array(ticks, dtype=np.int64), np.array(bits, dtype=np.int64)
         self._columns: dict[str, Column] = {}
         self._starts: list[int] = []
         self._samples = 0
-        self._belt = BeltCount(rig.counter_bits)
+        self._belt = BeltCount()
         self._truth = truth
         self._truth_keys = [(int(rows.key.min()), int(rows.key.max())) for rows in truth]
         self._part, self._shift_s = -1, 0.0
@@ -60,7 +68,9 @@ class RunColumns:
         if not self._samples:
             self.first_ns = int(samples.stamp_ns[0])
         sent = samples.ticks if samples.time_error is None else samples.ticks + samples.time_error
-        microseconds = sent * self._tick_ns // 1000
+        source = np.zeros(len(samples), dtype=np.int64) if samples.source is None else samples.source
+        tick_ns, bits = self._ticks[source], self._bits[source]
+        microseconds = sent * tick_ns // 1000
         self._append("time", samples.time)
         self._append("position", position)
         self._append("count", checked.count)
@@ -73,11 +83,11 @@ class RunColumns:
         self._append("flags", checked.flags)
         self._append("illegal", samples.illegal)
         self._append("belt_count", samples.belt)
-        self._append("edge_time", None if samples.edge is None else _edge_us(samples.edge, self._tick_ns))
+        self._append("edge_time", None if samples.edge is None else _edge_us(samples.edge, tick_ns))
         if samples.belt is not None and self._rig.belt_metres_per_count is not None:
             begins = np.zeros(len(samples), dtype=np.bool_)
             begins[checked.starts - self._samples] = True
-            self._append("belt", self._belt.take(samples.belt, begins))
+            self._append("belt", self._belt.take(samples.belt, begins, bits))
         self._starts += checked.starts.tolist()
         if self._truth_keys:
             self._take_truth(samples)
@@ -122,7 +132,8 @@ class RunColumns:
         shift = np.zeros(len(samples))
         for part, here in parts_of(samples):
             if part != self._part:
-                device_s = samples.ticks[here.start] * self._tick_ns / 1e9
+                source = 0 if samples.source is None else int(samples.source[here.start])
+                device_s = samples.ticks[here.start] * int(self._ticks[source]) / 1e9
                 self._part, self._shift_s = part, float(samples.time[here.start] - device_s)
             shift[here] = self._shift_s
         time, x, v, force = rows[row].T
@@ -132,7 +143,7 @@ class RunColumns:
         self._append("truth_F", force)
 
 
-def _edge_us(edge: NDArray[np.uint16], tick_ns: int) -> NDArray[np.uint16]:
+def _edge_us(edge: NDArray[np.uint16], tick_ns: NDArray[np.int64]) -> NDArray[np.uint16]:
     """Return the time since the last edge in us; "none" keeps its value on the wire."""
     us = edge.astype(np.int64) * tick_ns // 1000
     return np.where(edge == frames.NO_EDGE, frames.NO_EDGE, us).astype(np.uint16)

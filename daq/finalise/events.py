@@ -47,9 +47,16 @@ class RunEvents:
     def take(self, piece: Piece, checked: CheckedCounts) -> None:
         """Take the next samples."""
         samples, stream = piece.samples, piece.stream
-        for start, why, gap_s in zip(checked.starts.tolist(), checked.reasons, checked.gap_s.tolist(), strict=True):
+        begun = zip(
+            checked.starts.tolist(), checked.reasons, checked.gap_s.tolist(), checked.leap_s.tolist(), strict=True
+        )
+        for start, why, gap_s, leap_s in begun:
             if start:
-                self._found.append((start, EVENTS["invalid" if why == "invalid" else "reopened"], _begun(why, gap_s)))
+                kind = EVENTS["invalid" if why == "invalid" else "reopened"]
+                self._found.append((start, kind, _begun(why, gap_s, leap_s)))
+        for at, pause_s in zip(checked.paused.tolist(), checked.paused_s.tolist(), strict=True):
+            note = f"the board paused for {1e3 * pause_s:.0f} ms; its sequence numbers show no lost sample"
+            self._found.append((at, EVENTS["gap"], note))
         for at in np.flatnonzero(checked.lost).tolist():
             self._found.append((self._samples + at, EVENTS["gap"], f"{checked.lost[at]} samples lost"))
         for name, flag in FLAGS.items():
@@ -88,7 +95,7 @@ class RunEvents:
         return sorted(found)
 
 
-def _begun(why: str, gap_s: float) -> str:
+def _begun(why: str, gap_s: float, leap_s: float) -> str:
     """Return why a segment begins, in words."""
     gap_ms = 1e3 * gap_s
     return {
@@ -97,4 +104,6 @@ def _begun(why: str, gap_s: float) -> str:
         "restarted": f"the board restarted, {gap_ms:.0f} ms lost: the position restarts",
         "jumped": f"sequence number and clock of the board do not follow, {gap_ms:.0f} ms after the sample before "
         "(a reset?): the position may restart",
+        "clock": f"the board's clock leapt by {1e3 * leap_s:+.0f} ms while its sequence went on: the time here is that "
+        "of the sequence",
     }[why]

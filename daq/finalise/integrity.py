@@ -5,13 +5,14 @@ across which the counters (the belt's, too) may have rolled over unseen.  In eac
 difference: nothing is carried over, nothing is filled in.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.finalise import connections
 from daq.finalise.timeline import PartReason, Samples, joined
 from daq.protocols import link_budget
 from daq.runfile.rig import Rig
@@ -31,7 +32,7 @@ class CheckedCounts:
     ----------
     count : (n,) int64
         Unwrapped net count.
-    segment : (n,) uint16
+    segment : (n,) uint16, or uint32 where the run may have more than 65,536 segments
         From 0.
     flags : (n,) uint16
         Status as sent, less the levels, and the host's checks (`daq.wire.counters`).
@@ -47,10 +48,16 @@ class CheckedCounts:
         What began each segment; of the first one it means nothing.
     gap_s : (s,) float64
         How long after the sample before it each segment begins; 0 for the first one.
+    leap_s : (s,) float64
+        By how much the board's clock leapt there, s; 0 where it did not.
+    paused, paused_s : (p,) int64, (p,) float64
+        Samples before which the board paused without a gap in its sequence, and for how long.
+    source : (s,) int64
+        Under which identification each segment was sent.
     """
 
     count: NDArray[np.int64]
-    segment: NDArray[np.uint16]
+    segment: NDArray[np.uint16] | NDArray[np.uint32]
     flags: NDArray[np.uint16]
     lost: NDArray[np.int64]
     illegal: int
@@ -58,6 +65,10 @@ class CheckedCounts:
     reasons: tuple[SegmentReason, ...]
     starts: NDArray[np.int64]
     gap_s: NDArray[np.float64]
+    leap_s: NDArray[np.float64]
+    paused: NDArray[np.int64]
+    paused_s: NDArray[np.float64]
+    source: NDArray[np.int64]
 
 
 def check(
@@ -72,7 +83,8 @@ def check(
     """
     if len(samples) == 0:
         raise ValueError("nothing to check: there is no sample")
-    checking = CountCheck(ident, rig, rate_hz, starts_at_phase=starts_at_phase)
+    checking = CountCheck([ident], rig, rate_hz, starts_at_phase=starts_at_phase)
+    samples = replace(samples, source=None)
     checking.survey([samples])
     return checking.take(samples)
 
@@ -82,8 +94,8 @@ class CountCheck:
 
     Parameters
     ----------
-    ident, rig, rate_hz
-        Who sent the run, its calibration, and its nominal rate.
+    idents, rig, rate_hz
+        The identifications that the run was sent under, its calibration, and its nominal rate.
     starts_at_phase : bool
         The board's rule: an x4 counter starts at the phase of its levels.  Another sketch's may start anywhere; then
         the offset that most samples of a segment have is taken as its own.
@@ -94,39 +106,47 @@ class CountCheck:
         Of the whole run, once it has been surveyed (`CheckedCounts`).
     """
 
-    def __init__(self, ident: frames.Ident | None, rig: Rig, rate_hz: float, *, starts_at_phase: bool = True) -> None:
-        has = frames.Capability(0) if ident is None else ident.capabilities
+    def __init__(
+        self, idents: Sequence[frames.Ident | None], rig: Rig, rate_hz: float, *, starts_at_phase: bool = True
+    ) -> None:
         self.peak_count_rate = 0.0
-        self._ident, self._rig, self._rate_hz = ident, rig, rate_hz
-        self._has_phase = rig.decoder == "x4" and frames.Capability.LEVELS in has
-        self._has_illegal = frames.Capability.ILLEGAL in has
+        self._idents, self._rig, self._rate_hz = idents, rig, rate_hz
+        self._units = connections.units(idents, rig)
         self._starts_at_phase = starts_at_phase
         self._safe_s = float("inf")
+        self._wide = False  # whether segment numbers take 32 bits
         self._offsets: NDArray[np.uint8] | None = None  # of each segment
         self._last: Samples | None = None
         self._taken = self._count = self._segments = self._risen = 0
 
     def survey(self, pieces: Iterable[Samples]) -> None:
         """Look at the whole run: how long a gap the counters' speed allows, and where its counters started."""
-        bits, edges = self._rig.counter_bits, EDGES_PER_COUNT.get(self._rig.decoder, 1)
+        units, edges = self._units, EDGES_PER_COUNT.get(self._rig.decoder, 1)
         stride = max(1, round(PEAK_OVER_S * self._rate_hz))
         peak, belt_peak = _PeakRate(stride), _PeakRate(stride)
         self._begin()
         has_belt = False
+        most = 1  # segments that there can be
         for samples in pieces:
-            window, fresh, _, _, gap = self._follow(samples)
+            follows = self._follow(samples)
+            window, broken = follows.window, follows.gap | follows.fresh
+            bits, scale = (_each(values, window)[1:] for values in (units.bits, units.scale))
             ups, downs = (counters.increments(column, bits) for column in (window.up, window.down))
-            peak.take(window.time, np.maximum(ups, downs), gap | fresh)
+            peak.take(window.time, np.maximum(ups, downs) * scale, broken)
+            most += int(np.count_nonzero(broken))
             if window.belt is not None:
                 has_belt = True
-                belt_peak.take(window.time, np.abs(counters.moves(window.belt, bits)), gap | fresh)
+                belt_peak.take(window.time, np.abs(counters.moves(window.belt, bits)), broken)
+        self._wide = most > 1 << 16
         self.peak_count_rate = peak.found()
-        rate_hz = link_budget.peak_edge_rate_hz(self._ident, self._rig, self.peak_count_rate * edges)
-        self._safe_s = counters.longest_gap_s(rate_hz, edges, bits)
-        if has_belt:
-            self._safe_s = min(self._safe_s, counters.longest_gap_s(2 * belt_peak.found(), 1, bits - 1))
+        self._safe_s = float("inf")
+        for ident, bits_, own in zip(self._idents, units.bits.tolist(), units.edges.tolist(), strict=True):
+            rate_hz = link_budget.peak_edge_rate_hz(ident, self._rig, self.peak_count_rate * edges)
+            self._safe_s = min(self._safe_s, counters.longest_gap_s(rate_hz, own, bits_))
+            if has_belt:
+                self._safe_s = min(self._safe_s, counters.longest_gap_s(2 * belt_peak.found(), 1, bits_ - 1))
         self._begin()
-        if self._has_phase and not self._starts_at_phase:
+        if units.phase.any() and not self._starts_at_phase:
             seen = np.zeros(0, dtype=np.int64)  # how often each segment is off by 0, 1, 2, 3
             for samples in pieces:
                 segments = self.take(samples).segment
@@ -139,20 +159,21 @@ class CountCheck:
 
     def take(self, samples: Samples) -> CheckedCounts:
         """Check the next samples; of segments, the first samples are counted from the start of the run."""
-        bits = self._rig.counter_bits
         own = slice(1 if self._last is not None else 0, None)
         segments, count_before, risen = self._segments, self._count, self._risen
-        window, fresh, lost, interval, gap = self._follow(samples)
+        follows = self._follow(samples)
+        window, fresh, lost, interval, gap = follows[:5]
+        bits, scale = _each(self._units.bits, window), _each(self._units.scale, window)
         invalid = gap & (interval > self._safe_s) & ~fresh
         begins = fresh | invalid
         n = len(window)
         if n == 0:
             return _nothing_checked(self.peak_count_rate)
-        first = counters.signed(window.up.astype(np.int64) - window.down, bits)
+        first = counters.signed(window.up.astype(np.int64) - window.down, bits) * scale
         if own.start:
             begins[0], first[0] = True, count_before
-        ups, downs = (counters.increments(column, bits) for column in (window.up, window.down))
-        count = counters.running_sum(begins, ups - downs, first)
+        ups, downs = (counters.increments(column, bits[1:]) for column in (window.up, window.down))
+        count = counters.running_sum(begins, (ups - downs) * scale[1:], first)
         segment = segments + np.cumsum(begins) - 1
         flags = (window.status & ~np.uint8(frames.LEVELS)).astype(np.uint16)
         flags[lost > 0] |= counters.FLAG_GAP
@@ -160,15 +181,16 @@ class CountCheck:
             flags[window.time_error != 0] |= counters.FLAG_TIME
         both = counters.check_both_moved(window.up, window.down)
         flags[both & ~begins] |= counters.FLAG_BOTH
-        if self._has_phase:
+        if self._units.phase.any():
             wrong = counters.phase_error(window.up, window.down, window.status)
             if self._offsets is not None:
-                wrong -= self._offsets[segment & 0xFFFF]
-            flags[wrong & 3 != 0] |= counters.FLAG_PHASE
+                wrong -= self._offsets[segment]
+            flags[(wrong & 3 != 0) & _each(self._units.phase, window)] |= counters.FLAG_PHASE
         rise = np.zeros(n, dtype=np.int64)
-        if self._has_illegal:
+        if self._units.illegal.any():
+            fresh = follows.begins == _ANEW
             rise[1:] = counters.increments(window.illegal, 16)
-            rise[fresh] = 0  # what the board counted before this start is not this run's
+            rise[fresh | ~_each(self._units.illegal, window)] = 0  # counted before this start: not this run's
             # The count stands for its whole frame, so every sample of the frame is suspect.
             flags[np.isin(window.frame, window.frame[rise > 0])] |= counters.FLAG_ILLEGAL
             # What was missed stays missing, and an even number of misses hides from the phase.
@@ -183,9 +205,13 @@ class CountCheck:
             "invalid" if invalid[own][s] else samples.begun_by[samples.part[s]] for s in starts
         )
         self._taken += len(samples)
+        tick_s = self._ticks_s(window)
+        leap_s = np.diff(window.ticks, prepend=window.ticks[:1]) * tick_s - interval
+        leap_s[follows.begins != _LEAP] = 0.0
+        paused = np.flatnonzero(follows.begins[own] == _PAUSE)
         return CheckedCounts(
             count=count[own],
-            segment=segment[own].astype(np.uint16),
+            segment=segment[own].astype(np.uint32) if self._wide else segment[own].astype(np.uint16),
             flags=flags[own],
             lost=lost[own],
             illegal=int(rise.sum()),
@@ -193,28 +219,34 @@ class CountCheck:
             reasons=reasons,
             starts=starts + self._taken - len(samples),
             gap_s=interval[own][starts],
+            leap_s=leap_s[own][starts],
+            paused=paused + self._taken - len(samples),
+            paused_s=interval[own][paused],
+            source=_source(samples)[starts],
         )
+
+    def _ticks_s(self, window: Samples) -> NDArray[np.float64]:
+        """Return the tick of the clock that each sample was stamped by, s, (k,)."""
+        ticks = np.array([1000 if ident is None else ident.tick_ns for ident in self._idents])
+        return np.asarray(_each(ticks, window) / 1e9)
 
     def _begin(self) -> None:
         """Begin with the first sample of the run."""
         self._last = None
         self._taken = self._count = self._segments = self._risen = 0
 
-    def _follow(
-        self, samples: Samples
-    ) -> tuple[Samples, NDArray[np.bool_], NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the next samples with the last one before them, and of each of these how it follows.
-
-        Returns
-        -------
-        Samples, and arrays of shape (k,)
-            The samples; which begin a part; how many are missing before each; how long after the one before it comes,
-            s; and whether that is a gap.
-        """
+    def _follow(self, samples: Samples) -> "_Follows":
+        """Return the next samples with the last one before them, and of each of these how it follows."""
         window = samples if self._last is None else joined([self._last, samples])
-        fresh = np.diff(window.part, prepend=-1 if self._last is None else window.part[:1]) > 0
-        lost = np.where(fresh, window.index, np.diff(window.index, prepend=0) - 1)
+        begins = np.full(len(window), _NOTHING)
+        begins[:1] = _NOTHING if self._last is not None else _ANEW
+        for at in (np.flatnonzero(np.diff(window.part)) + 1).tolist():
+            begun = samples.begun_by[window.part[at - 1] + 1 : window.part[at] + 1]
+            # A part of which no sample was kept may have begun otherwise.
+            begins[at] = max(_BEGINS.get(each, _ANEW) for each in begun)
+        fresh, anew = begins >= _LEAP, begins == _ANEW
         # A start numbers from 0, so what is missing there was lost, too.
+        lost = np.where(anew, window.index, np.diff(window.index, prepend=-1) - 1)
         interval = np.diff(window.time, prepend=window.time[:1])
         if self._last is not None:
             lost[0] = 0
@@ -222,13 +254,55 @@ class CountCheck:
             self._last = window.take(np.arange(len(window)) == len(window) - 1)
         # By its number, or by a time that no jitter explains: above 30 kHz jitter alone is more than half a period.
         gap = (lost > 0) | (interval > max(1.5 / self._rate_hz, PEAK_OVER_S))
-        return window, fresh, lost, interval, gap
+        return _Follows(window, fresh, lost, interval, gap, begins)
+
+
+# What begins with a sample: nothing, or a part: the board has paused, its clock has leapt, or all is new.
+_NOTHING, _PAUSE, _LEAP, _ANEW = range(4)
+_BEGINS = {"paused": _PAUSE, "clock": _LEAP}
+
+
+class _Follows(NamedTuple):
+    """Samples, k of them, with the last one before them, and of each how it follows, (k,).
+
+    Attributes
+    ----------
+    window : Samples
+        The samples.
+    fresh : bool
+        A segment begins with it: it begins a part, and the board has not only paused.
+    lost : int64
+        How many are missing before it.
+    interval : float64
+        How long after the one before it comes, s.
+    gap : bool
+        Whether that is a gap.
+    begins : int64
+        What begins with it: `_NOTHING`, or a part.
+    """
+
+    window: Samples
+    fresh: NDArray[np.bool_]
+    lost: NDArray[np.int64]
+    interval: NDArray[np.float64]
+    gap: NDArray[np.bool_]
+    begins: NDArray[np.int64]
+
+
+def _source(samples: Samples) -> NDArray[np.int64]:
+    return np.zeros(len(samples), dtype=np.int64) if samples.source is None else samples.source
+
+
+def _each(values: NDArray[Any], samples: Samples) -> NDArray[Any]:
+    """Return of each sample the value of its identification."""
+    return np.asarray(values[_source(samples)])
 
 
 def _nothing_checked(peak_count_rate: float) -> CheckedCounts:
     none = np.zeros(0, dtype=np.int64)
     flags = none.astype(np.uint16)
-    return CheckedCounts(none, flags, flags, none, 0, peak_count_rate, (), none, none.astype(np.float64))
+    seconds = none.astype(np.float64)
+    return CheckedCounts(none, flags, flags, none, 0, peak_count_rate, (), none, seconds, seconds, none, seconds, none)
 
 
 class _PeakRate:

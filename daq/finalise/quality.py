@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ LEAST_HELD = 0.9  # of the samples asked for: with fewer, or with more than the 
 # A drift of fewer standard errors than CLEAR is not shown by the run.  How large it can be is then said, unless that is
 # more than TELLING_PPM: crystals keep 100 ppm, ceramic resonators 5000.
 CLEAR, TELLING_PPM = 2.0, 1000.0
+WHY = {"clock": "the clock leapt"}  # of a segment's beginning, where one word does not say it
 LONG_GAP_S = 0.5  # a gap that a warning places in time
 
 
@@ -137,6 +139,12 @@ class DataTotals:
         What began each segment.
     jumped_s : list of float
         When sequence numbers jumped.
+    leapt : list of (float, float)
+        When the board's clock leapt, and by how much, s.
+    paused : list of (float, float)
+        When the board paused without a gap in its sequence, and for how long, s.
+    segment, source : list of int
+        From which segment on the samples were sent under which identification.
     places : tuple of two int, or None
         Sample periods from the start of the run to the first and to the last sample.
     last_s : float
@@ -155,6 +163,10 @@ class DataTotals:
     overruns: int = 0
     reasons: list[str] = field(default_factory=list)
     jumped_s: list[float] = field(default_factory=list)
+    leapt: list[tuple[float, float]] = field(default_factory=list)
+    paused: list[tuple[float, float]] = field(default_factory=list)
+    segment: list[int] = field(default_factory=list)
+    source: list[int] = field(default_factory=list)
     travel: tuple[float, float] = (np.inf, -np.inf)
     places: tuple[int, int] | None = None
     last_s: float = 0.0
@@ -177,6 +189,14 @@ class DataTotals:
         self.overruns += int(np.count_nonzero(samples.status & frames.OVERRUN))
         begun = samples.time[checked.starts - self.samples].tolist()
         self.jumped_s += [at for at, why in zip(begun, checked.reasons, strict=True) if why == "jumped"]
+        leaps = zip(begun, checked.leap_s.tolist(), checked.reasons, strict=True)
+        self.leapt += [(at, leap_s) for at, leap_s, why in leaps if why == "clock"]
+        pauses = samples.time[checked.paused - self.samples].tolist()
+        self.paused += list(zip(pauses, checked.paused_s.tolist(), strict=True))
+        for number, source in enumerate(checked.source.tolist(), start=len(self.reasons)):
+            if not self.source or source != self.source[-1]:
+                self.segment.append(number)
+                self.source.append(source)
         self.reasons += checked.reasons
         self.travel = min(self.travel[0], float(position.min())), max(self.travel[1], float(position.max()))
         self.places = (int(piece.place[0]) if self.places is None else self.places[0]), int(piece.place[-1])
@@ -259,10 +279,11 @@ def _incomplete(found: RecordingQuality, totals: DataTotals) -> list[str]:
 
 
 def _port_outages(records: journal.Records) -> list[str]:
-    """Return one sentence for each time the port was lost, with how long it was away, or when it was lost for good."""
+    """Return one sentence for all times the port was lost and reopened, and one if it was lost for good at last."""
     first = heard = None
     lost = ""
-    outages = []
+    away: list[tuple[int, int, str]] = []  # how long, since when, and why
+    for_good = []
     # Of the reads, which are nearly the whole journal, the first one and the last ones before something else.
     begun, after = records.kinds.find(journal.RECEIVED), records.kinds[1:] + bytes([journal.END])
     pairs = enumerate(zip(records.kinds, after, strict=True))
@@ -276,15 +297,25 @@ def _port_outages(records: journal.Records) -> list[str]:
         elif heard is None or first is None:
             continue
         elif record.kind == journal.REOPENED:
-            outages.append(
-                f"the port was lost ({lost}) and reopened: {(record.stamp_ns - heard) / 1e6:.0f} ms are missing"
-            )
+            away.append((record.stamp_ns - heard, heard - first, lost))
             lost = ""
         elif record.kind == journal.END and b"port lost" in record.data:
-            outages.append(
+            for_good.append(
                 f"the port was lost ({lost}) {(heard - first) / 1e9:.3g} s after the start and was not reopened"
             )
-    return outages
+    return [*_reopened(away), *for_good]
+
+
+def _reopened(away: Sequence[tuple[int, int, str]]) -> list[str]:
+    """Return one sentence for all outages: how long each was, ns, when it began after the start, ns, and why."""
+    if not away:
+        return []
+    longest_ns, begun_ns, why = max(away, key=itemgetter(0))
+    if len(away) == 1:
+        return [f"the port was lost ({why}) and reopened: {longest_ns / 1e6:.0f} ms are missing"]
+    total_s = sum(each for each, _, _ in away) / 1e9
+    longest = f"the longest time {longest_ns / 1e6:.0f} ms, {begun_ns / 1e9:.3g} s after the start ({why})"
+    return [f"the port was lost and reopened {len(away)} times: {total_s:.3g} s are missing in all, {longest}"]
 
 
 def _times(found_s: Sequence[float]) -> str:
@@ -293,12 +324,19 @@ def _times(found_s: Sequence[float]) -> str:
     return ", ".join(at) + (f" and {len(found_s) - 5} times more" if len(found_s) > 5 else "")
 
 
+def _amounts(by: str, found: Sequence[tuple[float, float]]) -> str:
+    """Return the first few of some times and amounts, s, in words."""
+    at = [f"{by} {amount:.3g} s at {time_s:.3f} s" for time_s, amount in found[:5]]
+    return ", ".join(at) + (f" and {len(found) - 5} times more" if len(found) > 5 else "")
+
+
 def _data_warnings(
     found: RecordingQuality, totals: DataTotals, repeated: int, rig: Rig, streams: Sequence[Stream]
 ) -> list[str]:
     """Return one sentence for each kind of damage in the data, with its number."""
     edges = EDGES_PER_COUNT.get(rig.decoder, 1)
     unknown = sum(stream.unknown for stream in streams)
+    reasons = "; ".join(sorted({WHY.get(why, why) for why in totals.reasons[1:]}))
     lines = [
         (found.lost, f"{found.lost} samples were lost in {totals.gaps} places"),
         (found.crc_errors, f"{found.crc_errors} damaged frames were thrown away"),
@@ -318,13 +356,21 @@ def _data_warnings(
         (found.dropped_bytes, f"{found.dropped_bytes} bytes were dropped: this machine could not keep up"),
         (
             found.segments - 1,
-            f"{found.segments} segments: {'; '.join(sorted(set(totals.reasons[1:])))}; positions are not connected "
-            "across them",
+            f"{found.segments} segments: {reasons}; positions are not connected across them",
         ),
         (
             len(totals.jumped_s),
             f"the board's sequence numbers jumped against its clock, {_times(totals.jumped_s)} after the first "
             "sample: it was reset, or sent wrong numbers; each time a new segment begins",
+        ),
+        (
+            len(totals.leapt),
+            f"the board's clock leapt, {_amounts('by', totals.leapt)}, against its sequence numbers and this machine's "
+            "clock; each time a new segment begins, timed by the sequence",
+        ),
+        (
+            len(totals.paused),
+            f"the board paused, {_amounts('for', totals.paused)}, and its sequence numbers do not show it",
         ),
     ]
     lines += [(1, f"the board stopped: {text}") for stream in streams for _, text in stream.notices]

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from daq import toml
 from daq.errors import DataError, InputError
 from daq.finalise import claim, connections, quality
 from daq.finalise.clock_points import PartClock
@@ -101,16 +102,18 @@ def run_data(
     shelves = connections.connections(replace(recorded, header=header), spill)
     streams = [stream for shelf in shelves for stream in shelf.labels]
     ident = connections.first_ident(streams)
-    tick_ns = ident.tick_ns if ident else 1000
-    line = Timeline(shelves, rate_hz, tick_ns, header["samples"], spill)
+    line = Timeline(shelves, rate_hz, connections.TICK_NS, header["samples"], spill)
     config, rig, warnings = calibration(recorded.records.of_kind(journal.CONFIGURATION), streams, ident)
-    checking = CountCheck(ident, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
+    rig = connections.common(rig, line.idents)
+    sent = [text for stream in streams for _, text in stream.configs]
+    warnings += connections.contradictions(line.idents, sent, rig)
+    checking = CountCheck(line.idents, rig, rate_hz, starts_at_phase=header["protocol"] == "frames")
     pieces = _CountedPieces(line)
     checking.survey(pieces)
     if not pieces.lengths:
         raise _no_samples(recorded)
     clock = PartClock(max(pieces.lengths, key=pieces.lengths.__getitem__), header["baud"], line.times_bytes, spill)
-    totals, events, columns = DataTotals(), RunEvents(markers, rate_hz), RunColumns(rig, tick_ns, line.truth, spill)
+    totals, events, columns = DataTotals(), RunEvents(markers, rate_hz), RunColumns(rig, line.idents, line.truth, spill)
     for piece in line:
         checked = checking.take(piece.samples)
         position = positions(checked.count, rig)
@@ -147,6 +150,7 @@ def run_data(
         belt_velocity=belt_velocity,
         belt_count=belt_count,
         truth=columns.truth(header["port"]),
+        sent_as=connections.stored(line.idents, rig, totals.segment, totals.source),
         operator=header["operator"],
         sample_name=header["sample_name"],
         note=header["note"],
@@ -212,6 +216,12 @@ def calibration(
     except InputError as error:
         warnings.append(f"the calibration could not be read ({error})")
     if ident is not None:
+        stated = None if warnings else toml.parsed(config, "the board's CONFIG").get("encoder", {}).get("decoder")
+        if stated not in (None, ident.decoder):
+            warnings.append(
+                f"the calibration is for the decoder {stated}, and the board counts as {ident.decoder}: its metres per "
+                "count may not hold"
+            )
         rig = replace(rig, decoder=ident.decoder, counter_bits=ident.counter_bits)
     if rig.metres_per_count is None:
         warnings.append("no metres per count are known, so positions are counts")

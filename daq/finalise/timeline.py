@@ -1,9 +1,14 @@
 """From a journal to one sequence of samples: connections decoded, frames ordered, parts set on one time axis.
 
 A part holds the samples after one start of the board: it ends where the port was lost, where the board restarted, or
-where its sequence numbers jump against its clock.  The next one begins with its own sequence numbers and device time.
-The device's clock is the time axis.  A later part is placed on it by the host's clock, with the least delay of the last
-seconds before and the first seconds after the gap; after a jump that the device's clock does not take part in, by that.
+where its sequence numbers jump against its clock.  The next one begins with its own sequence numbers and device time,
+and in the units of the identification it was sent under.  The device's clock is the time axis.  A later part is placed
+on it by the host's clock, with the least delay of the last seconds before and the first seconds after the gap; after a
+jump that the device's clock does not take part in, by that.
+
+Where the clock alone leaps while the sequence goes on, the host's clock decides between the two.  Nearer to the
+device's time: the board has paused, and its clock is right.  Nearer to the sequence: its clock has leapt, and the part
+that begins there is placed by the sequence.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,7 +21,7 @@ from numpy.typing import NDArray
 
 from daq.compute import arrays
 from daq.output.spill import Shelf, Spill
-from daq.wire import counters, decode
+from daq.wire import counters, decode, frames
 
 # Seconds on either side of a gap in which the least delay is searched.  Half finds fewer undelayed reads; double lets
 # the drift of the clocks (100 ppm) add 0.2 ms more to the placement.  Not swept.
@@ -25,7 +30,7 @@ PLACE_S = 2.0
 # on a busy computer; double believes a clock that was reset to within as much more.  Not swept.
 SAME_CLOCK_S = 0.1
 
-PartReason = Literal["reopened", "restarted", "jumped"]
+PartReason = Literal["reopened", "restarted", "jumped", "clock", "paused"]
 
 
 @dataclass(frozen=True)
@@ -39,8 +44,9 @@ class Samples:
     part : (n,) int64
         Which part, from 0.
     begun_by : tuple of PartReason
-        What began each part: a port that came back (the first part, too), a restart of the board that it announced, or
-        a sequence number that does not follow.
+        What began each part: a port that came back (the first part, too), a restart of the board that it announced, a
+        sequence number that does not follow, a clock that leapt, or a pause of the board.  The sequence goes on in the
+        last two, and the last one interrupts nothing.
     index, ticks : (n,) int64
         Sequence number and device time without roll-over, in the board's units.
     frame : (n,) int64
@@ -51,6 +57,8 @@ class Samples:
         The time as sent less ``ticks``; None where no time is interpolated.
     up, down, status, illegal, belt, edge
         As sent (`daq.wire.decode.Stream`), the illegal count repeated over its frame.
+    source : (n,) int64 or None
+        Under which of the run's identifications it was sent (`Timeline.idents`); None: there is one.
     repeated : int
         Samples left out because their time did not advance: repeated, late, or stamped wrongly by the board.
     """
@@ -69,6 +77,7 @@ class Samples:
     belt: NDArray[np.uint16] | None
     edge: NDArray[np.uint16] | None
     time_error: NDArray[np.int64] | None = None
+    source: NDArray[np.int64] | None = None
     repeated: int = 0
 
     def __len__(self) -> int:
@@ -117,6 +126,10 @@ class _Part:
     ----------
     ticks, last_ticks : int
         Device time of its first and last sample.
+    index, last_index : int
+        Their sequence numbers.
+    tick_ns : int
+        Tick of the device's clock, ns.
     prompt_s : float
         Host's clock less the device's time since the first sample, the least of the first seconds.
     start_s : float
@@ -125,6 +138,9 @@ class _Part:
 
     ticks: int
     last_ticks: int
+    index: int
+    last_index: int
+    tick_ns: int
     prompt_s: float
     start_s: float = 0.0
 
@@ -139,7 +155,7 @@ class Timeline:
     rate_hz : float
         Nominal rate, Hz.
     tick_ns : int
-        Tick of the device's clock, ns.
+        Tick of the clock of a device that has not identified itself, ns.
     most : int or None
         Sample periods from the start of the run that samples are taken of.
     spill : Spill
@@ -147,6 +163,9 @@ class Timeline:
 
     Attributes
     ----------
+    idents : list of Ident or None
+        The identifications that samples were sent under, each once, in the order of their first samples; None for that
+        of a board which did not identify itself.
     truth : Shelf of TruthRows
         The exact motion.
     times_bytes : bool
@@ -168,12 +187,19 @@ class Timeline:
         self.repeated = 0
         self._connections = connections
         self._rate_hz, self._tick_ns, self._most = rate_hz, tick_ns, most
-        self._orders = [counters.FrameOrder(1e9 / (rate_hz * tick_ns)) for _ in connections]
+        self.idents: list[frames.Ident | None] = []
+        self._orders: list[list[counters.FrameOrder]] = [[] for _ in connections]
         self._begun_by: list[PartReason] = []
         self._has = dict.fromkeys(("belt", "edge", "time_error"), True)
-        for order, connection in zip(self._orders, connections, strict=True):
+        for orders, connection in zip(self._orders, connections, strict=True):
+            source = -1
             for stream in connection:
-                order.survey(stream.seq, stream.ticks, stream.n, stream.idents)
+                for first, end, ident in stream.sent_as():
+                    if first < end and self._source(ident) != source:
+                        source = self._source(ident)
+                        orders.append(counters.FrameOrder(1e9 / (rate_hz * self._tick_of(source))))
+                    if orders:
+                        orders[-1].survey(*_frames(stream, first, end))
                 self.times_bytes = self.times_bytes or bool(stream.length.any())
                 for name in self._has:
                     self._has[name] &= not len(stream.n) or getattr(stream, name) is not None
@@ -193,9 +219,9 @@ class Timeline:
         late = 0
         newest = -np.inf
         part, offset = 0, 0
-        for samples, stream, frames, _ in [self._sole] if self._sole else self._unplaced():
+        for samples, stream, before, _ in [self._sole] if self._sole else self._unplaced():
             late += int(stream.n.sum()) - len(samples)
-            samples = replace(samples, time=self._times(samples))
+            samples = replace(samples, time=self._times(samples), begun_by=tuple(self._begun_by))
             if len(samples):
                 advances = samples.time > np.maximum.accumulate(np.concatenate(([newest], samples.time)))[:-1]
                 newest = max(newest, float(samples.time.max()))
@@ -206,35 +232,69 @@ class Timeline:
             for own, here in parts_of(samples):
                 if own != part:
                     part, offset = own, round(float(samples.time[here.start]) * self._rate_hz)
+                    if self._begun_by[own] in ("clock", "paused"):
+                        offset -= int(samples.index[here.start])
                 place[here] += offset
             if self._most is not None and len(place) and place.max() >= self._most:
                 samples, place = samples.take(place < self._most), place[place < self._most]
             self.repeated = late
-            yield Piece(samples, stream, frames, place)
+            yield Piece(samples, stream, before, place)
 
     def _unplaced(self, learn: bool = False) -> Iterator["_Unplaced"]:
         """Yield the samples of each piece, without times, its frames and how many came before, its exact motion."""
-        frames = 0
+        before = 0
         parts = -1
-        for order, connection in zip(self._orders, self._connections, strict=True):
-            order.begin()
+        for orders, connection in zip(self._orders, self._connections, strict=True):
+            for order in orders:
+                order.begin()
             beside: _Beside | None = None
+            using, now = -1, -1
             for stream in connection:
-                found = order.place(stream.seq, stream.ticks, stream.n, stream.idents)
+                stretches: list[counters.Order] = []
+                source = np.zeros(len(stream.n), dtype=np.int64)
+                for first, end, ident in stream.sent_as():
+                    anew = first < end and self._source(ident) != now
+                    if anew:
+                        using, now = using + 1, self._source(ident)
+                    source[first:end] = max(now, 0)
+                    order = orders[using] if using >= 0 else counters.FrameOrder(1.0)
+                    stretches.append(order.place(*_frames(stream, first, end)))
+                    if anew and (first or beside is not None):
+                        stretches[-1].restart[0] = True
+                found = arrays.joined(stretches)
                 if beside is None and len(stream.n):
                     parts += 1
                     if learn:
                         self._begun_by.append("reopened")
-                part = parts + np.cumsum(found.restart)
+                begins = found.restart | found.leap
+                part = parts + np.cumsum(begins)
                 if learn:
-                    jumps = found.jump[found.restart].tolist()
-                    self._begun_by += ["jumped" if jump else "restarted" for jump in jumps]
+                    for leap, jump in zip(found.leap[begins].tolist(), found.jump[begins].tolist(), strict=True):
+                        self._begun_by.append("clock" if leap else "jumped" if jump else "restarted")
                 truth, beside = _truth(stream, found, part, beside)
-                yield self._samples(stream, found, part, frames), stream, frames, truth
-                frames += len(stream.n)
+                yield self._samples(stream, found, part, source, before), stream, before, truth
+                before += len(stream.n)
                 parts = int(part[-1]) if len(part) else parts
 
-    def _samples(self, stream: decode.Stream, order: counters.Order, part: NDArray[np.int64], frames: int) -> Samples:
+    def _source(self, ident: frames.Ident | None) -> int:
+        """Return the number of an identification, without its number of samples in a frame."""
+        same = None if ident is None else replace(ident, block_size=1)
+        if same not in self.idents:
+            self.idents.append(same)
+        return self.idents.index(same)
+
+    def _tick_of(self, source: int) -> int:
+        ident = self.idents[source]
+        return self._tick_ns if ident is None else ident.tick_ns
+
+    def _samples(
+        self,
+        stream: decode.Stream,
+        order: counters.Order,
+        part: NDArray[np.int64],
+        source: NDArray[np.int64],
+        before: int,
+    ) -> Samples:
         """Return the samples of the frames that are kept, their times still to be set."""
         frame = np.repeat(np.arange(len(stream.n)), stream.n)
         within = np.arange(len(frame)) - stream.first[frame]
@@ -246,7 +306,7 @@ class Timeline:
             begun_by=tuple(self._begun_by),
             index=order.index[frame] + within,
             ticks=order.ticks[frame] + elapsed - elapsed[stream.first[frame]],
-            frame=frames + frame,
+            frame=before + frame,
             stamp_ns=stream.stamp_ns[frame],
             up=stream.up,
             down=stream.down,
@@ -255,20 +315,25 @@ class Timeline:
             belt=stream.belt if self._has["belt"] else None,
             edge=stream.edge if self._has["edge"] else None,
             time_error=None if time_error is None else time_error[frame],
+            source=source[frame] if len(self.idents) > 1 else None,
         )
         return made if np.all(order.keep) else made.take(order.keep[frame])
 
     def _learn(self, number: int, samples: Samples, here: slice) -> None:
         """Take a part's samples, or some of them, all of which come in order."""
-        part = self._parts.setdefault(number, _Part(int(samples.ticks[here.start]), 0, np.inf))
-        part.last_ticks = int(samples.ticks[here.stop - 1])
+        if number not in self._parts:
+            first = int(samples.ticks[here.start]), int(samples.index[here.start])
+            tick_ns = self._tick_of(0 if samples.source is None else int(samples.source[here.start]))
+            self._parts[number] = _Part(first[0], 0, first[1], 0, tick_ns, np.inf)
+        part = self._parts[number]
+        part.last_ticks, part.last_index = int(samples.ticks[here.stop - 1]), int(samples.index[here.stop - 1])
         device = self._device(samples, here, part)
         near = np.abs(device) <= PLACE_S
         # Only a frame's last sample was taken right before the frame came in; the least difference finds such a one.
         part.prompt_s = float(np.min(samples.stamp_ns[here][near] / 1e9 - device[near], initial=part.prompt_s))
 
     def _device(self, samples: Samples, here: slice, part: _Part) -> NDArray[np.float64]:
-        return np.asarray((samples.ticks[here] - part.ticks) * self._tick_ns / 1e9)
+        return np.asarray((samples.ticks[here] - part.ticks) * part.tick_ns / 1e9)
 
     def _times(self, samples: Samples) -> NDArray[np.float64]:
         time = np.zeros(len(samples))
@@ -283,24 +348,41 @@ class Timeline:
         for samples, _, _, _ in self._unplaced():
             for number, here in parts_of(samples):
                 part, before = self._parts[number], self._parts[now]
-                before_s = before.start_s + (before.last_ticks - before.ticks) * self._tick_ns / 1e9
+                before_s = before.start_s + (before.last_ticks - before.ticks) * before.tick_ns / 1e9
                 if number != now:
-                    part.start_s = self._start(number, before_s, float(before_s + late_s), before.last_ticks)
+                    part.start_s = self._start(number, before_s, float(before_s + late_s), before)
                     now, late_s = number, np.inf
                 time = part.start_s + self._device(samples, here, part)
-                last_s = part.start_s + (part.last_ticks - part.ticks) * self._tick_ns / 1e9
+                last_s = part.start_s + (part.last_ticks - part.ticks) * part.tick_ns / 1e9
                 near = np.abs(time - last_s) <= PLACE_S
                 late_s = float(np.min(samples.stamp_ns[here][near] / 1e9 - time[near], initial=late_s))
 
-    def _start(self, number: int, before_s: float, host_s: float, before_ticks: int) -> float:
+    def _start(self, number: int, before_s: float, host_s: float, before: _Part) -> float:
         """Return the time of a part's first sample; ``before_s``, ``host_s``: of the one before, on both clocks."""
         part = self._parts[number]
         start = float((0.0 + part.prompt_s) - (host_s - before_s))
-        moved_on = (part.ticks - before_ticks & 0xFFFFFFFF) * self._tick_ns / 1e9
+        moved_on = (part.ticks - before.last_ticks & 0xFFFFFFFF) * part.tick_ns / 1e9
         by_device = before_s + moved_on
+        if self._begun_by[number] == "clock":
+            by_sequence = before_s + max(part.index - before.last_index, 1) / self._rate_hz
+            if abs(by_device - start) > abs(by_sequence - start):
+                return by_sequence
+            self._begun_by[number] = "paused"
+            return by_device
         if self._begun_by[number] == "jumped" and moved_on > 0 and abs(by_device - start) < SAME_CLOCK_S:
             return by_device
         return max(start, before_s + 1 / self._rate_hz)
+
+
+def _frames(
+    stream: decode.Stream, first: int, end: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return sequence numbers, times and lengths of some frames, and before which of them the board restarted.
+
+    An identification behind the last frame of the stream is one before what follows.
+    """
+    own = (stream.idents >= first) & ((stream.idents < end) | (end == len(stream.n)))
+    return stream.seq[first:end], stream.ticks[first:end], stream.n[first:end], stream.idents[own] - first
 
 
 _Unplaced = tuple[Samples, decode.Stream, int, TruthRows]

@@ -8,6 +8,7 @@ capture becomes the run that a board sampling at ``rate_hz`` would have sent: 16
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from daq.imports import capture as decode
 from daq.imports import sigrok
 from daq.output import provenance
 from daq.runfile import store
-from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, lost_samples, positions
+from daq.runfile.recording import EVENTS, LONGEST_S, Raw, Recording, SentAs, lost_samples, positions
 from daq.runfile.rig import Rig, quoted
 from daq.wire import counters
 from daq.wire.quadrature import PHASE, Steps
@@ -62,7 +63,7 @@ def from_run(source: Path) -> Recording:
     recording = store.load(source)
     count = recording.count
     if recording.raw is not None and count is not None:
-        count = _recount(recording.raw, recording.segment, recording.rig.counter_bits)
+        count = _recount(recording.raw, recording.segment, recording.rig.counter_bits, recording.sent_as)
     run = replace(
         recording,
         position=recording.position if count is None else positions(count, recording.rig),
@@ -102,11 +103,15 @@ def findings(run: Recording) -> dict[str, int]:
     return found | {"crc_errors": run.event_kind.count("crc")}
 
 
-def _recount(raw: Raw, segment: NDArray[np.uint16], bits: int) -> NDArray[np.int64]:
+def _recount(raw: Raw, segment: NDArray[np.unsignedinteger], bits: int, sent_as: SentAs | None) -> NDArray[np.int64]:
     count = np.empty(segment.size, np.int64)
-    for one in np.unique(segment):
-        part = segment == one
-        count[part] = counters.net_count(raw.count_up[part], raw.count_down[part], bits)
+    edges = np.flatnonzero(np.diff(segment.astype(np.int64), prepend=-1))
+    for first, last in pairwise([*edges.tolist(), segment.size]):
+        here, counts = slice(first, last), 1
+        if sent_as is not None:
+            under = int(np.searchsorted(sent_as.segment, segment[first], side="right")) - 1
+            bits, counts = int(sent_as.counter_bits[under]), int(sent_as.counts[under])
+        count[here] = counters.net_count(raw.count_up[here], raw.count_down[here], bits) * counts
     return count
 
 

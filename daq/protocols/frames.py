@@ -34,14 +34,14 @@ def decode(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "St
     """Decode the reads of one connection."""
     from daq.wire import decode
 
-    return decode.decode(reads)
+    return decode.decode(reads, header.get("decoder"))
 
 
 def pieces(reads: Iterable[tuple[int, bytes]], header: Mapping[str, Any]) -> "Iterator[Stream]":
     """Decode them piece by piece."""
     from daq.wire import decode
 
-    return decode.pieces(reads, sessions.PIECE_BYTES)
+    return decode.pieces(reads, sessions.PIECE_BYTES, header.get("decoder"))
 
 
 class Frames(Session):
@@ -51,6 +51,7 @@ class Frames(Session):
         super().__init__(port, url, request)
         self._settings: tuple[str, ...] = ()
         self._ticks_per_sample = 1.0
+        self._tick_ns = 1000
         self._counts_illegal = False
 
     def identify(self) -> Identity:
@@ -92,7 +93,8 @@ class Frames(Session):
         if self.request.decoder not in (None, identity.ident.decoder):
             what = f"the board decodes as {identity.ident.decoder} where {self.request.decoder} was requested"
             raise DeviceError(what, self.url, "update its firmware, or leave --decoder out")
-        self._ticks_per_sample = 1e9 / (plan.rate_hz * identity.ident.tick_ns)
+        self._tick_ns = identity.ident.tick_ns
+        self._ticks_per_sample = 1e9 / (plan.rate_hz * self._tick_ns)
         self._counts_illegal = frames.Capability.ILLEGAL in identity.ident.capabilities
         return identity
 
@@ -101,9 +103,12 @@ class Frames(Session):
         self.send("S")
 
     def restart(self) -> None:
-        """Configure and start a board that has just reset, without waiting for answers."""
+        """Configure and start a board that has just reset, without waiting for answers.
+
+        Its identification, asked for once more, says what the samples behind it are sent as.
+        """
         decoder = [] if self.request.decoder is None else [f"M {self.request.decoder}"]
-        self.send(*decoder, *self._settings, "S")
+        self.send(*decoder, *self._settings, "I", "S")
 
     def stop(self) -> None:
         """Stop the samples; the board still sends the incomplete block."""
@@ -111,7 +116,7 @@ class Frames(Session):
 
     def tally(self) -> "FrameTally":
         """Return a new tally."""
-        return FrameTally(self._ticks_per_sample, counts_illegal=self._counts_illegal)
+        return FrameTally(self._ticks_per_sample, counts_illegal=self._counts_illegal, tick_ns=self._tick_ns)
 
     def _ask(self, strange: bytes) -> Identity:
         """Send `I` until an identification comes, and its CONFIG when it announces one."""
@@ -177,26 +182,37 @@ class FrameTally(Tally):
     A sequence number that jumps, against the device time, adds nothing: the board was reset, or something is wrong.
     """
 
-    def __init__(self, ticks_per_sample: float = 1e6 / RATE_HZ, *, counts_illegal: bool = False) -> None:
+    def __init__(
+        self, ticks_per_sample: float = 1e6 / RATE_HZ, *, counts_illegal: bool = False, tick_ns: int = 1000
+    ) -> None:
         super().__init__()
+        self._ns_per_sample = ticks_per_sample * tick_ns
         self.illegal = 0 if counts_illegal else None
         self._illegal_before: int | None = None
         self._ticks_per_sample = ticks_per_sample
         self._frames = frames.FrameReader()
         self._newest: tuple[int, int, int] | None = None  # sequence number, device time, samples
 
-    def feed(self, data: bytes) -> None:
-        """Take bytes as they came."""
+    def feed(self, data: bytes, at_s: float | None = None) -> None:
+        """Take bytes as they came; their sequence numbers tell more than when they came."""
         for payload in self._frames.payloads(data):
             if payload[0] == frames.SAMPLES and len(payload) > frames.SAMPLES_HEADER:
                 self._step(payload[3] | payload[4] << 8, int.from_bytes(payload[5:9], "little"), payload[2])
                 if self.illegal is not None and self._newest is not None:
                     self._count_illegal(int.from_bytes(payload[9:11], "little"))
-            elif payload[0] == frames.IDENT and self._newest is not None:
-                self.resets += 1  # identified after the first sample: it has restarted
-                self._newest = self._illegal_before = None
+            elif payload[0] == frames.IDENT:
+                self._identified(payload)
             elif payload[0] == frames.NOTICE:
                 self.notice = printable(payload[2:].decode(errors="replace"))
+
+    def _identified(self, payload: bytes) -> None:
+        """Take an identification: behind the first sample, that of a board that has restarted."""
+        self.resets += self._newest is not None
+        self._newest = self._illegal_before = None
+        ident = frames.decode_payload(payload, belt=False, edge=False)
+        if isinstance(ident, frames.Ident) and not ident.implausible:
+            self._ticks_per_sample = self._ns_per_sample / ident.tick_ns
+            self.illegal = (self.illegal or 0) if frames.Capability.ILLEGAL in ident.capabilities else None
 
     def begin_again(self, reached: int) -> None:
         """Begin with sequence number 0 again, ``reached`` periods after the start."""

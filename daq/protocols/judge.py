@@ -6,7 +6,8 @@ are still to come, and keeps those that the next ones are held against:
 1. lines whose times are out of order are dropped, or their times interpolated;
 2. counts that leap are dropped;
 3. counts off the course are dropped, times off the course are interpolated;
-4. the lines are numbered by their times, and those of a coarse clock set apart.
+4. the lines are numbered by their times, from 0 where these show that the board started anew: they step back, or ahead
+   of the host's clock; those of a coarse clock are set apart.
 """
 
 from abc import ABC, abstractmethod
@@ -16,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute import arrays
+from daq.compute.arrays import Array
 from daq.protocols.neighbours import LOOK_AHEAD, leaps, off_course, periods_between, running, spread, time_ahead
+from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, moves
 
 # Lines before and behind one that stages 2 to 4 keep.  They look 6, 19 (`SPIKE_AMONG` lines, and three about each) and
@@ -108,15 +111,17 @@ class Judge:
         Nominal sample interval, ticks.
     resolution : int
         Ticks by which a coarse clock advances at once: so much may a time differ from the sample's.  0: none is coarse.
+    tick_ns : int
+        Tick of the board's clock, ns.
     net : bool
         There is but one counter, a signed net count, in place of ``up``; it is split into two.
     """
 
-    def __init__(self, bits: int, period: float, resolution: int, *, net: bool) -> None:
+    def __init__(self, bits: int, period: float, resolution: int, tick_ns: int, *, net: bool) -> None:
         self._in_time = _InTime(period)
         self._leaps = _Leaps(bits)
         self._on_course = _OnCourse(bits, period, resolution)
-        self._numbered = _Numbered(period, resolution)
+        self._numbered = _Numbered(period, resolution, tick_ns)
         self._counters = _TwoCounters(bits) if net else None
 
     @property
@@ -256,9 +261,12 @@ class _OnCourse(_Stage):
 class _Numbered(_Stage):
     """Number the lines from the last start on, by their times; set lines of a coarse clock apart."""
 
-    def __init__(self, period: float, resolution: int) -> None:
+    def __init__(self, period: float, resolution: int, tick_ns: int) -> None:
         super().__init__()
         self._period, self._resolution = period, resolution
+        self._tick_s = tick_ns / 1e9
+        self._device = 0  # ticks from the first line of all to the newest one, without roll-over
+        self._least = LeastDelay()
         self._newest: int | None = None  # time of the newest line, before any is set apart
         self._number = 0  # of the last line decided on, and of the last start, both since the first line of all
         self._start = 0
@@ -271,6 +279,7 @@ class _Numbered(_Stage):
             fresh[new:] |= step < -LATE_FRAMES * self._period
             if self._newest is None:
                 fresh[0] = False  # the first line of all begins nothing anew
+            self._find_leaps(step, lines.stamp_ns[new:], fresh[new:])
             stuck = (step <= 0) & ~fresh[new:]
             stuck[: int(self._newest is None)] = False
             self._newest = int(ticks[-1])
@@ -284,6 +293,21 @@ class _Numbered(_Stage):
         starts = np.concatenate(([self._start], number[fresh]))
         self._number, self._start = int(number[-1]), int(starts[-1])
         return replace(arrays.rows(lines, here), number=number - starts[np.cumsum(fresh)])
+
+    def _find_leaps(self, step: NDArray[np.int64], stamp_ns: NDArray[np.int64], fresh: NDArray[np.bool_]) -> None:
+        """Mark, in place, the new lines whose time has leapt ahead of the host's clock: the board started anew."""
+        device: Array = np.multiply(self._device + np.cumsum(step), self._tick_s, dtype=np.float64)
+        self._device += int(step.sum())
+        delay = stamp_ns / 1e9 - device
+        begun = 0
+        for line in np.flatnonzero(fresh | (step > LATE_FRAMES * self._period)).tolist():
+            self._least.note(device[begun:line], delay[begun:line])
+            gap_s = float(step[line]) * self._tick_s
+            if fresh[line] or self._least.leapt(float(device[line]), float(delay[line]), gap_s):
+                fresh[line] = True
+                self._least.begin()
+            begun = line
+        self._least.note(device[begun:], delay[begun:])
 
 
 class _TwoCounters:

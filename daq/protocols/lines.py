@@ -26,6 +26,7 @@ from daq.protocols.judge import Between, Judge, Lines
 from daq.protocols.neighbours import LOOK_AHEAD, time_ahead
 from daq.protocols.session import Tally
 from daq.wire import frames
+from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, signed
 from daq.wire.decode import Stream
 from daq.wire.splitter import Splitter
@@ -189,8 +190,12 @@ class LineReader:
 class LineTally(Tally):
     """How far a stream of lines has come, by their times; see `daq.protocols.session.Tally`."""
 
-    def __init__(self, make_reader: Callable[[], LineReader], period_ticks: float) -> None:
+    def __init__(self, make_reader: Callable[[], LineReader], period_ticks: float, tick_ns: int = 1000) -> None:
         super().__init__()
+        self._tick_s = tick_ns / 1e9
+        self._device = 0  # ticks from the first line to the last good one
+        self._least = LeastDelay()
+        self._at_s: float | None = None  # host's clock at the lines that are taken
         self._make_reader = make_reader
         self._reader = make_reader()
         self._period = period_ticks
@@ -198,8 +203,9 @@ class LineTally(Tally):
         self._last: int | None = None
         self._odd = 0  # lines in a row whose times do not follow the last good one
 
-    def feed(self, data: bytes) -> None:
+    def feed(self, data: bytes, at_s: float | None = None) -> None:
         """Take bytes as they came."""
+        self._at_s = at_s
         batch = self._reader.feed(data)
         ticks, at = batch.rows[:, 0].tolist(), 0
         for behind, other in batch.others:
@@ -208,12 +214,14 @@ class LineTally(Tally):
                 at = behind
                 self.resets += self._last is not None
                 self._last = None
+                self._least.begin()
         self._advance(ticks[at:])
 
     def begin_again(self, reached: int) -> None:
         """Begin anew, ``reached`` periods after the start."""
         self._reader = self._make_reader()
         self._last, self._odd = None, 0
+        self._least.begin()
         super().begin_again(reached)
 
     def _advance(self, lines: list[int]) -> None:
@@ -230,18 +238,29 @@ class LineTally(Tally):
                 if step != usual:
                     usual, periods = step, round(step / self._period) or 1
                 self.reached += periods
+                self._device += step
                 last, self._odd = ticks, 0
                 continue
             self._odd += 1
             if self._odd > LOOK_AHEAD:  # not one damaged line: there is a gap, or the board has started anew
                 self._odd = 0
-                ahead = signed(step, 32) / self._period
-                if ahead > 0:
-                    self.reached += round(ahead)
-                else:
+                ahead = signed(step, 32)
+                self._device += ahead
+                if ahead < 0 or self._leapt(ahead):
                     self.resets += 1
+                    self._least.begin()
+                else:  # a time that stands still is no start
+                    self.reached += round(ahead / self._period)
                 last = ticks
         self._last = last
+        if self._at_s is not None and lines:
+            device_s = self._device * self._tick_s
+            self._least.note([device_s], [self._at_s - device_s])
+
+    def _leapt(self, ahead: int) -> bool:
+        """Return whether a time that is now so many ticks ahead of the last good one has leapt (`LeastDelay`)."""
+        device_s = self._device * self._tick_s
+        return self._at_s is not None and self._least.leapt(device_s, self._at_s - device_s, ahead * self._tick_s)
 
 
 def pieces(
@@ -284,7 +303,7 @@ def pieces(
         if _is_finer(again, resolution, most):
             resolution = 0
         again = iter([begun]) if begun.last else _taken(reads, make_reader(), most_bytes)
-    judge = Judge(ident.counter_bits, period_ticks, resolution, net=net)
+    judge = Judge(ident.counter_bits, period_ticks, resolution, ident.tick_ns, net=net)
     waiting = 0  # bytes discarded since the last piece
     for taken in again:
         lines = judge.feed(taken.lines, taken.last)

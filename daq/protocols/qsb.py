@@ -201,7 +201,7 @@ class Qsb(Session):
 
     def tally(self) -> LineTally:
         """Return a new tally."""
-        return LineTally(reader, self._interval)
+        return LineTally(reader, self._interval, TICK_NS)
 
     def _reply(self, begins: bytes, within_s: float) -> tuple[bytes | None, int]:
         """Return the record that answers a command, None for an error or no answer; and the number of bytes read."""

@@ -119,8 +119,8 @@ class Tally(ABC):
         self.notice = ""
 
     @abstractmethod
-    def feed(self, data: bytes) -> None:
-        """Take bytes as they came."""
+    def feed(self, data: bytes, at_s: float | None = None) -> None:
+        """Take bytes as they came, and the host's monotonic clock when they had; None: it is not known."""
 
     def begin_again(self, reached: int) -> None:
         """Start again with a stream that starts ``reached`` periods after the first one."""

@@ -169,6 +169,8 @@ class Text(Session):
         if self._coarse and not self._even:  # its steps differ by a millisecond: their mean is the interval
             least, most = 0.0, max(most, typical + 2 * MILLISECOND)
         usual = [step for step in steps if least <= step <= most]
+        if not any(usual):
+            raise DeviceError("the time in most lines does not change", self.url, "print micros() with each sample")
         self._rate_hz = 1e9 / TICK_NS / (sum(usual) / len(usual))
         self._line_bytes = heard / max(1, len(times) + bad)
         return Identity(ident(self._form, self.request.decoder))

@@ -5,8 +5,9 @@ time runs only as fast as it is read: for it alone, the thread waits for the que
 raises SerialException, or a plain OSError from ``in_waiting``) or silent is opened again, and the board is started
 again.  A board that identifies itself during the stream has reset, and is started again too.
 
-Silence is judged by reads that brought nothing, not by the clock: while this process is stopped or the computer sleeps,
-the port collects what comes, and the next read brings it.
+A board is silent that sends no new sample, whatever else it sends: noise, or the same samples again.  Silence is judged
+by reads that brought none, not by the clock: while this process is stopped or the computer sleeps, the port collects
+what comes, and the next read brings it.
 """
 
 import queue
@@ -22,7 +23,7 @@ from daq.runfile import journal
 QUEUE_READS = 20_000  # half a minute of a 5 kHz stream
 QUEUE_READS_WAITING = 8
 PAUSE_S = 0.02  # between reads: what came meanwhile is read at once, and each read costs as much as 100 samples
-SILENT_S = 5.0  # a board that sends nothing for so long while sampling is lost
+SILENT_S = 5.0  # a board that sends no new sample for so long while sampling is lost
 REOPEN_S = 30.0
 REOPEN_EVERY_S = 0.25
 # A step of waiting counts as so much at most: more than a read that finds nothing takes (0.1 s), or opening a port
@@ -123,16 +124,15 @@ class Reader(threading.Thread):
         except OSError as error:
             if not self._recover(began, str(error)):
                 return
-        silence = Waiting(LONGEST_READ_S)
+        silence, heard = Waiting(LONGEST_READ_S), self.heard
         while not self._stopping.is_set():
-            resets = self.tally.resets
+            resets, reached = self.tally.resets, self.tally.reached
             try:
                 data = self.board.read()
                 if data:
-                    silence.begin()
                     self.heard += len(data)
                     self._keep(journal.RECEIVED, data)
-                    self.tally.feed(data)
+                    self.tally.feed(data, time.monotonic())
                     if not self.waits:
                         time.sleep(PAUSE_S)
                 if self.tally.resets > resets:
@@ -143,10 +143,14 @@ class Reader(threading.Thread):
                 if not self._recover(began, str(error)):
                     return
                 silence.begin()
-            if silence.step() > SILENT_S:
-                if not self._recover(began, f"nothing came for {SILENT_S:g} s"):
+            if self.tally.reached > reached:
+                silence.begin()
+                heard = self.heard
+            elif silence.step() > SILENT_S:
+                if not self._recover(began, self._silent(self.heard - heard)):
                     return
                 silence.begin()
+                heard = self.heard
             if self.tally.reached >= self._samples:
                 self.ended = journal.COMPLETE
                 break
@@ -155,6 +159,12 @@ class Reader(threading.Thread):
                 self.ended = journal.BOARD_STOPPED
                 break
         self._finish()
+
+    def _silent(self, heard: int) -> str:
+        """Return what is wrong with a board that gave so many bytes in `SILENT_S`, and no new sample."""
+        if heard:
+            return f"no new sample in the {heard} bytes that came in {SILENT_S:g} s"
+        return f"nothing came for {SILENT_S:g} s"
 
     def _finish(self) -> None:
         try:
@@ -181,6 +191,8 @@ class Reader(threading.Thread):
                 for stamp, data in self.board.received:
                     self._put((journal.RECEIVED, stamp, data))
                 self.tally.begin_again(round((time.monotonic() - began) * self._rate_hz))
+                for _, data in self.board.received:  # another board may be behind the port
+                    self.tally.feed(data)
                 self.board.start()
             except (OSError, StickslipError):
                 self.board.close()

@@ -115,7 +115,7 @@ def _row(entry: h5py.Group, file: Path) -> RunRow:
     lost = None
     if "raw" in entry:
         sample = nexus.read_array(entry, "raw/sample", np.uint32, file)
-        lost = lost_samples(sample, nexus.read_array(entry, "raw/segment", np.uint16, file))
+        lost = lost_samples(sample, nexus.read_array(entry, "raw/segment", np.uint32, file))
     sticks = "smooth/statistics/sticks"
     return RunRow(
         file=file,

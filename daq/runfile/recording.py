@@ -72,6 +72,28 @@ class Raw:
 
 
 @dataclass(frozen=True)
+class SentAs:
+    """The identifications that a run was sent under, where there were several; i stretches of segments.
+
+    Attributes
+    ----------
+    segment : (i,) u4
+        First segment of each stretch.
+    counter_bits : (i,) u1
+        Width of the counters there.
+    counts : (i,) u1
+        Counts of the run in one count of these counters: 4 of a decoder that counts one edge in four.
+    ident : (i,) str
+        The identification, in words.
+    """
+
+    segment: NDArray[np.uint32]
+    counter_bits: NDArray[np.uint8]
+    counts: NDArray[np.uint8]
+    ident: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Truth:
     """The exact motion of a simulated rig: time (s), x (m), v (m/s), friction force F (N), each of shape (m,)."""
 
@@ -108,8 +130,8 @@ class Recording:
         Unwrapped count; None for an import.
     raw : Raw or None
         The samples as sent; None for an import.
-    segment : (n,) u2
-        A new one after every unplug; not given: 0 throughout.
+    segment : (n,) u2, or u4 where there may be more than 65,536
+        A new one after every unplug and restart of the board; not given: 0 throughout.
     config_toml : str
         The configuration the run was made with, verbatim.
     clock_sample, clock_offset : (c,) u4, (c,) f8
@@ -127,6 +149,8 @@ class Recording:
     truth : Truth or None
         The exact motion, on the way into a file only: `store.load` leaves it out, so that nobody reads it by accident
         (`store.truth` reads it).
+    sent_as : SentAs or None
+        The identifications that the samples were sent under; None where there was one.
     operator, sample_name, note : str
         Who recorded, what was measured, remarks; "" where nobody wrote any.
     tags : mapping of str to str
@@ -147,7 +171,7 @@ class Recording:
     position: NDArray[np.float64]
     count: NDArray[np.int64] | None = None
     raw: Raw | None = None
-    segment: NDArray[np.uint16] = field(default_factory=_none(np.uint16))
+    segment: NDArray[np.uint16] | NDArray[np.uint32] = field(default_factory=_none(np.uint16))
     config_toml: str = ""
     clock_sample: NDArray[np.uint32] = field(default_factory=_none(np.uint32))
     clock_offset: NDArray[np.float64] = field(default_factory=_none(np.float64))
@@ -160,6 +184,7 @@ class Recording:
     belt_velocity: NDArray[np.float64] | None = None
     belt_count: NDArray[np.int64] | None = None
     truth: Truth | None = None
+    sent_as: SentAs | None = None
     operator: str = ""
     sample_name: str = ""
     note: str = ""
@@ -270,7 +295,7 @@ class Recording:
         return notebook.table(f"Recording {self.name}: {self.title}", self.facts().items())
 
 
-def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.uint16]) -> int:
+def lost_samples(sample: NDArray[np.uint32], segment: NDArray[np.unsignedinteger]) -> int:
     """Return how many samples the sequence numbers skip within segments; both arguments have shape (n,)."""
     within = np.diff(segment) == 0
     return int((np.diff(sample.astype(np.int64))[within] - 1).sum())

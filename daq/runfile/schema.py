@@ -120,7 +120,7 @@ def _sample(run: Recording) -> str:
     return run.sample_name or run.rig.name or "mass"
 
 
-def _segment(run: Recording) -> NDArray[np.uint16] | None:
+def _segment(run: Recording) -> NDArray[np.uint16] | NDArray[np.uint32] | None:
     return None if run.raw is None else run.segment
 
 
@@ -197,7 +197,7 @@ TREE: tuple[Group | Field, ...] = (
     Field("instrument/belt/calibration/metres_per_count", "measured", "m", "pitch", "rig.belt_metres_per_count"),
     Group("raw", "NXdata", optional=True, attributes=RAW),
     Field("raw/sample", "u4[n]", "", "sequence number: skips lost samples, restarts in each segment", "raw.sample"),
-    Field("raw/segment", "u2[n]", "", "a new one after every unplug", "segment", _segment),
+    Field("raw/segment", "u2 or u4[n]", "", "a new one after every unplug and restart", "segment", _segment),
     Field("raw/count_up", "u2 or u4[n]", "", "counter of steps up, rolling over at its width", "raw.count_up"),
     Field("raw/count_down", "u2 or u4[n]", "", "counter of steps down", "raw.count_down"),
     Field("raw/device_time", "u4[n]", "us", "device time, rolling over at 2^32", "raw.device_time"),
@@ -206,6 +206,11 @@ TREE: tuple[Group | Field, ...] = (
     Field("raw/illegal", "u2[n]", "", "illegal transitions so far, rolling over", "raw.illegal"),
     Field("raw/belt_count", "u2[n]", "", "the belt encoder's counter", "raw.belt_count", optional=True),
     Field("raw/edge_time", "u2[n]", "us", "from the last edge to the sample", "raw.edge_time", optional=True),
+    Group("sent_as", "NXcollection", optional=True),
+    Field("sent_as/segment", "u4[i]", "", "first segment under each identification", "sent_as.segment"),
+    Field("sent_as/counter_bits", "u1[i]", "", "width of its counters", "sent_as.counter_bits"),
+    Field("sent_as/counts", "u1[i]", "", "counts of the run in one of its counts", "sent_as.counts"),
+    Field("sent_as/ident", "text[i]", "", "the board's identification, in words", "sent_as.ident"),
     Group("clock_sync", "NXdata", attributes=SYNC),
     Field("clock_sync/sample", "u4[c]", "", "index of the sample", "clock_sample"),
     Field("clock_sync/host_minus_device", "f8[c]", "s", "host clock minus device clock", "clock_offset"),
@@ -352,7 +357,7 @@ def _read_field(entry: h5py.Group, row: Field, where: Path, own: slice) -> Any:
     match row.kind:
         case "text":
             return nexus.read_text(entry, row.path, where)
-        case "text[e]":
+        case "text[e]" | "text[i]":
             return nexus.read_texts(entry, row.path, where)
         case "text or i8":
             group = nexus.read_group(entry, parent(row), where)

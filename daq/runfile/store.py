@@ -22,7 +22,7 @@ from daq.compute.arrays import Array
 from daq.errors import InputError
 from daq.output import atomic, disk
 from daq.runfile import nexus, schema, trust
-from daq.runfile.recording import Raw, Recording, Truth, impossible_motion
+from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
 from daq.runfile.rig import Rig
 
 # A stage rests on those before it: writing one drops the ones after it, which were made from what it replaces.
@@ -112,11 +112,12 @@ class RunReader:
             rows = (row for row in schema.FIELDS if not row.of.startswith("truth."))
             found = schema.read(self._entry, rows, self._where, self._in_file(own))
             _check_motion(found["time"], found["position"], self._where)
-            raw = _part(found, "raw")
+            raw, sent_as = _part(found, "raw"), _part(found, "sent_as")
             return Recording(
                 **{key: value for key, value in found.items() if "." not in key},
                 rig=Rig(**_part(found, "rig")),
                 raw=Raw(**raw) if raw else None,
+                sent_as=SentAs(**sent_as) if sent_as else None,
                 source=self._where,
                 default=nexus.text(self._entry.attrs.get("default", "data")),
             )

@@ -12,7 +12,7 @@ The host's checks are in the high byte of a sample's flags; the low byte is the 
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,19 +40,23 @@ FLAG_TIME = 0x2000  # the time as sent was not true and has been interpolated (l
 FLAG_COUNT_UNCERTAIN = 0x1000  # illegal transitions came before this sample: its count may be off by two for each
 
 
-def increments(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
-    """Return the increments between neighbouring readings, (n,), of an up-counter, (n - 1,), each 0 to 2^bits - 1."""
+def increments(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the increments between neighbouring readings, (n,), of an up-counter, (n - 1,), each 0 to 2^bits - 1.
+
+    ``bits`` may be given for each increment, (n - 1,).
+    """
     whole = values.astype(np.int64)
     return np.asarray(whole[1:] - whole[:-1] & (1 << bits) - 1, dtype=np.int64)
 
 
-def signed(value: Whole, bits: int) -> Whole:
+def signed(value: Whole, bits: int | NDArray[np.int64]) -> Whole:
     """Return ``value`` modulo 2^bits as the number nearest to zero: -2^(bits-1) to 2^(bits-1) - 1."""
-    half = 1 << (bits - 1)
-    return (value + half & (1 << bits) - 1) - half
+    half: Any = 1 << (bits - 1)
+    found: Whole = (value + half & (1 << bits) - 1) - half
+    return found
 
 
-def moves(values: NDArray[np.integer], bits: int) -> NDArray[np.int64]:
+def moves(values: NDArray[np.integer], bits: int | NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the signed increments between neighbouring readings, (n,), of an up-and-down counter, (n - 1,).
 
     Of the two directions the shorter one is taken: each is -2^(bits-1) to 2^(bits-1) - 1.
@@ -102,6 +106,9 @@ class Order:
         The stream begins anew with this frame: sequence and device time do not continue together.
     jump : (f,) bool
         Of these, where nothing announced it: the board has not identified itself.
+    leap : (f,) bool
+        The sequence goes on, and the device time moves on by more or less than that: the clock has leapt, or the board
+        has paused.  Number and time are continued all the same.
     index, ticks : (f,) int64
         Sequence number and device time of the frame's first sample without roll-over: as sent at the first frame
         after each restart (a jump: from sequence number 0), and continued from there.  0 where ``keep`` is False.
@@ -110,6 +117,7 @@ class Order:
     keep: NDArray[np.bool_]
     restart: NDArray[np.bool_]
     jump: NDArray[np.bool_]
+    leap: NDArray[np.bool_]
     index: NDArray[np.int64]
     ticks: NDArray[np.int64]
 
@@ -121,7 +129,7 @@ class FrameOrder:
     how often the sequence number rolled over between two frames, so a gap may have any length below 2^31 ticks
     (35.8 min at 1 us).  A frame that steps back in time, and in sequence by as many samples, by `LATE_FRAMES` at most,
     is a repeat or came late.  Any other step back, of either, and a gap on whose length the two do not agree (`fits`),
-    is a jump.
+    is a jump; where the sequence shows no gap, it is a leap of the time alone.
 
     Parameters
     ----------
@@ -175,9 +183,11 @@ class FrameOrder:
         period = self._period
         step += 65536 * np.round((forward / period - step) / 65536).astype(np.int64)
         begun = 0 if self._last else 1  # the first frame of all follows none
-        again = restart[kept[begun:]]
-        again = again | (step < before) | ((step != before) & ~fits(step, forward / period, self._doubt))
+        again, agrees = restart[kept[begun:]], fits(step, forward / period, self._doubt)
+        again = again | (step < before) | ((step != before) & ~agrees)
         restart[kept[begun:]] = again
+        leap = np.zeros(len(seq), dtype=np.bool_)
+        leap[kept[begun:]] = ~again & ~agrees
         restart[kept[:begun]] = False
         jump = restart & ~known
         index = np.zeros(len(seq), dtype=np.int64)
@@ -192,7 +202,7 @@ class FrameOrder:
             placed[kept] = running_sum(starts, forward, first_ticks)[1 - begun :]
             at = int(kept[-1])
             self._last = (int(seq[at]), int(ticks[at]), int(n[at]), int(index[at]), int(placed[at]))
-        return Order(keep, restart, jump, index, placed)
+        return Order(keep, restart, jump, leap, index, placed)
 
     def _steps(
         self, seq: NDArray[np.int64], ticks: NDArray[np.int64], n: NDArray[np.int64]

@@ -8,7 +8,7 @@ import math
 from array import array
 from binascii import crc_hqx
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
@@ -42,6 +42,9 @@ class Stream:
         The board's identification when it began to sample: the last one before the first frame.
     idents : (i,) int64
         Before which frame each identification came.
+    identified : tuple of Ident
+        Each of these identifications: the frames from there on were sent under it, those before the first one under
+        ``ident``.  Empty where nothing but ``ident`` is known.
     configs, notices : tuple of (int, str)
         Before which frame, and its text: what a file cannot hold, and of a notice what does not show, is escaped.
     time_error : (f,) int64 or None
@@ -78,6 +81,7 @@ class Stream:
     length: NDArray[np.int64]
     belt: NDArray[np.uint16] | None = None
     edge: NDArray[np.uint16] | None = None
+    identified: tuple[wire.Ident, ...] = ()
     configs: tuple[tuple[int, str], ...] = ()
     notices: tuple[tuple[int, str], ...] = ()
     unknown: int = 0
@@ -88,6 +92,27 @@ class Stream:
     part_stamp_ns: NDArray[np.int64] = field(default_factory=_nothing)
     part_frame: NDArray[np.int64] = field(default_factory=_nothing)
     part_bytes: NDArray[np.int64] = field(default_factory=_nothing)
+
+    def sent_as(self) -> list[tuple[int, int, wire.Ident | None]]:
+        """Return the stretches of frames sent under one identification: first frame, end, identification; at least one.
+
+        The number of samples in a frame, which a board is told, makes no other identification.
+        """
+        frames = len(self.n)
+        found = [(0, self.ident)]
+        for first, ident in zip(self.idents.tolist(), self.identified, strict=False):
+            if first >= frames:
+                break
+            if first == found[-1][0]:
+                found.pop()
+            if not found or not _same_board(found[-1][1], ident):
+                found.append((first, ident))
+        ends = [*(first for first, _ in found[1:]), frames]
+        return [(first, end, ident) for (first, ident), end in zip(found, ends, strict=True)]
+
+
+def _same_board(one: wire.Ident | None, other: wire.Ident) -> bool:
+    return one is not None and replace(one, block_size=other.block_size) == other
 
 
 # SAMPLES frames by bytes of payload and declared samples: their lines (k,) and payloads (k, size).
@@ -128,18 +153,20 @@ class _Lines:
     dropped_bytes: int
 
 
-def decode(reads: Iterable[tuple[int, bytes]]) -> Stream:
+def decode(reads: Iterable[tuple[int, bytes]], decoder: str | None = None) -> Stream:
     """Decode the reads of one connection at once.
 
     Parameters
     ----------
     reads : iterable of (int, bytes)
         Host's monotonic stamp in ns at the end of each read, and the bytes it gave.
+    decoder : str or None
+        The decoder that the recorder asked for, also of a board that had restarted.
     """
-    return next(pieces(reads, math.inf))
+    return next(pieces(reads, math.inf, decoder))
 
 
-def pieces(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[Stream]:
+def pieces(reads: Iterable[tuple[int, bytes]], most_bytes: float, decoder: str | None = None) -> Iterator[Stream]:
     """Decode the reads of one connection piece by piece, each of about so many bytes; at least one piece.
 
     Together they are what `decode` gives at once.  A read that ends inside a frame stands in the piece of that frame;
@@ -147,8 +174,8 @@ def pieces(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[St
 
     Parameters
     ----------
-    reads : iterable of (int, bytes)
-        As of `decode`; with more than one piece, it must give the same whenever it is asked.
+    reads, decoder
+        As of `decode`; with more than one piece, the reads must be the same whenever they are asked for.
     """
     source = _lines(reads, most_bytes)
     begun = next(source)
@@ -165,8 +192,9 @@ def pieces(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[St
                 break
         source = _lines(reads, most_bytes) if more else iter([begun])
     first = True
+    identified = _Identified(governing, decoder)
     for lines in source:
-        yield _stream(lines, governing.ident, first)
+        yield _stream(lines, *identified.take(lines), first)
         first = first and not lines.bodies
 
 
@@ -203,24 +231,38 @@ def _lines(reads: Iterable[tuple[int, bytes]], most_bytes: float) -> Iterator[_L
     yield made()
 
 
-def _stream(lines: _Lines, ident: wire.Ident | None, first_piece: bool) -> Stream:
-    """Return what some lines of a connection hold, from a board that has identified itself so."""
-    row = _row(ident)
+def _stream(
+    lines: _Lines, ident: wire.Ident | None, identified: list[tuple[int, wire.Ident]], first_piece: bool
+) -> Stream:
+    """Return what some lines of a connection hold.
+
+    ``ident`` is what the board had identified itself as before them, ``identified`` are the lines among them in which
+    it did so, and what the frames behind each were sent as.
+    """
     size, others = lines.size, lines.others
-    ours = {key: group for key, group in lines.samples.items() if _fits(*key, row)}
+    ours = _sample_frames(lines.samples, ident, identified)
+    layouts = list(dict.fromkeys(row for _, _, _, row in ours)) or [_row(ident)]
+    row = max(layouts, key=lambda layout: len(layout.names or ()))
+    if len(layouts) > 1:
+        row = _row_of(set().union(*(layout.names or () for layout in layouts)))
     count = np.zeros(len(size), dtype=np.int64)  # samples in each line
-    for (_, each), (where, _) in ours.items():
+    for where, each, _, _ in ours:
         count[where] = each
     before = np.concatenate(([0], np.cumsum(count > 0)))  # sample frames before each line
     frame_line = np.flatnonzero(count)
     n = count[frame_line]
     first = np.cumsum(n) - n
-    rows = np.empty(int(n.sum()), dtype=row)
+    rows = np.zeros(int(n.sum()), dtype=row) if len(layouts) > 1 else np.empty(int(n.sum()), dtype=row)
     heads = np.empty(len(n), dtype=_HEAD)
-    for (_, each), (where, together) in ours.items():
-        sent = together.view(np.dtype([("head", _HEAD), ("rows", row, (each,))]))[:, 0]
+    for where, each, together, layout in ours:
+        sent = together.view(np.dtype([("head", _HEAD), ("rows", layout, (each,))]))[:, 0]
         heads[before[where]] = sent["head"]
-        rows[(first[before[where], np.newaxis] + np.arange(each)).ravel()] = sent["rows"].ravel()
+        place = (first[before[where], np.newaxis] + np.arange(each)).ravel()
+        if layout == row:
+            rows[place] = sent["rows"].ravel()
+        else:
+            for name in layout.names or ():
+                rows[name][place] = sent["rows"].ravel()[name]
     known = np.zeros(len(size), dtype=np.bool_)
     known[frame_line] = True
     known[[line for line, _ in others]] = True
@@ -234,7 +276,9 @@ def _stream(lines: _Lines, ident: wire.Ident | None, first_piece: bool) -> Strea
     truth_seq = [seq & 0xFFFF for _, frame in truths for seq in range(frame.seq, frame.seq + len(frame.rows))]
     part_ns, part_line, part_bytes = np.array(lines.parts, dtype=np.int64).reshape(-1, 3).T
     inside = np.isin(part_line, frame_line)
-    columns: dict[str, Any] = {name: rows[name].copy() for name in row.names or ()}
+    # Of boards that differ, what all of them send.
+    names = [name for name in row.names or () if all(name in (layout.names or ()) for layout in layouts)]
+    columns: dict[str, Any] = {name: rows[name].copy() for name in names}
     return Stream(
         first=first,
         n=n,
@@ -244,7 +288,8 @@ def _stream(lines: _Lines, ident: wire.Ident | None, first_piece: bool) -> Strea
         stamp_ns=np.repeat(*np.array(lines.ends, dtype=np.int64).reshape(-1, 2).T)[frame_line],
         **columns,
         ident=ident,
-        idents=before[np.array([line for line, frame in others if isinstance(frame, wire.Ident)], dtype=np.int64)],
+        idents=before[np.array([line for line, _ in identified], dtype=np.int64)],
+        identified=tuple(each for _, each in identified),
         configs=tuple(
             (int(before[line]), storable(frame.toml)) for line, frame in others if isinstance(frame, wire.Config)
         ),
@@ -301,11 +346,37 @@ def _crc(payloads: NDArray[np.uint8]) -> NDArray[np.uint16]:
     return crc
 
 
+def _sample_frames(
+    groups: Groups, ident: wire.Ident | None, identified: list[tuple[int, wire.Ident]]
+) -> list[tuple[NDArray[np.int64], int, NDArray[np.uint8], np.dtype[np.void]]]:
+    """Return the frames with samples in the layout they were sent in: lines, (k,), samples in each, payloads, layout.
+
+    Given are the board's identification before these lines, and the lines behind which others hold.
+    """
+    layouts = [_row(ident), *(_row(each) for _, each in identified)]
+    distinct = list(dict.fromkeys(layouts))
+    number = np.array([distinct.index(layout) for layout in layouts])
+    lines = np.array([line for line, _ in identified], dtype=np.int64)
+    found = []
+    for (size, each), (where, together) in groups.items():
+        own = number[np.searchsorted(lines, where)]
+        for k, row in enumerate(distinct):
+            here = own == k
+            if _fits(size, each, row) and here.any():
+                found.append((where[here], each, together[here], row))
+    return found
+
+
 def _row(ident: wire.Ident | None) -> np.dtype[np.void]:
     """Return the layout of one sample from a board that identified itself so."""
     has = wire.Capability(0) if ident is None else ident.capabilities
-    names = ["dt", "up", "down", "status"]
-    names += ["belt"] * (wire.Capability.BELT in has) + ["edge"] * (wire.Capability.EDGE_TIME in has)
+    return _row_of(["belt"] * (wire.Capability.BELT in has) + ["edge"] * (wire.Capability.EDGE_TIME in has))
+
+
+def _row_of(optional: Iterable[str]) -> np.dtype[np.void]:
+    """Return the layout of one sample that holds these columns beside those that each one has."""
+    chosen = set(optional)
+    names = ["dt", "up", "down", "status", *(name for name in ("belt", "edge") if name in chosen)]
     return np.dtype([(name, "u1" if name == "status" else "<u2") for name in names])
 
 
@@ -321,12 +392,15 @@ class _Governing:
     ----------
     ident : Ident or None
         The identification, as far as the lines have been looked at.
+    number : int
+        How many identifications there are up to that one.
     decided : bool
         No later line can change it.
     """
 
     def __init__(self) -> None:
         self.ident: wire.Ident | None = None
+        self.number = 0
         self.decided = False
         self._seen: set[tuple[int, int]] = set()  # bytes and samples of frames in the pieces before
 
@@ -339,8 +413,43 @@ class _Governing:
             if self._any_fits(self._seen | here):
                 break
             self.ident = frame
+            self.number += 1
         self._seen |= set(lines.samples)
         self.decided = self._any_fits(self._seen)
 
     def _any_fits(self, seen: set[tuple[int, int]]) -> bool:
         return self.ident is not None and any(_fits(*key, _row(self.ident)) for key in seen)
+
+
+class _Identified:
+    """What the lines of a connection were sent as: the governing identification, and each one behind it from there on.
+
+    A board that has restarted greets with an identification, then the recorder asks for the decoder of this run.  It
+    asks for an identification again; where there is none (recorders before did not), the decoder asked for holds.
+    """
+
+    def __init__(self, governing: _Governing, decoder: str | None) -> None:
+        self._now = governing.ident
+        self._governed = governing.number  # identifications to come that the governing one stands for
+        self._decoder = decoder
+        self._sampled = True  # since the last identification
+
+    def take(self, lines: _Lines) -> tuple[wire.Ident | None, list[tuple[int, wire.Ident]]]:
+        """Return what holds before the next lines, and what holds behind those with an identification."""
+        began, found = self._now, []
+        sampled = np.sort(np.concatenate([_nothing(), *(where for where, _ in lines.samples.values())]))
+        last = -1
+        for line, frame in lines.others:
+            if not isinstance(frame, wire.Ident):
+                continue
+            self._sampled |= bool(np.searchsorted(sampled, last) < np.searchsorted(sampled, line))
+            if self._governed and self._now is not None:
+                self._governed -= 1
+            elif self._decoder is not None and self._sampled:
+                self._now = replace(frame, decoder=self._decoder)
+            else:
+                self._now = frame
+            found.append((line, self._now))
+            self._sampled, last = False, line
+        self._sampled |= bool(np.searchsorted(sampled, last) < len(sampled))
+        return began, [(line, ident) for line, ident in found if ident is not None]

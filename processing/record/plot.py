@@ -46,7 +46,7 @@ class DrawnMotion:
     time: Array
     position: Array
     velocity: Array
-    segment: NDArray[np.uint16]
+    segment: NDArray[np.uint16] | NDArray[np.uint32]
     unit: str
     sticks: tuple[Phase, ...]
     cycles: int

@@ -228,6 +228,22 @@ class FakeText(Fake):
         return f"{1000 * k + 4321},{UP[k] + 52},{DOWN[k] + 50},{levels & 1},{levels >> 1}\r\n".encode()
 
 
+class FakeUpForLong(FakeText):
+    """Was up for some time before the recording; a reset begins its clock anew."""
+
+    columns = "t_us,count"
+    uptime_us = 0
+    boots = 0
+
+    def greeting(self):
+        self.boots += 1
+        return super().greeting()
+
+    def encode(self, k):
+        since = 1000 * k + (self.uptime_us if self.boots == 1 else 4321)
+        return f"{since % 2**32},{int(motion(k))}\r\n".encode()
+
+
 class FakeTicks(FakeText):
     columns = "ticks,ms"
 

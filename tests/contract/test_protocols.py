@@ -12,7 +12,7 @@ from daq.recorder import reader
 from daq.recorder.record import RecordingInterruptedError, record
 from daq.runfile import journal
 
-from .conftest import AWAY_S, FakeLabelled, motion
+from .conftest import AWAY_S, FakeLabelled, FakeUpForLong, motion
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are POSIX")
 
@@ -120,6 +120,27 @@ def test_a_board_that_resets_is_set_to_work_again_in_a_new_segment(make_fake, tm
     assert run.raw.sample[first] == 0
     assert np.all(np.diff(run.time) > 0)
     assert len(run.time) >= 2900 * fake.unit
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("uptime_s", [3000, 4260])
+def test_a_sketch_that_was_up_for_long_resets_and_all_its_samples_are_kept(tmp_path, uptime_s):
+    # The recording used to end at the reset, with exit code 4: modulo 2^32 its clock had stepped ahead by minutes.
+    fake = FakeUpForLong(tmp_path / "ttyFAKE", {3000: "reset"}, paced=True)
+    fake.uptime_us = 1_000_000 * uptime_s
+    fake.start()
+    try:
+        found, run = taken(fake, tmp_path, 4000)
+    finally:
+        fake.finish()
+    assert found.segments == 2
+    assert not found.short
+    assert found.lost == 0
+    first = int(np.searchsorted(run.segment, 1))
+    assert (first, "reopened") in kinds(run)
+    assert np.ptp(offsets(fake, run, 0, first)) == 0
+    assert np.ptp(offsets(fake, run, first)) == 0
+    assert run.time[-1] == pytest.approx(4.0, abs=0.3)
 
 
 def test_an_unplugged_board_is_found_again_and_the_gap_is_told_in_ms(make_fake, tmp_path):

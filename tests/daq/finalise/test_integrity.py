@@ -80,3 +80,13 @@ def test_gaps_everywhere_leave_the_peak_of_what_is_between_them():
     given = replace(samples(true, 0 * true, 0 * true), time=time, index=index)
     checked = integrity.check(given, IDENT, Rig(), 30_000.0)
     assert checked.peak_count_rate == pytest.approx(60_000, rel=0.3)
+
+
+def test_more_than_65536_segments_have_numbers_of_their_own():
+    # The numbers had 16 bits: segment 65,536 was called 0 again.
+    n = 70_000
+    part = np.arange(n)
+    many = integrity.check(samples(np.arange(n), 0, np.zeros(n), part), IDENT, Rig(), 1000.0).segment
+    assert np.array_equal(many, np.arange(n))
+    few = integrity.check(samples(np.arange(9), 0, np.zeros(9), part[:9]), IDENT, Rig(), 1000.0).segment
+    assert few.dtype == np.uint16  # as in files of the releases before

@@ -484,3 +484,46 @@ def test_the_advice_about_whole_milliseconds_says_what_can_be_known(columns, lin
     notes = planned(line, RecordRequest(columns=columns)).notes
     assert len(notes) == (said is not None)
     assert said is None or said in notes[0]
+
+
+def lines_of_a_reset(uptime_s, away_s, n=3000, reset=2000, rate=500):
+    """Return the reads, as they come, of a sketch that has been up for some time and is reset after so many lines."""
+    k = np.arange(n)
+    since = k / rate + np.where(k < reset, 0.0, away_s)
+    ticks = np.where(k < reset, 1e6 * (uptime_s + k / rate), 1e6 * (k - reset) / rate).astype(np.int64)
+    lines = [f"{t % 2**32},{c}\n".encode() for t, c in zip(ticks.tolist(), motion(k).tolist(), strict=True)]
+    return [(int(1e9 * (100 + since[a + 9])), b"".join(lines[a : a + 10])) for a in range(0, n, 10)]
+
+
+@pytest.mark.parametrize("uptime_s", [600.0, 3000.0, 4260.0, 4294.0])
+def test_a_reset_is_a_restart_however_long_the_sketch_was_up(uptime_s):
+    # The step back of a clock of 32 bits is a step ahead after 36 minutes.  It used to be taken for a gap: 1.3 million
+    # lost samples, beyond the end of the run, and the recording ended at once.
+    reads = lines_of_a_reset(uptime_s, 0.3)
+    stream = text.decode(reads, {"columns": "t_us,count", "rate_hz": 500.0})
+    assert stream.idents.tolist() == [1999]  # the first line of all is left out
+    assert stream.seq[1998:2001].tolist() == [1998, 0, 1]
+    sketch = text.session(Sketch(text_line), "fake", RecordRequest(columns="t_us,count"))
+    sketch.prepare(Plan(500.0, 1, 0.0))
+    tally = sketch.tally()
+    for stamp, data in reads:
+        tally.feed(data, stamp / 1e9)
+    assert tally.resets == 1
+    assert tally.reached <= 3000
+
+
+def test_lines_that_a_stalled_host_reads_late_are_no_restart():
+    # Of a process that was stopped for 20 s, the port keeps the first lines; what it could not hold is a gap.
+    k = np.concatenate((np.arange(1000), np.arange(1000, 1200), np.arange(11_000, 12_000)))
+    came_s = np.where((k >= 1000) & (k < 1200), 22.0, k / 500 + 0.001)
+    reads = [(int(1e9 * s), text_line(each)) for s, each in zip(came_s.tolist(), k.tolist(), strict=True)]
+    stream = text.decode(reads, {"columns": "t_us,count", "rate_hz": 500.0})
+    assert len(stream.idents) == 0
+    assert int(stream.seq[-1]) == 11_999 - 1
+
+
+def test_lines_in_which_the_time_mostly_stands_still_are_refused(monkeypatch):
+    # The rate was divided by zero.
+    monkeypatch.setattr(session_module, "ANSWER_S", 0.1)
+    with pytest.raises(DeviceError, match="does not change"):
+        planned(lambda k: b"%d,7\n" % (2003 * min(k, 400)), RecordRequest(columns="t_us,count"))

@@ -18,6 +18,7 @@ from serial import SerialException
 import daq
 from daq.errors import DataError, DeviceError, InputError
 from daq.finalise import run as finalise
+from daq.imports import replay
 from daq.protocols import session
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports, reader
@@ -887,3 +888,213 @@ def test_a_recorder_that_began_meanwhile_is_not_taken_for_a_crash(tmp_path, atta
         record(request(tmp_path))
     assert "recover" not in str(caught.value)
     other[0].close()
+
+
+def ends_by_itself(request):
+    """Record, and stop a recording that does not end; return what was found, and whether it had to be stopped."""
+    stop = threading.Event()
+    timer = threading.Timer(20, stop.set)
+    timer.start()
+    try:
+        return record(request, stop=stop), stop.is_set()
+    finally:
+        timer.cancel()
+
+
+def test_a_board_that_sends_the_same_samples_again_and_again_ends_at_its_duration(tmp_path, attach):
+    # It used to be read for ever: bytes came, so the port was not silent, and no sample was new.
+    same = FakeBoard().samples(0)
+    attach(*(FakeBoard(dict.fromkeys(range(100_000), lambda line: same)) for _ in range(20)))
+    found, stopped = ends_by_itself(request(tmp_path, 300))
+    assert not stopped
+    assert found.short
+    assert found.samples <= 8 * found.segments
+    assert any("no new sample in the" in warning for warning in found.warnings)
+    assert any("came twice or late" in warning for warning in found.warnings)
+
+
+def test_a_board_that_sends_noise_ends_and_its_bytes_are_kept(tmp_path, attach):
+    # It used to be read for ever.
+    attach(FakeBoard(dict.fromkeys(range(100_000), lambda line: b"\x55" * 300 + b"\0")))
+    with pytest.raises(DataError, match="not one sample can be read in the"):
+        ends_by_itself(request(tmp_path, 300))
+    recorded = journal.read(tmp_path / "run.h5.part")
+    assert journal.end_reason(list(recorded.records)[-1]) == journal.PORT_LOST
+
+
+def test_a_port_that_is_lost_again_and_again_is_one_warning(tmp_path, attach):
+    # There used to be one for each time: 52 kB for 1000.
+    attach(*(FakeBoard({5: raising(SerialException("gone"))}) for _ in range(12)), FakeBoard())
+    found = record(request(tmp_path, 2000))
+    assert (found.segments, found.port_lost) == (13, 12)
+    lost = [warning for warning in found.warnings if "port was lost" in warning]
+    assert len(lost) == 1
+    assert "lost and reopened 12 times" in lost[0]
+    assert "the longest time" in lost[0]
+    assert "(gone)" in lost[0]
+
+
+class Another(FakeBoard):
+    """Resets at frame 100, and is another board from there on: another tick, decoder or width of its counters."""
+
+    def __init__(self, tick_ns=1000, decoder="x4", bits=16, config=CONFIG, resets=True):
+        super().__init__({100: self.reset} if resets else {}, config=config)
+        self.now = (1000, "x4", 16) if resets else (tick_ns, decoder, bits)
+        self.then = tick_ns, decoder, bits
+
+    def reset(self, line):
+        self.running, self.now, self.start_ticks = False, self.then, 77
+        self.faults.clear()
+        return line[:30] + b"\0" + self.ident()
+
+    def ident(self):
+        tick_ns, decoder, bits = self.now
+        ident = frames.Ident((1, 2, 3), decoder, self.capabilities, bits, tick_ns, self.block, 5000, 10**8, "fake")
+        return frames.encode_ident(ident)
+
+    def samples(self, frame):
+        tick_ns, decoder, bits = self.now
+        first = frame * self.block
+        up, down, n = counters(slice(first, first + self.block))
+        counted = [(each // (4 if decoder == "x1" else 1) % 2**bits).tolist() for each in (up, down)]
+        dt = [0, *[1_000_000 // tick_ns] * (self.block - 1)]
+        ticks = self.start_ticks + 1_000_000 // tick_ns * first
+        return frames.encode_samples(
+            frames.SampleBlock(first & 0xFFFF, ticks % 2**32, 0, dt, *counted, levels_of(n).tolist())
+        )
+
+
+def assert_one_motion(run, samples):
+    """Check that both segments are the motion that began anew, in m, at 1000 Hz."""
+    first = int(np.searchsorted(run.segment, 1))
+    assert first == 800
+    true = counters(slice(0, samples))[2] * 1e-5
+    for here in (slice(0, first), slice(first, samples)):
+        x = run.position[here] - run.position[here][0]
+        assert x == pytest.approx(true[: len(x)] - true[0], abs=4e-5)
+        assert np.diff(run.time[here]) == pytest.approx(1e-3)
+    assert run.time[first] - run.time[first - 1] < 0.5
+
+
+@pytest.mark.parametrize(
+    "change", [{"tick_ns": 500}, {"decoder": "x1"}, {"bits": 12}, {"tick_ns": 250, "decoder": "x1", "bits": 15}]
+)
+@pytest.mark.parametrize("how", ["resets", "is replaced"])
+def test_a_segment_is_read_as_the_board_identified_itself_before_it(tmp_path, attach, change, how):
+    # All of it used to be read as the first identification says: with a tick of half a length the second segment ran
+    # at half its speed, with a decoder x1 it had a quarter of its speed.
+    if how == "resets":
+        attach(Another(**change))
+    else:
+        lost = Another()
+        lost.faults = {100: raising(SerialException("gone"))}
+        attach(lost, Another(**change, resets=False))
+    found = record(request(tmp_path, 2000))
+    run = daq.load(tmp_path / "run.h5")
+    assert (found.segments, found.lost, found.phase_errors) == (2, 0, 0)
+    assert_one_motion(run, len(run.time))
+    assert any("identified itself anew" in warning for warning in found.warnings)
+    assert run.sent_as.segment.tolist() == [0, 1]
+    assert run.sent_as.counter_bits.tolist() == [16, change.get("bits", 16)]
+    assert run.sent_as.counts.tolist() == [1, 4 if "decoder" in change else 1]
+    assert f"tick {change.get('tick_ns', 1000)} ns" in run.sent_as.ident[1]
+    again = replay.from_run(tmp_path / "run.h5")
+    assert np.array_equal(again.count, run.count)
+    assert np.array_equal(again.position, run.position)
+
+
+def test_a_finer_decoder_behind_a_reset_divides_the_metres_per_count(tmp_path, attach):
+    board = Another()
+    board.now = 1000, "x1", 16
+    attach(board)
+    found = record(request(tmp_path, 2000))
+    run = daq.load(tmp_path / "run.h5")
+    assert (run.rig.decoder, run.rig.metres_per_count.value) == ("x4", pytest.approx(1e-5 / 4))
+    assert run.sent_as.counts.tolist() == [4, 1]
+    first = int(np.searchsorted(run.segment, 1))
+    true = counters(slice(0, 800))[2]
+    assert np.ptp(run.count[:first] - true[:first]) <= 8
+    assert np.ptp(run.count[first : first + 800] - true) == 0
+    assert any("decoder changed between x1 and x4" in warning for warning in found.warnings)
+
+
+def test_a_restarted_board_is_asked_for_its_identification_and_keeps_the_decoder_of_the_run(tmp_path, attach):
+    board = Another()
+    board.then = 1000, "x4", 16  # its own decoder, until it is told
+    told = board.write
+
+    def write(data):
+        if b"M x1" in data:
+            board.now = 1000, "x1", 16
+        told(data)
+
+    board.write = write
+    attach(board)
+    record(request(tmp_path, 2000, decoder="x1"))
+    assert [c for c in board.commands if c][-6:] == ["M x1", "R 1000", "B 8", "I", "S", "X"]
+    run = daq.load(tmp_path / "run.h5")
+    assert run.rig.decoder == "x1"
+    assert run.sent_as is None
+
+
+def leaping(at, ticks):
+    """Return faults after which the clock of a board is off, while its sequence goes on."""
+
+    def leap(line):
+        block = frames.FrameReader().feed(line)[0]
+        return frames.encode_samples(block._replace(time=(block.time + ticks) % 2**32))
+
+    return dict.fromkeys(range(at, 10_000), leap)
+
+
+class InRealTime(FakeBoard):
+    """Sends each frame when it is due, from frame ``at`` on some seconds later."""
+
+    at, pause_s = 0, 0.0
+
+    def read(self, size=1):
+        if self.running and not self.buffer:
+            if self.frame == 0:
+                self.began = time.monotonic()
+            due_s = self.frame * self.block / RATE + self.pause_s * (self.frame >= self.at)
+            time.sleep(max(0.0, self.began + due_s - time.monotonic()))
+        return super().read(size)
+
+
+@pytest.mark.parametrize("leap_s", [0.02, 0.4, 3.0])
+def test_a_clock_that_leaps_while_the_sequence_goes_on_is_said_and_the_sequence_is_the_time(tmp_path, attach, leap_s):
+    # The leap stood in the time axis, without a segment, an event or a warning.
+    attach(InRealTime(leaping(100, round(1e6 * leap_s))))
+    found = record(request(tmp_path, 1600))
+    run = daq.load(tmp_path / "run.h5")
+    assert (found.samples, found.lost, found.segments) == (1600, 0, 2)
+    assert run.time == pytest.approx(np.arange(1600) / RATE, abs=1e-6)
+    assert (800, "reopened") in kinds(run)
+    assert f"leapt by +{1e3 * leap_s:.0f} ms" in run.event_note[run.event_kind.index("reopened")]
+    assert any(f"clock leapt, by {leap_s:g} s at 0.8" in warning for warning in found.warnings)
+    assert found.measured_rate_hz == pytest.approx(RATE)
+
+
+def test_a_clock_that_leaps_within_a_frame_is_found_there(tmp_path, attach):
+    def within(line):
+        block = frames.FrameReader().feed(line)[0]
+        return frames.encode_samples(block._replace(dt=[*block.dt[:3], 21_000, *block.dt[4:]]))
+
+    attach(InRealTime(leaping(101, 20_000) | {100: within}))
+    found = record(request(tmp_path, 1600))
+    run = daq.load(tmp_path / "run.h5")
+    assert (found.samples, found.lost, found.segments) == (1600, 0, 2)
+    assert np.flatnonzero(np.diff(run.segment)).tolist() == [802]
+    assert run.time == pytest.approx(np.arange(1600) / RATE, abs=1e-6)
+
+
+def test_a_board_that_pauses_without_counting_it_keeps_its_clock_and_the_pause_is_said(tmp_path, attach):
+    board = InRealTime(leaping(100, 60_000))  # longer, and the counters may have rolled over
+    board.at, board.pause_s = 100, 0.06
+    attach(board)
+    found = record(request(tmp_path, 1600))
+    run = daq.load(tmp_path / "run.h5")
+    assert found.segments == 1
+    assert np.diff(run.time)[799] == pytest.approx(0.061)
+    assert (800, "gap") in kinds(run)
+    assert any("the board paused, for 0.061 s at" in warning for warning in found.warnings)

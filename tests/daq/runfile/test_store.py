@@ -581,3 +581,11 @@ def test_every_field_written_is_in_the_schema(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "run.h5") as file:
         file["entry"].visititems(lambda name, item: written.append(name) if isinstance(item, h5py.Dataset) else None)
     assert [name for name in written if name not in rows and not name.startswith("provenance/")] == []
+
+
+def test_more_than_65536_segments_come_back_with_numbers_of_their_own(tmp_path: Path) -> None:
+    # The numbers were stored with 16 bits: segment 65,536 came back as 0.
+    written = run()
+    segment = np.linspace(0, 70_000, written.time.size).astype(np.uint32)
+    store.write(tmp_path / "run.h5", replace(written, segment=segment))
+    assert np.array_equal(store.load(tmp_path / "run.h5").segment, segment)
