@@ -134,7 +134,7 @@ def _read(
         try:
             run = job.load_run(file, options)
             for place in places:
-                page.refuse_foreign_file(place, [run.recording.digest], force=force)
+                page.refuse_foreign_file(place, [run.recording.digest], files=[file], force=force)
             yield run
         except Exception as error:
             yield _failure(error, file)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from fitting.selection.result import Ranking
 
 MOST_FORMS = 4  # shown on the terminal; the document and the report have all
+INTERVAL = 3  # column of the table of parameters that may be broken over two lines
 
 app = application.application("fit-friction", usage="Usage: fit-friction [OPTIONS] RUN.h5 [RUN.h5 ...]")
 
@@ -103,7 +104,8 @@ def fit(
     when all are decided, 5 when one is undecided, 6 when no law describes one, else that of the worst error.
 
     With --from or --to a part of each run is smoothed by itself and fitted; times are those of the run.  Results and
-    reports of the same run are replaced by new ones, those of another run only with --force.
+    reports of the same run are replaced by new ones, and run.report.html of a run.h5 that was itself replaced; those of
+    another run only with --force.
 
     Example: fit-friction run.h5 --report run.html
 
@@ -185,7 +187,7 @@ def fit(
     runs = [job.load_run(path, options) for path in files]
     place = places[0] if places else None
     if place is not None:
-        pages.refuse_foreign_file(place, [run.recording.digest for run in runs], force=force)
+        pages.refuse_foreign_file(place, [run.recording.digest for run in runs], files=files, force=force)
     if joint_file is not None:
         joint.refuse_foreign_file(joint_file, [run.named for run in runs], force=force)
     with application.progress("fitting", float(len(options.laws)), "laws") as show:
@@ -326,7 +328,7 @@ def _adequacy(adequacy: "Adequacy") -> list[Any]:
     if adequacy.departures:
         title = "departures that would explain it" if adequacy.rejected else "beside the law"
         table = application.table(title, ("departure", "sigmas", "size", "std. error", "unit", "explained"))
-        table.columns[0].justify = "left"
+        table.columns[0].justify, table.columns[0].overflow = "left", "fold"
         for one in adequacy.departures:
             value, error = (f"{one.value:.4g}", f"{one.stderr:.2g}") if one.parameter else ("-", "-")
             table.add_row(one.name, f"{one.sigmas:.1f}", value, error, one.unit, f"{100 * one.explained:.0f} %")
@@ -338,11 +340,17 @@ def _parameters(ranking: "Ranking", alpha: float) -> "Table":
     """Return the best law's parameters."""
     from fitting.report import page as report
 
-    sure = f"{100 * (1 - alpha):g} % interval"
-    table = application.table(f"law {ranking.best.law}", ("parameter", "value", "std. error", sure, "unit"))
-    for name, item in ranking.best.parameters.items():
-        value, error, bounds, _ = report.format_interval(item)
-        table.add_row(name, value, error, bounds, item.unit)
+    headings = ("parameter", "value", "std. error", f"{100 * (1 - alpha):g} % interval", "unit")
+    table = application.table(f"law {ranking.best.law}", headings)
+    rows = [(name, *report.format_interval(item)[:3], item.unit) for name, item in ranking.best.parameters.items()]
+    for row in rows:
+        table.add_row(*row)
+    # A narrow terminal breaks the intervals and the headings between words, and never a name or a number.
+    for place, column in enumerate(table.columns):
+        cells = [row[place] for row in rows]
+        whole = [word for cell in cells for word in cell.split()] if place == INTERVAL else cells
+        column.no_wrap = False
+        column.min_width = max(map(len, (*whole, *headings[place].split())))
     return table
 
 

@@ -110,7 +110,7 @@ class FitOutput:
         else:
             store.save(self.ranking, files[0], self.runs[0].digest, self.stages[0], self.part)
         if place is not None and self.page is not None:
-            report.write(self.page, place, [run.digest for run in self.runs], force=force)
+            report.write(self.page, place, [run.digest for run in self.runs], files=files, force=force)
 
 
 def exit_code(document: Mapping[str, Any]) -> int:

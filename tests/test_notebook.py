@@ -1,5 +1,6 @@
-"""docs/notebooks: the example is stored without outputs, and runs from a file of data_samples to its verdict."""
+"""docs/notebooks: the example is stored with its outputs, and runs from a file of data_samples to its verdict."""
 
+import re
 from pathlib import Path
 
 import nbformat
@@ -13,11 +14,39 @@ def code(notebook):
     return [cell for cell in notebook.cells if cell.cell_type == "code"]
 
 
-def test_the_notebook_is_stored_without_outputs():
+def test_the_notebook_is_stored_with_the_outputs_of_one_run():
+    """It had none: who read it without running it saw neither a table nor a picture."""
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     nbformat.validate(notebook)
-    assert len(code(notebook)) >= 10
-    assert all(not cell.outputs and cell.execution_count is None for cell in code(notebook))
+    assert [cell.execution_count for cell in code(notebook)] == list(range(1, len(code(notebook)) + 1))
+    assert all(cell.outputs for cell in code(notebook)[1:])  # the first one imports
+    outputs = [output for cell in code(notebook) for output in cell.outputs]
+    assert {output.output_type for output in outputs} == {"execute_result", "stream"}  # no error, no warning
+    assert sum("image/png" in output.get("data", {}) for output in outputs) == 3
+
+
+def test_the_notebook_names_no_place_of_the_machine_that_ran_it():
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    assert set(notebook.metadata) <= {"kernelspec", "language_info"}
+    shown = [output.get("text", "") for cell in code(notebook) for output in cell.outputs]
+    shown += [
+        text
+        for cell in code(notebook)
+        for output in cell.outputs
+        for kind, text in output.get("data", {}).items()
+        if kind != "image/png"
+    ]
+    assert not [text for text in shown if re.search(r"(?<![\w.<])/\w+/|[A-Z]:\\\\", text)]
+
+
+def test_the_links_of_the_notebook_exist():
+    """The link to "From Python" led to a page that is not there."""
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    words = "".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    links = re.findall(r"\]\(([^)#]+)", words)
+    assert links
+    for link in links:
+        assert (NOTEBOOK.parent / link).is_file(), link
 
 
 @pytest.mark.slow
@@ -35,5 +64,7 @@ def test_the_notebook_runs_from_a_file_to_its_verdict():
     assert len(values) == 3
     assert all(len(text) < LONGEST for text in values)
     printed = "".join(output.text for output in outputs if output.output_type == "stream")
+    stored = nbformat.read(NOTEBOOK, as_version=4)
+    assert printed.split("\n")[0] == code(stored)[-2].outputs[0].text.split("\n")[0]
     assert printed.startswith("law 5 (friction falling hyperbolically)"), printed
     assert "adequate" in printed

@@ -37,7 +37,7 @@ EXAMPLES = {"length": "12 cm", "time": "20 ms", "mass": "300 g", "rate": "400 fp
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})\s*(.*)", re.DOTALL)
-_PLUS_MINUS = re.compile(r"\s*(?:±|\+-|\+/-)\s*")
+_PLUS_MINUS = re.compile(r"±|\+-|\+/-")
 
 
 def quantity(text: str, dimension: str, where: str) -> float:

@@ -4,15 +4,15 @@ import re
 
 from daq.console import units
 from daq.errors import InputError, nearest
-from daq.imports.table import Table
+from daq.imports.table import Table, short
 
 TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")
 FRAME_NAMES = ("frame", "frames", "frame number", "frame no", "frameno", "image", "slice", "bild")
 POSITION_NAMES = ("x", "position", "pos", "displacement", "distance", "weg", "ort", "auslenkung")
 DIMENSIONS = ("time", "length", "force")  # of columns
 EXAMPLE_UNITS = {"time": "ms", "force": "mN, or weight for a force divided by the weight"}
-# A unit after a name: "x (cm)", "x [cm]", "x/cm", "x, cm", "x in cm".
-_UNIT_AT_END = re.compile(r"^(.*?)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\]|(?:/|,|\bin\b)\s*(\S+))$")
+_IN_WORD = re.compile(r"[/,]|\bin\b")  # what stands between a name and its unit
+_BRACKETS = (("(", ")"), ("[", "]"))
 
 
 def find(
@@ -54,12 +54,12 @@ def find(
         if x_column is None:
             called = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
             if len(called) > 1 and plain[called[0]] == plain[called[1]]:
-                both = " and ".join(f"{cells.names[i]!r} (column {i + 1})" for i in called[:2])
+                both = " and ".join(f"{short(cells.names[i])} (column {i + 1})" for i in called[:2])
                 raise InputError(f"which column is the position: {both}?", str(cells.path), "give --position NUMBER")
             x_column = called[0] if called else None
         frames = t_column is not None and plain[t_column] in FRAME_NAMES
     free = [i for i in free if i not in (t_column, x_column)]
-    listed = ", ".join(cells.names) or f"1 to {cells.width}"
+    listed = cells.listed or f"1 to {cells.width}"
     if x_column is None and cells.width == 1:
         x_column, t_column = 0, None
     elif cells.width == 2 and t_column is None and x_column is None:
@@ -88,24 +88,58 @@ def _named(cells: Table, name: str, flag: str) -> int:
     known = f"the columns are numbered 1 to {cells.width}"
     if cells.names:
         near = nearest(wanted, cells.names)
-        known = (near + " " if near.startswith("did") else "") + f"the columns are: {', '.join(cells.names)}"
+        known = (near + " " if near.startswith("did") else "") + f"the columns are: {cells.listed}"
     raise InputError(f"{flag}: no column {name!r}", str(cells.path), known)
 
 
 def _bare(name: str) -> str:
     """Return a column's name without its unit, in lower case: ``x (cm)`` and ``x_cm`` are ``x``."""
-    found = _UNIT_AT_END.match(name)
-    base = found[1] if found and found[1] else name
+    base, _ = split_unit(name)
     head, _, tail = base.rpartition("_")
     if head and any(units.known(tail, dimension) for dimension in DIMENSIONS):
         base = head
     return base.strip().lower().rstrip("#").strip()
 
 
+def split_unit(name: str) -> tuple[str, str | None]:
+    """Return a column's name without the unit after it, and the unit; the whole name and None where none follows.
+
+    A unit follows as in ``x (cm)``, ``x [cm]``, ``x/cm``, ``x, cm`` or ``x in cm``; of several readings the longest
+    unit is taken.  The name is looked through a fixed number of times, however long it is.
+    """
+    at, unit = len(name), ""
+    for opening, closing in _BRACKETS:
+        begin = name.rfind(opening)
+        inside = name[begin + 1 : -1]
+        if begin >= 0 and name.endswith(closing) and closing not in inside:
+            at, unit = begin, inside
+    last = name.split()[-1:]
+    if last and name.endswith(last[0]):
+        begin = len(name) - len(last[0])
+        before = name[:begin].rstrip()
+        mark = _mark_at_end(before)
+        if mark is None:
+            found = _IN_WORD.search(name, begin)
+            mark = None if found is None or found.end() == len(name) else found.span()
+        if mark is not None and mark[0] < at:
+            at, unit = mark[0], name[mark[1] :]
+    base = name[:at].rstrip()
+    return (base, unit.strip()) if base and at < len(name) else (name, None)
+
+
+def _mark_at_end(text: str) -> tuple[int, int] | None:
+    """Return where a separator of name and unit stands that ends a text, None where none does."""
+    for length in (1, 2):
+        found = _IN_WORD.fullmatch(text, max(0, len(text) - length))
+        if found is not None:
+            return found.span()
+    return None
+
+
 def _stated_unit(name: str) -> str | None:
-    found = _UNIT_AT_END.match(name)
-    if found and found[1]:
-        return next(part for part in found.groups()[1:] if part is not None).strip()
+    _, stated = split_unit(name)
+    if stated is not None:
+        return stated
     head, _, tail = name.rpartition("_")
     return tail if head and any(units.known(tail, dimension) for dimension in DIMENSIONS) else None
 
@@ -130,7 +164,7 @@ def unit(
         return 1.0, units.si_unit(dimension)
     if not units.known(stated, dimension):
         example = "'0.25 mm' for a pixel of that size" if dimension == "length" else EXAMPLE_UNITS[dimension]
-        what = f"{cells.label(column)} is in {stated!r}, which is not a known unit of {dimension}"
+        what = f"{cells.label(column)} is in {short(stated)}, which is not a known unit of {dimension}"
         do = f"give {flag}, for example {flag} {example}"
         raise InputError(what, cells.place(cells.header_line, column), do)
     return units.unit_size(stated, dimension, flag), stated

@@ -4,10 +4,14 @@ In a slip the mass swings from its turning point to the opposite one in pi sqrt(
 and within 10 % for linear and hyperbolic velocity weakening from weak to strong, whatever the belt's speed.  A track in
 which that takes another time was filmed at another rate than its times imply, or the mass or the stiffness is wrong.
 
+A turning point lies somewhere between the samples beside the extreme one: a swing of few samples has a range of
+durations, and only what all of that range excludes is wrong.
+
 Not modelled: strong damping, which lengthens the swing.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,44 +23,59 @@ def check_half_period(
     time: NDArray[np.float64], position: NDArray[np.float64], mass: float, stiffness: float
 ) -> list[str]:
     """Return a warning when the swings of the slips do not take pi sqrt(m/k), or an empty list."""
-    measured, swings = half_period(time, position)
+    swing = half_period(time, position)
     wanted = math.pi * math.sqrt(mass / stiffness)
-    if swings == 0:
+    if swing.number == 0:
         return ["the frame rate could not be checked: the track holds no whole slip"]
-    ratio = measured / wanted
-    if 1 / TOLERANCE <= ratio <= TOLERANCE:
+    if swing.shortest / wanted <= TOLERANCE and 1 / TOLERANCE <= swing.longest / wanted:
         return []
+    measured, ratio = swing.duration, swing.duration / wanted
     rate = 1 / float(np.median(np.diff(time)))
     return [
-        f"the frame rate must be wrong: a slip lasts {measured:.3g} s ({swings} found) where "
+        f"the frame rate must be wrong: a slip lasts {measured:.3g} s ({swing.number} found) where "
         f"pi sqrt(m/k) = {wanted:.3g} s; the times give {rate:.4g} frames/s, {rate * ratio:.4g} would match "
         f"(or mass and stiffness are wrong); give the camera's true rate by --frame-rate"
     ]
 
 
-def half_period(time: NDArray[np.float64], position: NDArray[np.float64]) -> tuple[float, int]:
-    """Return the time from a turning point to the opposite one in a slip, and how many slips it was taken from.
+@dataclass(frozen=True)
+class Swing:
+    """The time from a turning point to the opposite one in a slip: medians over ``number`` slips.
+
+    Attributes
+    ----------
+    duration : float
+        Between the extreme samples, s; not a number when there is none.
+    shortest, longest : float
+        What it can have been, s: between the samples beside the extreme ones, inside and outside of them.
+    number : int
+        Of slips; 0 when the track has no whole one.
+    """
+
+    duration: float
+    shortest: float
+    longest: float
+    number: int
+
+
+def half_period(time: NDArray[np.float64], position: NDArray[np.float64]) -> Swing:
+    """Return the time from a turning point to the opposite one in a slip.
 
     Turning points are the extremes between which the position moves by more than half of its range.  Of the two kinds
     of swing, up and down, the quicker one is the slip: the other waits for the belt.
-
-    Returns
-    -------
-    float
-        Median, s; not a number when there is none.
-    int
-        Number of swings; 0 when the track has no whole one.
     """
     turns = _turns(position)
     # The first and the last extreme may be mere ends of the record.
-    inner = turns[1:-1]
-    if len(inner) < 2:
-        return math.nan, 0
-    span = np.diff(time[inner])
-    down = np.diff(position[inner]) < 0
-    kinds = [span[kind] for kind in (down, ~down) if kind.any()]
-    slips = min(kinds, key=lambda kind: float(np.median(kind)))
-    return float(np.median(slips)), slips.size
+    inner = np.array(turns[1:-1], np.int64)
+    if inner.size < 2:
+        return Swing(math.nan, math.nan, math.nan, 0)
+    first, last = inner[:-1], inner[1:]
+    span = time[last] - time[first]
+    down = position[last] < position[first]
+    slips = min((kind for kind in (down, ~down) if kind.any()), key=lambda kind: float(np.median(span[kind])))
+    spans = (span, time[last - 1] - time[first + 1], time[last + 1] - time[first - 1])
+    duration, shortest, longest = (float(np.median(each[slips])) for each in spans)
+    return Swing(duration, shortest, longest, int(slips.sum()))
 
 
 def _turns(position: NDArray[np.float64]) -> list[int]:

@@ -21,13 +21,17 @@ from daq.console import units
 CANDIDATES = tuple((d, s) for d in "\t;, |" for s in ".," if (d, s) != (",", ","))
 FORMAT_LINES = 400  # lines from which delimiter and decimal sign are found; of a longer file, evenly spaced
 LOGGED = ("time", "length", "speed", "force", "rate")  # dimensions in a line of units; no mass: t is a time's name
-LONGEST_NUMBER = 1000  # characters; the time to match one grows with their square
+LONGEST_NUMBER = 1000  # characters; the time that `float` takes for one grows with their square
 ALIKE = 3  # lines that must look like data below a header for what stands above it to be a preamble
 
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)", re.IGNORECASE)
+# Text from outside: each repeat takes all it can and gives none back, so that the work grows with the length alone.
+_NUMBER = re.compile(r"[+-]?+(?:(?:\d++\.?+\d*+|\.\d++)(?:[eE][+-]?+\d++)?+|nan|inf(?:inity)?+)", re.IGNORECASE)
 _PLAIN = r"[ \t]*+[+-]?+(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eE][+-]?+[0-9]++)?+[ \t]*+"
 _PLAIN_NUMBERS = re.compile(rf"{_PLAIN}(?:\n{_PLAIN})*+")
-_CLOCK = re.compile(r"(?:.*[T ])?(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d*)?)")
+_CLOCK = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d*+)?+)")
+_DATE_END = re.compile("[T ]")
+_WIDE_GAP = re.compile(r"(?<!\s)\s{2,}+|\t")
+_GAP = re.compile(r"(?<!\s)\s++(?![(\[])")
 
 
 def number(cell: str, decimal: str) -> float | None:
@@ -56,7 +60,7 @@ def plain_numbers(cells: Sequence[str], decimal: str) -> list[float] | None:
 
 def clock(cell: str) -> float | None:
     """Return a time of day such as 12:00:00.000 in seconds since midnight, or None; a date before it is ignored."""
-    found = _CLOCK.fullmatch(cell.strip()) if len(cell) <= LONGEST_NUMBER else None
+    found = _CLOCK.fullmatch(_DATE_END.split(cell.strip())[-1]) if len(cell) <= LONGEST_NUMBER else None
     if found is None:
         return None
     hours, minutes, seconds = found.groups()
@@ -78,8 +82,8 @@ def split(text: str, delimiter: str) -> list[str]:
 def header(text: str, delimiter: str, width: int) -> list[str]:
     """Return the cells of a header; between spaces, ``x (cm)`` is one name; a closing delimiter adds no column."""
     if delimiter == " " and len(text.split()) != width:
-        wide = re.split(r"\s{2,}|\t", text.strip())
-        return wide if len(wide) == width else re.split(r"\s+(?![(\[])", text.strip())
+        wide = _WIDE_GAP.split(text.strip())
+        return wide if len(wide) == width else _GAP.split(text.strip())
     cells = split(text, delimiter)
     return cells[:-1] if len(cells) == width + 1 and not cells[-1].strip() else cells
 

@@ -24,6 +24,9 @@ HDF5 = b"\x89HDF\r\n\x1a\n"  # how such a file begins, a run file among them
 ColumnReader = tuple[int, Callable[[str], float | None], str]
 TOGETHER = 4096  # rows whose cells are converted together; half costs the same CPU time, double 50 % more
 LISTED = 5  # lines named in a message about many
+# Characters.  A table of 4000 columns has lines of half of it; at twice, a file that is no table takes a second to be
+# found out, since every delimiter and decimal sign is tried on each line.
+LONGEST_LINE = 100_000
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,12 @@ class Table:
 
     def label(self, column: int) -> str:
         """Return the name of a column in messages."""
-        return f"column {self.names[column]!r}" if self.names else f"column {column + 1}"
+        return f"column {short(self.names[column])}" if self.names else f"column {column + 1}"
+
+    @property
+    def listed(self) -> str:
+        """The names of the columns, for messages; empty without a header."""
+        return ", ".join(short(name)[1:-1] for name in self.names)
 
     def place(self, line: int, column: int | None = None) -> str:
         """Return where a line, or a cell of it, stands in the file, for messages."""
@@ -126,7 +134,7 @@ class Table:
                     value = reader(row[column])
                     if value is None:
                         cell = row[column].strip()
-                        what = f"holds {_short(cell)}, not {kind}" if cell else "is empty"
+                        what = f"holds {short(cell)}, not {kind}" if cell else "is empty"
                         bad.append(Skipped(self.lines[index], f"{self.label(column)} {what}"))
                         first = column if len(bad) == 1 else first
                         break
@@ -175,7 +183,8 @@ def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> str:
     return f"{do}; if the table begins below, give --preamble {bad[-1].line}" if above else do
 
 
-def _short(cell: str) -> str:
+def short(cell: str) -> str:
+    """Return a cell in quotes, its end left out where it is long."""
     return repr(cell if len(cell) <= 40 else cell[:37] + "...")
 
 
@@ -194,7 +203,8 @@ def read(path: Path, preamble: int = 0, progress: Stages = silent) -> Table:
     Raises
     ------
     InputError
-        When the file is missing, not text or empty, or its header names another number of columns than the lines have.
+        When the file is missing, not text or empty, has a line longer than `LONGEST_LINE`, or a header that names
+        another number of columns than the lines have.
     """
     lines, named = _lines(path, preamble, progress)
     texts = [text for _, text in lines]
@@ -261,4 +271,9 @@ def _lines(path: Path, preamble: int, progress: Stages) -> tuple[list[tuple[int,
         named = kept.pop(0)[1][4]  # written by spreadsheets
     if not kept:
         raise InputError("is empty" if not data else "holds no data", where, "give a CSV with a column of positions")
+    for line, content in kept:
+        if len(content) > LONGEST_LINE:
+            what = f"the line holds {len(content)} characters; a line of a table has at most {LONGEST_LINE}"
+            do = "delete that line; if the table begins below it, give --preamble"
+            raise InputError(what, f"{where}, line {line}", f"{do} {line}")
     return kept, named

@@ -69,6 +69,8 @@ class MeasuredMotion:
         Whether the belt's own counts are used: then a ramp cannot be a belt that slows.
     speed_variation : float
         m/s rms: variation of the measured belt speed that load does not explain; 0 where it is not significant.
+    counted : bool
+        Whether an encoder counted the positions; else a camera or another sensor measured them.
     """
 
     time: Array
@@ -95,6 +97,7 @@ class MeasuredMotion:
     compliance: Measured | None = None
     belt_measured: bool = False
     speed_variation: float = 0.0
+    counted: bool = False
 
     @property
     def span(self) -> float:
@@ -192,6 +195,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         else None,
         belt_measured=channel is not None,
         speed_variation=0.0 if channel is None or not channel.is_unsteady else channel.speed_variation,
+        counted=recording.count is not None,
     )
 
 

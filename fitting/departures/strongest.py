@@ -113,7 +113,7 @@ def describe(tested: Tested, record: MeasuredMotion, excess: float) -> FoundDepa
         value=size.value,
         stderr=size.sd,
         unit=unit,
-        text=departure.text,
+        text=departure.says(counted=record.counted),
         scale=Scale(departure.scale, tested.scale, departure.scale_unit) if known else None,
         gain=tested.score.gain,
         explained=min(tested.score.gain / excess, 1.0) if excess > 0 else 0.0,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from daq.errors import InputError
 from daq.output import atomic
 from daq.output.lengths import format_length
+from daq.runfile import store
 from daq.text import storable
 from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
@@ -54,21 +55,44 @@ def report_paths(runs: Sequence[Path], report: Path | None) -> list[Path]:
     return found
 
 
-def refuse_foreign_file(path: Path, digests: Sequence[str], *, force: bool = False) -> None:
+def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
     """Raise InputError when ``path`` cannot be written, or without ``force`` holds no report of just these runs.
 
-    A report of any release contains the sha256 of each raw record that it was made from.
+    A report of any release contains the sha256 of each raw record that it was made from.  The report that bears the
+    name of one run, of ``files``, may be that of an earlier run of this name: one that no run in the folder holds.
     """
     atomic.refuse_existing(path, force, own=MARK, kind="report", flag="--report")
     if not path.exists() or force:
         return
     text = path.read_text(encoding="utf-8", errors="replace")
-    if any(digest not in text for digest in digests) or set(NAMED.findall(text)) - set(digests):
-        do = "give another name (--report), or --force to replace it"
-        raise InputError("exists and is the report of another run", str(path), do)
+    named = set(NAMED.findall(text))
+    if all(digest in text for digest in digests) and named <= set(digests):
+        return
+    what, do = "exists and is the report of another run", "give another name (--report), or --force to replace it"
+    if len(files) == 1 and named and path.absolute() == default_path(files[0]).absolute():
+        kept = _holder(named, files[0])
+        if kept is None:
+            return
+        what += f", {kept.name}"
+    raise InputError(what, str(path), do)
 
 
-def write(page: str, path: Path, digests: Sequence[str], *, force: bool = False) -> None:
+def _holder(digests: set[str], file: Path) -> Path | None:
+    """Return the run beside ``file`` that holds one of these raw records, None where they are gone."""
+    for other in sorted(file.absolute().parent.glob("*.h5")):
+        if other.name == file.name:
+            continue
+        try:
+            with store.reading(other) as reader:
+                found = reader.load(slice(1)).digest
+        except (InputError, OSError):  # no run
+            continue
+        if found in digests:
+            return other
+    return None
+
+
+def write(page: str, path: Path, digests: Sequence[str], *, files: Sequence[Path] = (), force: bool = False) -> None:
     """Write a report that `render` made.
 
     Parameters
@@ -76,9 +100,12 @@ def write(page: str, path: Path, digests: Sequence[str], *, force: bool = False)
     page : str
         The HTML that `render` returned.
     path : Path
-        An older report of the same runs there is replaced, any other file only by ``force``.
+        An older report of the same runs there is replaced, and one of a run that is gone (`refuse_foreign_file`); any
+        other file only by ``force``.
     digests : sequence of str
         Of the raw data of each run.
+    files : sequence of Path
+        The runs.
     force : bool
 
     Raises
@@ -88,7 +115,7 @@ def write(page: str, path: Path, digests: Sequence[str], *, force: bool = False)
     RefusedError
         The disk refuses; an older report still stands.
     """
-    refuse_foreign_file(path, digests, force=force)
+    refuse_foreign_file(path, digests, files=files, force=force)
     with atomic.replacing(path, force=True) as temporary:
         temporary.write_text(storable(page), encoding="utf-8")
 

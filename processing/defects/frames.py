@@ -26,7 +26,7 @@ CLEAR = 5.0  # standard deviations of a step that the usual step must have to be
 NEAR = 0.35  # of the usual step: how near a multiple a step must lie
 SHARE = 1e-3  # of the steps compared, at least; and
 FEWEST = 5
-SUMS, OF_KERNEL = 15, 10
+SUMS, OF_KERNEL = 16, 11
 REPEATED = 2.0  # printed steps of noise, at least: at 1 the readings one to three steps apart mislead by 2 % of all
 # Readings one step apart over those two apart, at least: noise of 2 steps gives 1.2.  Where a few readings were
 # set half way between their neighbours, as spikes are, half of the printed step passes for it: odd steps are then rare.
@@ -35,6 +35,10 @@ LONGEST_REPEAT = 3  # equal steps in a row: longer is a sensor that held its val
 UNLIKELY = 5.0  # standard deviations of the number of equal readings; none of 48 clean cameras has as many
 SHORT = 32  # samples: half of the shortest piece looked at
 SKEW = 0.02  # share of frames below which noise could look like them; clean cameras of 0.2 mm reach 0.024
+# What a motion that bends within the steps looked at can make of the share at most, in relative bends (root mean
+# square) cubed.  Slips of 14 to 20 samples make 12 at most, lost frames themselves bend by half of the root of their
+# share: at twice, a share above 0.1 is not found.
+BENT = 14.0
 SIGNIFICANT = 4.0  # standard deviations of that share; 30 clean cameras of 0.2 mm reach 2.1
 
 
@@ -53,7 +57,7 @@ class FrameCount:
 
 
 def step_sums(series: Series, own: slice, noise: float) -> Array:
-    """Return the sums that `count_frames` needs, (15,), over the samples ``own`` of a record without spikes.
+    """Return the sums that `count_frames` needs, (16,), over the samples ``own`` of a record without spikes.
 
     They are 0 for a piece whose times are not even: there the times show where frames are missing.  ``noise`` is the
     standard deviation of one position, m.
@@ -95,6 +99,7 @@ def count_frames(sums: Array) -> FrameCount:
         mean, square = float(sums[8]) / number, float(sums[9]) / number
         share = (float(sums[5]) - 3 * square * float(sums[8]) + 2 * number * mean**3) / cubes
         error = math.sqrt(6 * number * square**3) / cubes
-        if share > max(SKEW, SIGNIFICANT * error):
+        bent = BENT * (max(float(sums[10]), 0.0) / cubes) ** 1.5
+        if share > max(SKEW, SIGNIFICANT * error, bent):
             return FrameCount(int(sums[7]), round(share * float(sums[7])), 0)
     return FrameCount(compared, lost if lost > few else 0, doubled if doubled > few else 0)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 from daq.errors import InputError
@@ -102,8 +103,10 @@ def compare(
         raise InputError("no event", "--until", "give a longer time")
     rows = []
     cycles = 0
+    if not expected:
+        described += doubted(lists, until)
     for method, setting, found, cpu_s in measured:
-        against = expected or _tightest(lists, method)
+        against = expected or tightest(lists, method, until)
         cycles = sum(kind[:2] == "S>" for _, kind in against)
         error, note = difference(found, against, until)
         rows.append(MethodResult(method, setting, error, cpu_s, 1e6 * cpu_s / cycles if cycles else None, note))
@@ -165,18 +168,63 @@ def _reference(scene: Scene, until: float) -> tuple[list[tuple[Any, str]], str]:
     return [(t, kind) for t, kind, _ in found], f"Taylor series in {reference.DIGITS}-digit arithmetic (mpmath)"
 
 
-def _tightest(lists: dict[tuple[str, str], EventList], method: str) -> list[tuple[Any, str]]:
-    """Return the list of the tightest method that is not ``method``."""
-    order = ("exact", "dop853", "lsoda", "radau", "rk4-henon")
-    for other in order:
-        mine = [found for (name, _), found in lists.items() if name == other != method]
-        if mine:
-            return list(zip(mine[-1].t, mine[-1].kinds, strict=True))
-    raise InputError("nothing to compare with", "--methods", "name two methods")
+Lists = dict[tuple[str, str], EventList]  # by method and setting
+BY_TIGHTNESS = ("exact", "dop853", "lsoda", "radau", "rk4-henon")
+
+
+def tightest(lists: Lists, method: str, until: float) -> list[tuple[Any, str]]:
+    """Return the list of the tightest method that is not ``method``, of those that most other lists agree with.
+
+    A list of other events than all the rest is no reference, however tight: a solver may find a landing twice.
+    """
+    others = [key for key in _by_tightness(lists) if key[0] != method]
+    if not others:
+        raise InputError("nothing to compare with", "--methods", "name two methods")
+    found = lists[max(others, key=lambda key: len(_agreeing(lists, key, until)))]  # of equals the first
+    return _events(found)
+
+
+def doubted(lists: Lists, until: float) -> str:
+    """Return in words which lists are no reference and why: fewer agree with them than with another one."""
+    agreeing = {key: len(_agreeing(lists, key, until)) for key in _by_tightness(lists)}
+    most = max(agreeing, key=lambda key: agreeing[key])
+    words = []
+    for (method, setting), number in agreeing.items():
+        note = difference(lists[method, setting], _events(lists[most]), until)[1]
+        if note and number < agreeing[most]:
+            why = f"{note}, which {number} of {len(lists) - 1} others have" + _at_once(lists[method, setting])
+            words.append(f"; {method} {setting} is no reference: {why}")
+    return "".join(words)
+
+
+def _at_once(found: EventList) -> str:
+    """Return in words the first two events of a list at one time, such as a landing found again at a break-away."""
+    for (t, kind), (later, other) in pairwise(_events(found)):
+        if t == later:
+            return f" ({kind} and {other} at the same time)"
+    return ""
+
+
+def _by_tightness(lists: Lists) -> list[tuple[str, str]]:
+    """Return methods and settings, the tightest first."""
+    return [key for name in BY_TIGHTNESS for key in reversed(lists) if key[0] == name]
+
+
+def _agreeing(lists: Lists, key: tuple[str, str], until: float) -> list[tuple[str, str]]:
+    """Return the other methods and settings whose lists hold the same events."""
+    expected = _events(lists[key])
+    return [one for one, found in lists.items() if one != key and difference(found, expected, until)[0] is not None]
+
+
+def _events(found: EventList) -> list[tuple[Any, str]]:
+    return list(zip(found.t, found.kinds, strict=True))
 
 
 def difference(found: EventList, expected: Sequence[tuple[Any, str]], until: float) -> tuple[float | None, str]:
-    """Return the largest difference of an event time; or None, and where the lists begin to differ."""
+    """Return the largest difference of an event time; or None, and where the lists begin to differ.
+
+    Lists of different lengths begin to differ where an event of one is farther from its like than from a neighbour.
+    """
     if found.outcome != "completed":
         return None, found.outcome
     kinds = [kind for _, kind in expected]
@@ -186,5 +234,13 @@ def difference(found: EventList, expected: Sequence[tuple[Any, str]], until: flo
             return None, f"other events from t = {float(expected[i][0]):.6g}"
     late = [float(t) for t, _ in expected[both:]] + list(found.t[both:])
     if late and min(late) < until * (1.0 - LAST):
-        return None, f"other events from t = {min(late):.6g}"
+        begins = min(late)
+        for i, t in enumerate(found.t[:both]):
+            near = min(
+                (abs(float(expected[j][0]) - t) for j in (i - 1, i + 1) if 0 <= j < len(kinds)), default=math.inf
+            )
+            if near < abs(float(expected[i][0]) - t):
+                begins = min(t, float(expected[i][0]))
+                break
+        return None, f"other events from t = {begins:.6g}"
     return max((abs(float(t - t_ref)) for t, (t_ref, _) in zip(found.t, expected, strict=False)), default=0.0), ""

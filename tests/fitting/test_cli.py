@@ -1,6 +1,7 @@
 """`fit-friction`: flags, JSON, exit codes, and what it leaves in the run file."""
 
 import csv
+import io
 import json
 import shutil
 import subprocess
@@ -64,6 +65,26 @@ def test_the_document_has_the_promised_keys(fitted):
 def test_the_last_line_is_the_verdict(fitted):
     _, answer = fitted
     assert answer.text[-1].startswith("verdict: law 5 ")
+
+
+@pytest.mark.parametrize("columns", [60, 80, 120])
+def test_names_and_numbers_of_parameters_stay_whole(fitted, columns):
+    """At 60 columns the names were "Fs…", "Fs…", "Fs…"."""
+    from rich.console import Console
+
+    _, answer = fitted
+    shown = next(part for part in answer.text if getattr(part, "title", "") == "law 5")
+    console = Console(width=columns, record=True, file=io.StringIO())
+    console.print(shown)
+    lines = console.export_text().splitlines()
+    assert max(map(len, lines)) <= columns
+    words = {word for line in lines for word in line.split()}
+    for name, item in answer.data["ranking"][0]["parameters"].items():
+        own = next(line for line in lines if line.split()[:1] == [name])
+        assert item["unit"] in own
+        number = own.split()[1]
+        assert float(number) == pytest.approx(item["value"], abs=10.0 ** -len(number.partition(".")[2].split("e")[0]))
+    assert not any(word.endswith("…") and word != "…" for word in words)
 
 
 def test_results_stand_beside_untouched_raw_data(fitted, run):

@@ -51,6 +51,8 @@ class Departure:
     name : str
     text : str
         What it says of the rig, to stand in a sentence after the best law's name.
+    text_of_positions : str
+        The same of a record that no encoder counted, where it then is another thing; else empty.
     parameter, unit : str
         Symbol and unit of its size: of the coefficient where there is one column, of the amplitude where there are two,
         a sine and a cosine.
@@ -80,7 +82,12 @@ class Departure:
     scale_unit: str = ""
     scales: Callable[[FittedMotion], Array] | None = None
     with_mass: tuple[str, str] | None = None
+    text_of_positions: str = ""
     drag: Callable[[Array, float], Array] | None = None
+
+    def says(self, *, counted: bool) -> str:
+        """Return what it says of the rig of a record that an encoder counted, or of another one."""
+        return self.text if counted or not self.text_of_positions else self.text_of_positions
 
     def drag_table(self, fastest: float) -> Drag:
         """Return the force of a unit by velocity, of motions about as fast as ``fastest``, m/s; empty without one."""

@@ -1,5 +1,7 @@
 """An eccentric encoder wheel: the reading errs by e sin(2 pi x/L + phase), once per revolution L of travel.
 
+A camera or a laser has no wheel: there an error that repeats along the travel is its lens or its scale.
+
 e in m.  The revolution is the record's own calibration (counts per revolution times metres per count) where it has one;
 else it is scanned.  Source: encoder makers' notes on eccentricity error; the first harmonic of the angle.
 """
@@ -29,6 +31,7 @@ def revolutions(trajectory: FittedMotion) -> Array:
 DEPARTURE = Departure(
     name="eccentricity",
     text="an eccentric encoder wheel",
+    text_of_positions="lens distortion or an uneven scale",
     parameter="e",
     unit="m",
     columns=2,

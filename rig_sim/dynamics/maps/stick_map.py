@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.compute.compile import pointer
-from rig_sim.dynamics.step_budget import StepBudget
+from rig_sim.dynamics.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
 from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
@@ -34,8 +34,9 @@ from rig_sim.integrate.two_mass import (
 )
 
 # Steps allowed for one event: so many, and so many more for each unit of the fastest frequency, sqrt(1 + 2 a), up to a
-# limit.  The thesis's events take 20 to 60 steps, 0.3 us each; a motion that has not stuck after these does not count
-# as one that sticks.  Twice as many double the time that a sweep spends on motions that never stick.
+# limit, above which no event could be followed: such a coupling (a above 1.9e6) is refused.  The thesis's events take
+# 20 to 60 steps, 0.3 us each; a motion that has not stuck after these does not count as one that sticks.  Twice as many
+# double the time that a sweep spends on motions that never stick.
 STEPS_OF_EVENT, STEPS_PER_FREQUENCY, MOST_STEPS = 2_000, 100.0, 200_000
 # Steps of all events together, 25 s.  A basin of the thesis takes 10^6; a coupling of 10^6 takes 50 000 for an
 # event, and without a limit its basins would take days.
@@ -174,6 +175,8 @@ class StickMap:
     ------
     ValueError
         The masses are not physical or not modelled; the belt is at rest.
+    StepLimitError
+        The coupling is so stiff that one event takes more steps than are allowed.
     """
 
     def __init__(
@@ -182,6 +185,13 @@ class StickMap:
         validate_two_masses(flow)
         if flow.mass.v_belt == 0.0:
             raise ValueError("the belt is at rest: no stick ends; need a belt speed")
+        self._steps_of_event = STEPS_OF_EVENT + STEPS_PER_FREQUENCY * math.sqrt(1.0 + 2.0 * flow.a)
+        if self._steps_of_event > MOST_STEPS:
+            most = ((MOST_STEPS - STEPS_OF_EVENT) / STEPS_PER_FREQUENCY) ** 2 / 2.0
+            what = (
+                f"step limit: with a coupling of {flow.a:.4g} one event takes more than {MOST_STEPS} integrator steps"
+            )
+            raise StepLimitError(what, "map of two masses", f"take a coupling.a of {most:.2g} or less")
         self.flow = flow
         self.hi = largest_stretch(flow)
         self.lo = -self.hi
@@ -223,8 +233,7 @@ class StickMap:
     ) -> tuple[Array, Array, Array, str]:
         """Return f, durations, outcomes and the last word."""
         fr, (degree, tolerance) = self._frame, self._precision
-        allowed = min(STEPS_OF_EVENT + int(STEPS_PER_FREQUENCY * math.sqrt(1.0 + 2.0 * self.flow.a)), MOST_STEPS)
-        work = new_pair(allowed if compiled else INTERPRETED_STEPS, compiled=compiled)
+        work = new_pair(int(self._steps_of_event) if compiled else INTERPRETED_STEPS, compiled=compiled)
         work[STEPS_LEFT] = self._budget.left
         starts = np.where(np.abs(starts) <= self.hi, fr.mirror * starts, np.nan)
         word = np.zeros(WORD)

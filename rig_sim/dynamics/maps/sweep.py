@@ -168,8 +168,8 @@ def attractors_at(flow_at: Callable[[float], TwoMassFlow], section: str, value: 
         Of the parameter.
     """
     flow = flow_at(value)
-    f = StickMap(flow, budget=StepBudget(STEPS_OF_VALUE))
     try:
+        f = StickMap(flow, budget=StepBudget(STEPS_OF_VALUE))
         found = basins(f, CELLS)
     except StepLimitError:
         return [AttractorAt(value, 0, (), None, math.nan, (math.nan, math.nan), outcome=OUTCOMES[STEP_LIMIT].name)]

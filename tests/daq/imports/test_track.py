@@ -244,9 +244,11 @@ def test_bad_tables_are_refused_by_line(csv: Path, text: str, changes: Any, word
 @pytest.mark.parametrize("belt", [0.22, -0.22])
 def test_the_half_period_of_the_slip_is_found_in_either_direction(belt: float) -> None:
     time, x = sawtooth(400, belt=belt)
-    measured, slips = frame_rate.half_period(time, x)
-    assert measured == pytest.approx(math.pi * math.sqrt(MASS / STIFFNESS), abs=1 / 400)
-    assert slips == 7
+    swing = frame_rate.half_period(time, x)
+    assert swing.duration == pytest.approx(math.pi * math.sqrt(MASS / STIFFNESS), abs=1 / 400)
+    assert swing.number == 7
+    assert swing.shortest <= math.pi * math.sqrt(MASS / STIFFNESS) <= swing.longest
+    assert swing.longest - swing.shortest == pytest.approx(4 / 400)
 
 
 def test_a_right_frame_rate_is_accepted(csv: Path) -> None:
@@ -261,6 +263,26 @@ def test_a_wrong_frame_rate_is_noticed_and_the_right_one_named(csv: Path) -> Non
     assert "frame rate must be wrong" in found.warnings[0]
     fitting = float(found.warnings[0].split(" would match")[0].split()[-1])
     assert fitting == pytest.approx(400, rel=0.01)
+
+
+@pytest.mark.parametrize("slower", [1 / 128, 1.0, 64.0])
+@pytest.mark.parametrize("samples", [1.3, 2.2, 2.9, 4.0, 5.1, 7.0])
+def test_few_samples_a_slip_are_no_wrong_frame_rate(csv: Path, samples: float, slower: float) -> None:
+    """A slip lasts a whole number of samples: at 4 a slip "the frame rate must be wrong" was said of a right one."""
+    slip = math.pi * math.sqrt(MASS / STIFFNESS)
+    time, x = sawtooth(samples / slip, until=60.0)
+    make(csv, "t [s],x [m]\n", zip(time * slower, x, strict=True))
+    found = track.read(csv, options(stiffness=Measured(STIFFNESS / slower**2)))
+    assert found.warnings == ()
+
+
+@pytest.mark.parametrize("factor", [0.125, 4.0])
+@pytest.mark.parametrize("samples", [5.1, 7.0, 20.0])
+def test_a_wrong_frame_rate_is_noticed_at_few_samples_a_slip(csv: Path, samples: float, factor: float) -> None:
+    slip = math.pi * math.sqrt(MASS / STIFFNESS)
+    time, x = sawtooth(samples / slip, until=60.0)
+    make(csv, "t [s],x [m]\n", zip(time * factor, x, strict=True))
+    assert "frame rate must be wrong" in track.read(csv, options()).warnings[0]
 
 
 def test_a_given_frame_rate_corrects_the_times_and_says_so(csv: Path) -> None:

@@ -5,11 +5,13 @@ The contacts are made by a generator that shares nothing with rig_sim (tests/fit
 
 import math
 import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from fitting.data import frame
 from fitting.departures import strongest as strongest_module
 from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.departures.scan import best_scale, gains
@@ -18,6 +20,7 @@ from fitting.departures.strongest import describe, misfit_beyond_noise, stronges
 from fitting.departures.table import departures
 from fitting.model.parameters import Global
 from fitting.sensitivity.path import follow
+from processing.smoothing import smooth
 
 K = 10.5552
 OMEGA = 5 * math.sqrt(35.184)
@@ -151,3 +154,21 @@ def test_two_columns_that_do_the_same_end_in_no_error(base_of):
     column = np.sin(np.arange(base.linear.residual.size) * 0.01)[:, np.newaxis]
     found = score(base.linear, np.hstack([column, column]), [2])[0]
     assert found is None or np.isfinite(found.gain)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "counted", "words"),
+    [("encoder", True, "an eccentric encoder wheel"), ("camera", False, "lens distortion or an uneven scale")],
+)
+def test_an_error_of_the_reading_is_named_by_what_read_it(synthetic, sensor, counted, words):
+    """Camera tracks with lens distortion were reported with "an eccentric encoder wheel"; the name of the row stays."""
+    recording = synthetic.recording(law=5, duration=6.0)
+    if sensor == "encoder":
+        count = np.rint(recording.position / recording.rig.metres_per_count.value).astype(np.int64)
+        recording = replace(recording, count=count)
+    record = frame.from_kinematics(smooth(recording), recording.rig, None)
+    assert record.counted == counted
+    eccentricity = next(departure for departure in departures() if departure.name == "eccentricity")
+    score = SimpleNamespace(coefficients=np.array([3e-4, 4e-4]), covariance=np.eye(2) * 1e-12, gain=1.0)
+    found = describe(strongest_module.Tested(eccentricity, 0.1, score, 9.0), record, 2.0)
+    assert (found.name, found.text, found.value) == ("eccentricity", words, pytest.approx(5e-4))

@@ -5,6 +5,7 @@ import re
 import pytest
 
 from daq.errors import InputError
+from daq.runfile import store
 from fitting.estimation.result import Parameter
 from fitting.report import page as report
 from processing.smoothing import smooth
@@ -51,6 +52,20 @@ def test_a_report_is_replaced_by_one_of_the_same_run_alone(tmp_path, page):
     with pytest.raises(InputError, match="another run"):
         report.refuse_foreign_file(path, [digest[::-1]])
     report.refuse_foreign_file(path, [digest[::-1]], force=True)
+
+
+def test_the_report_of_a_run_that_is_gone_is_replaced(tmp_path, page, synthetic):
+    """After `daq import new.csv -o run.h5 --force` the fit was refused: the report was "of another run", now gone."""
+    run, moved, path = tmp_path / "run.h5", tmp_path / "moved.h5", tmp_path / "run.report.html"
+    store.write(run, synthetic.recording(law=5, duration=2.0, seed=1))
+    old, new = store.load(run).digest, 8 * "0123abcd"
+    path.write_text(page.replace("</footer>", f"; sha256 of the raw record {old}</footer>"))
+    report.refuse_foreign_file(path, [new], files=[run])
+    with pytest.raises(InputError, match="another run"):
+        report.refuse_foreign_file(path, [new], files=[tmp_path / "else.h5"])
+    run.rename(moved)
+    with pytest.raises(InputError, match=r"another run, moved\.h5"):
+        report.refuse_foreign_file(path, [new], files=[run])
 
 
 def test_a_joint_report_is_that_of_just_its_runs(tmp_path, page):

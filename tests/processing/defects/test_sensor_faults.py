@@ -182,3 +182,37 @@ def test_doubled_frames_are_reported(seen, imported, sensor):
     made = smooth(imported(np.arange(twice.size) / 400.0, twice, 400.0))
     assert [finding.code for finding in made.findings] == ["doubled-frames"]
     assert made.findings[0].value == pytest.approx(0.05, rel=0.3)
+
+
+def few_a_slip(samples, noise, slower, keep=1.0):
+    """Slips of so many samples at 0.22 m/s of belt, each a half cosine whose speed runs on into the stick's."""
+    rng = np.random.default_rng(5)
+    number = round(60 * 3 * samples)
+    phase = np.arange(number) / samples % 3.0
+    reach, slip = 1.0, np.pi
+    stretch = np.where(phase < 2, phase - 1, reach * np.cos(slip * (phase - 2)))
+    kept = rng.random(number) < keep
+    position = 0.02 * (stretch + noise * rng.standard_normal(number))[kept]
+    return slower * np.arange(position.size), position
+
+
+@pytest.mark.parametrize("slower", [1e-3, 1e2])
+@pytest.mark.parametrize("noise", [1e-4, 3e-3, 1e-2])
+@pytest.mark.parametrize("samples", [1.7, 4.3, 8.1, 12.2, 14.3, 16.1, 18.4, 20.3, 45.2])
+def test_few_samples_a_slip_are_no_lost_frames(imported, samples, noise, slower):
+    """In a slip of 12 samples the fastest step is twice the mean of those beside it: half of the frames were "lost"."""
+    time, position = few_a_slip(samples, noise, slower)
+    data = series.from_recording(imported(time, position, 1 / slower))
+    sound = without_faults(data)
+    frames = count_frames(step_sums(sound.bridged, slice(0, time.size), sound.noise))
+    assert (frames.lost, frames.doubled) == (0, 0)
+
+
+@pytest.mark.parametrize("slower", [1e-3, 1e2])
+@pytest.mark.parametrize("samples", [12.2, 16.1, 20.3, 45.2])
+def test_frames_lost_at_few_samples_a_slip_are_found_all_the_same(imported, samples, slower):
+    time, position = few_a_slip(samples, 1e-4, slower, keep=0.95)
+    data = series.from_recording(imported(time, position, 1 / slower))
+    sound = without_faults(data)
+    frames = count_frames(step_sums(sound.bridged, slice(0, time.size), sound.noise))
+    assert frames.share == pytest.approx(0.05, rel=0.4)

@@ -12,13 +12,13 @@ from daq.console import application
 from daq.errors import InputError
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
-from rig_sim.comparison.error_vs_time import compare, difference
+from rig_sim.comparison.error_vs_time import compare, difference, doubted, tightest
 from rig_sim.comparison.reference import Uncovered, events
 from rig_sim.comparison.solve_ivp import SOLVERS, by_solver
 from rig_sim.comparison.stepping import sample_phase
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.events import list_events
+from rig_sim.integrate.events import EventList, list_events
 from rig_sim.motion.play import play_events
 from rig_sim.scenes.scene import scene
 
@@ -170,3 +170,37 @@ def test_a_scene_that_changes_between_events_is_played_by_every_method(name, cha
     assert rows["exact", "interpreted"].error < 1e-9
     assert rows["rk4-henon", "h 0.003"].error < 1e-7
     assert rows["dop853", "rtol 2.3e-14"].error < 1e-9
+
+
+def listed(*events):
+    return EventList(
+        tuple(t for t, _ in events), (0.0,) * len(events), tuple(kind for _, kind in events), "completed", "", 0
+    )
+
+
+def test_a_landing_found_twice_is_doubted_in_the_list_that_holds_it():
+    """DOP853 at 2.3e-14 landed at the time of a break-away, and the exact method was said to find "other events"."""
+    events = ((1.0, "S>N"), (2.0, "N>S"), (4.0, "S>N"), (5.0, "N>S"))
+    twice = listed(*events[:3], (4.0, "N>S"), (4.001, "S>N"), (5.001, "N>S"))
+    right = {("exact", "interpreted"): listed(*events), ("dop853", "rtol 1e-12"): listed(*events)}
+    lists = right | {("dop853", "rtol 2.3e-14"): twice, ("radau", "rtol 1e-09"): listed(*events)}
+    for method in ("exact", "dop853", "radau"):
+        assert tightest(lists, method, 9.0) == list(events)
+    assert doubted(lists, 9.0) == (
+        "; dop853 rtol 2.3e-14 is no reference: other events from t = 4, which 0 of 3 others have "
+        "(S>N and N>S at the same time)"
+    )
+    assert doubted(right, 9.0) == ""
+
+
+def test_lists_of_other_lengths_part_at_the_first_event_that_is_not_in_both():
+    """An event found twice at t = 4 was reported at the end of the shorter list."""
+    events = [(float(t), "SN"[t % 2] + ">" + "NS"[t % 2]) for t in range(1, 20)]
+    found = listed(*events[:4], (4.0, "N>S"), (4.0, "S>N"), *events[4:])
+    assert difference(found, events, 30.0) == (None, "other events from t = 4")
+
+
+def test_the_exact_method_has_an_error_where_a_rival_finds_other_events():
+    found = compare(scene("rig"), 20.0, methods=("exact", "dop853"))
+    exact = next(row for row in found.rows if row.method == "exact")
+    assert exact.error < 1e-9

@@ -180,6 +180,24 @@ def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
     assert [(row["attractor"], row["points"], row["outcome"]) for row in swept] == [(0, [], "step limit")] * 2
 
 
+@pytest.mark.parametrize("command", [["sweep", "two-mass", "--over", "belt.speed=0.1:0.2:41"], ["basins", "two-mass"]])
+def test_a_coupling_too_stiff_for_one_event_is_refused_at_once(capsys, monkeypatch, command):
+    """At coupling.a = 1e9 each of 41 values took its 2e7 steps, 10 s, to say "step limit"."""
+    monkeypatch.setattr(stick_map, "events_from", lambda *_: pytest.fail("an event was followed"))
+    monkeypatch.setattr(stick_map, "compiled_events", lambda: pytest.fail("an event was followed"))
+    assert application.run(cli.app, [*command, "--set", "coupling.a=1e9", "--json"]) == 2
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error["what"].startswith("step limit: with a coupling of 1e+09 one event takes more than 200000")
+    assert error["where"] == "map of two masses"
+    assert error["do"] == "take a coupling.a of 2e+06 or less"
+
+
+def test_a_slow_drive_until_the_end_of_time_ends_at_the_step_limit(capsys):
+    """No overflow either: warnings are errors here."""
+    found = answer(capsys, "events", "forced", "--until", "1e300", "--set", "drive.omega=1e-9", "--max-steps", "2000")
+    assert (found["outcome"], found["steps"]) == ("step limit", 2000)
+
+
 def test_the_values_of_a_continuation_share_its_steps(capsys, monkeypatch):
     """Each value, and each step towards a special point, used to have 10^8 steps of its own: hours for stiff pairs."""
     monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 400_000)  # one value takes 200 000
