@@ -6,7 +6,7 @@ and returns how many there are.
 
 from daq.compute.arrays import Array, Integers
 
-BEYOND = 4  # readings that `find_outliers` looks at on either side of one
+REACH = 4  # readings that `find_outliers` looks at on either side of one
 # Times the third difference of readings on a parabola: how far the next one may lie off it.  Chosen: towards a landing
 # the third difference of a sine falls, so 1 would do in the limit of many samples; with 0.75 landings of slips of 10
 # samples are called faults seven times as often, and with 2 each of two equal faults side by side excuses the other.
@@ -48,16 +48,16 @@ def find_outliers(x: Array, limit: float, share: float, found: Integers, size: A
 
     Parameters
     ----------
-    x : array of shape (n + 2 BEYOND,)
-        Positions, m, with `BEYOND` more on either side.
+    x : array of shape (n + 2 REACH,)
+        Positions, m, with `REACH` more on either side.
     limit, share : float
         As above.
     found, size : array of shape (k,)
         Get the samples, 0 to n - 1, and by how much they are out of line, m.
     """
     count = 0
-    n = x.size - 2 * BEYOND
-    for i in range(BEYOND, n + BEYOND):
+    n = x.size - 2 * REACH
+    for i in range(REACH, n + REACH):
         here = x[i]
         # These first: they cost least, and reject nearly every reading.  Of two opposite spikes with a sound reading
         # between them each lies on the line through the other: a side agrees if the line past its second reading does.
@@ -77,14 +77,14 @@ def find_outliers(x: Array, limit: float, share: float, found: Integers, size: A
         if more > limit and (on_parabola(x, i, -1, limit) or on_parabola(x, i, 1, limit)):
             continue
         quiet = total = 0
-        for j in range(max(i - NEAR, BEYOND - 1), min(i + NEAR, n + BEYOND) + 1):
+        for j in range(max(i - NEAR, REACH - 1), min(i + NEAR, n + REACH) + 1):
             near = abs(x[j] - median_of_five(x[j - 2], x[j - 1], x[j], x[j + 1], x[j + 2]))
             quiet += near < share * off
             total += 1
         if 2 * quiet <= total:
             continue
         if count < found.size:
-            found[count], size[count] = i - BEYOND, off
+            found[count], size[count] = i - REACH, off
         count += 1
     return count
 

@@ -163,7 +163,7 @@ def _outliers(x: Array, limit: float) -> Integers:
 def _beyond(x: Array) -> Array:
     """Return the values before the first, nearest first, on a line through medians of those behind it."""
     near, far = float(np.median(x[1:4])), float(np.median(x[3:6]))
-    return np.asarray(near - (far - near) / 2 * (3.0 + np.arange(fault_kernel.BEYOND)))
+    return np.asarray(near - (far - near) / 2 * (3.0 + np.arange(fault_kernel.REACH)))
 
 
 def _outlying(padded: Array, limit: float) -> tuple[Integers, Array]:
