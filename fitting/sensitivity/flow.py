@@ -42,14 +42,18 @@ from rig_sim.flow.modes import NEGATIVE, POSITIVE, RAMP, STICK
 # Longest step times the fastest rate: at 100 Hz positions of the rig scene's slips err by 2e-8 m, doubled by 1e-7 m,
 # against microns of noise.  At 1 kHz one step a sample is shorter than that anyhow, but on steep ramps.
 LONGEST_STEP = 0.1
-SEARCH_STEP = 0.4  # the same while searching: positions err by 0.1 um, which the last steps mend
+SEARCH_STEP = 0.4  # the same while searching: positions err by 0.5 um, which the last steps mend
 # Of the spring's stretch under F.  At 1e-5 a ramp's creep would miss a micron of its transient; at 1e-9 a steep ramp
 # takes ten times as many steps.
 NO_TRANSIENT = 1e-7
-LEFT_OUT = 0.1  # of it, by the second order of the inertia in a creep
+# Longest time constant of a ramp that creeps once its transient has died out, over the longest step of the oscillation.
+# At twice that, tangents of a search err by 3e-3; at half, ramps of 12 mm/s take 9 steps a sample of 125 Hz, not 1.4.
+STEEP = 0.1
 SETTLED = 18.0  # time constants of a ramp after which its transient has died out: exp(-18) is 1.5e-8
 # Of the time to rest: at a half a sharp guide's force is followed to 1e-3 of its change in one step.
 PART_OF_TURN = 0.5
+# Of the time in which a creep changes: its rate errs by so much of itself, and by rounding, 1e-12 m/s over d.
+DIFFERENCE = 1e-4
 MOST_EVENTS = 200  # changes of mode in one window; more is a motion that stays on an edge
 MOST_BISECTIONS = 60
 
@@ -103,25 +107,37 @@ def next_mode(w: Window, mode: int, t: float, x: float, v: float) -> int:
     if mode == RAMP or mode == CREEP:
         return NEGATIVE if belt_speed(w, t) > v else POSITIVE
     if edge > 0.0:
-        return ramp_mode(w, t)
+        return ramp_mode(w, False, t, x)
     most = level_at(w, t) * w.contact.F * w.contact.at_rest
     if mode == NEGATIVE:
         return POSITIVE if pull < -most else STICK
     return NEGATIVE if pull > most else STICK
 
 
-def ramp_mode(w: Window, t: float) -> int:
-    """Return RAMP, or CREEP where its transient would not show."""
+def ramp_mode(w: Window, held: bool, t: float, x: float) -> int:
+    """Return the mode in which a ramp is entered: CREEP where its transient would not show, else RAMP.
+
+    Where the forces balance beyond the ramp, its transient is what carries the mass through it, and it does not creep.
+    """
     edge = edge_speed(w.contact)
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
     stretch = w.contact.F * w.contact.at_rest / w.u[K]
-    return CREEP if edge < w.no_transient * rise * stretch else RAMP
+    return CREEP if edge < NO_TRANSIENT * rise * stretch and balances(w, held, t, x) else RAMP
 
 
-def settled(w: Window, t: float, since: float) -> bool:
-    """Return whether a ramp entered at time ``since`` can creep: what is left out is of second order in K/rise^2."""
+def balances(w: Window, held: bool, t: float, x: float) -> bool:
+    """Return whether the forces balance within the ramp, which goes on beyond its edge where the contact is held."""
+    return held or abs(belt_speed(w, t) - bound_velocity(w, CREEP, t, x)) < edge_speed(w.contact)
+
+
+def settled(w: Window, held: bool, t: float, x: float, since: float, longest: float) -> bool:
+    """Return whether a ramp entered at time ``since`` can creep where steps are ``longest`` times the fastest rate.
+
+    What is left out then is of second order in K/rise^2, and so of the order of what a step leaves out.
+    """
     _, rise, _ = friction(w.contact, RAMP, 0.0, level_at(w, t))
-    return (w.u[K] / rise**2) ** 2 < LEFT_OUT * w.no_transient and (t - since) * rise > SETTLED
+    steep = math.sqrt(w.u[K]) < STEEP * longest * rise
+    return steep and (t - since) * rise > SETTLED and balances(w, held, t, x)
 
 
 def turning_step(w: Window, mode: int, t: float, x: float, v: float) -> float:
@@ -147,7 +163,7 @@ def store_point(w: Window, mode: int, t: float, x: float, v: float, points: Arra
     belt, level = belt_speed(w, t), level_at(w, t)
     force, slope, s = 0.0, 0.0, 0.0
     if mode == STICK:
-        force = load(w, t, x) + belt_acceleration(w, t, 1e-6)
+        force = load(w, t, x)
     else:
         force, slope, s = friction(w.contact, RAMP if mode == CREEP else mode, belt - v, level)
     points[TIME, i], points[POSITION, i], points[VELOCITY, i] = t, x, v
@@ -201,10 +217,10 @@ def follow_window(
     e, edge = belt_speed(w, t) - v, edge_speed(w.contact)
     held, landed = stick, stick
     if stick:
-        mode = STICK if edge == 0.0 else ramp_mode(w, t)
+        mode = STICK if edge == 0.0 else ramp_mode(w, held, t, x)
         v = belt_speed(w, t) if edge == 0.0 else min(max(v, belt_speed(w, t) - 10 * edge), belt_speed(w, t) + 10 * edge)
     elif edge > 0.0 and abs(e) <= edge:
-        mode = ramp_mode(w, t)
+        mode = ramp_mode(w, held, t, x)
     else:
         mode = NEGATIVE if e >= 0.0 else POSITIVE
     if mode == CREEP:
@@ -213,7 +229,7 @@ def follow_window(
     while True:
         if m + 3 > points.shape[1] or s >= steps.shape[0]:
             return -1, 0
-        if mode == RAMP and not entered and settled(w, t, since):
+        if mode == RAMP and not entered and settled(w, held, t, x, since, longest):
             mode = CREEP
             v = bound_velocity(w, mode, t, x)
             m += 1
@@ -259,35 +275,38 @@ def follow_window(
             if events > MOST_EVENTS:
                 return 0, -1
             before = mode
-            slope_before = rates_at(w, before, t, x, v)
+            rates_before = rates_at(w, before, t, x, v)
             if landed and before == POSITIVE:
                 held = True
-                mode = STICK if edge == 0.0 else ramp_mode(w, t)
+                mode = STICK if edge == 0.0 else ramp_mode(w, held, t, x)
             elif not landed and before == NEGATIVE and t >= earliest:
-                landed = True
-                w = Window(w.u, w.contact, next_level, w.epoch, w.low, w.high, w.extra, w.no_transient)
+                landed, held = True, not overtakes
+                w = Window(w.u, w.contact, next_level, w.epoch, w.low, w.high, w.extra)
                 if edge == 0.0:
                     mode = POSITIVE if overtakes else STICK
                 else:
-                    mode = ramp_mode(w, t)
-                held = mode == STICK or (edge > 0.0 and not overtakes)
+                    mode = ramp_mode(w, held, t, x)
             else:
                 mode = next_mode(w, before, t, x, v)
             if mode == STICK or mode == CREEP:
                 v = bound_velocity(w, mode, t, x)
-            if before != STICK:
-                crossing(w, before, slope_before, mode, t, x, v, jumps[s - 1])
+            # Off a ramp that ends at the level of slip, position, velocity and force go on, and so does a tangent.
+            if before != STICK and not (w.contact.static == 1.0 and (before == RAMP or before == CREEP)):
+                crossing(w, before, rates_before, mode, t, x, v, jumps[s - 1])
             m += 1
             entered, since = True, t
 
 
 def rates_at(w: Window, mode: int, t: float, x: float, v: float) -> tuple[float, float]:
-    """Return (x', x'') of a state in its mode, m/s and m/s^2."""
-    if mode == STICK or mode == CREEP:
-        h = 1e-7
-        x1 = x + h * bound_velocity(w, mode, t, x)
-        return v, (bound_velocity(w, mode, t + h, x1) - bound_velocity(w, mode, t, x)) / h
-    return v, acceleration(w, mode, t, x, v)
+    """Return x' (m/s) and belt' - x'' (m/s^2) of a state in its mode."""
+    if mode == STICK:
+        return v, 0.0
+    if mode == CREEP:
+        # Of the difference of both velocities: on a steep ramp the difference of both accelerations is rounding.
+        h = DIFFERENCE / fastest_rate(w, mode, t, v)
+        later = belt_speed(w, t + h) - bound_velocity(w, mode, t + h, x + h * v)
+        return v, (later - (belt_speed(w, t) - bound_velocity(w, mode, t, x))) / h
+    return v, belt_acceleration(w, t) - acceleration(w, mode, t, x, v)
 
 
 def crossing(
@@ -299,10 +318,10 @@ def crossing(
     d x += out[0] (d belt - d x' - out[2] d edge), d x' += out[1] (the same).
     """
     new = rates_at(w, mode, t, x, v)
-    approach = old[1] - belt_acceleration(w, t, 1e-6)
+    approach = -old[1]
     if approach == 0.0:
         return
-    out[0], out[1] = (old[0] - new[0]) / approach, (old[1] - new[1]) / approach
+    out[0], out[1] = (old[0] - new[0]) / approach, (new[1] - old[1]) / approach
     out[2] = -1.0 if before == POSITIVE or (before != NEGATIVE and belt_speed(w, t) < v) else 1.0
 
 
@@ -334,7 +353,6 @@ def follow_windows(
     filled with where each window's begin.
     """
     m, s = 0, 0
-    no_transient = NO_TRANSIENT * (longest / LONGEST_STEP) ** 4  # as the error of the steps
     for row in range(table.shape[0]):
         own, part = u[table[row, 5]], local[table[row, 0]]
         first, n = table[row, 2], table[row, 3]
@@ -348,7 +366,7 @@ def follow_windows(
         low, high = 0, 0
         if extra.time.size > 0:
             low, high = extra.first[row], extra.first[row + 1]
-        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, extra, no_transient)
+        w = Window(own, c, math.exp(part[OWN]), epoch[row], low, high, extra)
         x, v = (part[X_STICK], part[V_STICK]) if stick else (part[X_SLIP], part[V_SLIP])
         first_point[row], first_step[row] = m, s
         m, s = follow_window(

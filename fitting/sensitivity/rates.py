@@ -52,10 +52,7 @@ class Extra(NamedTuple):
 
 
 class Window(NamedTuple):
-    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra.
-
-    A transient on a ramp that moves the mass by less than ``no_transient`` of the spring's stretch is left out.
-    """
+    """The numbers of one window: its run's unknowns (13,), friction, level now, when that holds, and what is extra."""
 
     u: Array
     contact: Contact
@@ -64,13 +61,10 @@ class Window(NamedTuple):
     low: int
     high: int
     extra: Extra
-    no_transient: float
 
 
-def between(times: Array, values: Array, low: int, high: int, t: float) -> float:
-    """Return values (M,) at time t by linear interpolation within [low, high); 0 where there are none."""
-    if values.size == 0:
-        return 0.0
+def piece(times: Array, low: int, high: int, t: float) -> int:
+    """Return the last of times (M,) within [low, high - 1) that is not after t, or ``low``."""
     last = high - 1
     while last - low > 1:
         middle = (low + last) // 2
@@ -78,10 +72,27 @@ def between(times: Array, values: Array, low: int, high: int, t: float) -> float
             last = middle
         else:
             low = middle
-    gap = times[last] - times[low]
-    part = (t - times[low]) / gap if gap > 0.0 else 0.0
+    return low
+
+
+def between(times: Array, values: Array, low: int, high: int, t: float) -> float:
+    """Return values (M,) at time t by linear interpolation within [low, high); 0 where there are none."""
+    if values.size == 0:
+        return 0.0
+    i = piece(times, low, high, t)
+    j = min(i + 1, high - 1)
+    gap = times[j] - times[i]
+    part = (t - times[i]) / gap if gap > 0.0 else 0.0
     part = min(max(part, 0.0), 1.0)
-    return float(values[low] + part * (values[last] - values[low]))
+    return float(values[i] + part * (values[j] - values[i]))
+
+
+def slope_between(times: Array, values: Array, low: int, high: int, t: float) -> float:
+    """Return the slope of values (M,) just after time t, interpolated as by `between`."""
+    if values.size == 0 or not times[low] <= t < times[high - 1]:
+        return 0.0
+    i = piece(times, low, high, t)
+    return float((values[i + 1] - values[i]) / (times[i + 1] - times[i]))
 
 
 def belt_speed(w: Window, t: float) -> float:
@@ -93,11 +104,13 @@ def belt_speed(w: Window, t: float) -> float:
     return float(steady + u[COSINE] * math.cos(omega * t) + u[SINE] * math.sin(omega * t))
 
 
-def belt_acceleration(w: Window, t: float, h: float) -> float:
-    """Return the belt's acceleration within the step from t to t + h, m/s^2."""
-    if w.u[OMEGA] == 0.0 and w.extra.belt.size == 0:
+def belt_acceleration(w: Window, t: float) -> float:
+    """Return the acceleration of the unloaded belt just after time t, m/s^2."""
+    u, omega = w.u, w.u[OMEGA]
+    if omega == 0.0 and w.extra.belt.size == 0:
         return 0.0
-    return (belt_speed(w, t + h) - belt_speed(w, t)) / h if h > 0.0 else 0.0
+    drift = slope_between(w.extra.time, w.extra.belt, w.low, w.high, t)
+    return float(drift + omega * (u[SINE] * math.cos(omega * t) - u[COSINE] * math.sin(omega * t)))
 
 
 def level_at(w: Window, t: float) -> float:
@@ -150,10 +163,10 @@ def bound_velocity(w: Window, mode: int, t: float, x: float) -> float:
     belt = belt_speed(w, t)
     dragged, bend = drag(w, belt)  # the mass is nearly as fast as the belt
     rate = rise + w.u[DAMPING] - bend
-    balanced = (rise * belt + free_force(w, t, x) + dragged - bend * belt) / rate
-    late = (rise * belt_acceleration(w, t, 1e-6) - w.u[K] * balanced) / rate**2
+    slower = (w.u[DAMPING] * belt - dragged - free_force(w, t, x)) / rate  # than the belt; small on a steep ramp
+    late = (rise * belt_acceleration(w, t) - w.u[K] * (belt - slower)) / rate**2
     steady = w.u[V_DR] + between(w.extra.time, w.extra.belt, w.low, w.high, t)
-    return float(balanced - late - w.u[OMEGA] ** 2 * (belt - steady) / rate**2)
+    return float(belt - (slower + late + w.u[OMEGA] ** 2 * (belt - steady) / rate**2))
 
 
 def advance(w: Window, mode: int, t: float, x: float, v: float, h: float) -> tuple[float, float]:
@@ -177,5 +190,6 @@ def advance(w: Window, mode: int, t: float, x: float, v: float, h: float) -> tup
 
 
 def load(w: Window, t: float, x: float) -> float:
-    """Return the force that friction must bear in stick, m/s^2."""
-    return float(resistance(w, belt_speed(w, t)) - free_force(w, t, x))
+    """Return the force that friction must bear where the mass moves with the belt, its inertia included, m/s^2."""
+    belt = belt_speed(w, t)
+    return float(belt_acceleration(w, t) + resistance(w, belt) - free_force(w, t, x))

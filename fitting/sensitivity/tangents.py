@@ -130,10 +130,10 @@ def integrate(
                         gm[j] += slope[a + 1] * belt[a + 1, j]
                         g1[j] += slope[a + 2] * belt[a + 2, j]
                 if mode[a] == CREEP:
-                    # dx'' is the rate of (a - K dx)/e, with a and e as in the equation above
+                    # dx'' is the rate of (a - K dx)/e, with a and e as in the equation above; that of a by a parabola
                     for j in range(k if h > 0.0 else 0):
-                        rate = (g1[j] - g0[j]) / (h * em)
-                        g0[j], gm[j], g1[j] = g0[j] - rate, gm[j] - rate, g1[j] - rate
+                        rate, bend = (g1[j] - g0[j]) / (h * em), 2.0 * (g1[j] - 2.0 * gm[j] + g0[j]) / (h * em)
+                        g0[j], gm[j], g1[j] = g0[j] - rate + bend, gm[j] - rate, g1[j] - rate - bend
                     e0, em, e1 = e0 / (1.0 + K / e0**2), em / (1.0 + K / em**2), e1 / (1.0 + K / e1**2)
                     for j in range(k):
                         k1 = (g0[j] - K * x[j]) / e0

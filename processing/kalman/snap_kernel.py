@@ -103,7 +103,11 @@ def predict(h: float, q: float, u: float, S: State) -> State:
 
 
 def update(e: float, s: float, r: float, S: State) -> State:
-    """Take in a reading with innovation e; s = 1/(p00 + r)."""
+    """Take in a reading with innovation e; s = 1/(p00 + r).
+
+    A variance keeps at least the part r s of itself, since p01^2 <= p00 p11: where r is 1e-16 of p00, as beside a
+    reading without noise, the difference is rounding, of either sign.
+    """
     x, v, a, j, p00, p01, p02, p03, p11, p12, p13, p22, p23, p33 = S
     g, k1, k2, k3, f = e * s, p01 * s, p02 * s, p03 * s, r * s
     return (
@@ -115,12 +119,12 @@ def update(e: float, s: float, r: float, S: State) -> State:
         p01 * f,
         p02 * f,
         p03 * f,
-        p11 - k1 * p01,
+        max(p11 - k1 * p01, p11 * f),
         p12 - k1 * p02,
         p13 - k1 * p03,
-        p22 - k2 * p02,
+        max(p22 - k2 * p02, p22 * f),
         p23 - k2 * p03,
-        p33 - k3 * p03,
+        max(p33 - k3 * p03, p33 * f),
     )
 
 
@@ -133,7 +137,7 @@ def line_predict(h: float, S: State) -> State:
 def line_update(e: float, s: float, r: float, S: State) -> State:
     """As `update`, where a = j = 0 are known."""
     g, f = e * s, r * s
-    p11 = S[8] - S[5] * s * S[5]
+    p11 = max(S[8] - S[5] * s * S[5], S[8] * f)
     return (S[0] + S[4] * g, S[1] + S[5] * g, 0.0, 0.0, S[4] * f, S[5] * f, 0.0, 0.0, p11, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
