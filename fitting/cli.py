@@ -131,7 +131,7 @@ def fit(
 
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
-    from daq.output import atomic
+    from daq.output import atomic, suffix
     from daq.runfile import joint
     from fitting import batch, job
     from fitting.report import comparison, table
@@ -151,6 +151,14 @@ def fit(
         raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
     if no_report and report is not None:
         raise InputError("--report and --no-report together", "command line", "give one")
+    for place, form, flag in (
+        (report, suffix.PAGE, "--report"),
+        (csv, suffix.CSV, "--csv"),
+        (curve_csv, suffix.CSV, "--curve-csv"),
+        (save_scene, suffix.TOML, "--save-scene"),
+    ):
+        if place is not None:
+            suffix.check(place, form, flag, {suffix.PDF: "then print the page from a browser"})
     joint_file = joint.beside(files) if len(files) > 1 and not each else None
     places: list[Path] = []
     if not no_report:

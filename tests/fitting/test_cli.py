@@ -273,3 +273,15 @@ def test_a_foreign_file_is_not_replaced_by_the_curve(run, tmp_path):
         with pytest.raises(InputError, match="mine"):
             cli.fit(run, laws="5", curve_csv=mine)
         assert mine.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("flag", "name"),
+    [("--report", "report.pdf"), ("--csv", "table.h5"), ("--curve-csv", "curve.png"), ("--save-scene", "rig.h5")],
+)
+def test_an_output_under_the_suffix_of_another_format_is_refused(run, capsys, flag, name):
+    """``--report report.pdf`` wrote HTML."""
+    target = run.with_name(name)
+    assert application.run(cli.app, [str(run), flag, str(target)]) == 2
+    assert f"({flag})" in capsys.readouterr().err
+    assert not target.exists()
