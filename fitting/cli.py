@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from daq.console import application, flags
 from daq.console.application import Answer, Json
 from daq.errors import DataError, InputError
+from daq.runfile.rig import Measured
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -30,36 +31,47 @@ def fit(
     /,
     *more: Annotated[Path, Parameter(help="More runs of the same contact, fitted jointly with the first.")],
     laws: Annotated[str, Parameter(help="Laws to fit: 1-6, or a list such as 3,5,6.")] = "1-6",
-    mass: Annotated[str | None, Parameter(help="Mass, kg or with a unit and error: '300 g +- 1 g'.")] = None,
+    mass: Annotated[
+        Measured | None, flags.measured("--mass", "mass", "Mass, kg or with a unit and error: '300 g +- 1 g'.", "mass")
+    ] = None,
     stiffness: Annotated[
-        str | None, Parameter(help="Spring stiffness, N/m or with a unit, instead of the mass.")
+        Measured | None,
+        flags.measured("--stiffness", "stiffness", "Spring: '10.5 N/m +- 0.1 N/m'; instead of the mass.", "stiffness"),
+    ] = None,
+    x0: Annotated[
+        Measured | None,
+        flags.measured(
+            "--x0", "length", "Position at which the spring is at rest: '60 mm +- 0.1 mm'; without +- exact.", "x0"
+        ),
     ] = None,
     datum: Annotated[
-        str | None,
-        Parameter(help="Position of count zero relative to the spring's rest, m.", allow_leading_hyphen=True),
+        Measured | None,
+        flags.measured("--datum", "length", "-x0, from the readings of which the run was made; use --x0.", "datum"),
     ] = None,
-    datum_sd: Annotated[str | None, Parameter(help="Standard deviation of --datum, m.")] = None,
+    datum_sd: Annotated[
+        float | None, flags.quantity("--datum-sd", "length", "Standard deviation of --datum; use --x0 with +-.")
+    ] = None,
     damping: Annotated[
-        float | None, flags.quantity("--damping", "damping", "Viscous damping from a ring-down, N s/m.")
+        Measured | None,
+        flags.measured("--damping", "damping", "Viscous damping from a ring-down, N s/m: '0.02 +- 0.001'.", "damping"),
     ] = None,
     damping_sd: Annotated[
         float | None, flags.quantity("--damping-sd", "damping", "Standard deviation of --damping, N s/m.")
     ] = None,
     belt_speed: Annotated[
-        str | None,
-        Parameter(
-            help="Belt speed, m/s, signed; channel: from belt counts, the default if the run contains them.",
-            allow_leading_hyphen=True,
+        Measured | str | None,
+        flags.measured(
+            "--belt-speed",
+            "speed",
+            "Belt speed, signed: '22 cm/s +- 1 mm/s'; channel: from belt counts, the default if the run contains them.",
+            word="channel",
         ),
     ] = None,
     exclude_cycles: Annotated[str, Parameter(help="Cycles to leave out, counted from 1: 3,7-9.")] = "",
     begin: Annotated[
-        str | None,
-        Parameter(name="--from", help="Fit from this time of the run, s or with a unit.", allow_leading_hyphen=True),
+        float | None, flags.quantity("--from", "time", "Fit from this time of the run, s or with a unit.")
     ] = None,
-    end: Annotated[
-        str | None, Parameter(name="--to", help="Fit up to this time of the run, likewise.", allow_leading_hyphen=True)
-    ] = None,
+    end: Annotated[float | None, flags.quantity("--to", "time", "Fit up to this time of the run, likewise.")] = None,
     alpha: Annotated[float, Parameter(help="1 - confidence level of the intervals and the set.")] = 0.05,
     report: Annotated[
         Path | None,
@@ -111,14 +123,15 @@ def fit(
 
     Example: fit-friction run.h5 --laws 3,5,6 --mass "300 g"
 
+    Example: fit-friction run.h5 --x0 "60 mm +- 0.1 mm"
+
     Example: fit-friction run.h5 --from 5 --to "1.5 min" --no-report
 
     Example: fit-friction run.h5 --save-scene rig.toml; rig-sim continue rig.toml --over damper.c=0:0.5 --draws 200
 
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
-    from daq.console.units import measured, quantity, time_or_none
-    from daq.output import atomic
+    from daq.output import atomic, suffix
     from daq.runfile import joint
     from fitting import batch, job
     from fitting.report import comparison, table
@@ -138,6 +151,14 @@ def fit(
         raise InputError("a run is named twice", ", ".join(map(str, files)), "name each run once")
     if no_report and report is not None:
         raise InputError("--report and --no-report together", "command line", "give one")
+    for place, form, flag in (
+        (report, suffix.PAGE, "--report"),
+        (csv, suffix.CSV, "--csv"),
+        (curve_csv, suffix.CSV, "--curve-csv"),
+        (save_scene, suffix.TOML, "--save-scene"),
+    ):
+        if place is not None:
+            suffix.check(place, form, flag, {suffix.PDF: "then print the page from a browser"})
     joint_file = joint.beside(files) if len(files) > 1 and not each else None
     places: list[Path] = []
     if not no_report:
@@ -162,17 +183,18 @@ def fit(
         raise InputError("--mass and --stiffness together", "command line", "give one: the fit finds the other")
     options = job.FitOptions(
         laws=tuple(numbers(laws, "--laws")),
-        mass=None if mass is None else measured(mass, "mass", "--mass"),
-        stiffness=None if stiffness is None else measured(stiffness, "stiffness", "--stiffness"),
-        datum=None if datum is None else quantity(datum, "length", "--datum"),
-        datum_sd=None if datum_sd is None else quantity(datum_sd, "length", "--datum-sd"),
+        mass=mass,
+        stiffness=stiffness,
+        x0=x0,
+        datum=datum,
+        datum_sd=datum_sd,
         damping=damping,
         damping_sd=damping_sd,
-        belt_speed=belt_speed if belt_speed in (None, "channel") else quantity(belt_speed, "speed", "--belt-speed"),
+        belt_speed=belt_speed,
         excluded=tuple(numbers(exclude_cycles, "--exclude-cycles")),
         alpha=alpha,
-        begin=time_or_none(begin, "--from"),
-        end=time_or_none(end, "--to"),
+        begin=begin,
+        end=end,
         report=not no_report,
     )
     if each:

@@ -38,11 +38,12 @@ class FitOptions:
     laws: tuple[int, ...] = ALL_LAWS
     mass: Measured | None = None
     stiffness: Measured | None = None
-    datum: float | None = None
+    x0: Measured | None = None
+    datum: Measured | None = None
     datum_sd: float | None = None
-    damping: float | None = None
+    damping: Measured | None = None
     damping_sd: float | None = None
-    belt_speed: float | str | None = None
+    belt_speed: Measured | float | str | None = None
     excluded: tuple[int, ...] = ()
     alpha: float = 0.05
     begin: float | None = None
@@ -203,10 +204,15 @@ def _rig(rig: Rig, options: FitOptions) -> Rig:
         rig = replace(rig, mass=options.mass)
     if options.stiffness is not None:
         rig = replace(rig, mass=options.mass, stiffness=options.stiffness)
+    if options.x0 is not None and (options.datum is not None or options.datum_sd is not None):
+        other = "--datum" if options.datum is not None else "--datum-sd"
+        raise InputError(f"--x0 and {other} together", "command line", "give --x0 alone, with +-: --datum is -x0")
+    if options.x0 is not None:
+        rig = rig.resting_at(_changed("--x0", None, options.x0, None))
     if options.datum_sd is not None and options.datum is None and rig.datum is None:
-        raise InputError("--datum-sd without a datum", "--datum-sd", "give --datum too")
+        raise InputError("--datum-sd without a datum", "--datum-sd", "give --x0 with +- instead")
     if options.datum is not None or options.datum_sd is not None:
-        rig = replace(rig, datum=_changed("--datum", rig.datum, options.datum, options.datum_sd))
+        rig = replace(rig, datum=_changed("--datum", rig.datum, options.datum, options.datum_sd), x0=None)
     if options.damping is None and options.damping_sd is None:
         return rig
     damping = _changed("--damping", rig.damping, options.damping, options.damping_sd)
@@ -217,14 +223,14 @@ def _rig(rig: Rig, options: FitOptions) -> Rig:
     return replace(rig, damping=damping)
 
 
-def _changed(flag: str, known: Measured | None, value: float | None, sd: float | None) -> Measured:
+def _changed(flag: str, known: Measured | None, typed: Measured | None, sd: float | None) -> Measured:
     """Return a calibration with the value, the error, or both replaced; a new value without an error is exact."""
-    if value is None:
-        value = known.value if known is not None else 0.0
-    elif sd is None:
-        sd = 0.0
+    if typed is not None and typed.sd and sd is not None:
+        raise InputError(f"{flag} with +- and {flag}-sd together", "command line", "give the error once")
+    value, own = (typed.value, typed.sd) if typed is not None else (0.0 if known is None else known.value, 0.0)
+    sd = own if sd is None else sd
     if not math.isfinite(value):
         raise InputError(f"is {value}", flag, "give a number")
-    if sd is None or not 0 <= sd < math.inf:
+    if not 0 <= sd < math.inf:
         raise InputError(f"standard deviation is {sd}", f"{flag}-sd", "give a number of 0 or more")
     return Measured(float(value), float(sd))

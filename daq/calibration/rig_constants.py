@@ -83,7 +83,7 @@ def calibrated(rig: Rig, pitch: Measured | None, ring: RingDown | None, mass: Me
     if rig.mass is not None:
         rig = replace(rig, stiffness=stiffness(ring, rig.mass), damping=damping(ring, rig.mass))
     if rig.metres_per_count is not None:
-        rig = replace(rig, datum=datum(ring, rig.metres_per_count))
+        rig = replace(rig, datum=datum(ring, rig.metres_per_count), x0=None)
     return rig
 
 

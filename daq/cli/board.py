@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 PARKED_S, MOVED_S = 5.0, 5.0
 SIMULATED_PARKED_S, SIMULATED_MOVED_S = 0.4, 2.0  # the belt of the scene `rig` starts after 0.5 s
 RING_DOWN_S, DISTANCE_S = 20.0, 10.0
-DISTANCE = "Known distance to move the mass towards +x, '100 mm +- 0.1 mm'; --distance=-0.1 for towards -x."
+DISTANCE = "Known distance to move the mass towards +x, '100 mm +- 0.1 mm'; '-100 mm' is towards -x."
 # The simulated rig in a ring-down: belt at rest, mass nearly lifted off it, with an initial velocity at its mark.
 STRUCK = ("belt.speed=0.0", "friction.Fs=0.05", "start.v=0.6")
 
@@ -138,13 +138,14 @@ def calibrate(
     Example: daq calibrate --mass "300 g +- 1 g"
     """
     from daq.calibration import rig_constants as measure
-    from daq.output import atomic
+    from daq.output import atomic, suffix
     from daq.protocols.request import RecordRequest
 
     if not ring_down and distance is None:
         raise InputError("nothing to measure", "command line", "give --distance, or leave --no-ring-down out")
     known = resolve(board)
     request = RecordRequest(**known)
+    suffix.check(output, suffix.TOML)
     atomic.refuse_existing(output, force)
     if distance is not None and distance.value == 0:
         raise InputError("the distance is zero", "--distance", "give for example '100 mm'")

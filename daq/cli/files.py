@@ -49,16 +49,19 @@ def import_table(
 
     Example: daq import track.csv -o run.h5 --x-unit cm --mass "300 g" --stiffness "10.5 N/m"
 
+    Example: daq import track.csv -o run.h5 --x-unit mm --x0 "60 mm +- 0.1 mm"
+
     Example: daq import force.csv -o run.h5 --spring-force F --force-unit mN --stiffness "168 N/m" --belt "42 um/s"
     """
     from dataclasses import replace
 
     from daq.imports import track
-    from daq.output import atomic, names
+    from daq.output import atomic, names, suffix
     from daq.runfile import store
 
     given = notes.given()
     target = names.completed(output or file.with_suffix(".h5"))
+    suffix.check_run(target)
     atomic.refuse_existing(target, force, file)
     with application.progress("reading", None, "lines") as show:
         found = track.read(file, options, show.stage)
@@ -84,11 +87,12 @@ def replay(
     Example: daq replay capture.sr --channels A=XA,B=XB -o run.h5
     """
     from daq.imports import replay as again
-    from daq.output import atomic
+    from daq.output import atomic, suffix
     from daq.runfile import store
 
     kind = again.kind_of(source)
     target = output or _default_output(source, kind)
+    suffix.check_run(target)
     atomic.refuse_existing(target, force, source)
     calibration = _rig(rig)
     if kind == "capture":
@@ -149,6 +153,10 @@ def export(
     file: Annotated[Path, Parameter(help="The run file.")],
     /,
     *,
+    output: Annotated[
+        Path | None,
+        Parameter(name=["--output", "-o"], help="Table to write, .csv or .parquet: its suffix is the format."),
+    ] = None,
     csv: Annotated[Path | None, Parameter(help="CSV file to write.")] = None,
     parquet: Annotated[Path | None, Parameter(help="Parquet file to write.")] = None,
     force: Force = False,
@@ -156,21 +164,28 @@ def export(
 ) -> Answer:
     """Write a run as a flat table, one row per sample, units in the column names.
 
-    Example: daq export run.h5 --csv run.csv
+    Example: daq export run.h5 -o run.csv
     """
-    from daq.output import atomic, tables
+    from daq.output import atomic, suffix, tables
     from daq.runfile import store
 
-    targets = {form: target for form, target in (("csv", csv), ("parquet", parquet)) if target is not None}
+    forms = {"csv": suffix.CSV, "parquet": suffix.PARQUET}
+    targets = [] if output is None else [(suffix.chosen(output, forms), output)]
+    for form, named in (("csv", csv), ("parquet", parquet)):
+        if named is not None:
+            suffix.check(named, forms[form], f"--{form}")
+            targets.append((form, named))
     if not targets:
-        raise InputError("nothing to write", "command line", "give --csv FILE or --parquet FILE")
-    for target in targets.values():
+        raise InputError("nothing to write", "command line", "give -o FILE.csv or -o FILE.parquet")
+    for _, target in targets:
         atomic.refuse_existing(target, force, file)
+    if len({target.resolve() for _, target in targets}) < len(targets):
+        raise InputError("is the name of two outputs", str(targets[-1][1]), "give each output a name of its own")
     rows = store.load(file).to_dataframe()
-    for form, target in targets.items():
+    for form, target in targets:
         with application.progress(f"writing {form}", len(rows), "rows") as show:
             tables.write(rows, target, form, force=force, progress=show)
-    names = [str(target) for target in targets.values()]
+    names = [str(target) for _, target in targets]
     data = {"rows": len(rows), "columns": list(rows.columns), "files": names}
     return Answer(data, f"{', '.join(names)}: {len(rows)} rows")
 

@@ -55,8 +55,10 @@ def quantity(text: str, dimension: str, where: str) -> float:
     Raises
     ------
     InputError
-        For what is not a number, or a unit unknown for this dimension.
+        For what is not a number, a unit unknown for this dimension, or a value with an error (+-).
     """
+    if _PLUS_MINUS.search(text):
+        raise InputError(f"{text!r} has an error, of which no use is made here", where, "give the value alone")
     value, unit = _split(text, dimension, where)
     return value * _size(unit, text, dimension, where)
 

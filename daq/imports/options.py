@@ -53,9 +53,15 @@ class ImportOptions:
     belt_speed: Annotated[
         Measured | None, flags.measured("--belt", "speed", "Belt speed towards +x: '0.22', '22 cm/s'.", "belt_speed")
     ] = None
+    x0: Annotated[
+        Measured | None,
+        flags.measured(
+            "--x0", "length", "The table's reading where the spring is at rest: '60 mm', '-60 mm +- 0.1 mm'.", "x0"
+        ),
+    ] = None
     datum: Annotated[
         Measured | None,
-        flags.measured("--datum", "length", "Position of the table's x = 0, from the spring's rest position.", "datum"),
+        flags.measured("--datum", "length", "-x0, which is added to all positions; use --x0.", "datum"),
     ] = None
     started: Annotated[
         str | None, Parameter(name="--start", help="Start time, ISO 8601 with time zone; default the file's date.")

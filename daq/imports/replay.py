@@ -77,9 +77,12 @@ def from_run(source: Path) -> Recording:
 
 
 def recalibrated(run: Recording, rig: Rig) -> Recording:
-    """Return the run with another calibration; decoder and counter width stay those it was recorded with."""
+    """Return the run with another calibration; decoder and counter width stay those it was recorded with.
+
+    Positions that no encoder counted move with the datum that was added to them.
+    """
     rig = replace(rig, decoder=run.rig.decoder, counter_bits=run.rig.counter_bits)
-    position = run.position if run.count is None else positions(run.count, rig)
+    position = positions(run.count, rig) if run.count is not None else run.position + (rig.offset - run.rig.offset)
     return _belt_recounted(replace(run, rig=rig, position=position, config_toml=rig.to_toml()))
 
 

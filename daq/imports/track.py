@@ -23,6 +23,7 @@ from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
 from daq.output import provenance
 from daq.runfile.recording import FASTEST_HZ, LONGEST_S, Recording, impossible_motion
+from daq.runfile.rest_position import question
 from daq.runfile.rig import Rig, quoted
 
 # Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
@@ -110,6 +111,11 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
     step = np.diff(time)
     rate = _rate(time)
     rig = _rig(options)
+    stated = options.x0
+    if options.datum is not None:
+        stated = replace(options.datum, value=-options.datum.value)
+    if stated is not None and (asked := question(stated, float(position.min()), float(position.max()))):
+        warnings.append(asked)
     if options.datum is not None:
         position = position + options.datum.value
     if rig.mass is not None and rig.stiffness is not None:
@@ -134,6 +140,8 @@ def _check_options(options: ImportOptions) -> None:
         )
     if options.clock and options.t_unit is not None:
         raise InputError("--clock and --t-unit exclude each other", "command line", "leave one out")
+    if options.x0 is not None and options.datum is not None:
+        raise InputError("--x0 and --datum together", "command line", "give --x0 alone: --datum is -x0")
     if options.spring_force is None:
         if options.force_unit is not None:
             raise InputError("--force-unit without --spring-force", "command line", "name the column of the force")
@@ -142,7 +150,7 @@ def _check_options(options: ImportOptions) -> None:
         what = "--spring-force excludes --position and --x-unit"
         raise InputError(what, "command line", "give --force-unit for the unit of the force")
     if _is_over_weight(options) and options.mass is None:
-        for flag, value in (("--belt", options.belt_speed), ("--datum", options.datum)):
+        for flag, value in (("--belt", options.belt_speed), ("--x0", options.x0), ("--datum", options.datum)):
             if value is not None:
                 what = f"{flag} is in SI, but positions are in units of weight / stiffness without the slider's --mass"
                 raise InputError(what, flag, "give --mass and --stiffness, or leave it out")
@@ -185,7 +193,13 @@ def _rig(options: ImportOptions) -> Rig:
     """Return the stated calibration; without the one that positions in units of weight / stiffness cannot use."""
     if _is_over_weight(options) and (options.mass is None or options.stiffness is None):
         return Rig(mass=options.mass)
-    return Rig(mass=options.mass, stiffness=options.stiffness, belt_speed=options.belt_speed, datum=options.datum)
+    return Rig(
+        mass=options.mass,
+        stiffness=options.stiffness,
+        belt_speed=options.belt_speed,
+        datum=options.datum,
+        x0=options.x0,
+    )
 
 
 def _cells(path: Path, options: ImportOptions, progress: Stages) -> table.Table:

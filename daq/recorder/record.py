@@ -72,6 +72,7 @@ class StopRequest(threading.Event):
 def check_request(request: RecordRequest) -> None:
     """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
     from daq.output.atomic import refuse_existing
+    from daq.output.suffix import check_run
 
     if request.rate_hz is not None and request.rate_hz < 1:
         raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")
@@ -79,6 +80,7 @@ def check_request(request: RecordRequest) -> None:
     protocols.load(request.protocol).check(request)
     if request.calibration is not None:
         Rig.from_toml(request.calibration, "--rig")
+    check_run(request.output)
     refuse_existing(request.output, request.force)
     if request.part.exists() and not claim.remove_empty(request.part):
         raise _journal_exists(request.part)

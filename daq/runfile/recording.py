@@ -334,5 +334,4 @@ def positions(count: NDArray[np.int64], rig: Rig) -> NDArray[np.float64]:
     """
     if rig.metres_per_count is None:
         return count.astype(np.float64)
-    datum = rig.datum.value if rig.datum is not None else 0.0
-    return np.asarray(count * rig.metres_per_count.value + datum, np.float64)
+    return np.asarray(count * rig.metres_per_count.value + rig.offset, np.float64)

@@ -7,6 +7,7 @@ The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.t
     mass = 0.3               # kg
     mass_sd = 0.0003
     belt_speed = 0.22        # m/s, positive towards +x
+    x0 = 0.06                # m: the reading at the spring's rest position; instead of the encoder's datum
     [encoder]
     decoder = "x4"
     metres_per_count = 7.67e-6
@@ -17,7 +18,7 @@ A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from daq import toml
@@ -54,12 +55,17 @@ class Rig:
     mass, stiffness, damping, belt_speed : Measured or None
         kg, N/m, N s/m, m/s (signed).
     datum : Measured or None
-        Position of count zero relative to the spring's rest, m.
+        Position of count zero relative to the spring's rest, m: -x0 of the readings.  It is added to them, so that
+        positions are measured from the spring's rest.
+    x0 : Measured or None
+        Reading at the spring's rest, m.  The positions are the readings themselves.
     belt_metres_per_count : Measured or None
         Metres of belt per count of the belt's own encoder; negative when counting up means towards -x.
 
     Notes
     -----
+    A rig has a datum or an x0, not both: either says where the spring is at rest, for positions of its own.
+
     Not modelled: the correlation between these errors, and a cog whose pitch varies within a turn.
     """
 
@@ -74,6 +80,20 @@ class Rig:
     damping: Measured | None = None
     belt_speed: Measured | None = None
     belt_metres_per_count: Measured | None = None
+    x0: Measured | None = None
+
+    def __post_init__(self) -> None:
+        if self.datum is not None and self.x0 is not None:
+            raise InputError("datum and x0 are both given", "rig", "give x0 alone: datum is -x0")
+
+    @property
+    def offset(self) -> float:
+        """What was added to readings in m to make positions, m: the datum, and nothing without one."""
+        return 0.0 if self.datum is None else self.datum.value
+
+    def resting_at(self, x0: Measured) -> "Rig":
+        """Return the rig with the reading at the spring's rest, m, in place of a datum or another x0."""
+        return replace(self, datum=None, x0=x0)
 
     @classmethod
     def from_toml(cls, text: str, where: str) -> "Rig":
@@ -98,6 +118,8 @@ class Rig:
             if section not in SECTIONS:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
             found |= _section(section, content, where)
+        if "datum" in found and "x0" in found:
+            raise InputError("encoder.datum and rig.x0 are both given", where, "give x0 alone: datum is -x0")
         return cls(**found)
 
     def to_toml(self) -> str:
@@ -127,9 +149,10 @@ QUANTITIES: dict[str, str | None] = {
     "metres_per_count": "not zero",
     "datum": None,
     "belt_metres_per_count": "not zero",
+    "x0": None,
 }
 SECTIONS: dict[str, tuple[str, ...]] = {
-    "rig": ("name", "mass", "stiffness", "damping", "belt_speed"),
+    "rig": ("name", "mass", "stiffness", "damping", "belt_speed", "x0"),
     "encoder": (
         "decoder",
         "metres_per_count",
@@ -144,6 +167,11 @@ _RULES = {"positive": lambda x: x > 0, "not negative": lambda x: x >= 0, "not ze
 
 def _section(section: str, content: Any, where: str) -> dict[str, Any]:
     known = [*SECTIONS[section], *(f"{key}_sd" for key in SECTIONS[section] if key in QUANTITIES)]
+    if isinstance(content, dict):
+        for other, keys in SECTIONS.items():
+            for key in content:
+                if key not in known and key.removesuffix("_sd") in keys:
+                    raise InputError(f"unknown key {section}.{key}", where, f"write it in the section [{other}]")
     check_keys(section, content, known, where)
     found: dict[str, Any] = {}
     for key in SECTIONS[section]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import HOLE, Array, runs
 from daq.errors import DataError, InputError
+from daq.runfile.rest_position import impossible
 from daq.runfile.rig import Measured, Rig
 from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
@@ -71,6 +72,8 @@ class MeasuredMotion:
         m/s rms: variation of the measured belt speed that load does not explain; 0 where it is not significant.
     counted : bool
         Whether an encoder counted the positions; else a camera or another sensor measured them.
+    rest_stated_as : str
+        What a stated rest position was stated as: "x0" or "datum".
     """
 
     time: Array
@@ -98,6 +101,7 @@ class MeasuredMotion:
     belt_measured: bool = False
     speed_variation: float = 0.0
     counted: bool = False
+    rest_stated_as: str = "datum"
 
     @property
     def span(self) -> float:
@@ -115,7 +119,7 @@ class MeasuredMotion:
         return float(np.ptp(self.position))
 
 
-def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | None) -> MeasuredMotion:
+def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | float | str | None) -> MeasuredMotion:
     """Bring a smoothed record into the fit's frame.
 
     Parameters
@@ -124,7 +128,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         A Savitzky-Golay (or better) motion; accelerations of plain differences are too rough to start from.
     rig : Rig
         The calibration to use, with the caller's changes already applied.
-    belt_speed : float, "channel" or None
+    belt_speed : Measured, float, "channel" or None
         m/s, signed, when the caller states it: it goes before the belt's own counts.  Otherwise these are used where
         there are any ("channel": there must be), else the calibration and the sticks.  A stated speed that the
         sticks contradict is not used (`fitting.selection.contradictions` reports it).
@@ -132,7 +136,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
     Raises
     ------
     InputError
-        For a record in counts, a belt at rest, or belt counts asked for that are not there.
+        For a record in counts, a belt at rest, belt counts asked for that are not there, or a rest position beyond the
+        end of the travel.
     DataError
         When nothing in the record moves.
     """
@@ -144,7 +149,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
             source,
             f"add metres_per_count to a rig.toml, then: daq replay {recording.source.name} --rig rig.toml -o NEW.h5",
         )
-    if belt_speed == 0:
+    given = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else belt_speed
+    if isinstance(given, Measured) and given.value == 0:
         raise InputError("belt speed is 0", "--belt-speed", "a belt at rest shows no law; give its speed in m/s")
     resolution, step = _resolution(kinematics)
     kept = _kept(kinematics)
@@ -153,20 +159,23 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         raise DataError(
             "no belt stick-slip in this record: nothing moves", source, "record while the belt drives the mass"
         )
-    channel = _channel(kinematics, belt_speed)
-    stated = Measured(float(belt_speed)) if isinstance(belt_speed, float | int) else rig.belt_speed
+    channel = _channel(kinematics, given)
+    stated = given if isinstance(given, Measured) else rig.belt_speed
     seen = speed_in_sticks(kinematics)
     believed = stated if stated is not None and is_possible_speed(stated, seen) else None
-    speed = _belt_speed(kinematics, believed, seen, given=isinstance(belt_speed, float | int))
+    speed = _belt_speed(kinematics, believed, seen, given=isinstance(given, Measured))
     sign = math.copysign(1.0, speed)
     usual = float(np.median(np.diff(kinematics.time)))
-    rest = _rest_position(rig, recording.rig, sign)
+    rest = _rest_position(rig, recording.rig)
+    if rest is not None:
+        known = believed is not None or math.isfinite(seen)
+        _refuse_impossible_rest(rest, position, sign if known else 0.0, source)
     slip = usual_slip(time, sign * position, sign * velocity < SLIPPING * abs(speed))
     prior = believed
     if channel is not None:
         middle = 0.5 * float(position.max() + position.min())
         unknown = Measured(middle, 0.5 * float(np.ptp(position)))
-        prior = channel.speed_without_load(unknown if rest is None else Measured(sign * rest.value, rest.sd))
+        prior = channel.speed_without_load(unknown if rest is None else rest)
         prior = replace(prior, sd=math.hypot(prior.sd, _length_error(recording.rig) * prior.value))
     return MeasuredMotion(
         time=time,
@@ -178,7 +187,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: float | str | 
         belt_speed=abs(speed),
         stated_speed=stated,
         belt_prior=None if prior is None else Measured(abs(prior.value), prior.sd),
-        datum_prior=rest,
+        datum_prior=None if rest is None else Measured(sign * rest.value, rest.sd),
+        rest_stated_as="datum" if rig.x0 is None else "x0",
         damping_prior=rig.damping,
         mass=rig.mass,
         stiffness=rig.stiffness,
@@ -249,7 +259,7 @@ def _broken(kinematics: Kinematics, usual: float) -> NDArray[np.bool_]:
     return broken
 
 
-def _channel(kinematics: Kinematics, belt_speed: float | str | None) -> BeltLine | None:
+def _channel(kinematics: Kinematics, belt_speed: Measured | str | None) -> BeltLine | None:
     """Return what the belt's counts say, or None where they are not to be used or say too little."""
     if isinstance(belt_speed, str) and belt_speed != "channel":
         raise InputError(f"belt speed is {belt_speed!r}", "--belt-speed", "give channel, or a speed in m/s")
@@ -313,12 +323,19 @@ def _belt_speed(kinematics: Kinematics, believed: Measured | None, seen: float, 
     return direction * float(np.percentile(direction * velocity, 99.5))
 
 
-def _rest_position(rig: Rig, recorded: Rig, sign: float) -> Measured | None:
-    """Return where the spring's rest lies in the recorded positions, m, in the fit's frame.
+def _rest_position(rig: Rig, recorded: Rig) -> Measured | None:
+    """Return where the spring's rest lies in the recorded positions, m.
 
-    The positions were made with the recorded datum; a datum known better moves the spring's rest by the difference.
+    A datum was added to the readings, so that positions are measured from the rest; one known better than the recorded
+    one moves the rest by the difference.
     """
     if rig.datum is None:
-        return None
-    used = recorded.datum.value if recorded.datum is not None else 0.0
-    return Measured(sign * (used - rig.datum.value), rig.datum.sd)
+        return rig.x0
+    return Measured(recorded.offset - rig.datum.value, rig.datum.sd)
+
+
+def _refuse_impossible_rest(rest: Measured, position: Array, direction: float, source: str) -> None:
+    """Raise InputError for a spring that would be at rest beyond the end of the travel to which the belt runs."""
+    wrong = impossible(rest, float(position.min()), float(position.max()), direction)
+    if wrong:
+        raise InputError(wrong, source, 'check its sign: x0 is the reading at the spring\'s rest, --x0 "60 mm +- 1 mm"')

@@ -22,7 +22,7 @@ from rig_sim.friction.law import LAWS
 # Standard deviations.  At 3 one true calibration in 400 would be reported, and as many again because an interval from
 # 16 cycles is itself uncertain; at 5 a belt speed wrong by less than 5 % of its stated value would pass.
 SURE = 4.0
-UNITS = {"belt-speed": "m/s", "datum": "m", "damping": "N s/m", "stiffness": "N/m"}
+UNITS = {"belt-speed": "m/s", "datum": "m", "x0": "m", "damping": "N s/m", "stiffness": "N/m"}
 
 
 def find_contradictions(
@@ -92,9 +92,11 @@ def _compared(
         yield "belt-speed", seen, with_error(motion.stated_speed), used
     if motion.datum_prior is not None and LAWS[fit.law].curve != "constant":  # which shows datum + Fs/k alone
         seen, stated = _seen(fit, Global.DATUM, run), motion.datum_prior
-        zero = recorded.datum.value if recorded.datum is not None else 0.0  # the datum is count zero's, not the rest's
-        seen, stated = (Measured(zero - motion.sign * rest.value, rest.sd) for rest in (seen, stated))
-        yield "datum", seen, stated, "both" if stated.sd > 0 else "the stated one"
+        seen, stated = (Measured(motion.sign * rest.value, rest.sd) for rest in (seen, stated))
+        if motion.rest_stated_as == "datum":
+            # Count zero's position, not the rest's.
+            seen, stated = (Measured(recorded.offset - rest.value, rest.sd) for rest in (seen, stated))
+        yield motion.rest_stated_as, seen, stated, "both" if stated.sd > 0 else "the stated one"
     mass = motion.mass.value if motion.mass else motion.stiffness.value / fit.values.K if motion.stiffness else None
     if motion.damping_prior is not None and mass is not None:
         seen, stated = _seen(fit, Global.DAMPING, run), motion.damping_prior

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.errors import InputError
-from daq.runfile.rig import Rig
+from daq.runfile.rig import Measured, Rig
 from fitting.adequacy.assess import assess
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.data import frame
@@ -41,7 +41,7 @@ def rank(
     rig: Rig | Sequence[Rig] | None = None,
     laws: Sequence[int] = ALL_LAWS,
     *,
-    belt_speed: float | str | None = None,
+    belt_speed: Measured | float | str | None = None,
     excluded: Sequence[int] = (),
     alpha: float = 0.05,
     jobs: int = 1,
@@ -60,7 +60,7 @@ def rank(
         Calibration; the recording's own by default, one for all, or one for each run.
     laws : sequence of int
         Which of the laws 1 to 6 compete.
-    belt_speed : float or "channel", optional
+    belt_speed : Measured, float or "channel", optional
         m/s, signed, if known better than from the calibration.  By default belt counts are used if the run contains
         them; "channel" requires them.
     excluded : sequence of int
@@ -265,7 +265,9 @@ def _smoothed(kinematics: Kinematics) -> Kinematics:
     return smooth(kinematics.recording, times=kinematics.times)
 
 
-def _check_together(records: Sequence[Kinematics], belt_speed: float | str | None, excluded: Sequence[int]) -> None:
+def _check_together(
+    records: Sequence[Kinematics], belt_speed: Measured | float | str | None, excluded: Sequence[int]
+) -> None:
     """Raise InputError for what means nothing beside several runs."""
     if not records:
         raise InputError("no run", "command line", "name at least one run file")

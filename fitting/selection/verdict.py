@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from daq.output.lengths import format_length
+from daq.runfile.rest_position import question
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.curve.result import FormFit
@@ -214,9 +216,13 @@ def warnings(
         warned.append(f"the measured belt speed varies by {share:.2g} % rms apart from load: the fit assumes it steady")
     if motion.datum_prior is None:
         warned.append(
-            "no datum: the spring's rest position was also fitted; laws 1 and 3 then determine only x0 + Fs/k "
-            "(give --datum and --datum-sd)"
+            "no x0: the spring's rest position was also fitted; laws 1 and 3 then determine only x0 + Fs/k "
+            '(give --x0, as in --x0 "60 mm +- 0.1 mm")'
         )
+    else:
+        rest, place = motion.datum_prior, motion.sign * motion.measured
+        asked = question(replace(rest, value=motion.sign * rest.value), float(place.min()), float(place.max()))
+        warned += [asked] if asked else []
     if motion.damping_prior is None or motion.per_mass:
         warned.append(
             "no damping calibration: c assumed 0 +- 1 % of critical; laws 3 and 4 then determine only G_slip - c "
@@ -264,13 +270,13 @@ def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
         return ()
     if curve.level_assumed:
         return (
-            "no datum, and friction levels that do not scatter: the record determines differences of friction alone. "
+            "no x0, and friction levels that do not scatter: the record determines differences of friction alone. "
             "The measured curve assumes that the spring is relaxed where the record begins at rest, or at the lowest "
-            "position; its band contains every level (give --datum and --datum-sd)",
+            "position; its band contains every level (give --x0 with its error)",
         )
     return (
-        "the record hardly determines the level of the measured curve, only differences of friction (give --datum and "
-        "--datum-sd)",
+        "the record hardly determines the level of the measured curve, only differences of friction (give --x0 with "
+        "its error)",
     )
 
 

@@ -29,22 +29,19 @@ def shaker(
     *,
     m: Annotated[float, flags.quantity("--m", "mass", "Mass, kg or with a unit: '300 g'.")],
     k: Annotated[float, flags.quantity("--k", "stiffness", "Spring, N/m or with a unit.")],
-    c: Annotated[float, flags.quantity("--c", "damping", "Damper, N s/m or with a unit.", signed=True)],
+    c: Annotated[float, flags.quantity("--c", "damping", "Damper, N s/m or with a unit.")],
     gamma: Annotated[
         float,
         flags.quantity(
             "--gamma",
             "damping",
             "Slope of friction at the belt's speed, N s/m: above 0 where it falls with the slip speed.",
-            signed=True,
         ),
     ],
     a: Annotated[float, flags.quantity("--a", "damping", "Amplification, N s/m.")],
     phi: Annotated[
         float,
-        flags.quantity(
-            "--phi", "angle", "Phase by which the force leads the velocity, rad, or '170 deg'.", signed=True
-        ),
+        flags.quantity("--phi", "angle", "Phase by which the force leads the velocity, rad, or '170 deg'."),
     ],
     band: Annotated[
         str | None,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import InputError
-from daq.output import atomic, disk
+from daq.output import atomic, disk, suffix
 from daq.version import VERSION
 from rig_sim.flow.modes import Outcome
 from rig_sim.integrate.phases import sample_phase
@@ -28,6 +28,7 @@ from rig_sim.motion.two_masses import TwoMassPlayer
 from rig_sim.scenes.model import Scene
 
 SAMPLES_AT_ONCE = 65_536
+FORMS = {"h5": suffix.RUN, "csv": suffix.CSV}
 MOST_SAMPLES = 100_000_000  # 3.2 GB of HDF5
 _COLUMNS = {
     "t": ("time", "s"),
@@ -85,8 +86,7 @@ def write(
     RefusedError
         The disk refuses.
     """
-    if path.suffix not in (".h5", ".csv"):
-        raise InputError(f"ending {path.suffix!r}", str(path), "name the file .h5 or .csv")
+    form = suffix.chosen(path, FORMS)
     atomic.refuse_existing(path, force)
     for name, value in (("--until", until), ("--rate", rate)):
         if not (math.isfinite(value) and value > 0):
@@ -97,7 +97,7 @@ def write(
     player = _player(scene, phases, max_steps)
     samples = math.floor(until * rate * (1 + 1e-15)) + 1
     with atomic.replacing(path, force) as temporary:
-        if path.suffix == ".csv":
+        if form == "csv":
             written = _write_csv(player, temporary, samples, rate)
         else:
             written = _write_h5(player, temporary, samples, rate, method)

@@ -14,6 +14,7 @@ from daq.console import application
 from daq.errors import InputError
 from daq.runfile import listing, store
 from daq.runfile.recording import Recording
+from daq.runfile.rig import Measured
 from fitting import cli, job
 from fitting.report import table
 from processing import stage
@@ -153,12 +154,12 @@ def test_damping_without_a_mass_is_refused(run, tmp_path):
         ),
     )
     with pytest.raises(InputError, match="without a mass"):
-        cli.fit(path, damping=0.01)
+        cli.fit(path, damping=Measured(0.01))
 
 
 @pytest.mark.parametrize(
     ("flags", "what"),
-    [({"mass": "0 kg"}, "mass"), ({"damping": -1.0}, "damping"), ({"datum_sd": "-1 mm"}, "deviation")],
+    [({"mass": Measured(0.0)}, "mass"), ({"damping": Measured(-1.0)}, "damping"), ({"datum_sd": -1e-3}, "deviation")],
 )
 def test_impossible_calibrations_are_refused(run, flags, what):
     with pytest.raises(InputError, match=what):
@@ -196,8 +197,7 @@ def test_a_part_of_a_run_is_fitted_without_a_report_or_anything_that_draws_one(r
 @pytest.mark.parametrize(
     ("flags", "what"),
     [
-        ({"begin": "20"}, "fewer than two samples"),
-        ({"begin": "5 m"}, "--from"),
+        ({"begin": 20.0}, "fewer than two samples"),
         ({"no_report": True, "report": "x.html"}, "together"),
     ],
 )
@@ -235,11 +235,12 @@ def test_the_ranking_can_be_had_as_a_table(run, tmp_path):
 
 
 def test_a_strangers_table_and_the_run_itself_are_not_replaced(run, tmp_path):
-    mine = tmp_path / "mine.csv"
+    mine, own = tmp_path / "mine.csv", tmp_path / "run"
     mine.write_text("mine")
-    for path in (mine, run):
+    shutil.copy(run, own)
+    for path in (mine, own):
         with pytest.raises(InputError, match=r"no ranking|own source"):
-            cli.fit(run, csv=path)
+            cli.fit(own, csv=path)
     assert mine.read_text() == "mine"
 
 
@@ -272,3 +273,15 @@ def test_a_foreign_file_is_not_replaced_by_the_curve(run, tmp_path):
         with pytest.raises(InputError, match="mine"):
             cli.fit(run, laws="5", curve_csv=mine)
         assert mine.read_text() == text
+
+
+@pytest.mark.parametrize(
+    ("flag", "name"),
+    [("--report", "report.pdf"), ("--csv", "table.h5"), ("--curve-csv", "curve.png"), ("--save-scene", "rig.h5")],
+)
+def test_an_output_under_the_suffix_of_another_format_is_refused(run, capsys, flag, name):
+    """``--report report.pdf`` wrote HTML."""
+    target = run.with_name(name)
+    assert application.run(cli.app, [str(run), flag, str(target)]) == 2
+    assert f"({flag})" in capsys.readouterr().err
+    assert not target.exists()

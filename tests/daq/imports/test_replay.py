@@ -17,6 +17,7 @@ from daq.errors import InputError
 from daq.imports import capture, replay, sigrok
 from daq.imports.options import ProbeOptions
 from daq.runfile import journal, store
+from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
 from daq.wire import frames
 from daq.wire.quadrature import GRAY, PHASE
@@ -266,3 +267,12 @@ def test_real_captures_become_runs(captures: Path, app: cyclopts.App, tmp_path: 
     assert recording.unit == "count"
     assert recording.count is not None
     assert recording.count[-1] - recording.count[0] == printed["net"]
+
+
+def test_positions_of_a_table_move_with_the_datum_of_another_calibration(tmp_path: Path) -> None:
+    """The old datum stayed in them beside the new one, so that the fit's rest position was off by the difference."""
+    x = np.linspace(0.0, 0.1, 11)
+    stated = Rig(datum=Measured(-0.06))
+    run = Recording("", "", "", 10.0, stated, np.arange(11) / 10, x - 0.06)
+    np.testing.assert_allclose(replay.recalibrated(run, Rig(datum=Measured(-0.05))).position, x - 0.05, atol=1e-15)
+    np.testing.assert_allclose(replay.recalibrated(run, Rig(x0=Measured(0.06))).position, x, atol=1e-15)

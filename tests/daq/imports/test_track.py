@@ -381,6 +381,43 @@ def test_the_command_writes_a_run_that_loads(csv: Path, app: cyclopts.App, capsy
     assert recording.rig.datum == Measured(0.002)
 
 
+@pytest.mark.parametrize("text", ["-60 mm +- 0.1 mm", "-0.06 +- 1e-4"])
+def test_the_rest_position_is_a_reading_and_leaves_the_readings_as_they_are(
+    csv: Path, app: cyclopts.App, text: str
+) -> None:
+    """There was --datum alone, which is -x0 and is added to every position; '-60 mm' was taken for a flag."""
+    time, x = sawtooth(400)
+    make(csv, "t (s),x (m)\n", zip(time, x, strict=True))
+    target = csv.with_name("run.h5")
+    assert application.run(app, ["import", str(csv), "-o", str(target), "--x0", text]) == 0
+    recording = store.load(target)
+    np.testing.assert_allclose(recording.position, x, atol=1e-9)
+    assert recording.rig.x0 == Measured(pytest.approx(-0.06), pytest.approx(1e-4))
+    assert recording.rig.datum is None
+
+
+def test_a_rest_position_is_stated_once(csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str]) -> None:
+    time, x = sawtooth(400)
+    make(csv, "t (s),x (m)\n", zip(time, x, strict=True))
+    target = csv.with_name("run.h5")
+    assert application.run(app, ["import", str(csv), "-o", str(target), "--x0", "1 mm", "--datum", "-1 mm"]) == 2
+    assert "--x0 and --datum together; give --x0 alone: --datum is -x0" in capsys.readouterr().err
+    assert not target.exists()
+
+
+@pytest.mark.parametrize(("flag", "value"), [("--x0", "-5 m"), ("--datum", "5 m")])
+def test_a_rest_position_far_from_the_travel_is_asked_about(
+    csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str], flag: str, value: str
+) -> None:
+    time, x = sawtooth(400)
+    make(csv, "t (s),x (m)\n", zip(time, x, strict=True))
+    line = ["import", str(csv), "-o", str(csv.with_name("run.h5")), flag, value, "--json"]
+    assert application.run(app, line) == 0
+    (asked,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert "x0 (-5 m) is" in asked
+    assert "are its sign and its unit right?" in asked
+
+
 def test_the_command_refuses_in_one_line_and_writes_nothing(
     csv: Path, app: cyclopts.App, capsys: pytest.CaptureFixture[str]
 ) -> None:

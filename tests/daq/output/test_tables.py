@@ -89,7 +89,11 @@ def test_an_exported_table_imports_as_the_same_motion(run: Path, app: cyclopts.A
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        ([], ["--csv FILE or --parquet FILE"]),
+        ([], ["-o FILE.csv", "-o FILE.parquet"]),
+        (["-o", "run.dat"], ["run.dat", ".csv or .parquet"]),
+        (["-o", "table.h5"], ["table.h5", "a run file (HDF5)", ".csv or .parquet"]),
+        (["--csv", "table.parquet"], ["table.parquet", "a Parquet table", "table.csv"]),
+        (["-o", "table.csv", "--csv", "./table.csv"], ["table.csv", "two outputs"]),
         (["--csv", "old.csv"], ["old.csv", "--force"]),
         (["--parquet", "no/where.parquet"], ["no/where.parquet", "folder"]),
     ],
@@ -141,3 +145,14 @@ def test_a_csv_written_in_parts_is_that_written_at_once(tmp_path, monkeypatch, n
     tables.write(rows, tmp_path / "parts.csv", "csv", progress=done.append)
     assert (tmp_path / "parts.csv").read_bytes() == rows.to_csv(index=False, lineterminator="\n").encode()
     assert done == [end for end in (40, 80, 101) if end < number] + [number]
+
+
+@pytest.mark.parametrize(("name", "read"), [("table.csv", pd.read_csv), ("table.parquet", pd.read_parquet)])
+def test_the_suffix_of_an_output_is_its_format(run: Path, app: cyclopts.App, name: str, read: object) -> None:
+    """``daq export -o`` did not exist."""
+    if name.endswith(".parquet"):
+        pytest.importorskip("pyarrow")
+    target = run.with_name(name)
+    assert application.run(app, ["export", str(run), "-o", str(target)]) == 0
+    assert callable(read)
+    np.testing.assert_array_equal(read(target)["position_m"], store.load(run).position)

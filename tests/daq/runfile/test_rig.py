@@ -1,6 +1,7 @@
 """The calibration: its TOML form, what it refuses, and in which words."""
 
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -27,13 +28,14 @@ rigs = st.builds(
     counter_bits=st.sampled_from([8, 16, 24, 32]),
     mass=measured(positive),
     stiffness=measured(positive),
-    datum=measured(finite),
+    datum=st.none(),
+    x0=measured(finite),
     damping=measured(not_negative),
     belt_speed=measured(finite),
 )
 
 
-@given(rigs)
+@given(rigs | rigs.map(lambda rig: replace(rig, datum=rig.x0, x0=None)))
 def test_toml_reads_back_an_equal_rig(rig: Rig) -> None:
     assert Rig.from_toml(rig.to_toml(), "rig.toml") == rig
 
@@ -51,6 +53,9 @@ def test_absent_quantities_stay_unknown() -> None:
         ("[rig]\nmas = 1", ["rig.toml", "rig.mas", "'mass'"]),
         ("[encoder]\ndatum_ds = 1", ["encoder.datum_ds", "'datum_sd'"]),
         ("[encodr]\ndatum = 1", ["[encodr]", "'encoder'"]),
+        ("[rig]\nx0 = 0.06\n[encoder]\ndatum = 0.06", ["encoder.datum and rig.x0", "datum is -x0"]),
+        ("[encoder]\nx0 = 0.06", ["encoder.x0", "section [rig]"]),
+        ("[encoder]\nx0_sd = 0.06", ["encoder.x0_sd", "section [rig]"]),
         ("rig = 3", ["rig is a value", "[rig]"]),
         ("[rig]\nmass = -1", ["mass is -1", "positive"]),
         ("[rig]\nmass = inf", ["mass is inf"]),

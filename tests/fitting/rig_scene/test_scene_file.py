@@ -1,9 +1,12 @@
 """A fitted rig saved as a scene: it plays back as its record does, and what it predicts covers the truth."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from daq.errors import InputError
+from daq.runfile.rig import Measured
 from fitting import cli
 from rig_sim.cli.continuation import continue_
 from rig_sim.dynamics.limit_cycle import cycle
@@ -19,7 +22,7 @@ def fitted(tmp_path_factory, synthetic):
     """Give the scene that the fit of a record of law 5 without scatter is saved as, and the fit's answer."""
     folder = tmp_path_factory.mktemp("saved")
     run = synthetic.written(folder / "run.h5", synthetic.recording(law=5, scatter=0.0, damping=1.0, duration=12.0))
-    answer = cli.fit(run, laws="5", mass="0.3", no_report=True, save_scene=folder / "rig.toml")
+    answer = cli.fit(run, laws="5", mass=Measured(0.3), no_report=True, save_scene=folder / "rig.toml")
     return folder / "rig.toml", answer
 
 
@@ -46,6 +49,7 @@ def test_a_scene_that_exists_is_replaced_by_force_alone(fitted, tmp_path):
     run = path.with_name("run.h5")
     with pytest.raises(InputError, match="exists"):
         cli.fit(run, laws="5", no_report=True, save_scene=other)
+    run = shutil.copy(run, tmp_path / "run")  # under its own suffix it would be refused for that
     with pytest.raises(InputError, match="source"):
         cli.fit(run, laws="5", no_report=True, save_scene=run, force=True)
     assert other.read_text() == "# my notes\n"
@@ -114,7 +118,7 @@ def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(co
     contact = contacts.Contact(curve="stribeck", Fc=0.6, v_s=0.15, power=2.0, Fv=0.15, c=0.02, duration=20.0)
     time, position = contacts.recorded(contact)
     run = synthetic.written(tmp_path / "run.h5", synthetic.imported(tmp_path / "run.csv", time, position, decimals=8))
-    answer = cli.fit(run, mass="0.3", datum="0", datum_sd="1e-6", no_report=True, save_scene=tmp_path / "rig.toml")
+    answer = cli.fit(run, mass=Measured(0.3), x0=Measured(0.0, 1e-6), no_report=True, save_scene=tmp_path / "rig.toml")
     assert answer.exit_code == 6
     found = scene(tmp_path / "rig.toml")
     assert found.friction.law == 0

@@ -126,7 +126,7 @@ def test_a_bare_track_without_any_calibration_still_finds_its_law(synthetic):
     ranking = rank(smooth(replace(recording, rig=bare)), laws=(3, 5, 6))
     assert ranking.laws_in_set[0] == 5
     assert "Fs" not in ranking.best.parameters
-    assert any("no datum" in warning for warning in ranking.warnings)
+    assert any("no x0" in warning for warning in ranking.warnings)
     assert any("no mass" in warning for warning in ranking.warnings)
 
 

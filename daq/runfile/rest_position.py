@@ -1,0 +1,72 @@
+"""Whether a stated rest position of the spring can be that of a record, by the travel of the mass.
+
+Friction draws the mass along with the belt, so that the spring is stretched where the mass breaks away: the rest
+position lies behind the end of the travel towards which the belt runs.  How far behind is not bounded, but tells how
+much friction falls.  In a slip the mass swings about x0 + Fk/k, from x0 + Fs/k to as far on the other side, hence
+
+    (Fs - Fk) / Fs = travel / (2 (x_break-away - x0))
+
+without damping and with one kinetic friction Fk.  This is a question to the user, not a limit.
+"""
+
+from daq.output.lengths import format_length, shown_range
+from daq.runfile.rig import Measured
+
+# Travels between the travel and a rest position that is asked about: friction would fall by less than 10 % of Fs in a
+# slip.  Chosen: at 2 those who measure a fall of 15 % are asked each time; at 8 a sign that is wrong by five travels
+# passes, unless it is seen by its mirror image.
+FAR = 4.0
+SURE = 4.0  # standard deviations of x0 that are granted first, as for any contradiction of a calibration
+
+
+def question(x0: Measured, low: float, high: float) -> str:
+    """Return what to ask about a rest position; empty where there is nothing to ask.
+
+    Asked is about one that lies `FAR` travels outside the travel, and about one outside whose negative lies inside it.
+
+    Parameters
+    ----------
+    x0 : Measured
+        Rest position, m, with the sign of the positions.
+    low, high : float
+        The travel of the mass: its smallest and largest position, m.
+    """
+    outside = max(low - x0.value, x0.value - high)
+    if outside <= SURE * x0.sd or high <= low:
+        return ""
+    if low <= -x0.value <= high:
+        return (
+            f"{_where(x0, outside, low, high)}, and {format_length(-x0.value)} lies inside it; is its sign right? "
+            "x0 is the reading at the spring's rest (--x0), a datum is -x0"
+        )
+    if outside - SURE * x0.sd <= FAR * (high - low):
+        return ""
+    fall = 50 * (high - low) / (outside + (high - low))
+    return (
+        f"{_where(x0, outside, low, high)}; are its sign and its unit right? Friction would fall by {fall:.2g} % of Fs "
+        "in a slip"
+    )
+
+
+def impossible(x0: Measured, low: float, high: float, direction: float) -> str:
+    """Return why a rest position cannot be that of a mass which the belt draws in a direction; empty where it can.
+
+    Parameters
+    ----------
+    x0, low, high
+        As of `question`.
+    direction : float
+        The sign of the belt's speed; 0 where it is not known.
+    """
+    beyond = direction * x0.value - max(direction * low, direction * high)
+    if not direction or beyond <= SURE * x0.sd:
+        return ""
+    return (
+        f"{_where(x0, beyond, low, high)}, on the side to which the belt runs: the spring would pull the mass along "
+        "with the belt, and friction would hold it back"
+    )
+
+
+def _where(x0: Measured, outside: float, low: float, high: float) -> str:
+    travel = shown_range(low, high, "m")
+    return f"x0 ({format_length(x0.value)}) is {format_length(outside)} outside the travel of {travel}"
