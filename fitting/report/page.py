@@ -297,7 +297,7 @@ def _shade(value: float) -> str:
 
 
 def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
-    mean, half = row.behind
+    mean, error = row.behind
     return {
         "law": row.law,
         "name": row.name,
@@ -305,7 +305,7 @@ def _row(row: Any, ranking: Ranking) -> dict[str, Any]:
         "rms": symbols.pretty(format_length(row.rms_m)),
         "score": f"{row.score:.1f}",
         "weight": f"{row.weight:.2f}" if row.weight >= 0.005 else "< 0.01",
-        "behind": "best" if row.score == 0 else f"{mean:.2f} ± {half:.2f}",
+        "behind": "best" if row.score == 0 else f"{mean:.2f} ± {error:.2f}",
         "orbit": f"{100 * row.orbit:.2g} %",
         "cpu": f"{row.cpu_s:.2f} s",
         "colour": COLOURS[row.law],

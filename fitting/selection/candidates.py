@@ -81,8 +81,11 @@ def fit_runs(
             str(records[0].recording.source),
             "add --laws 1,2",
         )
-    screening.refuse_missing_frames(fits, records)
+    # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
     _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
+    screening.refuse_missing_frames(fits, records)
+    if not seen and not any(record.sticks for record in records) and not _is_described(fits, runs):
+        _refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
         _refuse(screening.SINE_ALONE, records)
     return fits, list(runs), sustained
@@ -161,7 +164,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
-        _refuse(screening.reject_by_cycles(run.motion, run.cut, sustained=kind), [record])
+        _refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
     sources = [str(record.recording.source) for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
@@ -170,6 +173,8 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
         )
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
+        if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
+            _refuse(screening.swings_alone(count), records)
         left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(

@@ -219,7 +219,10 @@ def prior_misfit(fit: Fit) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ModelSet:
-    """Order of the laws, members of the set (best first), and score, weight and lag of each law."""
+    """Order of the laws, members of the set (best first), and score, weight and lag of each law.
+
+    ``behind`` is the mean paired difference of log error to the best law, with its standard error.
+    """
 
     order: tuple[int, ...]
     members: tuple[int, ...]
@@ -248,11 +251,10 @@ def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
     behind = {}
     for i, law in enumerate(laws):
         difference = errors[i] - errors[winner]
-        half = quantile * float(np.std(difference, ddof=1)) / math.sqrt(n)
-        behind[law] = (float(difference.mean()), half)
+        behind[law] = (float(difference.mean()), float(np.std(difference, ddof=1)) / math.sqrt(n))
     limits = NESTED[laws[winner]]
     alike = {law for law in laws if score[law] < (TIE if law in limits else OPEN) and laws[winner] not in NESTED[law]}
-    near = {law for law in laws if behind[law][0] - behind[law][1] <= 0} | alike
+    near = {law for law in laws if behind[law][0] <= quantile * behind[law][1]} | alike
     members = [law for law in sorted(laws, key=score.__getitem__) if law in near]
     preferred = [law for law in members if law in limits]
     if preferred:

@@ -43,7 +43,7 @@ class LawResult:
         By name; per unit mass, and in newtons when the mass or the spring's stiffness is known.
     cpu_s : float
     behind : (float, float)
-        Mean paired difference of log error to the best law, penalty included, and half its t-interval.
+        Mean paired difference of log error to the best law, penalty included, and its standard error.
     orbit : float
         Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
     fit : Fit

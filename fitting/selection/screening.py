@@ -31,6 +31,7 @@ FEWEST_STICKS = 2  # to distinguish one speed from several
 # Samples in the usual slip.  Chosen: with 4, wrong laws are named alone and corners are found at the wrong places; from
 # 16 on nothing is gained.
 FEWEST_SAMPLES = 8
+BEYOND_NOISE = 20.0  # standard deviations of a position: a mass that moves by less does not move
 FEW = 8  # cycles: of so few every one must agree, of more the odd one may not
 FILLED = 0.5  # of a record that sticks, slips and rest fill at least
 STICK_SPEEDS = (0.6, 1.2)  # of the belt's speed
@@ -51,6 +52,7 @@ SCREENED_CYCLES, SCREENING_STEPS = 8, 30
 SCREENING_ORDER = (3, 5, 1, 4, 6, 2)  # cheap ones first
 WRONG_TIMES = {"dropped-frames": "lost", "doubled-frames": "doubled"}  # findings after which no time is sure
 NONE_NEAR = "no law comes near it"
+NOT_DESCRIBED = "no law describes it"  # though one comes near
 SINE_ALONE = "a sine without a start-up; constant friction is possible"
 AGAIN = "look at it with 'process inspect', and record several cycles with the belt running"
 # Of the record in sticks.  Records of paper on paper have 0.69 and 0.86, the rig's 0.24 to 0.8; moves of positioning
@@ -75,8 +77,9 @@ def refusal(why: str, records: Sequence[Kinematics]) -> tuple[str, str, str]:
     if why == SINE_ALONE:
         do = "record from before the belt starts and use the first cycle: its drag distinguishes law 1 from law 2"
         return f"no belt stick-slip in this record: {why}", where, do
-    if records[0].sticks and why == NONE_NEAR:
-        why = f"{why}, and it sticks for {100 * records[0].plateau_fraction:.2g} % of the time"
+    if why in (NONE_NEAR, NOT_DESCRIBED):
+        share = 100 * records[0].plateau_fraction
+        why += f", and it sticks for {share:.2g} % of the time" if records[0].sticks else ", and it shows no stick"
     return f"no belt stick-slip in this record: {why}", where, AGAIN
 
 
@@ -98,7 +101,7 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
         return
     slip_s = samples * float(np.median(np.diff(motion.time)))
     what = f"{samples} samples a slip; a verdict needs {FEWEST_SAMPLES}"
-    lasts = f"{slip_s:.2g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
+    lasts = f"{slip_s:.3g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
     # one sample more than needed: how many a slip has is known to one
     do = f"record at {_rounded_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts {lasts}"
     error = DataError(what, str(record.recording.source), do)
@@ -152,12 +155,14 @@ def is_stick_slip(record: Kinematics) -> bool:
     return RETURNS[0] < ratio < RETURNS[1] and float(np.median(changes)) > EVEN_SLIP
 
 
-def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustained: bool) -> str:
+def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, slips: int, *, sustained: bool) -> str:
     """Return why a record is no stick-slip on a belt; "" where it may be.
 
     Parameters
     ----------
     motion, cut : MeasuredMotion, CycleSegmentation
+    slips : int
+        How many the smoothing found: where most cycles hold none of them, the cycles are noise.
     sustained : bool
         Whether the mass sticks in the long run: a mass that merely grazes the belt ends a slip where it began.
     """
@@ -170,15 +175,20 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustaine
     begin = np.searchsorted(time, [cycle.break_away for cycle in seen])
     end = np.minimum(np.searchsorted(time, [cycle.landing for cycle in seen]), time.size - 1)
     reach = np.array([np.ptp(x[i : j + 1]) for i, j in zip(begin, end, strict=True)])
-    back = (x[begin] - x[end]) / np.maximum(reach, motion.resolution)
-    if sustained and float(np.median(back)) < COMES_BACK:
-        return "the mass never moves back against the belt, as a spring would move it"
+    if sustained and float(np.median((x[begin] - x[end]) / np.maximum(reach, motion.resolution))) < COMES_BACK:
+        return _not_back(motion, begin, end)
+    if slips >= FEW and len(seen) > 2 * slips and float(np.median(reach)) < BEYOND_NOISE * motion.resolution:
+        return (
+            f"noise hides where it slips: the velocity falls below half the belt's speed {len(seen)} times, usually "
+            f"over {1e3 * np.median(reach):.3g} mm, where {slips} slips are seen"
+        )
     few = len(seen) < FEW
     low, high = np.quantile(x[begin], (0, 1) if few else (0.1, 0.9))
-    if high - low > ONE_PLACE * float(np.median(reach)):
+    length = float(np.median(reach))
+    if high - low > ONE_PLACE * length:
         return (
             f"the break-aways are spread over {1e3 * (high - low):.3g} mm, "
-            f"more than the length of a slip ({1e3 * np.median(reach):.3g} mm)"
+            f"more than {ONE_PLACE:g} times the length of a slip ({1e3 * length:.3g} mm)"
         )
     ends = [cycle.stick for cycle in seen if cycle.stick[1] - cycle.stick[0] >= LONG_STICK]
     speeds = np.array([(x[j - 1] - x[i]) / (time[j - 1] - time[i]) for i, j in ends])
@@ -194,8 +204,10 @@ def reject_by_cycles(motion: MeasuredMotion, cut: CycleSegmentation, *, sustaine
     if not sustained and not cut.starts_at_rest and _dies_away(motion.velocity):
         return "a decaying oscillation, without a start-up; constant friction with damping is possible"
     drag = cut.starts_at_rest and not sustained  # constant friction with damping: a start-up, then less and less motion
-    if not drag and _filled(motion, cut) < FILLED:
-        return f"only {len(seen)} cycle{'' if len(seen) == 1 else 's'} like it in {motion.span:.3g} s"
+    filled = 1.0 if drag else _filled(motion, cut)
+    if filled < FILLED:
+        count = f"{len(seen)} cycle{'' if len(seen) == 1 else 's'}"
+        return f"{count}, sticks and rests fill {100 * filled:.2g} % of {motion.span:.3g} s: the rest is other motion"
     return ""
 
 
@@ -233,8 +245,14 @@ def _spread_out(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
 
 
 def _sine_or(what: str, runs: Sequence[Run], *, sustained: bool) -> str:
-    """Return ``what``, or that the motion is a sine, which looks the same at any friction."""
-    return SINE_ALONE if what and not sustained and all(_is_sine(run.motion) for run in runs) else what
+    """Return ``what``, or that the motion is a sine without a start-up, which looks the same at any friction."""
+    alone = not sustained and all(_is_sine(run.motion) and not run.cut.starts_at_rest for run in runs)
+    return SINE_ALONE if what and alone else what
+
+
+def swings_alone(swings: int) -> str:
+    """Return what a record of a few swings is that shows neither a start-up nor a stick."""
+    return f"{swings} whole swing{'' if swings == 1 else 's'} in it, and no stick"
 
 
 def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
@@ -251,15 +269,29 @@ def _misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str
     if LAWS[best.law].ramp and best.values.d > best.values.v_dr:
         return f"law {best.law} fits best, with a ramp wider than the belt speed"
     if sustained and best.values.F < LEAST_FRICTION * best.values.K * longest:
-        return f"law {best.law} fits best, without any friction"
+        return f"law {best.law} fits best, with friction below {LEAST_FRICTION:g} of the spring's force over a slip"
     return ""
+
+
+def _not_back(motion: MeasuredMotion, begin: Integers, end: Integers) -> str:
+    """Return what stretches that end where they began, or beyond, show in place of slips back against the belt."""
+    parts = [motion.measured[i : j + 1] for i, j in zip(begin, end, strict=True)]
+    back = max(float(np.max(np.maximum.accumulate(part) - part)) for part in parts)
+    if back < BEYOND_NOISE * motion.resolution:
+        return "the mass never moves back against the belt, as a spring would move it"
+    behind = float(np.median([part[0] - part[-1] for part in parts]))
+    reach = float(np.median([np.ptp(part) for part in parts]))
+    return (
+        f"its supposed slips cover {1e3 * reach:.3g} mm, but end {1e3 * abs(behind):.2g} mm "
+        f"{'behind' if behind >= 0 else 'ahead of'} where they began, and a spring leads back most of the way"
+    )
 
 
 def _of_motion(motion: MeasuredMotion) -> str:
     """Return why a record without a single whole cycle shows no stick-slip."""
     v = motion.velocity
-    if motion.travel < 20 * motion.resolution or motion.travel == 0:
-        return "nothing moves"
+    if motion.travel < BEYOND_NOISE * motion.resolution or motion.travel == 0:
+        return "nothing moves beyond the noise" if motion.travel else "nothing moves"
     if v.min() >= SLIPPING * motion.belt_speed:
         return f"the mass moves on at {motion.sign * np.median(v):.3g} m/s and never slips"
     if _is_sine(motion):

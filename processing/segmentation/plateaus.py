@@ -1,12 +1,14 @@
 """Plateaus of the velocity: where the mass stuck and where it slipped, and how fast the belt ran.
 
 A stick is a plateau of the velocity: the acceleration stays near zero for 30 ms or more, at the belt's speed.
-Three rules distinguish it from similar stretches:
+Four rules distinguish it from similar stretches:
 
 - the turning points of a swing are flat for a moment too, but their flat stretch grows fourfold when the tolerance
   does; a plateau hardly grows.  So laws 1 and 2, whose velocity only grazes the belt's, show no stick in the long run;
 - rest is not stick: before the belt starts (and after it stops) the count does not move at all;
-- sticks share one speed: a flat stretch at another one is left out.
+- sticks share one speed: a flat stretch at another one is left out;
+- a belt holds the mass at its speed: where the mass is faster than the belt for longer than it sticks, the flat
+  stretches are lulls and turning points of an oscillation, and none of them is a stick.
 
 Where the belt has an encoder of its own, all this applies to the motion relative to the belt: a stick is then a plateau
 of the relative velocity at zero, however the belt speed varies, and the belt speed is that of its counts.
@@ -17,6 +19,7 @@ when they exceed the tolerance.
 
 import math
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -108,12 +111,33 @@ def segment(
             sticks.append((start, end, math.inf, math.inf))
     apart = motion.velocity - level if belt is None else belt.motion.velocity
     sticks = without_creep(series, sticks, apart, estimates)
+    if sticks:
+        found = tuple(sticks)
+        overtaken = estimates.once("overtaken", lambda: _is_overtaken(series, seen, level, belt, moving, found))
+        sticks, common = ([], math.nan) if overtaken else (sticks, common)
     phases = phases_from_sticks(series, moving, sticks)
     if stated is None and belt is None:
         held = [rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
         level = estimates.once("level", lambda: speed_before_creep(held, motion.window, common))
     speed = reported_speed(stated, measured, level, bool(sticks)) if belt is None else belt.speed(moving)
     return PhaseSegmentation(speed, phases, common)
+
+
+def _is_overtaken(
+    series: Series, seen: Motion, level: float, belt: BeltMotion | None, moving: Mask, sticks: Sequence[Stick]
+) -> bool:
+    """Return whether the mass is faster than the belt for longer than it sticks, noise within the sticks left out.
+
+    Friction brakes what overtakes the belt: after a landing the mass does so for a small part of a stick.  A swing of
+    an oscillation is faster for most of its way, whatever speed its lulls and turning points have.
+    """
+    stuck = np.zeros(series.time.size, np.bool_)
+    for start, end, *_ in sticks:
+        stuck[np.searchsorted(series.time, start) : np.searchsorted(series.time, end, side="right")] = True
+    # Relative to a belt with an encoder, `seen` is the motion already.
+    speed, ahead = (level, seen.velocity - level) if belt is None else (belt.velocity, seen.velocity)
+    faster = moving & ~stuck & (np.sign(speed) * ahead > SAME_SPEED * np.abs(speed))
+    return bool(np.count_nonzero(faster) > np.count_nonzero(stuck))
 
 
 def in_motion(series: Series) -> Mask:

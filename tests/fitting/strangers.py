@@ -4,6 +4,8 @@ Each maker takes a seeded generator and returns time (s) and position (m) of a r
 7.67 um as the rig's encoder would.  Sizes and rates are drawn, so that no single record is learnt by heart.
 """
 
+import math
+
 import numpy as np
 
 RATE = 1000.0
@@ -136,6 +138,24 @@ def two_sines(rng):
     return t, counted(0.05 * np.sin(2 * np.pi * f * t) + 0.03 * np.sin(2 * np.pi * 2.3 * f * t + rng.uniform(0, 6)))
 
 
+def shaken(rng):
+    """Shake a mass on its spring at random: it swings, now more, now less, and nothing holds it at one speed."""
+    t = _times(8)
+    omega, damping = 2 * np.pi * rng.uniform(5, 15), rng.choice([0.02, 0.05, 0.1])
+    steps = 4  # of the integration in a sample
+    dt = 1 / (RATE * steps)
+    push = 0.04 * omega * math.sqrt(damping * omega / dt) * rng.standard_normal((t.size, steps))
+    fade = 0.005  # s: a push does not change at once
+    x, position, velocity, force = np.empty(t.size), 0.0, 0.0, 0.0
+    for i, row in enumerate(push.tolist()):
+        x[i] = position
+        for kick in row:
+            force += dt / fade * (kick - force)
+            velocity += dt * (force - 2 * damping * omega * velocity - omega**2 * position)
+            position += dt * velocity
+    return t, counted(x + 1e-4 * rng.standard_normal(t.size))
+
+
 ALL = {
     make.__name__: make
     for make in (
@@ -154,5 +174,6 @@ ALL = {
         sawtooth,
         steps,
         two_sines,
+        shaken,
     )
 }

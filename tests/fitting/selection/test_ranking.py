@@ -1,5 +1,6 @@
 """The verdict: right on clean and on disturbed runs, silent where there is nothing to rank."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -208,6 +209,15 @@ def test_a_law_within_the_scatter_joins_the_set_and_one_beyond_does_not():
     chosen = model_confidence_set(evidence((3, 5, 6), noise * 0, 0.01 + noise - noise.mean(), 2 + noise), 0.05)
     assert chosen.members == (3, 5)
     assert chosen.order == (3, 5, 6)
+
+
+def test_behind_is_the_mean_difference_and_its_standard_error():
+    """What stands behind the "±" was half of the 95 % t-interval: 2.2 standard errors for twelve cycles."""
+    noise = 0.1 * np.random.default_rng(4).standard_normal(12)
+    chosen = model_confidence_set(evidence((3, 5), noise * 0, 0.1 + noise), 0.05)
+    assert chosen.behind[5] == pytest.approx((0.1 + noise.mean(), noise.std(ddof=1) / math.sqrt(12)), rel=1e-12)
+    wider = model_confidence_set(evidence((3, 5), noise * 0, 0.1 + noise), 0.01)
+    assert wider.behind == chosen.behind  # alpha decides who joins the set, not how the difference is stated
 
 
 def test_a_nested_law_in_the_set_is_named_first():
