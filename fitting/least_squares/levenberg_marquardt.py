@@ -19,7 +19,14 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from fitting.least_squares import elimination
-from fitting.least_squares.normal_equations import NormalEquations, SchurComplement, eigen, kernel, normal_equations
+from fitting.least_squares.normal_equations import (
+    HOLD,
+    NormalEquations,
+    SchurComplement,
+    eigen,
+    kernel,
+    normal_equations,
+)
 from fitting.least_squares.problem import LeastSquaresProblem, cost, cost_by_cycle
 
 # Chosen by trial on the runs of docs/identification.md, not swept.  The objective does not depend on them.
@@ -142,10 +149,15 @@ def minimise(
 
 
 def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None:
+    """Return the point, or None where it, or what lies beside it, cannot be followed."""
     found = problem.evaluate(u, local, True)
     if found is None:
         return None
-    blocks = normal_equations(problem, u, local, *found)
+    with np.errstate(over="ignore", invalid="ignore"):  # derivatives too large for a number are none
+        blocks = normal_equations(problem, u, local, *found)
+        largest = HOLD * (np.abs(np.diag(blocks.H)).sum() + np.abs(np.einsum("cii->c", blocks.Hl)).sum())
+    if not largest < math.inf:
+        return None
     return Point(u, local, *found, cost(problem, u, local, found[0]), blocks)
 
 

@@ -22,7 +22,7 @@ from daq.compute.compile import compiled
 from processing.defects import fault_kernel
 from processing.record.estimates import RecordEstimates
 from processing.record.motion import Fault, mask_of
-from processing.record.noise import position_noise, smallest_step
+from processing.record.noise import position_noise, reading_step
 from processing.record.series import LONG, Series
 
 KERNELS = ("processing.defects.fault_kernel",)
@@ -66,7 +66,7 @@ class SoundRecord:
 def without_faults(series: Series, estimates: RecordEstimates | None = None) -> SoundRecord:
     """Return the record without its faults."""
     estimates = estimates or RecordEstimates()
-    step = estimates.once("step", lambda: series.pitch or smallest_step(series.position))
+    step = estimates.once("step", lambda: reading_step(series))
     if estimates.known("noise"):
         limit, noise = estimates.once("limit", lambda: math.nan), estimates.once("noise", lambda: math.nan)
         faults = _faults(series, limit, step)

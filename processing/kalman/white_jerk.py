@@ -24,6 +24,7 @@ from processing.kalman import jerk_kernel
 from processing.kalman.first_state import first_state
 from processing.polynomial import uneven
 from processing.record.motion import Motion
+from processing.record.noise import reading_step
 from processing.record.series import Series, computed_once
 from processing.record.stretches import representative_stretches
 
@@ -86,7 +87,7 @@ def _scaled(series: Series, stretches: list[tuple[Array, Array]], floor: float) 
     third = np.percentile(np.abs(np.concatenate([np.diff(position, 3) for _, position in stretches])), 90)
     scale = max(float(third) ** 2 / 20, floor)  # near the variance of a reading, so that numbers stay near 1
     log_rho, reading = _likeliest([(time, position / math.sqrt(scale)) for time, position in stretches])
-    return log_rho, max(reading * scale, 0.25 * floor if series.pitch else floor)
+    return log_rho, max(reading * scale, 0.25 * floor if reading_step(series) else floor)
 
 
 def _stretches(series: Series, length: int) -> list[tuple[Array, Array]]:
@@ -140,9 +141,12 @@ def innovations(time: Array, position: Array, noise: Noise, stored: Array) -> Ar
 
 
 def least_variance(series: Series) -> float:
-    """Return the least variance of a reading, m^2: that of a count, or the rounding of the numbers."""
+    """Return the least variance of a reading, m^2: that of the step it was rounded to, or of the numbers' own rounding.
+
+    The step is a count, or what a table's last decimal is worth.
+    """
     rounding = 1e-15 * max(float(np.abs(series.position).max()), abs(series.origin))
-    return max(series.pitch**2 / 12, rounding**2, 1e-60)
+    return max(reading_step(series) ** 2 / 12, rounding**2, 1e-60)
 
 
 def lowest(function: Callable[[float], float], bounds: tuple[float, float], step: float, width: float) -> float:

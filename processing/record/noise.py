@@ -25,6 +25,10 @@ ROUNDED = 1.0  # steps: a smaller scatter is mostly rounding, which neighbours o
 NEAR_WHOLE = 0.02
 FEW, MANY = 30, 1000  # multiples of the smallest change, whose own printing is the error of these times as many
 VARIED = 0.05  # share of changes that must not be one step; those of a rounded motion differ
+ULPS = 2.0  # of the largest reading: by how much a decimal, and the difference of two, are off where numbers hold them
+# Of a step: rounding beyond which decimals are not seen.  Readings of any digits are as near whole steps as that one in
+# ten times, and hundreds of them never; at 0.5 everything is a multiple.
+SHOWN = 0.05
 GOLDEN = 0.6180339887498949  # its multiples modulo 1 are spread evenly
 NORMAL = 0.6744897501960817  # median of the absolute value of a standard normal number
 
@@ -49,11 +53,37 @@ def position_noise(series: Series) -> float:
     scatter by up to 2.3 times what independent errors of that size would give.  Readings 8 to 16 samples apart, in
     ever another order, do not share the pattern.
     """
-    step = series.pitch or smallest_step(series.position)
+    step = reading_step(series)
     scatter = _scatter(series, step, NEIGHBOURS)
     if scatter < ROUNDED * step:
         scatter = min(scatter, _scatter(series, step, APART))  # at few samples a second the wider ones see the motion
     return max(scatter, step / math.sqrt(12))
+
+
+@computed_once
+def reading_step(series: Series) -> float:
+    """Return the step that readings were rounded to: the pitch, or what they show; 0 for none.
+
+    Where they move by many steps a sample their changes do not show it, but their decimals do.
+    """
+    return series.pitch or smallest_step(series.position) or last_decimal(series)
+
+
+def last_decimal(series: Series) -> float:
+    """Return the power of ten (m) of which all changes are multiples; 0 where numbers hold no such one, or at rest.
+
+    A reading printed to 1e-9 m errs by 0.3e-9 m, however smooth the motion is.
+    """
+    x = series.position
+    farthest = float(np.abs(x).max())
+    if farthest == 0:
+        return 0.0
+    rounding = ULPS * float(np.spacing(max(farthest, abs(series.origin))))
+    for power in range(math.floor(math.log10(farthest)), math.floor(math.log10(rounding / SHOWN)), -1):
+        number = x * 10.0**-power if power < 0 else x / 10.0**power
+        if np.all(np.abs(number - np.rint(number)) <= rounding / 10.0**power + np.spacing(np.abs(number))):
+            return 10.0**power
+    return 0.0
 
 
 def smallest_step(position: Array) -> float:

@@ -35,6 +35,7 @@ THIRD = 1.0 / 3.0
 AT_KNOT = 16.0 * EPS  # of the speeds: as near to a knot as this, a slip speed is on it
 OFF_KNOT = 1e-3  # of the scaled time: w, which turns there, changes by some 1e-6, and friction by its third power
 NO_SIZE = -1e6  # stands for log2 of 0
+SMALLEST = 2.0**-1022  # the smallest number of full precision
 
 
 def expand(fr: Frame, mode: int, p: float, w: float, t: float, work: Buffer) -> float:
@@ -280,14 +281,15 @@ def expand_measured(
 def reach(work: Buffer, c0: float, c1: float, degree: int) -> float:
     """Return the scaled step at which the last two terms of w fall below rounding of the largest of its first three."""
     c2 = work[W + 2]
-    size0 = math.log2(abs(c0)) if c0 != 0.0 else NO_SIZE
-    size1 = math.log2(abs(c1)) if c1 != 0.0 else NO_SIZE
-    size2 = math.log2(abs(c2)) if c2 != 0.0 else NO_SIZE
+    unit = max(abs(c0), abs(c1), abs(c2), SMALLEST)  # of the sizes, which then are the same at any scale of w
+    size0 = math.log2(abs(c0) / unit) if c0 != 0.0 else NO_SIZE
+    size1 = math.log2(abs(c1) / unit) if c1 != 0.0 else NO_SIZE
+    size2 = math.log2(abs(c2) / unit) if c2 != 0.0 else NO_SIZE
     shortest = LARGEST_STEP_SIZE
     for j in range(degree - 1, degree + 1):
-        last = work[W + j]
-        if last != 0.0:
-            edge = math.log2(abs(last)) - ROUNDING_SIZE
+        last = abs(work[W + j]) / unit
+        if last > 0.0:
+            edge = math.log2(last) - ROUNDING_SIZE
             longest = max((size0 - edge) * INVERSE[j], (size1 - edge) * INVERSE[j - 1], (size2 - edge) * INVERSE[j - 2])
             shortest = min(shortest, longest)
     return math.exp(LOG_2 * shortest)
@@ -311,7 +313,8 @@ def series_exit(
     scale = float(work[TIME_SCALE])
     if not scale > 0.0:  # the rate overflowed: `phase` calls that not finite
         return 0, math.inf
-    xi_end = min(step, tau_max / scale)
+    whole = tau_max / scale
+    xi_end = min(step, whole)
     if math.isinf(step):
         return 0, tau_max
     degree = ORDER
@@ -345,4 +348,6 @@ def series_exit(
             end = xi
     if side == 0 and end == 0.0:  # w turns on a knot: off it on this step
         end = min(xi_end, OFF_KNOT)
+    if side == 0 and end == whole:  # whole * scale may be an ulp less than tau_max, and so may what is left, for ever
+        return 0, tau_max
     return side, min(end * scale, tau_max)

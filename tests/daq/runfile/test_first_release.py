@@ -116,8 +116,14 @@ def test_a_run_fits_with_the_same_parameters(files: Path, name: str) -> None:
             # In the last of its six cycles the mass overtakes the belt by 0.7 %, as its truth shows.  Before that was
             # found the cycle was an outlier: v_dr moved by a sixth of its standard error and Fs by a tenth, and that of
             # k/m fell by 15 %.
-            moved = {"k/m": 0.4, "v_dr": 0.2, "Fs": 0.15, "Fs/m": 0.15, "Fs/k": 0.15}
+            # Since then a record is thinned by samples a slip: the simulated run, of 49, not at all, where every second
+            # sample was left out and the noise level rms x sqrt(correlation time in samples), then of 3.5 um for 4.9,
+            # was that of half the record.  k/m moved on to 139.989, gamma from 9.638 to 9.602 across the scene's 9.618,
+            # and the errors of c/m, gamma and x0 grew by 15 to 16 %.  Over 24 seeds of the scene the errors are the
+            # same in the median, and the deviations from the scene's values are 0.5 to 1.2 of them rms, both ways.
+            moved = {"k/m": 0.75, "gamma": 0.25, "v_dr": 0.2, "Fs": 0.2, "Fs/m": 0.2, "Fs/k": 0.2}
             near = stderr * (moved.get(key, 0.1) if name == "simulated" else 0.1)
             assert rows[law].parameters[key].value == pytest.approx(value, abs=near), key
-            least, most = (0.9, 3.0) if name == "imported" else (0.84, 1.1)
+            wider = 1.2 if key in ("c", "c/m", "gamma", "x0") else 1.1
+            least, most = (0.9, 3.0) if name == "imported" else (0.84, wider)
             assert stderr * least < rows[law].parameters[key].stderr < stderr * most, key

@@ -261,3 +261,24 @@ def test_a_cycles_own_unknown_on_its_bound_stays_there_and_the_others_settle_bes
     rest = np.linalg.lstsq(full[:, kept], data - full[:, place] * bound, rcond=None)[0]
     assert found.local[2, 0] == pytest.approx(bound, rel=1e-9)
     assert found.u == pytest.approx(rest[:SHARED], abs=1e-6)
+
+
+@pytest.mark.parametrize("steep", [1e145, 1e160, math.inf])
+def test_a_search_stops_where_derivatives_are_too_large_for_a_number(linear, steep):
+    """Beside a sharp guide's friction the tangents were 1e229: their squares overflowed, and the step was NaN."""
+    evaluate, rows, _, _ = linear
+    begin = np.zeros(SHARED), np.zeros((CYCLES, LOCAL))
+
+    def cliff(u, local, derivatives):
+        value, jacobian = evaluate(u, local, derivatives)
+        if derivatives and np.any(u):
+            jacobian = jacobian.copy()
+            jacobian[5] *= steep
+        return value, jacobian
+
+    task = problem(cliff, rows, weights=np.full(CYCLES, 1e12))
+    found = levenberg_marquardt.minimise(task, *begin)
+    assert found.outcome == "no progress"
+    assert np.isfinite(found.u).all()
+    assert np.isfinite(found.blocks.H).all()
+    assert levenberg_marquardt.minimise(task, begin[0] + 1.0, begin[1]) is None

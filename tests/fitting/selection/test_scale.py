@@ -36,6 +36,18 @@ def test_a_contact_in_fast_or_slow_motion_is_the_same_contact(track, faster):
     assert len(found.events) == len(expected.events)
 
 
+@pytest.mark.parametrize("faster", [2.0, 2.0**-6])
+def test_a_motion_faster_by_a_power_of_two_gives_the_same_numbers(track, faster):
+    """64 times slower a step of the flow did not end: the fit of all samples was given up, that of a third kept."""
+    expected = rank(smooth(track(1.0)), laws=(5,)).best
+    found = rank(smooth(track(faster)), laws=(5,)).best
+    assert found.rms_m == pytest.approx(expected.rms_m, rel=1e-9)
+    for name, power in (("k/m", 2), ("v_dr", 1), ("gamma", -1)):
+        ours, theirs = found.parameters[name], expected.parameters[name]
+        assert ours.value / faster**power == pytest.approx(theirs.value, rel=1e-6)
+        assert ours.stderr / faster**power == pytest.approx(theirs.stderr, rel=1e-5)
+
+
 def test_times_scaled_by_a_power_of_two_scale_the_slip_and_nothing_else(motion_of):
     motion = motion_of(law=5, duration=12.0)
     for power in (-12, 3, 12):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from processing.record import series
-from processing.record.noise import position_noise, smallest_step
+from processing.record.noise import position_noise, reading_step, smallest_step
 
 CAMERA = {"duration": 30.0, "jitter": 0.0, "rate": 400.0}
 
@@ -67,3 +67,20 @@ def test_rest_before_and_after_the_motion_says_nothing(motion, noise_of):
     held = np.concatenate((np.full(10_000, seen[0]), seen, np.full(5000, seen[-1])))
     assert noise_of(np.arange(held.size) / 400, held) == pytest.approx(2e-4, rel=0.1)
     assert noise_of(np.arange(100) / 400, np.full(100, 0.3)) == 0.0
+
+
+@pytest.mark.parametrize("origin", [0.0, -3.7, 1000.0])
+@pytest.mark.parametrize("decimals", [3, 6, 9])
+def test_the_step_of_a_table_is_its_last_decimal_however_far_the_mass_moves_in_a_sample(origin, decimals):
+    """Where it moves by a million of these steps a sample, none was found, and readings passed for exact."""
+    time = np.arange(600) / 250
+    printed = np.round(origin + 0.1 * np.sin(40 * time) + 0.03 * np.sin(17.3 * time), decimals)
+    data = series.Series(time, printed - printed[0], float(printed[0]), 0.0, 1 / 250, (slice(0, 600),))
+    assert reading_step(data) == pytest.approx(10.0**-decimals, rel=1e-3)
+    assert position_noise(data) >= 10.0**-decimals / np.sqrt(12) * 0.999
+
+
+def test_readings_of_all_digits_have_no_step():
+    time = np.arange(600) / 250
+    exact = 0.1 * np.sin(40 * time)
+    assert reading_step(series.Series(time, exact, 0.0, 0.0, 1 / 250, (slice(0, 600),))) == 0.0

@@ -14,9 +14,9 @@ from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
-from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, OUTCOMES
+from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES
 from rig_sim.friction.law import LAWS
-from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.buffer import STEPS, new_work
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.phases import next_event
 from rig_sim.motion import play
@@ -45,6 +45,26 @@ def meets_the_reference(reference_events, flow, x, v, t_max, tolerance, *, least
     assert error <= tolerance
     assert len(found.t) >= least
     return found
+
+
+# Slow contacts --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("slower", [2.0**-7, 1.0, 2.0**6])
+def test_a_phase_of_any_length_ends_in_few_steps(slower):
+    """The last step ended an ulp early, the next an ulp of what was left, and so on: 2 of these ended in no time.
+
+    Where the unit of time was below 2 s, rounding of the smallest number of all, 5e-324 s, ended that after 20 steps.
+    """
+    flow = Flow(k=1e-4 / slower**2, v_belt=3e-3 / slower, Fs=1e-4 / slower**2, gamma=300.0 * slower)
+    begin = 600.0 * slower
+    steps = []
+    for number in range(1000):
+        work, end = new_work(100), begin + (5.0 + 0.01 * number) * slower
+        kind, _, _, _, reached = next_event(flow, NEGATIVE, 1.5, -2e-3 / slower, begin, end, work)
+        assert (kind, reached) == (COMPLETED, end)
+        steps.append(work[STEPS])
+    assert max(steps) <= 5
 
 
 # A belt at rest, and one that runs backwards --------------------------------------------------------------------------

@@ -107,6 +107,43 @@ def test_a_shift_of_time_shifts_the_events_and_nothing_else(law, shift, omega, *
     )
 
 
+@settings(max_examples=25, deadline=None)
+@given(
+    law=st.sampled_from(sorted(LAWS)),
+    longer=st.integers(-40, 40),
+    slower=st.integers(-40, 40),
+    x=st.floats(-2.0, 2.0),
+    c=st.sampled_from([0.0, 0.02]),
+    static=st.floats(1.0, 1.5),
+    u0=st.sampled_from([0.0, 0.1]),
+    **flows,
+)
+def test_lengths_and_times_in_other_units_give_the_same_motion_to_the_last_bit(
+    law, longer, slower, x, c, static, u0, **fields
+):
+    """Logarithms of m/s decided how long a step is: their rounding changed with the unit, and the bits with it."""
+    speed, force_unit = 2.0 ** (longer - slower), 2.0 ** (longer - 2 * slower)
+    flow = flow_of(law, c=c, static=static, u0=u0, omega=0.7, phase=0.3, **fields)
+    other = flow._replace(
+        k=flow.k * 2.0 ** (-2 * slower),
+        c=flow.c * 2.0**-slower,
+        v_belt=flow.v_belt * speed,
+        Fs=flow.Fs * force_unit,
+        G_slip=flow.G_slip * 2.0**-slower,
+        gamma=flow.gamma / speed,
+        d=flow.d * speed,
+        u0=flow.u0 * force_unit,
+        omega=flow.omega * 2.0**-slower,
+    )
+    unit = math.sqrt(flow.m / flow.k)
+    ours = list_events(flow, x, 0.0, 30.0 * unit)
+    theirs = list_events(other, x * 2.0**longer, 0.0, 30.0 * unit * 2.0**slower)
+    assert theirs.outcome == ours.outcome
+    assert theirs.kinds == ours.kinds
+    assert theirs.t == tuple(t * 2.0**slower for t in ours.t)
+    assert theirs.x == tuple(place * 2.0**longer for place in ours.x)
+
+
 # Energy ---------------------------------------------------------------------------------------------------------------
 
 
