@@ -31,6 +31,7 @@ MOST_PIECES = 2000  # published forms take 100 to 250: half refuses none of them
 WIDEST = 64.0  # times the speed that energy allows: a drive in resonance goes beyond; a doubling adds some ten pieces
 FIRST_PIECES = 32  # up to that speed, with nine places each: what is narrower than a three-hundredth may be overlooked
 SHORTEST = 1e-12  # of the range: a shorter piece leaves four digits to the speeds within it
+SLOWEST = 1e-60  # m/s: the third power of a piece's width and its inverse are then numbers
 PLACES = (0.0625, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875, 0.9375)  # of a piece, where its error is seen
 
 
@@ -91,22 +92,28 @@ def formula_curve(formula: Formula, values: tuple[float, ...], fastest: float) -
     ------
     InputError
         Up to ``fastest`` the formula, or its slope, is not finite; it is negative; or it changes so abruptly that
-        `MOST_PIECES` cubics do not follow it.  At rest it is not above 0.
+        `MOST_PIECES` cubics do not follow it.  At rest it is not above 0.  Or ``fastest`` is out of range.
     """
+    import numpy as np
+
     asked = _Asked(formula, dict(zip(formula.parameters, values, strict=True)))
     level = float(formula.value(0.0, asked.parameters))
     if not level > 0.0:
         at = formula.place(0.0, asked.parameters)
         what = f"friction at rest is {level:.6g}, {at}"
         raise InputError(what, "formula", "choose a form that is above 0 at s = 0: it is what holds the mass in stick")
+    if not SLOWEST <= fastest <= 1.0 / SLOWEST:
+        what = f"the mass may reach s = {fastest:.6g} m/s, beyond {SLOWEST:g} to {1.0 / SLOWEST:g}"
+        raise InputError(what, "formula", "choose other units")
     # a power of 2: the pieces stay where they are while a parameter varies
     widest = 2.0 ** math.ceil(math.log2(fastest)) * WIDEST
-    while widest > fastest:
-        try:
-            return _followed(asked, level, fastest, widest)
-        except InputError:
-            widest *= 0.5
-    return _followed(asked, level, fastest, fastest)
+    with np.errstate(all="ignore"):  # cubics of huge numbers may overflow: they then follow nothing, and are halved
+        while widest > fastest:
+            try:
+                return _followed(asked, level, fastest, widest)
+            except InputError:
+                widest *= 0.5
+        return _followed(asked, level, fastest, fastest)
 
 
 def _followed(asked: _Asked, level: float, fastest: float, end: float) -> FormulaCurve:

@@ -86,6 +86,17 @@ def test_pieces_stay_where_they_are_while_a_parameter_varies() -> None:
     assert tables[0].table[-1] == tables[1].table[-1] == 2.0 * WIDEST
 
 
+def test_huge_numbers_beyond_the_reach_end_the_curve_without_a_warning() -> None:
+    found = curve("Fs*exp(s/v)", 2.0, Fs=1.0, v=0.1804)  # 1e308 at the widest end tried: the cubics overflow
+    assert 2.0 <= found.table[-1] < 2.0 * WIDEST
+
+
+@pytest.mark.parametrize("fastest", [0.0, 1e-70, 1e70, math.inf])
+def test_a_speed_out_of_the_range_of_numbers_is_refused(fastest: float) -> None:
+    with pytest.raises(InputError, match="choose other units"):
+        curve(GAUSSIAN, fastest, Fc=0.6, Fs=1.0, v_s=0.15, b=0.02)
+
+
 @pytest.mark.parametrize(
     ("text", "values", "said"),
     [
