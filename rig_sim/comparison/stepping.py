@@ -121,7 +121,7 @@ def sample_phase(
             kind = part.end
         elif part.side != 0:
             entered = transition(fr, own, part.side, p, t)
-            if entered == modes.FORCE_REVERSAL:
+            if entered >= modes.FORCE_REVERSAL:
                 kind = entered
             else:
                 rapid = (t - begun) * fr.omega0 <= RAPID_TIME

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 from rig_sim.flow import modes
-from rig_sim.flow.contact_state import force
+from rig_sim.flow.contact_state import force, transition
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import frame, friction_slope, mirrored
 from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses
@@ -26,7 +26,8 @@ class FixedPoint:
     ----------
     outcome : str
         'fixed point'; 'belt at rest' (jump laws: the mass rests anywhere friction holds it); 'driven' (none: the drive
-        moves the mass); 'force reversal' (linear curve: the belt is faster than the curve reaches).
+        moves the mass); 'force reversal' (linear curve: the belt is faster than the curve reaches), or
+        'end of the curve' (of a formula: the same).
     advice : str
         What to do where there is none.
     x : float or None
@@ -69,7 +70,7 @@ def fixed_point(flow: Flow) -> FixedPoint:
     if flow.v_belt == 0.0 and frame(flow).B > 0.0 and frame(flow).d == 0.0:
         return FixedPoint("belt at rest", "the mass rests wherever friction holds it: set belt.speed")
     if frame(flow).v > frame(flow).s_max:
-        return FixedPoint(*modes.OUTCOMES[modes.FORCE_REVERSAL])
+        return FixedPoint(*modes.OUTCOMES[transition(frame(flow), modes.NEGATIVE, -1, 0.0, 0.0)])
     F, slope = friction_at_rest(flow)
     roots = quadratic_roots(flow.m, flow.c - slope, flow.k)
     return FixedPoint("fixed point", "", flow.x0 + F / flow.k, roots, flow.c > slope)

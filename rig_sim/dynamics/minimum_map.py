@@ -96,8 +96,8 @@ def next_minimum(fr: Frame, p: float, work: Buffer) -> MinimumTurn:
             p_max, rising = p, False
             continue
         entered = transition(fr, mode, side, p, 0.0)
-        if entered == modes.FORCE_REVERSAL:
-            return MinimumTurn(*modes.OUTCOMES[modes.FORCE_REVERSAL])
+        if entered >= modes.FORCE_REVERSAL:
+            return MinimumTurn(*modes.OUTCOMES[entered])
         if entered == modes.STICK:
             jumps = 0.0
         elif mode != modes.STICK:

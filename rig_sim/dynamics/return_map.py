@@ -76,8 +76,8 @@ def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer, *, to_the_
             return Turn("no cycle", f"none found within {STEPS_ALLOWED_HERE} steps", p)
         phases.append((mode, tau, p_start))
         entered = transition(fr, mode, side, p, 0.0)
-        if entered == modes.FORCE_REVERSAL:
-            return Turn(*modes.OUTCOMES[modes.FORCE_REVERSAL], p)
+        if entered >= modes.FORCE_REVERSAL:
+            return Turn(*modes.OUTCOMES[entered], p)
         if mode in (modes.STICK, modes.RAMP) and entered == modes.NEGATIVE:
             return Turn("", "", p, tuple(phases), (min(p_seen), max(p_seen), min(w_seen), max(w_seen)))
         mode = entered
@@ -127,8 +127,9 @@ def pass_phase(
                 p = 0.0 if side > 0 else p
             else:
                 w = hi if side > 0 else lo
-            p_seen.append(p)
-            w_seen.append(w)
+        p_seen.append(p)  # of every step: one may end at an extreme, as on a knot at the belt's speed
+        w_seen.append(w)
+        if side != 0:
             return side, math.fsum(durations), p, w
         if settles(fr, mode, p, w):
             return 0, math.inf, p, w

@@ -3,6 +3,7 @@
 from rig_sim.flow import modes
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import Frame, curve_deficit, displacement, drive, frame, linear_terms, mirrored
+from rig_sim.friction.curve import MEASURED
 
 
 def classify(fr: Frame, p: float, w: float, t: float) -> int:
@@ -39,6 +40,8 @@ def transition(fr: Frame, mode: int, side: int, p: float, t: float) -> int:
     if mode == modes.STICK:
         return modes.NEGATIVE if side > 0 else modes.POSITIVE
     if (mode == modes.NEGATIVE) != (side > 0):
+        if fr.curve == MEASURED and fr.table[5 * fr.pieces + 1] < fr.table[5 * fr.pieces]:
+            return modes.CURVE_END
         return modes.FORCE_REVERSAL
     if fr.d > 0.0:
         return modes.RAMP

@@ -14,9 +14,9 @@ class Frame(NamedTuple):
 
     ``mirror`` is -1 when the belt runs backwards (x, velocities, drive and modes are mirrored), else 1; ``A`` and ``B``
     are the kinetic and the break-away friction level (N); ``d`` (m/s) is 0 for a jump; ``G`` (N s/m) the linear curve's
-    slope with the scatter; ``s_max`` (m/s) the relative speed of force reversal; ``omega2`` = k/m = omega0^2 (1/s^2);
-    ``slip`` = x_slip - x0 (m, mirrored); ``lag`` = droop gamma on the hyperbola, else 0; ``pieces`` and ``table`` are a
-    measured curve's.
+    slope with the scatter; ``s_max`` (m/s) the relative speed of force reversal, or where the curve ends;
+    ``omega2`` = k/m = omega0^2 (1/s^2); ``slip`` = x_slip - x0 (m, mirrored); ``lag`` = droop gamma on the hyperbola,
+    else 0; ``pieces`` and ``table`` are those of a curve of cubics.
     """
 
     mirror: float
@@ -58,7 +58,7 @@ def frame(flow: Flow) -> Frame:
         curve = CONSTANT
     reversal = reversal_speed(curve, A, G)
     if curve == MEASURED:
-        reversal = flow.table[5 * flow.pieces]
+        reversal = min(flow.table[5 * flow.pieces], flow.table[5 * flow.pieces + 1])
     lag = 0.0
     if flow.droop > 0.0:
         d += flow.droop

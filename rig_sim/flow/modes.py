@@ -23,6 +23,7 @@ Fs the level of the curve at rest (factor applied), B = static Fs the break-away
     POSITIVE  w reaches +d                 RAMP
     RAMP      w falls below -d, above +d   NEGATIVE, POSITIVE
     slip      linear curve at zero force   the end: outcome `force reversal`
+    slip      a formula's range is left    the end: outcome `end of the curve`
 
 At its edge a mode is kept: where rounding makes the acceleration point back out of it, the acceleration counts as zero
 (slip that has just begun never returns by an ulp).  A ramp of zero width is a jump.
@@ -67,6 +68,7 @@ NOT_FINITE = 23
 LIST_FULL = 24
 RECURRED = 25
 EVENT_LIMIT = 26
+CURVE_END = 27
 
 STICK_TO_NEGATIVE = 4 * STICK + NEGATIVE
 RAMP_TO_NEGATIVE = 4 * RAMP + NEGATIVE
@@ -93,6 +95,11 @@ OUTCOMES = {
     NOT_FINITE: Outcome("not finite", "a number overflowed or was not a number: check the scene's magnitudes"),
     LIST_FULL: Outcome("list full", "take the events found so far and call again"),
     RECURRED: Outcome("recurred", "the last events repeat periodically: `rig_sim.integrate.events` lists them"),
+    CURVE_END: Outcome(
+        "end of the curve",
+        "slip is faster than friction.formula is finite, not negative and smooth, or 64 times what spring, friction, "
+        "belt and start allow: change the formula, or lower the drive",
+    ),
     EVENT_LIMIT: Outcome("event limit", "raise the number of events allowed, shorten the time, or list a later part"),
 }
 

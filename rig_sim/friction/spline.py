@@ -1,15 +1,17 @@
-"""A measured friction curve: the cubic spline through points (slip speed, friction), as the kernels read it.
+"""A friction curve made of cubics, as the kernels read it: the spline through measured points, or through a formula.
 
-The spline is not-a-knot, the usual one through points alone: twice continuously differentiable, with its third
-derivative continuous at the second and at the last point but one too.  Two points give a line, three a parabola.
+The spline through points (slip speed, friction) is not-a-knot, the usual one through points alone: twice continuously
+differentiable, with its third derivative continuous at the second and at the last point but one too.  Two points give a
+line, three a parabola.
 Beyond the last point its slope stays as it is there.  A spline with breaks at given speeds is such a curve when one
-more point is named inside its first and its last piece each.
+more point is named inside its first and its last piece each.  The cubics of a formula: `formula_curve`.
 
 The kernels read one flat table of ``pieces`` cubics, the last of them the line beyond the last point:
 
     table[i]                         slip speed where piece i begins (m/s); the first begins at 0
     table[pieces + 4 i ... + 3]      powers 0 to 3 of the distance to that speed, over the friction at rest
     table[5 pieces]                  slip speed at which friction first is 0, beyond which it is unphysical; or infinite
+    table[5 pieces + 1]              slip speed (m/s) beyond which the curve is not known; infinite for measured points
 """
 
 import math
@@ -88,12 +90,27 @@ def spline_table(points: tuple[tuple[float, float], ...]) -> tuple[int, tuple[fl
         if end > begin:
             rows.append((float(begin), *powers.tolist(), *[0.0] * (3 - degree)))
     rows[0] = (0.0, 1.0, *rows[0][2:])
-    last, begin = speeds[-1], rows[-1][0]
-    z, (c0, c1, c2, c3) = last - begin, rows[-1][1:]
+    return table_of(rows, speeds[-1], ends=False)
+
+
+def table_of(rows: Sequence[tuple[float, ...]], last: float, *, ends: bool) -> tuple[int, tuple[float, ...]]:
+    """Return (pieces, table) of cubics, as the module describes it.
+
+    Parameters
+    ----------
+    rows : sequence of (begin, c0, c1, c2, c3)
+        Where each cubic begins (m/s), from 0 on, and its powers over the friction at rest.
+    last : float
+        Where the last one ends, m/s; from there the curve has constant slope.
+    ends : bool
+        Whether the curve is unknown beyond ``last``.  It is then not negative before, and its zeros are not searched.
+    """
+    begin, c0, c1, c2, c3 = rows[-1]
+    z = last - begin
     value, slope = c0 + z * (c1 + z * (c2 + z * c3)), c1 + z * (2.0 * c2 + z * 3.0 * c3)
-    rows.append((last, value, slope, 0.0, 0.0))
+    rows = [*rows, (last, value, slope, 0.0, 0.0)]
     table = [row[0] for row in rows] + [power for row in rows for power in row[1:]]
-    return len(rows), (*table, _first_zero(rows))
+    return len(rows), (*table, *((math.inf, last) if ends else (_first_zero(rows), math.inf)))
 
 
 def refused(points: Sequence[Sequence[float]]) -> str:

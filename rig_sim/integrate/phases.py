@@ -177,8 +177,8 @@ def phase(
         ):  # so that slip begins in p alone, and a recurrence can be recognised
             work[buffer.P_REST] = 0.0
         entered = transition(fr, mode, side, p, t)
-        if entered == modes.FORCE_REVERSAL:
-            return modes.FORCE_REVERSAL, mode, p, w, t, carry, i
+        if entered >= modes.FORCE_REVERSAL:
+            return entered, mode, p, w, t, carry, i
         if (t - begun) * fr.omega0 <= RAPID_TIME:
             work[buffer.RAPID] += 1.0
             if work[buffer.RAPID] > RAPID_ALLOWED:

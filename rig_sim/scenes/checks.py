@@ -2,14 +2,22 @@
 
 import math
 
-from daq.errors import InputError
+from daq.errors import InputError, nearest
 from rig_sim.flow.flow import LARGEST, SMALLEST, steepest_fall, validate
-from rig_sim.friction.law import law_or_curve
 from rig_sim.friction.spline import refused
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Friction
 
 MOST_POINTS = 1000  # of a measured curve: a fit gives some 16
+OWN_KEYS = {  # of the section friction, which no parameter of a formula can be; Fs, G_slip and gamma can
+    "law": "the law's number",
+    "curve": "measured points",
+    "formula": "the formula itself",
+    "contact": "jump or ramp",
+    "static": "break-away level over the friction at rest",
+    "d": "half-width of the ramp",
+    "G_stick": "slope of the ramp",
+}
 TWO_MASS_TERMS = ("mass", "spring", "coupling", "belt", "friction", "start", "damper")  # what two masses may have
 
 
@@ -33,11 +41,18 @@ def check_together(found: Scene, where: str) -> None:
     else:
         if friction.G_stick is not None and friction.d is not None:
             raise InputError("friction has both G_stick and d", where, "keep one: G_stick = -static Fs/d")
-        _check_curve(friction, where)
-        for key in law_or_curve(friction.law).parameters:
+        if friction.formula is not None:
+            _check_formula(friction, where)
+        elif friction.law is None:
+            do = "give it, or --set friction.law=..., or friction.formula"
+            raise InputError("friction.law is missing", where, do)
+        else:
+            _check_curve(friction, where)
+        for key in friction.own_law().parameters if friction.formula is None else ():
             if getattr(friction, key) is None and not (key == "d" and friction.G_stick is not None):
                 name = "G_stick or d" if key == "d" else key
                 raise InputError(f"friction.{name} is missing, which law {friction.law} needs", where, f"give {name}")
+    _check_formula_values(found, where)
     if found.joint is not None and (found.belt is None or found.belt.length is None):
         raise InputError("joint needs belt.length", where, "give the length of one turn of the belt")
     if found.belt is not None and found.belt.ripple_hz is not None and found.belt.ripple is None:
@@ -48,8 +63,9 @@ def check_together(found: Scene, where: str) -> None:
         if found.drive is not None:
             raise InputError("belt.ripple beside a drive", where, "drop one: the integrator supports one harmonic")
     if found.droop is not None:
-        if friction is not None and friction.law == 0:
-            raise InputError("droop with friction.law = 0 is not modelled", where, "drop droop, or take law 1 to 6")
+        if friction is not None and not friction.law:
+            key = "friction.law = 0" if friction.formula is None else "friction.formula"
+            raise InputError(f"droop with {key} is not modelled", where, "drop droop, or take law 1 to 6")
         if found.belt is None or friction is None:
             raise InputError("droop without belt and friction", where, "add them or drop droop")
         _check_droop(found, found.droop.fraction, where)
@@ -89,6 +105,36 @@ def _check_curve(friction: Friction, where: str) -> None:
         raise InputError("friction.d is missing, which a ramp needs", where, "give d, or drop friction.contact")
 
 
+def _check_formula(friction: Friction, where: str) -> None:
+    """Refuse a formula beside a law, one whose parameters are missing, and names that the section has for itself."""
+    for key in ("law", "curve"):
+        if getattr(friction, key) is not None:
+            raise InputError(f"friction has both {key} and formula", where, "keep one")
+    formula = friction.parsed()
+    names = formula.parameters if formula is not None else ()
+    for name in names:
+        if name in OWN_KEYS:
+            what = f"friction.formula has a parameter {name}, which is the section's own: {OWN_KEYS[name]}"
+            raise InputError(what, where, "give the parameter another name")
+        if name not in friction.of_formula():
+            others = [key for key in friction.model_fields_set if key not in {*OWN_KEYS, *names}]
+            close = nearest(name, others) if others else ""
+            do = f"give {name}" + (f"; {close}" if close.startswith("did") else "")
+            raise InputError(f"friction.{name} is missing, which the formula needs", where, do)
+    if friction.contact == "ramp" and friction.d is None and friction.G_stick is None:
+        raise InputError("friction.d is missing, which a ramp needs", where, "give d, or drop friction.contact")
+
+
+def _check_formula_values(found: Scene, where: str) -> None:
+    """Refuse a formula that is no friction curve at the slip speeds which the scene can reach."""
+    if found.friction is None or found.friction.formula is None:
+        return
+    try:
+        found.model_copy(update={"shaker": None}).flow()
+    except InputError as error:
+        raise InputError(f"friction.formula: {error.what}", where, error.do) from None
+
+
 def _check_masses(found: Scene, where: str) -> None:
     """Refuse a start that belongs to another number of masses, and what two masses do not have."""
     given = sorted(found.start.model_fields_set)
@@ -103,11 +149,12 @@ def _check_masses(found: Scene, where: str) -> None:
     for key in ("start", "length", "ripple", "ripple_hz", "channel"):
         if found.belt is not None and getattr(found.belt, key):
             raise InputError(f"belt.{key} beside coupling: not modelled for two masses", where, f"drop belt.{key}")
-    if found.friction is not None and law_or_curve(found.friction.law).contact != "jump":
+    if found.friction is not None and found.friction.own_law().contact != "jump":
         what = f"friction.law is {found.friction.law}, a ramp, which is not modelled for two masses"
         raise InputError(what, where, "take law 1, 3 or 5")
-    if found.friction is not None and found.friction.law == 0:
-        raise InputError("friction.law is 0, which is not modelled for two masses", where, "take law 1, 3 or 5")
+    if found.friction is not None and not found.friction.law:
+        key = "friction.law is 0" if found.friction.formula is None else "friction.formula is given"
+        raise InputError(f"{key}, which is not modelled for two masses", where, "take law 1, 3 or 5")
     used = [way for way in STARTS if any(key in given for key in way)]
     if STARTS[0] in used:
         raise InputError("start.x or start.v beside coupling", where, "give start.x1, v1, x2, v2, or start.d")

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from daq.errors import InputError
 from rig_sim.flow.flow import Flow
+from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.friction.curve import CONSTANT
 from rig_sim.scenes import sections
@@ -83,6 +84,22 @@ class Scene(Section):
             raise InputError("has one mass, and this is for two", f"scene {self.name}", do)
         return TwoMassFlow(self._flow_of_one(), float(self.coupling.a), float(self.coupling.b))
 
+    def _fastest(self) -> float:
+        """Return the largest slip speed (m/s) that energy allows, for a formula; 0 of a law, which has no end."""
+        if self.friction is None or self.friction.formula is None:
+            return 0.0
+        speed = abs(float(self.belt.speed)) + float(self.belt.ripple or 0.0) if self.belt else 0.0
+        return largest_slip_speed(
+            float(self.mass.m),
+            float(self.spring.k),
+            float(self.damper.c) if self.damper else 0.0,
+            speed,
+            self.friction.largest(speed),
+            float(self.start.x) - float(self.spring.x0),
+            abs(float(self.start.v)) + (abs(float(self.joint.kick)) if self.joint else 0.0),
+            abs(float(self.drive.u0)) if self.drive else 0.0,
+        )
+
     def _flow_of_one(self, *, belt_running: bool = True, factor: float = 1.0) -> Flow:
         """Return the flow of one mass, alone."""
         none = {"curve": CONSTANT, "ramp": 0, "Fs": 0.0, "G_slip": 0.0, "gamma": 0.0, "d": 0.0}
@@ -93,7 +110,7 @@ class Scene(Section):
             c=float(self.damper.c) if self.damper else 0.0,
             v_belt=float(self.belt.speed) if self.belt and belt_running else 0.0,
             factor=factor,
-            **(none | self.friction.numbers() if self.friction else none),
+            **(none | self.friction.numbers(self._fastest()) if self.friction else none),
             u0=float(self.drive.u0) if self.drive else 0.0,
             omega=float(self.drive.omega) if self.drive else 0.0,
             phase=0.0,

@@ -10,6 +10,8 @@ belt      speed, start = 0, length, ripple,    at rest before ``start``, then at
 friction  law, Fs, G_slip, gamma, G_stick or d, a law takes the parameters it needs and leaves the others alone
           static = 1
           curve, contact = "jump"               of law 0: [[slip speed, friction], ...] from speed 0; or "ramp", with d
+          formula, and its parameters           instead of law: "Fc + (Fs - Fc)*exp(-s/v_s)", s the slip speed; with d
+                                                or G_stick behind a ramp, unless contact = "jump"
 start     x = 0, v = 0                          the mass at t = 0
           x1 = 0, v1 = 0, x2 = 0, v2 = 0,       two masses at t = 0; or both sticking with x2 - x1 = d, at the end of
           d, attractor                          that stick; or there on attractor 1, 2 ... (1 has the largest basin)
@@ -34,6 +36,9 @@ fit       parameters, values, covariance,       what a fit knows of the keys abo
 output    truth                                 the board also sends the exact motion; older name: tell
 ========= ===================================== ========================================================================
 
+Naming a law in a change removes the formula with its parameters; naming a formula removes law, curve, contact, G_stick
+and d.
+
 Top-level keys: name, title, seed (default 0).  SI units, or dimensionless throughout.  ``G_stick = -static Fs/d``:
 naming one of the two in a change removes the other; so does naming another way to start.
 """
@@ -46,11 +51,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from daq.errors import InputError, nearest
+from rig_sim.friction.formula import Formula
 from rig_sim.scenes.checks import check_magnitudes, check_together
 from rig_sim.scenes.model import STARTS, Scene
 from rig_sim.scenes.sections import Section
 
 BUILTIN_FOLDER = Path(__file__).parent / "builtin"
+FRICTION_IS = ("friction.law", "friction.formula")
 OLD_NAMES = {"tell": "output"}  # of sections, still accepted
 LARGEST_FILE = 1 << 20  # bytes of a scene; what is longer is something else, and may have no end
 
@@ -83,12 +90,15 @@ def scene(source: "str | Path | Scene", **changes: object) -> Scene:
         where, content = f"scene {source.name}", source.model_dump(exclude_unset=True)
     else:
         where, content = _read(source)
+    flat: dict[str, object] = {}
     for key, value in changes.items():
         if isinstance(value, Mapping):
-            for inner, item in value.items():
-                _change(content, f"{key}.{inner}", item, where)
+            flat |= {f"{key}.{inner}": item for inner, item in value.items()}
         else:
-            _change(content, key, value, where)
+            flat[key] = value
+    # what friction is comes first: it drops the parameters of what it was, not those that come with it
+    for key in sorted(flat, key=lambda name: name not in FRICTION_IS):
+        _change(content, key, flat[key], where)
     return _checked(content, where)
 
 
@@ -180,10 +190,22 @@ def _change(content: dict[str, Any], dotted: str, value: object, where: str) -> 
     content[section][key] = value
     if section == "friction" and key in ("G_stick", "d"):
         content[section].pop("d" if key == "G_stick" else "G_stick", None)
+    if dotted in FRICTION_IS:
+        _replace_law(content[section], key)
     if section == "start":
         for way in STARTS:
             for other in way if key not in way else ():
                 content[section].pop(other, None)
+
+
+def _replace_law(friction: dict[str, Any], key: str) -> None:
+    """Drop what a law or a formula that was named takes the place of: the parameters of a formula are its own."""
+    if key == "formula":
+        for other in ("law", "curve", "contact", "G_stick", "d"):
+            friction.pop(other, None)
+    elif friction.pop("formula", None) is not None:
+        for other in [name for name in friction if name not in _keys("friction")]:
+            del friction[other]
 
 
 def _checked(content: dict[str, Any], where: str) -> Scene:
@@ -219,9 +241,18 @@ def _refuse_unknown(content: Mapping[str, Any], where: str) -> None:
         if not isinstance(keys, dict):
             continue
         known = _keys(section)
+        if section == "friction" and isinstance(keys.get("formula"), str):
+            known = list(dict.fromkeys([*_formula_parameters(keys["formula"], where), *known]))
         for key in keys:
             if key not in known:
                 raise InputError(f"unknown key '{section}.{key}'", where, nearest(key, known))
+
+
+def _formula_parameters(text: str, where: str) -> tuple[str, ...]:
+    try:
+        return Formula.parse(text).parameters
+    except InputError as error:
+        raise InputError(f"friction.formula: {error.what}", where, error.do) from None
 
 
 def _keys(section: str) -> list[str]:

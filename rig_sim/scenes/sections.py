@@ -1,12 +1,15 @@
 """The sections of a scene: one frozen model each, with the keys, units and ranges that `scene` checks."""
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from rig_sim.friction.curve import CONSTANT, LINEAR
-from rig_sim.friction.law import law_or_curve
+from rig_sim.friction.formula import Formula
+from rig_sim.friction.formula_curve import formula_curve
+from rig_sim.friction.law import Law, law_or_curve
 from rig_sim.friction.spline import spline_table
 
 if TYPE_CHECKING:
@@ -25,6 +28,7 @@ def _no_flag(value: object) -> object:
 
 
 LawNumber = Annotated[Literal[0, 1, 2, 3, 4, 5, 6], BeforeValidator(_no_flag)]
+PLACES_TO_BELT = 129  # at which the largest friction is sought: it sets how far the curve must reach, with a margin
 EventRate = Annotated[float, Field(gt=0, le=1000)]  # per second: an effect that happens now and then
 
 
@@ -69,7 +73,9 @@ class Belt(Section):
 
 
 class Friction(Section):
-    """Law 1 to 6, or 0 for a measured curve, and every parameter the scene knows; the law takes the ones it needs.
+    """Law 1 to 6, 0 for a measured curve, or a formula, and every parameter known; the law takes the ones it needs.
+
+    Other keys are parameters of the formula: numbers, which stand in ``model_extra``.
 
     Attributes
     ----------
@@ -85,10 +91,16 @@ class Friction(Section):
         Points of the measured curve: slip speed (m/s, from 0, increasing) and friction (N, above 0), joined as
         `rig_sim.friction.spline` says.
     contact : str, optional
-        Of the measured curve: 'jump' (default), or 'ramp' of half-width d.
+        Of the measured curve: 'jump' (default), or 'ramp' of half-width d.  Of a formula: 'ramp' where d or G_stick is
+        given, else 'jump'.
+    formula : str, optional
+        The curve as `rig_sim.friction.formula` reads it: friction in N at slip speed s.  Instead of ``law``.
     """
 
-    law: LawNumber
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, float] = Field(init=False)
+
+    law: LawNumber | None = None
     Fs: NotNegative | None = None
     G_slip: NotNegative | None = None
     gamma: NotNegative | None = None
@@ -97,6 +109,21 @@ class Friction(Section):
     static: Annotated[float, Field(ge=1)] = 1.0
     curve: list[Annotated[list[float], Field(min_length=2, max_length=2)]] | None = None
     contact: Literal["jump", "ramp"] | None = None
+    formula: str | None = None
+
+    def own_law(self) -> Law:
+        """Return the law; `MEASURED_CURVE` for points and for a formula.  ``contact`` and ``d`` say more of these."""
+        return law_or_curve(self.law or 0)
+
+    def parsed(self) -> Formula | None:
+        """Return the formula; None of a law."""
+        return None if self.formula is None else Formula.parse(self.formula)
+
+    def of_formula(self) -> dict[str, float]:
+        """Return the parameters of the formula by name, in its order: those that the section has; of a law none."""
+        formula = self.parsed()
+        given = {name: getattr(self, name, None) for name in (formula.parameters if formula else ())}
+        return {name: float(value) for name, value in given.items() if value is not None}
 
     def ramp(self) -> float:
         """Return the ramp's half-width (m/s), at which its slope reaches static Fs; 0 when the scene names no ramp."""
@@ -104,20 +131,46 @@ class Friction(Section):
             return self.d
         return self.static * self.level() / -self.G_stick if self.G_stick is not None else 0.0
 
+    def has_ramp(self) -> bool:
+        """Return whether a measured curve or a formula begins beyond a ramp."""
+        if self.contact is None and self.formula is not None:
+            return self.d is not None or self.G_stick is not None
+        return self.contact == "ramp"
+
     def level(self) -> float:
         """Return friction where slip begins, N."""
+        formula = self.parsed()
+        if formula is not None:
+            return float(formula.value(0.0, self.of_formula()))
         if self.law == 0 and self.curve:
             return float(self.curve[0][1])
         return float(self.Fs or 0.0)
 
     def parameters(self) -> dict[str, float]:
-        """Return Fs and the parameters that this law needs, by name; of a measured curve none."""
-        names = law_or_curve(self.law).parameters if self.law else ()
+        """Return Fs and the parameters that this law needs, by name; of a measured curve or a formula none."""
+        names = self.own_law().parameters if self.law else ()
         return {key: self.ramp() if key == "d" else float(getattr(self, key)) for key in names}
 
-    def numbers(self) -> dict[str, Any]:
-        """Return what a flow takes of friction, by the flow's names: of the law's parameters those that it needs."""
-        law = law_or_curve(self.law)
+    def largest(self, speed: float) -> float:
+        """Return the largest friction (N) that a formula gives up to a slip speed (m/s), with its break-away level."""
+        import numpy as np
+
+        formula = self.parsed()
+        if formula is None:
+            raise ValueError("friction has no formula")
+        found = formula.value(np.linspace(0.0, speed, PLACES_TO_BELT), self.of_formula())
+        return max(self.static * float(found[0]), float(np.max(found)))
+
+    def numbers(self, fastest: float = 0.0) -> dict[str, Any]:
+        """Return what a flow takes of friction, by the flow's names: of the law's parameters those that it needs.
+
+        ``fastest`` is the slip speed (m/s) that a formula's curve reaches at least.
+        """
+        formula = self.parsed()
+        if formula is not None:
+            curve = asdict(formula_curve(formula, tuple(self.of_formula().values()), fastest))
+            return curve | {"static": float(self.static), "ramp": int(self.has_ramp()), "d": self.ramp()}
+        law = self.own_law()
         found: dict[str, Any] = {
             "curve": law.curve_code,
             "ramp": law.ramp,
@@ -134,7 +187,7 @@ class Friction(Section):
         else:
             pieces, table = spline_table(points)
             found |= {"pieces": pieces, "table": table}
-        return found | ({"ramp": 1, "d": self.ramp()} if self.contact == "ramp" else {})
+        return found | ({"ramp": 1, "d": self.ramp()} if self.has_ramp() else {})
 
 
 class Start(Section):

@@ -20,6 +20,7 @@ from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import frame
 from rig_sim.integrate.buffer import CARRY, RAPID, STEPS, Buffer, new_work
+from rig_sim.integrate.compiled import compiled, for_kernels
 from rig_sim.integrate.phases import run, sample_phase
 
 # Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that has not landed after
@@ -81,6 +82,7 @@ class LandingMap:
             raise ValueError("has no drive whose amplitude could be controlled")
         fr = frame(flow)
         self.flow = flow
+        self._compiled_flow = for_kernels(flow)
         self.period = 2.0 * math.pi / abs(flow.omega)
         self.strength = abs(flow.u0)
         size = (fr.B + self.strength) / fr.k
@@ -118,7 +120,7 @@ class LandingMap:
         return self._next(initial_mode(self.flow, x, v, 0.0), x, v - self.flow.v_belt, 0.0, 0.0)
 
     def _next(self, mode: int, x: float, w: float, t: float, change: float) -> Landing:
-        flow = self.flow._replace(u0=self.flow.u0 + change)
+        flow = self._compiled_flow._replace(u0=self.flow.u0 + change)
         step, work = compiled_run(), self._work
         work[STEPS] = work[CARRY] = work[RAPID] = 0.0
         begun, end, x_slip = t, t + self._horizon, math.nan
@@ -173,6 +175,4 @@ class LandingMap:
 @cache
 def compiled_run() -> Callable[..., tuple[int, int, int, int, float, float, float]]:
     """Return the integrator's list of events as machine code."""
-    from rig_sim.integrate.compiled import compiled
-
     return compiled(run)

@@ -35,6 +35,7 @@ from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import displacement, frame, mirrored, position
 from rig_sim.integrate.buffer import STEPS, STEPS_ALLOWED, new_work
+from rig_sim.integrate.compiled import for_kernels
 
 SECTIONS = {"poincare": STROBE, "slip": SLIP, "landing": LANDING}
 # Integrator steps allowed of one call, some 0.5 us each, and of every passage asked for: 3 to 30 are usual.  A drive
@@ -93,7 +94,7 @@ class DrivenMass:
             raise ValueError("drive.omega is 0: there is no drive period; need another number")
         self.flow = flow._replace(phase=0.0)
         self._section, self._drawn = SECTIONS[section], SECTIONS[draws]
-        self._frame = fr = frame(self.flow)
+        self._frame = fr = frame(for_kernels(self.flow))
         self.period = 2.0 * math.pi / abs(flow.omega)
         size = (fr.B + abs(fr.u0)) / fr.k + fr.v / fr.omega0 or 1.0  # where nothing moves the mass any size does
         self.scale = np.array([size, fr.omega0 * size])

@@ -110,8 +110,8 @@ def passages(
             t += tau
             w = 0.0 if mode == modes.STICK else (hi if side > 0 else lo)
             entered = transition(fr, mode, side, p, t)
-            if entered == FORCE_REVERSAL:
-                outcome = FORCE_REVERSAL
+            if entered >= FORCE_REVERSAL:
+                outcome = entered
                 break
             if tangent == 1:
                 dw = after_event(fr, mode, entered, side, p, w, t, dp, dw)

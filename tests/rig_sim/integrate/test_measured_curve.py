@@ -9,8 +9,11 @@ import pytest
 from daq.errors import InputError
 from rig_sim.comparison import reference
 from rig_sim.dynamics.continuation import continuation
+from rig_sim.dynamics.control.landing_map import LandingMap
 from rig_sim.dynamics.fixed_point import fixed_point
 from rig_sim.dynamics.floquet import floquet
+from rig_sim.dynamics.forced.attractors import attractors
+from rig_sim.dynamics.forced.driven_mass import driven_masses
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.spline import about, piece_of, refused, spline_table
@@ -184,3 +187,35 @@ def test_a_curve_that_falls_to_nothing_ends_in_force_reversal() -> None:
     found = list_events(flow([[0.0, 1.0], [0.1, 0.5], [0.3, 0.1], [0.4, 0.01]]), 3.0, 0.0, 30.0)
     assert found.outcome == "force reversal"
     assert refused([(0.0, 1.0), (1.0, 0.5)]) == ""
+
+
+def test_extremes_of_a_cycle_whose_mass_turns_on_a_knot_are_seen() -> None:
+    """With a point of the curve at the belt's speed x_min was -0.505 and x_max 1.
+
+    A turn that fell on the end of a step was overlooked.
+    """
+    points = [[0.0, 1.0], [0.1, 0.8], [0.3, 0.6], [0.5, 0.4], [1.0, 0.3], [2.0, 0.15]]
+    played = scene("base", **{"friction.law": 0, "friction.curve": points})
+    _, x, _, _ = ScenePlayer(played).columns(np.linspace(20.0, 40.0, 20_001))
+    found = cycle(played.flow())
+    assert found.x_min == pytest.approx(x.min(), abs=1e-6)
+    assert found.x_max == pytest.approx(x.max(), abs=1e-6)
+
+
+def test_a_driven_curve_of_many_points_has_attractors() -> None:
+    """A driven curve of 200 points and more ended in a bug, exit code 1.
+
+    Compiled code was handed its table as a tuple, and was made anew for each number of points.
+    """
+    points = [[s, 1.0 / (1.0 + 3.0 * s)] for s in np.linspace(0.0, 3.0, 250).tolist()]
+    known, found = (
+        attractors(driven_masses(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        for friction in (
+            {"friction.law": 5, "drive.omega": 0.3},
+            {"friction.law": 0, "friction.curve": points, "drive.omega": 0.3},
+        )
+    )
+    assert [row.period for row in found] == [row.period for row in known] == [1]
+    assert found[0].points == pytest.approx(known[0].points, rel=1e-4)
+    landing = LandingMap(scene("forced", **{"friction.law": 0, "friction.curve": points}).flow()).first(0.0, 0.0)
+    assert landing.outcome == "completed"

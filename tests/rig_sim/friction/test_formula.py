@@ -1,0 +1,271 @@
+"""Formulas: read as arithmetic reads them, differentiated exactly, never run as Python; each fault has its caret."""
+
+import math
+from dataclasses import dataclass
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from daq.errors import InputError
+from rig_sim.friction.formula import DEEPEST, LONGEST, Formula
+
+STRIBECK = "Fc + (Fs - Fc)*exp(-(s/v_s)**2) + b*s"
+VALUES = {"Fc": 0.6, "Fs": 1.0, "v_s": 0.15, "b": 0.02}
+SPEEDS = np.array([0.0, 0.01, 0.15, 0.4, 2.0])
+
+FUNCTIONS = {
+    "exp": mpmath.exp,
+    "log": mpmath.log,
+    "sqrt": mpmath.sqrt,
+    "tanh": mpmath.tanh,
+    "abs": abs,
+    "min": min,
+    "max": max,
+}
+LEVEL = {"+": 1, "-": 1, "*": 2, "/": 2, "negative": 3, "**": 4}  # how tightly an operator binds
+
+
+@dataclass(frozen=True)
+class Tree:
+    """An expression of the test's own: printed with as few brackets as precedence allows, and evaluated in mpmath."""
+
+    do: str
+    parts: tuple["Tree", ...] = ()
+    number: float = 0.0
+
+    @property
+    def level(self) -> int:
+        return LEVEL.get(self.do, 5)
+
+    def names(self) -> set[str]:
+        own = {self.do} if not self.parts and self.do != "number" else set()
+        return own.union(*(part.names() for part in self.parts))
+
+    def text(self) -> str:
+        if self.do == "number":
+            return repr(self.number)
+        if not self.parts:
+            return self.do
+        inner = [part.text() for part in self.parts]
+        if self.do in FUNCTIONS:
+            return f"{self.do}({', '.join(inner)})"
+        if self.do == "negative":
+            return f"-{inner[0] if self.parts[0].level >= 3 else f'({inner[0]})'}"
+        left, right = self.parts
+        # ** takes a sign on its right, and the next power; - and / take equal operators on their left alone
+        open_left = left.level < self.level or (self.do == "**" and left.level < 5)
+        open_right = right.level < 3 if self.do == "**" else right.level <= self.level
+        return (
+            f"({inner[0]})" * open_left
+            + inner[0] * (not open_left)
+            + self.do
+            + f"({inner[1]})" * open_right
+            + inner[1] * (not open_right)
+        )
+
+    def value(self, known: dict[str, mpmath.mpf]) -> mpmath.mpf:
+        if self.do == "number":
+            return mpmath.mpf(self.number)
+        if not self.parts:
+            return known[self.do]
+        inner = [part.value(known) for part in self.parts]
+        if self.do in FUNCTIONS:
+            found = FUNCTIONS[self.do](*inner)
+        elif self.do == "negative":
+            found = -inner[0]
+        else:
+            a, b = inner
+            found = {
+                "+": lambda: a + b,
+                "-": lambda: a - b,
+                "*": lambda: a * b,
+                "/": lambda: a / b,
+                "**": lambda: a**b,
+            }[self.do]()
+        if isinstance(found, mpmath.mpc) or not mpmath.isfinite(found) or not 1e-4 < abs(found) < 1e4:
+            raise ValueError("out of the range in which rounding is small")
+        return found
+
+
+LEAVES = st.one_of(
+    st.sampled_from([Tree("s"), Tree("a"), Tree("b")]),
+    st.floats(0.1, 9.0).map(lambda number: Tree("number", number=round(number, 3))),
+)
+
+
+def _grown(inner: st.SearchStrategy[Tree]) -> st.SearchStrategy[Tree]:
+    pairs = st.tuples(inner, inner)
+    return st.one_of(
+        st.tuples(st.sampled_from(["+", "-", "*", "/", "**", "min", "max"]), pairs).map(lambda two: Tree(*two)),
+        st.tuples(st.sampled_from(["negative", "exp", "log", "sqrt", "tanh", "abs"]), st.tuples(inner)).map(
+            lambda two: Tree(*two)
+        ),
+    )
+
+
+TREES = st.recursive(LEAVES, _grown, max_leaves=12)
+
+
+@settings(max_examples=300, deadline=None)
+@given(TREES, st.floats(0.1, 3.0), st.floats(0.1, 3.0), st.floats(0.1, 3.0))
+def test_a_printed_tree_reads_back_as_itself_with_exact_derivatives(tree: Tree, s: float, a: float, b: float) -> None:
+    formula = Formula.parse(tree.text())
+    known = {"s": s, "a": a, "b": b}
+    with mpmath.workdps(60):
+        numbers = {name: mpmath.mpf(value) for name, value in known.items()}
+        try:
+            expected = tree.value(numbers)
+            step = mpmath.mpf("1e-15")
+            slopes = {
+                name: (tree.value({**numbers, name: x + step}) - tree.value({**numbers, name: x - step})) / (2 * step)
+                for name, x in numbers.items()
+            }
+        except (ValueError, ZeroDivisionError):
+            assume(False)
+    assert set(formula.parameters) == tree.names() - {"s"}
+    assert float(formula.value(s, known)) == pytest.approx(float(expected), rel=1e-7)
+    found = {"s": float(formula.slope(s, known))} | dict(
+        zip(formula.parameters, formula.gradient(s, known).tolist(), strict=True)
+    )
+    for name, slope in found.items():
+        assume(abs(slopes[name]) < 1e6)
+        # where min, max or abs has a corner the central difference is the mean of both sides
+        assert slope == pytest.approx(float(slopes[name]), rel=1e-6, abs=1e-6) or _has_corner(tree, numbers)
+
+
+def _has_corner(tree: Tree, known: dict[str, mpmath.mpf]) -> bool:
+    """Return whether two arguments of a min or max are equal in it."""
+    if tree.do in ("min", "max") and len({part.value(known) for part in tree.parts}) == 1:
+        return True
+    return any(_has_corner(part, known) for part in tree.parts)
+
+
+def test_a_stribeck_curve_has_the_values_and_slopes_of_its_formula() -> None:
+    formula = Formula.parse(STRIBECK)
+    assert formula.parameters == ("Fc", "Fs", "v_s", "b")
+    fall = np.exp(-((SPEEDS / 0.15) ** 2))
+    np.testing.assert_allclose(formula.value(SPEEDS, VALUES), 0.6 + 0.4 * fall + 0.02 * SPEEDS, rtol=1e-15)
+    np.testing.assert_allclose(
+        formula.slope(SPEEDS, VALUES), -0.8 * SPEEDS / 0.15**2 * fall + 0.02, rtol=1e-14, atol=1e-16
+    )
+    expected = np.stack((1 - fall, fall, 0.8 * SPEEDS**2 / 0.15**3 * fall, SPEEDS), axis=-1)
+    np.testing.assert_allclose(formula.gradient(SPEEDS, VALUES), expected, rtol=1e-14, atol=1e-16)
+    assert formula.gradient(SPEEDS.reshape(5, 1), VALUES).shape == (5, 1, 4)
+    assert formula.value(0.0, VALUES).shape == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("-2**2", -4.0), ("2**3**2", 512.0), ("2**-1", 0.5), ("8/4/2", 1.0), ("7-2-1", 4.0), ("--2", 2.0)],
+)
+def test_signs_and_powers_bind_as_in_algebra(text: str, value: float) -> None:
+    assert Formula.parse(text).value(1.0, {}) == value
+
+
+def test_at_a_corner_the_derivative_is_that_towards_larger_values() -> None:
+    assert Formula.parse("abs(s - 1)").slope(1.0, {}) == 1.0
+    assert Formula.parse("max(s, 1)").slope(1.0, {}) == 1.0
+    assert Formula.parse("min(s, 1)").slope(1.0, {}) == 0.0
+    assert Formula.parse("abs(s - a)").gradient(1.0, {"a": 1.0}).tolist() == [1.0]
+
+
+def test_a_power_of_zero_has_the_derivatives_of_its_limit() -> None:
+    power = Formula.parse("(s/v)**p")
+    assert power.slope(0.0, {"v": 0.5, "p": 1.0}) == 2.0
+    assert power.slope(0.0, {"v": 0.5, "p": 2.0}) == 0.0
+    assert power.gradient(0.0, {"v": 0.5, "p": 1.5}).tolist() == [0.0, 0.0]
+
+
+def test_an_overflow_within_a_finite_result_is_no_error() -> None:
+    assert Formula.parse("1/(1 + exp(s/v))").value(100.0, {"v": 0.01}) == 0.0
+
+
+FAULTS = [  # text, the caret's column, a word of what is said
+    ("__import__('os').system('true')", 11, "no meaning"),
+    ("s.__class__", 1, "letters, digits"),
+    ("eval(s)", 0, "unknown function eval"),
+    ("(lambda: s)()", 7, "no meaning"),
+    ("s[0]", 1, "round brackets"),
+    ("[s for s in s]", 0, "round brackets"),
+    ("{s: s}", 0, "round brackets"),
+    ("'a'*s", 0, "no meaning"),
+    ("s < 1", 2, "no meaning"),
+    ("s if s else 1", 2, "operator is missing"),
+    ("F = s", 2, "right-hand side"),
+    ("s^2", 1, "write ** for powers"),
+    ("2s", 1, "operator is missing"),
+    ("Fs(1 + s)", 0, "a product needs a *"),
+    ("epx(-s)", 0, "did you mean 'exp'?"),
+    ("exp", 0, "write exp(...)"),
+    ("exp()", 0, "give one"),
+    ("exp(s, 1)", 0, "give one"),
+    ("min(s)", 0, "give two or more"),
+    ("Fs*(1 - s", 3, "not closed"),
+    ("Fs*(1 - s))", 10, "no bracket is open"),
+    ("Fs -", 4, "value is missing"),
+    ("", 0, "value is missing"),
+    ("* s", 0, "value is missing"),
+    ("1,5*s", 1, "decimal point"),
+    ("(1,5)*s", 2, "decimal point"),
+    ("1e999*s", 0, "beyond"),
+    ("s\x00", 1, "no meaning"),
+    ("0x10*s", 1, "operator is missing"),
+    ("1_000*s", 1, "operator is missing"),
+    ("s := 1", 2, "no meaning"),
+    ("(s)(2)", 3, "write * for a product"),
+]
+
+
+@pytest.mark.parametrize(("text", "column", "said"), FAULTS)
+def test_a_fault_is_shown_with_a_caret_under_it(text: str, column: int, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Formula.parse(text)
+    error = caught.value
+    assert said in str(error)
+    shown, caret = error.do.split("\n")[1:]
+    assert caret.index("^") - 4 == column
+    assert shown[4:].ljust(column) == text.replace("\x00", "?").ljust(column)
+
+
+def test_long_and_deep_formulas_are_refused_at_once() -> None:
+    for text in ("(" * 10_000 + "s" + ")" * 10_000, "s" + "+s" * 1_000_000):
+        with pytest.raises(InputError, match=f"at most {LONGEST}"):
+            Formula.parse(text)
+    for text in ("(" * 500 + "s" + ")" * 500, "-" * 500 + "s", "s" + "**s" * 500, "exp(" * 300 + "s" + ")" * 300):
+        with pytest.raises(InputError, match=f"at most {DEEPEST} levels"):
+            Formula.parse(text)
+    depth = DEEPEST - 1
+    assert Formula.parse("(" * depth + "s" + ")" * depth).value(2.0, {}) == 2.0
+    assert Formula.parse("s" + "+s" * 900).value(1.0, {}) == 901.0
+
+
+@pytest.mark.parametrize(
+    ("text", "values", "speeds", "said", "column"),
+    [
+        ("2**10**10", {}, [1.0], "overflow", 1),
+        ("Fs/(1 - s/v)", {"Fs": 1.0, "v": 0.5}, [0.1, 0.5], "s = 0.5 m/s with Fs = 1, v = 0.5: division by 0", 2),
+        ("Fs - b*log(s)", {"Fs": 1.0, "b": 0.1}, [0.0], "log of 0", 7),
+        ("log(1 - s)", {}, [0.5, 2.0], "log of -1", 0),
+        ("sqrt(a - s)", {"a": 1.0}, [3.0], "sqrt of -2", 0),
+        ("(s - 1)**p", {"p": 0.5}, [0.0], "-1 to the power 0.5", 7),
+        ("exp(s/v)", {"v": 1e-3}, [1.0], "overflow", 0),
+        ("Fs + s", {"Fs": math.inf}, [1.0], "Fs is not finite", 0),
+    ],
+)
+def test_a_numerical_failure_is_a_sentence_with_speed_and_parameters(
+    text: str, values: dict[str, float], speeds: list[float], said: str, column: int
+) -> None:
+    with pytest.raises(InputError) as caught:
+        Formula.parse(text).value(np.array(speeds), values)
+    assert said in caught.value.what
+    assert caught.value.do.split("\n")[2].index("^") - 4 == column
+
+
+def test_a_slope_that_is_not_finite_and_a_missing_parameter_are_sentences() -> None:
+    with pytest.raises(InputError, match="derivative by s is not finite at s = 0 m/s"):
+        Formula.parse("1 - sqrt(s)").slope(np.array([0.0, 1.0]), {})
+    with pytest.raises(InputError, match="no value for v_s, b"):
+        Formula.parse(STRIBECK).value(0.0, {"Fc": 0.5, "Fs": 1.0})

@@ -1,0 +1,248 @@
+"""Scenes with a friction formula: motion and analyses are those of the curve, and faults name file and key."""
+
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from daq.errors import InputError
+from rig_sim.cli.parameter_range import ParameterRange
+from rig_sim.dynamics.continuation import continuation
+from rig_sim.dynamics.fixed_point import fixed_point
+from rig_sim.dynamics.floquet import floquet
+from rig_sim.dynamics.forced.attractors import attractors
+from rig_sim.dynamics.forced.driven_mass import driven_masses
+from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.flow.flow import Flow
+from rig_sim.flow.reach import largest_slip_speed
+from rig_sim.friction.curve import LINEAR, MEASURED
+from rig_sim.motion.play import ScenePlayer, events
+from rig_sim.scenes.model import Scene
+from rig_sim.scenes.scene import parse_changes, scene
+
+HYPERBOLA = "Fs/(1 + gamma*s)"
+STRIBECK = {
+    "friction.formula": "Fc + (Fs - Fc)*exp(-(s/v_s)**2) + b*s",
+    "friction.Fc": 0.6,
+    "friction.v_s": 0.15,
+    "friction.b": 0.02,
+}
+LOGARITHMIC = {"friction.formula": "Fs - fall*log(1 + s/v0)", "friction.fall": 0.08, "friction.v0": 0.01}
+
+
+def written(folder: Path, friction: str) -> Path:
+    path = folder / "mine.toml"
+    path.write_text(f"[mass]\nm = 1.0\n[spring]\nk = 1.0\n[belt]\nspeed = 0.5\n[friction]\n{friction}\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "text", "changes", "until", "allowed"),
+    [
+        ("base", 3, "Fs - G_slip*s", {}, 200.0, 1e-14),  # the closed form of law 3 itself
+        ("base", 5, HYPERBOLA, {}, 200.0, 1e-8),  # measured: 4.7e-9
+        ("base", 5, HYPERBOLA, {"friction.static": 1.3, "belt.speed": -0.4}, 200.0, 1e-7),
+        ("base", 6, HYPERBOLA, {"friction.d": 0.2}, 200.0, 1e-7),  # measured: 2e-9
+        ("forced", 5, HYPERBOLA, {"drive.omega": 0.3}, 100.0, 1e-7),
+        ("rig", 5, HYPERBOLA, {}, 20.0, 1e-7),
+    ],
+)
+def test_a_law_written_as_a_formula_has_the_events_of_the_law(
+    name: str, law: int, text: str, changes: dict[str, object], until: float, allowed: float
+) -> None:
+    expected = events(scene(name, **{"friction.law": law, **changes}), until)
+    found = events(scene(name, **{"friction.formula": text, **changes}), until)
+    assert found.outcome == expected.outcome == "completed"
+    assert len(expected.events) >= 10
+    assert [event.kind for event in found.events] == [event.kind for event in expected.events]
+    assert max(abs(a.t / b.t - 1.0) for a, b in zip(found.events, expected.events, strict=True)) < allowed
+
+
+def stribeck(s: float) -> float:
+    return 0.6 + 0.4 * math.exp(-((s / 0.15) ** 2)) + 0.02 * s
+
+
+def logarithmic(s: float) -> float:
+    return 1.0 - 0.08 * math.log1p(s / 0.01)
+
+
+@pytest.mark.parametrize(("changes", "friction"), [(STRIBECK, stribeck), (LOGARITHMIC, logarithmic)])
+def test_the_cycle_is_that_of_an_independent_integration(changes: dict[str, object], friction: object) -> None:
+    """The oracle shares nothing with rig_sim: DOP853 through one slip, and the stick in closed form."""
+    belt = 0.5
+
+    def rates(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], friction(max(belt - y[1], 0.0)) - y[0]]
+
+    def lands(t: float, y: np.ndarray) -> float:
+        return y[1] - belt if t > 0.1 else -1.0
+
+    lands.terminal, lands.direction = True, 1.0
+    # slip begins where friction is largest, k x = Fs = 1, at the belt's speed; its acceleration is then 0
+    slip = solve_ivp(
+        rates, (0.0, 20.0), [1.0, belt], method="DOP853", events=lands, rtol=1e-13, atol=1e-14, dense_output=True
+    )
+    t_slip, x_landing = float(slip.t_events[0][0]), float(slip.y_events[0][0][0])
+    found = cycle(scene("base", **changes).flow())
+    assert found.outcome == "cycle"
+    assert found.t_slip == pytest.approx(t_slip, rel=1e-7)
+    assert found.x_stick == pytest.approx(x_landing, abs=1e-8)
+    assert found.period == pytest.approx(t_slip + (1.0 - x_landing) / belt, rel=1e-8)
+    slowest = slip.sol(np.linspace(0.0, t_slip, 100_001))[1].min()
+    assert found.v_min == pytest.approx(float(slowest), rel=1e-6)
+
+
+def test_a_formula_is_varied_as_a_law_is() -> None:
+    """Hopf and fold over gamma, orbits and eigenvalues, of the formula against those of law 5."""
+
+    def special(friction: dict[str, object]) -> list[tuple[str, float]]:
+        def at(gamma: float) -> Flow:
+            return scene("damped", **{**friction, "friction.gamma": gamma, "belt.speed": 0.6, "damper.c": 0.38}).flow()
+
+        found = continuation(at, ParameterRange("friction.gamma", 2.0, 6.0, 9).values())
+        return [(point.kind, point.value) for point in found.points]
+
+    law, formula = special({"friction.law": 5}), special({"friction.formula": HYPERBOLA})
+    assert [kind for kind, _ in formula] == [kind for kind, _ in law]
+    assert len(law) >= 1
+    assert [value for _, value in formula] == pytest.approx([value for _, value in law], rel=1e-5)
+
+    both = [scene("damped", **friction).flow() for friction in ({"friction.law": 5}, {"friction.formula": HYPERBOLA})]
+    assert fixed_point(both[1]).x == pytest.approx(fixed_point(both[0]).x, rel=1e-8)
+    assert fixed_point(both[1]).eigenvalues == pytest.approx(fixed_point(both[0]).eigenvalues, rel=1e-4)
+    known, found = (floquet(flow, "unstable") for flow in both)
+    assert found.outcome == known.outcome
+    assert found.period == pytest.approx(known.period, rel=1e-6)
+    assert found.multipliers[1] == pytest.approx(known.multipliers[1], rel=1e-4)
+
+
+def test_a_driven_formula_has_the_attractors_of_the_law() -> None:
+    known, found = (
+        attractors(driven_masses(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        for friction in (
+            {"friction.law": 5, "drive.omega": 0.3},
+            {"friction.formula": HYPERBOLA, "drive.omega": 0.3},
+        )
+    )
+    assert [row.period for row in found] == [row.period for row in known] == [1]
+    assert found[0].points == pytest.approx(known[0].points, rel=1e-7)
+
+
+def test_the_extremes_of_a_cycle_are_those_of_the_law() -> None:
+    """A cubic begins at the belt's speed, where the mass turns: see the test of a measured curve with such a knot."""
+    known, found = (
+        cycle(scene("base", **one).flow()) for one in ({"friction.law": 5}, {"friction.formula": HYPERBOLA})
+    )
+    assert found.x_min == pytest.approx(known.x_min, abs=1e-8)
+    assert found.x_max == pytest.approx(known.x_max, abs=1e-8)
+    assert found.v_min == pytest.approx(known.v_min, abs=1e-8)
+
+
+@pytest.mark.parametrize("changes", [{}, {"start.x": 3.0}, {"start.v": -2.0}, {"belt.speed": 2.0}, {"damper.c": 0.3}])
+def test_no_motion_is_faster_than_energy_allows(changes: dict[str, float]) -> None:
+    for friction in ({"friction.law": 5}, {"friction.law": 1}, {"friction.law": 3}):
+        played = scene("base", **friction, **changes)
+        flow = played.flow()
+        _, _, v, _ = ScenePlayer(played).columns(np.linspace(0.0, 60.0, 6001))
+        start = (flow.m, flow.k, flow.c, flow.v_belt, flow.Fs, played.start.x - flow.x0, played.start.v)
+        bound = largest_slip_speed(*start)
+        assert np.abs(v - flow.v_belt).max() <= bound
+        assert bound < 4.0 * np.abs(v - flow.v_belt).max()  # and it is no wild guess
+
+
+def test_a_motion_that_leaves_the_formula_ends_with_that_outcome() -> None:
+    """At resonance a drive feeds in more energy than spring, belt and friction allow."""
+    resonant = {"drive.u0": 3.0, "drive.omega": 1.0, "belt.speed": 0.5}
+    played = scene("base", **{"friction.formula": "Fs*exp(-s)", **resonant})
+    flow = played.flow()
+    end = flow.table[5 * flow.pieces + 1]
+    found = events(played, 2000.0)
+    assert found.outcome == "end of the curve"
+    assert "friction.formula" in found.advice
+    player = ScenePlayer(played)
+    player.advance(2000.0)
+    assert abs(player.v - flow.v_belt) == pytest.approx(end, rel=1e-12)
+    assert fixed_point(flow._replace(u0=0.0, v_belt=1.1 * end)).outcome == "end of the curve"
+
+
+def test_scatter_belt_start_and_a_ramp_stand_beside_a_formula() -> None:
+    lively = scene("rig", **{**STRIBECK, "friction.Fc": 0.8, "friction.Fs": 1.4, "friction.v_s": 0.05})
+    assert lively.friction is not None
+    assert lively.friction.level() == pytest.approx(1.4, rel=1e-15)
+    assert not lively.flow().ramp  # the rig's d is that of its laws with a ramp
+    found = events(lively, 20.0)
+    assert found.outcome == "completed"
+    breaks = [event.x for event in found.events if event.kind == "S>N"][1:]
+    assert np.std(breaks) == pytest.approx(0.03 * 1.4 / lively.spring.k, rel=0.5)
+    ramp = scene("base", **STRIBECK, **{"friction.d": 0.1}).flow()
+    assert (ramp.ramp, ramp.d, ramp.curve) == (1, 0.1, MEASURED)
+    assert scene("base", **STRIBECK, **{"friction.G_stick": -5.0, "friction.static": 1.5}).flow().d == pytest.approx(
+        0.3
+    )
+    assert not scene("base", **STRIBECK, **{"friction.d": 0.1, "friction.contact": "jump"}).flow().ramp
+
+
+def test_a_file_states_formula_and_parameters(tmp_path: Path) -> None:
+    text = 'formula = "Fc + (top - Fc)*exp(-s/v_s)"\nFc = 0.5\ntop = 1\nv_s = 0.1\nd = 0.02'
+    found = scene(written(tmp_path, text))
+    assert found.friction is not None
+    assert found.friction.of_formula() == {"Fc": 0.5, "top": 1.0, "v_s": 0.1}
+    assert found.flow().ramp
+    assert scene(Scene.model_validate(found.model_dump(exclude_unset=True))).flow() == found.flow()
+    assert scene(found, **{"friction.v_s": 0.2}).friction.of_formula()["v_s"] == 0.2
+    assert tomllib.loads(text)["formula"] == found.friction.formula
+
+
+def test_a_change_of_law_and_formula_replaces_the_other() -> None:
+    formula = scene("base", **STRIBECK)
+    back = scene(formula, **{"friction.law": 3})
+    assert back.flow() == scene("base", **{"friction.law": 3}).flow()._replace(d=back.flow().d)
+    assert back.flow().curve == LINEAR
+    # the order of changes does not matter: what friction is comes first
+    assert scene("base", **dict(reversed(STRIBECK.items()))).flow() == formula.flow()
+    assert scene("base", friction={"Fc": 0.5, "formula": "Fc"}).flow().Fs == 0.5
+
+
+@pytest.mark.parametrize(
+    ("friction", "said"),
+    [
+        ('formula = "Fc + b*s"\nFc = 1.0', "friction.b is missing, which the formula needs"),
+        ('formula = "Fc*exp(-s/v_s)"\nFc = 1.0\nvs = 0.1', "unknown key 'friction.vs'; did you mean 'v_s'?"),
+        ('formula = "Fc*exp(-gama*s)"\nFc = 1.0\ngamma = 3.0', "friction.gama is missing.*did you mean 'gamma'?"),
+        ('formula = "Fc"\nFc = 1.0\nlaw = 1', "both law and formula"),
+        ('formula = "Fc"\nFc = 1.0\ncurve = [[0.0, 1.0]]', "both curve and formula"),
+        ('formula = "Fc - d*s"\nFc = 1.0\nd = 0.1', "parameter d, which is the section's own: half-width of the ramp"),
+        ('formula = "Fc"\nFc = 1.0\ncontact = "ramp"', "friction.d is missing, which a ramp needs"),
+        ('formula = "Fc"\nFc = "1"', "friction.Fc is '1'"),
+        ('formula = "Fc"\nFc = nan', "friction.Fc is nan"),
+        ('formula = "Fc"\nFc = 1e200', "friction.Fc is 1e\\+200"),
+        ("formula = 3", "friction.formula is 3"),
+        ('formula = "Fc*(1 - s"\nFc = 1.0', "friction.formula: this bracket is not closed(?s:.*)\\^"),
+        ('formula = "Fc - 2*s"\nFc = 1.0', "friction.formula: friction is negative.*the mass may reach s = 2 m/s"),
+        ('formula = "Fc - log(s)"\nFc = 1.0', "friction.formula: friction is not finite at s = 0 m/s.*log of 0"),
+        ("Fs = 1.0", "friction.law is missing"),
+        ("law = 5\nFs = 1.0\ngamma = 3.0\nv_s = 1.0", "unknown key 'friction.v_s'"),
+    ],
+)
+def test_what_is_wrong_with_a_formula_names_file_and_key(tmp_path: Path, friction: str, said: str) -> None:
+    path = written(tmp_path, friction)
+    with pytest.raises(InputError, match=said) as caught:
+        scene(path)
+    assert caught.value.where == str(path)
+
+
+def test_two_masses_and_droop_refuse_a_formula_by_its_name() -> None:
+    with pytest.raises(InputError, match=r"friction\.formula is given, which is not modelled for two masses"):
+        scene("two-mass", **{"friction.formula": HYPERBOLA})
+    with pytest.raises(InputError, match=r"droop with friction\.formula is not modelled"):
+        scene("base", **{"friction.formula": HYPERBOLA, "droop.fraction": 0.1})
+
+
+def test_settings_of_a_command_line_carry_a_formula() -> None:
+    plain = parse_changes(["friction.formula=Fc + (Fs - Fc)*exp(-s/v_s)", "friction.Fc=0.5", "friction.v_s=0.1"])
+    quoted = parse_changes(['friction.formula="Fc + (Fs - Fc)*exp(-s/v_s)"', "friction.Fc=0.5", "friction.v_s=0.1"])
+    assert plain == quoted
+    assert scene("base", **plain).flow().curve == MEASURED
