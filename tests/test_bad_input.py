@@ -180,20 +180,22 @@ def test_a_journal_cut_short_gives_what_it_holds_and_one_without_a_header_is_ref
     [
         ("process", ("export", "run.h5", "--csv", "run.h5", "--force")),
         ("process", ("inspect", "run.h5", "--plot", "run.h5", "--force")),
-        ("daq", ("export", "run.h5", "--csv", "run.h5", "--force")),
+        ("daq", ("export", "run", "--csv", "run", "--force")),
         ("daq", ("replay", "run.h5", "-o", "run.h5", "--force")),
     ],
 )
 def test_no_output_replaces_its_own_source_even_by_force(folder, command, arguments):
-    before = (folder / "run.h5").read_bytes()
-    assert_refused(folder, 2, ["run.h5", "own source"], command, *arguments)
-    assert (folder / "run.h5").read_bytes() == before
+    (folder / "run").write_bytes((folder / "run.h5").read_bytes())  # no suffix names another format
+    source = folder / arguments[1]
+    before = source.read_bytes()
+    assert_refused(folder, 2, [source.name, "own source"], command, *arguments)
+    assert source.read_bytes() == before
 
 
 def test_an_import_does_not_replace_its_table(folder):
-    (folder / "table.csv").write_text("t,x\n0.0,0.1\n0.1,0.2\n0.2,0.3\n")
-    assert_refused(folder, 2, ["table.csv", "own source"], "daq", "import", "table.csv", "-o", "table.csv", "--force")
-    assert (folder / "table.csv").read_text().startswith("t,x")
+    (folder / "table").write_text("t,x\n0.0,0.1\n0.1,0.2\n0.2,0.3\n")
+    assert_refused(folder, 2, ["table", "own source"], "daq", "import", "table", "-o", "table", "--force")
+    assert (folder / "table").read_text().startswith("t,x")
 
 
 def test_an_impossible_position_is_refused_by_line(folder):

@@ -26,7 +26,7 @@ SYMBOLS = {
     "G_slip": "decrease of friction per slip speed (N s/m)",
     "d": "half-width of the ramp through w = 0 (m/s)",
     "static": "break-away level of a ramp law, over Fs",
-    "x0": "position of the mass where the spring is at rest (m)",
+    "x0": "position at which the spring is at rest, as the record reads it (m)",
     "c": "viscous damping of the mass (N s/m); c/m in s^-1",
     "Fs0": "friction level when the recording began (N)",
     "wear": "fraction of the friction level that is lost per second (s^-1)",

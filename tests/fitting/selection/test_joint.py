@@ -245,7 +245,7 @@ def test_no_joint_fit_replaces_one_of_its_runs(files, tmp_path):
 
 def test_outputs_of_one_name_are_refused(files):
     with pytest.raises(InputError, match="two outputs"):
-        cli.fit(*files, report=files[0].with_name("run1+2.fit.h5"))
+        cli.fit(*files, report=files[0].with_name("out"), curve_csv=files[0].with_name("out"))
 
 
 def test_reports_of_a_batch_are_numbered(files, tmp_path):

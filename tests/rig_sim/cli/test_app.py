@@ -129,7 +129,7 @@ def test_run_never_replaces_a_file_unasked(capsys: pytest.CaptureFixture[str], t
 @pytest.mark.parametrize(
     ("arguments", "where"),
     [
-        (["run", "rig", "--until", "1", "--rate", "10", "-o", "a.txt"], "a.txt"),
+        (["run", "rig", "--until", "1", "--rate", "10", "-o", "a.png"], "a.png"),
         (["run", "rig", "--until", "1", "--rate", "0", "-o", "a.csv"], "--rate"),
         (["run", "rig", "--until", "nan", "--rate", "10", "-o", "a.csv"], "--until"),
         (["run", "rig", "--until", "1", "--rate", "10", "-o", "none/a.csv"], "none/a.csv"),
