@@ -218,6 +218,7 @@ def _smooth_until_resolved(
     """
     seen = motion
     longest = max(own.stop - own.start for own in series.pieces) // 8
+    longest -= 1 - longest % 2  # windows are odd
     noise = None
     for attempt in range(7):
         scatter, peak = _noise(seen, moving), _peak(seen, moving)

@@ -65,5 +65,5 @@ def test_slips_of_all_laws_round_to_the_same_time(motion_of, law):
     """Else a result would jump with the last digit of a slip's duration."""
     motion = motion_of(law=law, duration=12.0)
     assert motion.slip_s == 0.5
-    usual = motion.samples_per_slip * 1e-3
+    usual = frame.usual_slip(motion.time, motion.position, motion.velocity < 0.5 * motion.belt_speed)
     assert frame.rounded_slip(0.85 * usual) == frame.rounded_slip(1.15 * usual) == 0.5

@@ -9,6 +9,8 @@ import pytest
 import processing
 from daq.errors import InputError
 from daq.runfile.rig import Measured, Rig
+from processing.kalman import white_jerk
+from processing.record import series
 from processing.segmentation import plateaus
 from processing.segmentation.belt_speed import half_sample_mode
 
@@ -248,3 +250,15 @@ def test_a_first_sample_far_from_the_others_leaves_a_record_without_motion():
     # White noise that began with an outlier ended in an IndexError: nothing was as far from the last sample.
     x = np.r_[1.0, np.full(50, 0.4), 0.6]
     assert not plateaus.in_motion(SimpleNamespace(position=x, pitch=0.2, interval=1e-3, moving=None)).any()
+
+
+@pytest.mark.parametrize("samples", range(96, 160, 8))
+def test_a_short_record_is_smoothed_more_no_further_than_it_is_long(samples):
+    """A window of 16 was to be reached by odd ones of 15 at most: ZeroDivisionError, once its jerk was 0."""
+    time = np.arange(samples) / 100
+    position = np.sin(9 * time) + 0.1 * np.random.default_rng(samples).standard_normal(samples)
+    data = series.Series(time, position - position[0], float(position[0]), 0.0, 0.01, (slice(0, samples),))
+    rough = white_jerk.smooth(data, white_jerk.Noise(1e9, 0.01))
+    for window in range(9, 15, 2):
+        found = plateaus.segment(data, replace(rough, window=window))
+        assert found.phases
