@@ -163,10 +163,13 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
         elif k == 1 and starts_at_rest:
             settle = max(SHORTEST * motion.slip_s, motion.half_window)
             first = int(np.searchsorted(time, time[min(landings[0], n - 1)] + settle))
-            drag = (first, last) if last - first >= shortest else (0, 0)
         else:
             first = _sticking(motion, middles[k - 1], last)
         stick = (first, last) if last - first >= shortest else (onset, onset)
+        if motion.broken[stick[0] + 1 : stick[1]].any():
+            stick = (onset, onset)
+        if k == 1 and starts_at_rest and stick[1] > stick[0]:
+            drag = stick
         left = onset + int(np.argmax(v[onset : begin + 1] < v[onset] - LEFT_THE_BELT * motion.belt_speed))
         slip = (left, min(middles[k], n))
         if end >= n or landings[k] >= n:
@@ -178,8 +181,6 @@ def segment_cycles(motion: MeasuredMotion, excluded: frozenset[int] = frozenset(
             flag = "rest"
         elif slip[1] - slip[0] < 2 * shortest:
             flag = "short"
-        if motion.broken[stick[0] + 1 : stick[1]].any():
-            stick = (onset, onset)
         number = len(cycles) + 1
         if number in excluded:
             flag = "excluded"

@@ -50,6 +50,18 @@ def test_the_start_up_drag_is_found(law5):
     assert 1.0 < motion.time[end] < 1.16
 
 
+def test_a_drag_with_a_gap_in_it_is_no_drag(law5):
+    """Its window was left out and the drag was not: of laws 1 and 2, RuntimeError "not the start-up drag"."""
+    motion, cut = law5
+    broken = motion.broken.copy()
+    broken[sum(cut.drag) // 2] = True
+    found = cycles.segment_cycles(replace(motion, broken=broken))
+    assert found.uses_start
+    assert found.drag == (0, 0)
+    assert found.cycles[0].stick[0] == found.cycles[0].stick[1]
+    assert found.cycles[1:] == cut.cycles[1:]
+
+
 @pytest.mark.parametrize("d", [0.03, 0.06])
 def test_the_drag_of_a_wide_ramp_is_found(motion_of, synthetic, d):
     """Creep slows the mass down at once: it was taken for the slip, and law 2 was not distinguished from law 1."""
