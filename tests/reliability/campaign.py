@@ -76,6 +76,8 @@ class Campaign:
         Of everything that is drawn by chance.
     module : str
         Which module has its function, where that is not the module of its name.
+    open_faults : bool
+        Whether its full size still finds faults: docs/reliability.md then states them in words, and has no rows of it.
     """
 
     counts: str
@@ -84,6 +86,7 @@ class Campaign:
     on_disk: bool = False
     seed: int = 1
     module: str = ""
+    open_faults: bool = False
 
     @property
     def folder(self) -> str | None:
@@ -107,7 +110,7 @@ CAMPAIGNS: dict[str, Campaign] = {
     "security": Campaign("requests", short=25, full=1000),
     "bad_streams": Campaign("pieces of streams", short=20_000, full=1_000_000, module="bad_input"),
     "bad_files": Campaign("files", short=2_400, full=120_000, module="bad_input"),
-    "contacts": Campaign("contacts", short=10, full=2_000),
+    "contacts": Campaign("contacts", short=10, full=2_000, open_faults=True),
 }
 
 

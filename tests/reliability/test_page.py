@@ -28,7 +28,14 @@ def test_a_campaign_replaces_its_own_rows_and_the_total(tmp_path):
     assert total.endswith("the longest one 2000.0.")
 
 
-@pytest.mark.parametrize("name", CAMPAIGNS)
+@pytest.mark.parametrize("name", [name for name, campaign in CAMPAIGNS.items() if campaign.open_faults])
+def test_a_campaign_with_open_faults_has_them_on_the_page_and_no_rows(name):
+    text = PAGE.read_text(encoding="utf-8")
+    assert f"Open faults of `{name}`:" in text
+    assert f"\n| {name} |" not in text
+
+
+@pytest.mark.parametrize("name", [name for name, campaign in CAMPAIGNS.items() if not campaign.open_faults])
 def test_every_campaign_has_its_rows_and_its_cost(name):
     text = PAGE.read_text(encoding="utf-8")
     runs = text.partition(page.BEGIN.format("runs"))[2].partition(page.END.format("runs"))[0]
