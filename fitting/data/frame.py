@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import HOLE, Array, runs
 from daq.errors import DataError, InputError
-from daq.runfile.rest_position import impossible
 from daq.runfile.rig import Measured, Rig
 from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
@@ -171,9 +170,6 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     sign = math.copysign(1.0, speed)
     usual = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig)
-    if rest is not None:
-        known = believed is not None or math.isfinite(seen)
-        _refuse_impossible_rest(rest, position, sign if known else 0.0, source)
     slip = usual_slip(time, sign * position, sign * velocity < SLIPPING * abs(speed))
     prior = believed
     if channel is not None:
@@ -361,10 +357,3 @@ def _rest_position(rig: Rig, recorded: Rig) -> Measured | None:
     if rig.datum is None:
         return rig.x0
     return Measured(recorded.offset - rig.datum.value, rig.datum.sd)
-
-
-def _refuse_impossible_rest(rest: Measured, position: Array, direction: float, source: str) -> None:
-    """Raise InputError for a spring that would be at rest beyond the end of the travel to which the belt runs."""
-    wrong = impossible(rest, float(position.min()), float(position.max()), direction)
-    if wrong:
-        raise InputError(wrong, source, 'check its sign: x0 is the reading at the spring\'s rest, --x0 "60 mm +- 1 mm"')

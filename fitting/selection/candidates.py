@@ -182,6 +182,9 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
             ", ".join(sources),
             "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
         )
+    for run, record in zip(runs, records, strict=True):
+        if run.cut.shows_belt:
+            screening.refuse_impossible_rest(run.motion, record)
     return sustained
 
 

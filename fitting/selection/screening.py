@@ -13,7 +13,8 @@ import numpy as np
 
 from daq.compute.arrays import Array, Integers
 from daq.compute.least_squares import least_squares
-from daq.errors import DataError
+from daq.errors import DataError, InputError
+from daq.runfile.rest_position import impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
 from fitting.estimation import trajectory
@@ -114,6 +115,21 @@ def _rounded_up(rate: float) -> float:
     """Return a rate in two digits, Hz, and not a lower one."""
     step = 10.0 ** (math.floor(math.log10(rate)) - 1)
     return step * math.ceil(rate / step)
+
+
+def refuse_impossible_rest(motion: MeasuredMotion, record: Kinematics) -> None:
+    """Raise InputError for a spring that would be at rest beyond the end of the travel to which the belt runs.
+
+    Asked of records that stick and slip alone: of any other the direction of the belt says nothing.
+    """
+    if motion.datum_prior is None:
+        return
+    rest = replace(motion.datum_prior, value=motion.sign * motion.datum_prior.value)
+    low, high = sorted((motion.sign * float(motion.position.min()), motion.sign * float(motion.position.max())))
+    wrong = impossible(rest, low, high, motion.sign)
+    if wrong:
+        do = 'check its sign: x0 is the reading at the spring\'s rest, --x0 "60 mm +- 1 mm"'
+        raise InputError(wrong, str(record.recording.source), do)
 
 
 def refuse_missing_frames(fits: Sequence[Fit], records: Sequence[Kinematics]) -> None:
