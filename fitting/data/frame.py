@@ -139,8 +139,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     Raises
     ------
     InputError
-        For a record in counts, a belt at rest, belt counts asked for that are not there, or a rest position beyond the
-        end of the travel.
+        For a record in counts, a belt at rest, or belt counts asked for that are not there.
     DataError
         When nothing in the record moves.
     """
