@@ -13,6 +13,7 @@ encoding of the stream: control characters are printed as escapes, and character
 """
 
 import contextlib
+import errno
 import gc
 import io
 import json
@@ -256,11 +257,11 @@ def _printed(name: str, answer: object, as_json: bool) -> int:
     """Print what a command returned; return the exit code, also of a stdout that does not take it."""
     try:
         return _shown(answer, as_json)
-    except BrokenPipeError:
+    except OSError as error:
         _discard_stdout()
-        return answer.exit_code if isinstance(answer, Answer) else EXIT_DONE
-    except OSError as error:  # an error in JSON could not be written there either
-        _discard_stdout()
+        if error.errno in (errno.EPIPE, errno.EIO):  # the reader has gone: a pipe, or a terminal that was closed
+            return answer.exit_code if isinstance(answer, Answer) else EXIT_DONE
+        # an error in JSON could not be written there either
         what = f"the command is done, but its result could not be printed: {error.strerror or error}"
         unprinted = StickslipError(what, "stdout", "check the free space where stdout goes")
         return _fail(name, unprinted, EXIT_DEVICE, as_json=False)
