@@ -110,7 +110,7 @@ CAMPAIGNS: dict[str, Campaign] = {
     "security": Campaign("requests", short=25, full=1000),
     "bad_streams": Campaign("pieces of streams", short=20_000, full=1_000_000, module="bad_input"),
     "bad_files": Campaign("files", short=2_400, full=120_000, module="bad_input"),
-    "contacts": Campaign("contacts", short=9, full=2_000, open_faults=True),
+    "contacts": Campaign("contacts", short=10, full=2_000, open_faults=True),
 }
 
 
