@@ -76,8 +76,9 @@ class Campaign:
         Of everything that is drawn by chance.
     module : str
         Which module has its function, where that is not the module of its name.
-    open_faults : bool
-        Whether its full size still finds faults: docs/reliability.md then states them in words, and has no rows of it.
+    open_faults : tuple of str
+        How the faults that it is known to find are named in it.  docs/reliability.md then states them in words, and has
+        no rows of it; any other fault fails the short size.
     """
 
     counts: str
@@ -86,7 +87,7 @@ class Campaign:
     on_disk: bool = False
     seed: int = 1
     module: str = ""
-    open_faults: bool = False
+    open_faults: tuple[str, ...] = ()
 
     @property
     def folder(self) -> str | None:
@@ -97,6 +98,9 @@ class Campaign:
         """Return the size of this name."""
         return Size(name, {"short": self.short, "full": self.full}[name], self.seed)
 
+
+# Refused rightly, with samples a slip or a rate that are not those of the contact (docs/reliability.md).
+OPEN_CONTACTS = tuple(f"contact {number}," for number in (10, 38, 43, 61, 64))
 
 # The order is that of the table in docs/reliability.md.
 CAMPAIGNS: dict[str, Campaign] = {
@@ -110,7 +114,7 @@ CAMPAIGNS: dict[str, Campaign] = {
     "security": Campaign("requests", short=25, full=1000),
     "bad_streams": Campaign("pieces of streams", short=20_000, full=1_000_000, module="bad_input"),
     "bad_files": Campaign("files", short=2_400, full=120_000, module="bad_input"),
-    "contacts": Campaign("contacts", short=10, full=2_000, open_faults=True),
+    "contacts": Campaign("contacts", short=10, full=2_000, open_faults=OPEN_CONTACTS),
 }
 
 

@@ -220,8 +220,6 @@ def untrue_reason(found: Outcome) -> str:
     named, rate = SAMPLES.search(found.what), RATE.search(found.what)
     if named is None or rate is None:
         return "does not name the samples a slip and a rate"
-    if not slips:  # nothing to compare with: a mass that grazes the belt has no slips between sticks
-        return ""
     if abs(float(named[1]) - samples) > max(NAMED_WITHIN * samples, SAMPLES_APART):
         return "names other samples a slip"
     advised = float(rate[1]) * (1e3 if rate[2] else 1.0)
