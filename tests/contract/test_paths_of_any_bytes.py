@@ -18,16 +18,18 @@ SAMPLE = Path(__file__).parents[2] / "data_samples" / "law5.h5"
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch, caplog):
-    # Names in a captured log reach the test's report as they are, and a report must be UTF-8 to leave its process.
-    caplog.set_level(logging.CRITICAL)
+def folder(tmp_path, monkeypatch):
     made = tmp_path / os.fsdecode(b"f\xff")
     try:
         made.mkdir()
     except OSError:
         pytest.skip("this file system takes UTF-8 alone")
     monkeypatch.chdir(made)
-    return made
+    # Names in a captured log reach the test's report as they are, and a report must be UTF-8 to leave its process.
+    # A command that logs to a file sets the level of its own loggers: only `logging.disable` holds for all of them.
+    logging.disable(logging.CRITICAL)
+    yield made
+    logging.disable(logging.NOTSET)
 
 
 def run(monkeypatch, command, *words):
