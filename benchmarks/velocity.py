@@ -37,7 +37,7 @@ from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.methods import window_choice as windows
 from processing.polynomial import savgol
-from processing.polynomial.gram import coefficients
+from processing.polynomial.even_fit import coefficients
 from processing.record import series
 from processing.record.setting import Setting
 from rig_sim.motion.play import ScenePlayer
@@ -96,7 +96,6 @@ class Bench:
         return series.Series(
             time=time - time[0], position=(count - count[0]) * self.pitch, origin=0.0, pitch=self.pitch,
             interval=float(np.median(steps)), pieces=pieces(time, np.zeros(time.size, np.int64), 1e-3),
-            count=count - count[0],
         )  # fmt: skip
 
     def errors(self, v: np.ndarray) -> tuple[float, float]:
@@ -216,7 +215,7 @@ def scenes(seed: int) -> dict[str, tuple[str, float, float]]:
         for name in ("x", "v", "time", "grid", "count"):
             setattr(cut, name, getattr(bench, name)[kept])
         found[f"gaps of {gap} ms"] = _against_rts(cut, cut.series())
-    swing = replace(bench.series(), count=None)
+    swing = bench.series()
     time = swing.time
     true = 0.1 * np.sin(6 * time)
     counted = np.floor(true / bench.pitch)
@@ -253,11 +252,9 @@ def speed(bench: Bench) -> dict[str, float]:
     from scipy.signal import savgol_filter
 
     even = bench.series("nominal")
-    counted = savgol.Counted(even.count, even.pitch)
-    values = np.empty((3, even.time.size))
     found = {}
     for window in (5, 21, 41, 101, 301, 1001, 1501, 3001):
-        cpu, _ = timed(lambda w=window: savgol.inside(even.position, w, 4, counted, values), 20)
+        cpu, _ = timed(lambda w=window: savgol.fit(even.time, even.position, w, 4), 20)
         peer, _ = timed(lambda w=window: [savgol_filter(even.position, w, 4, deriv=d) for d in range(3)], 3)
         found[f"sg {window},4"] = even.time.size / cpu / 1e6
         found[f"sg {window},4 over scipy"] = peer / cpu

@@ -244,9 +244,7 @@ def _joined(parts: "list[tuple[Recording, Series]]") -> "tuple[Recording, Series
         belt_count=np.concatenate(belt) if belt else None,
     )
     interval = float(np.median([part.interval for _, part in parts]))
-    return whole, replace(
-        data, time=whole.time, position=whole.position, interval=interval, pieces=tuple(pieces), count=None
-    )
+    return whole, replace(data, time=whole.time, position=whole.position, interval=interval, pieces=tuple(pieces))
 
 
 class _Reader:

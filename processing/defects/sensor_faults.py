@@ -89,7 +89,7 @@ def without_faults(series: Series, estimates: RecordEstimates | None = None) -> 
         return SoundRecord((), kept, series, series, noise)
     own = np.flatnonzero(kept)
     bridged = np.interp(series.time, series.time[own], series.position[own])
-    return SoundRecord(tuple(faults), kept, left, replace(series, position=bridged, count=None), noise)
+    return SoundRecord(tuple(faults), kept, left, replace(series, position=bridged), noise)
 
 
 def _faults(series: Series, noise: float, step: float) -> list[Fault]:
@@ -200,6 +200,5 @@ def _only(series: Series, kept: Mask) -> Series:
         series,
         time=time,
         position=series.position[own],
-        count=None if series.count is None else series.count[own],
         pieces=tuple(slice(i, j) for i, j in pairwise(edges)),
     )

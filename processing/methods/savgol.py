@@ -41,9 +41,8 @@ def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Mo
     values, norms, probe, probe_norms = (np.empty((3, series.time.size)) for _ in range(4))
     for piece in series.pieces:
         own = series.time[piece], series.position[piece]
-        counted = None if series.count is None else savgol.Counted(series.count[piece], series.pitch)
-        values[:, piece], norms[:, piece] = savgol.fit(*own, length, order, counted)
-        probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.half(length, order), order, counted)
+        values[:, piece], norms[:, piece] = savgol.fit(*own, length, order)
+        probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.half(length, order), order)
     errors = np.empty_like(values)
     floor = (
         series.pitch / np.sqrt(12) if length > order + 3 else estimates.once("floor", lambda: position_noise(series))

@@ -18,15 +18,15 @@ import numpy as np
 from daq.compute.arrays import Array
 from processing.kalman import white_jerk
 from processing.methods import auto
+from processing.polynomial.even_fit import coefficients, convolved
 from processing.polynomial.even_grid import even_grid
-from processing.polynomial.gram import coefficients
 from processing.record.series import Series
 from processing.record.setting import Setting, longest_piece
 from processing.record.stretches import representative_stretches
 
 ORDERS = (2, 4, 6)  # an odd order has the velocity of the even one above it
 EQUIVALENT = {2: 5.0, 4: 9.0, 6: 13.5}  # window times rho**(1/6) of the filter nearest to a white-jerk smoother
-LONGEST = 3001  # samples: the longest window that `processing.polynomial.gram` is tested for
+LONGEST = 3001  # samples: the longest window that `processing.polynomial.even_fit` is tested for
 MOST = 2**17  # samples the filters are compared on; of a longer record, stretches spread over it
 FACTORS = np.geomspace(0.6, 1.6, 14)  # windows tried, of the equivalent one: steps of 8 %, the error is flat within one
 
@@ -95,10 +95,10 @@ def _closest(grids: list[Array], goals: list[Array], log_rho: float, orders: tup
 
 def _distance(grids: list[Array], goals: list[Array], window: int, order: int) -> float:
     """Return the mean square difference of the filter's velocity from the smoother's, where the window is centred."""
-    weights = coefficients(window, order)[1]
+    weights = coefficients(window, order)[:2]
     half = window // 2
     apart = [
-        np.correlate(grid, weights, "valid") - goal[half : goal.size - half]
+        convolved(grid, weights)[1] - goal[half : goal.size - half]
         for grid, goal in zip(grids, goals, strict=True)
         if grid.size >= window
     ]

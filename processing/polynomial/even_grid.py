@@ -7,7 +7,7 @@ Where times scatter about the grid by less than half an interval, a reading move
 import numpy as np
 
 from daq.compute.arrays import Array
-from processing.polynomial.gram import coefficients
+from processing.polynomial.even_fit import coefficients, convolved
 
 ROUGH = 31, 4  # window and order of the rough velocity
 
@@ -34,7 +34,7 @@ def even_grid(time: Array, position: Array) -> Array:
     if np.abs(off).max() > 0.5 * step or n < ROUGH[0]:
         return np.asarray(np.interp(grid, time, position))
     half = ROUGH[0] // 2
-    inner = np.correlate(position, coefficients(*ROUGH)[1], "valid")
+    inner = convolved(position, coefficients(*ROUGH))[1]
     return np.asarray(position - off / step * np.pad(inner, half, mode="edge"))
 
 

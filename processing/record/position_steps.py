@@ -57,7 +57,7 @@ def without_steps(series: Series, offset: Array) -> Series:
     """Return the record without its steps; ``offset`` (n,) is the result of `step_offsets`."""
     if not offset.any():
         return series
-    return replace(series, position=series.position - offset, count=None)
+    return replace(series, position=series.position - offset)
 
 
 def step_profile(since: NDArray[np.floating], width: Array | float) -> Array:

@@ -50,8 +50,6 @@ class Series:
         Stretches without a gap, in order; together they are the record.
     source : str
         The file, for messages.
-    count : array of int64 or None
-        The position in counts, seen from the first; None for a record without, or one that was mended.
     moving : (float, float) or None
         When the first motion of the record begins and the last one ends, s, where that is known from all of it.
     """
@@ -63,7 +61,6 @@ class Series:
     interval: float
     pieces: tuple[slice, ...]
     source: str = ""
-    count: Integers | None = None
     moving: tuple[float, float] | None = None
 
     @cached_property
@@ -120,14 +117,12 @@ def from_recording(
     segment = recording.segment
     time = recorded if times == "recorded" else nominal(recording, anchor) if grid is None else grid
     check(time, positions, where)
-    pitch, count = 0.0, None
+    pitch = 0.0
     if recording.count is not None:
         metres = recording.rig.metres_per_count
         scale = metres.value if metres is not None else 1.0
         pitch = abs(scale)
-        count = recording.count - recording.count[0]
-        position = count * scale
-        count = count if scale > 0 else -count
+        position = (recording.count - recording.count[0]) * scale
     else:
         position = positions - positions[0]
     interval = float(np.median(np.diff(time)))
@@ -139,7 +134,6 @@ def from_recording(
         interval=interval,
         pieces=pieces(time, segment, interval),
         source=where,
-        count=count,
     )
 
 

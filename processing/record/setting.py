@@ -8,7 +8,7 @@ from daq.errors import InputError
 from daq.runfile.rig import Measured
 from processing.record.series import Series
 
-HIGHEST_ORDER = 20  # of a window given by a person; coefficients are tested to this degree (`polynomial.gram`)
+HIGHEST_ORDER = 20  # of a window given by a person; coefficients are tested to this degree (`polynomial.even_fit`)
 STATED_SD = 0.01  # of a value that was stated without an error: people read a speed, a mass or a spring to about 1 %
 # Of a stated belt speed, sticks that may be its own: on a ramp they creep, by up to its half-width.  Sticks outside
 # are used instead of the statement; whether that is a contradiction, the fitted belt speed decides.

@@ -140,7 +140,6 @@ def _around(
         series,
         time=series.time[kept],
         position=series.position[kept],
-        count=None if series.count is None else series.count[kept],
         pieces=tuple(slice(i, j) for i, j in pairwise(ends)),
     )
     names = [f"{name}{end}" for name in ("position", "velocity", "acceleration") for end in ("", "_errors")]

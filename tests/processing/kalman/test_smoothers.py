@@ -54,7 +54,7 @@ def test_a_mass_that_rests_and_is_then_dragged_slowly_is_no_straight_line(speed)
     time, pitch = np.arange(2000) * 1e-3, 7.67e-6
     true = speed * np.maximum(time - 0.5, 0.0)
     count = np.floor(true / pitch)
-    data = series.Series(time, pitch * count, 0.0, pitch, 1e-3, (slice(0, 2000),), count=count.astype(np.int64))
+    data = series.Series(time, pitch * count, 0.0, pitch, 1e-3, (slice(0, 2000),))
     for method in ("rts", "auto"):
         found = registry.estimate(method, data, Setting())
         assert np.sqrt(np.mean((found.position - true + pitch / 2) ** 2)) < pitch

@@ -1,10 +1,10 @@
-"""Savitzky-Golay coefficients against 50-digit arithmetic and against what is known of them in closed form."""
+"""Savitzky-Golay on an even grid against 50-digit arithmetic, closed forms, and fits one by one."""
 
 import mpmath
 import numpy as np
 import pytest
 
-from processing.polynomial.gram import coefficients
+from processing.polynomial.even_fit import coefficients, fit
 
 
 def reference(window, order, at):
@@ -42,6 +42,7 @@ CASES = [
     (21, 4),
     (21, 14),
     (21, 20),
+    (23, 20),
     (25, 20),
     (41, 6),
     (51, 14),
@@ -60,10 +61,6 @@ def test_weights_agree_with_50_digits_anywhere_in_the_window(window, order, plac
 
 def test_the_longest_window_and_highest_order_agree_with_50_digits():
     assert worst(coefficients(3001, 20, -1500), reference(3001, 20, -1500)) < 1e-13
-
-
-def test_between_samples_too():
-    assert worst(coefficients(41, 6, 0.37), reference(41, 6, 0.37)) < 1e-13
 
 
 def test_the_published_quadratic_of_five_points():
@@ -92,3 +89,33 @@ def test_an_even_window_is_refused(window):
 def test_an_order_that_the_window_cannot_carry_is_refused(order):
     with pytest.raises(ValueError, match=f"order is {order}; need 0 to 4"):
         coefficients(5, order)
+
+
+@pytest.mark.parametrize(("window", "order"), [(1, 0), (5, 2), (7, 0), (41, 4), (301, 7), (1001, 4), (3001, 4)])
+@pytest.mark.parametrize("extra", [0, 1, 5000])
+def test_every_sample_gets_the_polynomial_of_its_own_window(window, order, extra):
+    """Weights in 50 digits applied to whole numbers of counts: only the sum is rounded."""
+    n = window + extra
+    rng = np.random.default_rng(window)
+    position = np.floor(300 * np.sin(np.arange(n) / 40) + np.cumsum(rng.standard_normal(n)))
+    values, norms = fit(position, window, order, 0.5)
+    for i in {0, 1, window // 3, n // 2, n - 1 - window // 4, n - 1}:
+        if i >= n:
+            continue
+        first = min(max(i - window // 2, 0), n - window)
+        weights = reference(window, order, i - first - window // 2) * [[1], [2], [4]]
+        own = position[first : first + window]
+        size = np.abs(weights).sum(axis=1) * np.abs(position).max()
+        assert (np.abs(values[:, i] - [np.sum(row * own) for row in weights]) <= 1e-13 * size).all()
+        assert norms[:, i] == pytest.approx(np.linalg.norm(weights, axis=1), rel=1e-13, abs=1e-300)
+
+
+@pytest.mark.parametrize(("window", "order"), [(41, 4), (7, 3), (31, 6), (1501, 4), (3001, 4)])
+def test_a_part_of_the_record_gives_what_the_whole_gives(window, order):
+    position = np.cumsum(np.random.default_rng(2).standard_normal(12_000))
+    whole = fit(position, window, order, 1.0)[0]
+    half, begin, end = window // 2, 500, 500 + window + 700
+    part = fit(position[begin:end], window, order, 1.0)[0]
+    size = np.abs(coefficients(window, order)).sum(axis=1) * np.abs(position).max()
+    apart = np.abs(part[:, half:-half] - whole[:, begin + half : end - half]).max(axis=1)
+    assert (apart <= 1e-14 * size).all()
