@@ -63,9 +63,23 @@ def pointer(array: Any) -> Any:
     return array
 
 
+def stack(order: tuple[float, ...]) -> Any:
+    """Return an array for a kernel's own use, of as many numbers as the tuple has; its contents are not set.
+
+    Compiled code gets memory on the stack, which costs nothing and may stay in registers.
+    """
+    return [0.0] * len(order)
+
+
+def stack_square(order: tuple[float, ...]) -> Any:
+    """As `stack`, of n n numbers where the tuple has n."""
+    return [0.0] * len(order) ** 2
+
+
 @cache
 def _give_pointers() -> None:
-    """Let compiled code call `pointer`."""
+    """Let compiled code call `pointer`, `stack` and `stack_square`."""
+    from llvmlite import ir  # type: ignore[import-untyped]
     from numba.core import types
     from numba.extending import intrinsic, overload
 
@@ -79,6 +93,29 @@ def _give_pointers() -> None:
     @overload(pointer)
     def address(array):  # type: ignore[no-untyped-def]
         return lambda array: data(array)  # type: ignore[call-arg]  # numba hands the first one on
+
+    def reserve(power: int) -> Any:
+        @intrinsic
+        def memory(typing_context: Any, order: Any) -> Any:
+            size = ir.Constant(ir.IntType(64), len(order) ** power)
+
+            def take(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+                with builder.goto_entry_block():
+                    return builder.alloca(ir.DoubleType(), size=size)
+
+            return types.CPointer(types.float64)(order), take  # type: ignore[no-untyped-call]
+
+        return memory
+
+    one, two = reserve(1), reserve(2)
+
+    @overload(stack)
+    def line(order):  # type: ignore[no-untyped-def]
+        return lambda order: one(order)
+
+    @overload(stack_square)
+    def square(order):  # type: ignore[no-untyped-def]
+        return lambda order: two(order)
 
 
 def build(function: Callable[..., Any], folder: Path | None, **options: Any) -> Callable[..., Any]:

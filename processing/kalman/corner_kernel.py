@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, Integers
-from processing.kalman.snap_kernel import (
+from daq.compute.compile import stack, stack_square
+from processing.kalman.motion_kernel import LINE, Order, Process, predict, turn, unpack, update
+from processing.kalman.stick_slip import (
     CUT,
     LAND,
     LANDING,
@@ -25,13 +27,6 @@ from processing.kalman.snap_kernel import (
     SLIP,
     STICK,
     STOP,
-    NoiseLevels,
-    line_predict,
-    line_update,
-    predict,
-    turn,
-    unpacked,
-    update,
 )
 
 Labels = NDArray[np.uint8]
@@ -75,6 +70,7 @@ def label_samples(time: Array, at: Array, kind: Labels, first: int, unit: float,
 
 
 def refine_switching_times(
+    order: Order,
     time: Array,
     position: Array,
     stored: Array,
@@ -86,7 +82,7 @@ def refine_switching_times(
     edges: Array,
     parts: Labels,
     corner: int,
-    levels: NoiseLevels,
+    process: Process,
     found: Array,
 ) -> None:
     """Move corners of one kind to where they are most likely.
@@ -105,7 +101,7 @@ def refine_switching_times(
         First step of the grid of times, s, and the step below which it is not refined any more.
     edges, parts, corner : array of shape (k,), (k + 1,), int
         Labels around the corner, cut at ``edges`` (s from it), of which number ``corner`` is the corner itself (0).
-    levels : NoiseLevels
+    process : Process
         By label.
     found : array of shape (c, 2)
         Gets mean and standard deviation of each time, s.
@@ -114,7 +110,8 @@ def refine_switching_times(
     -----
     The grid of 9 times is refined threefold until the likelihood is wider than its step.
     """
-    q, u, r = levels.process_density, levels.mean_snap, levels.reading_variance
+    q, u, r, alive = process.density, process.mean, process.reading_variance, process.alive
+    x, p = stack(order), stack_square(order)
     n = 4
     gain, tried = np.empty(2 * n + 1), np.empty(2 * n + 1)
     for k in range(at.size):
@@ -130,7 +127,7 @@ def refine_switching_times(
                 tried[g] = min(max(middle + (g - n) * step, least), most)
                 # The log likelihood of the corner there, up to a constant.  Not a function of its own: numba would
                 # compile the functions it calls a second time.
-                S = unpacked(stored[begin])
+                unpack(order, stored[begin], x, p)
                 last = time[begin]
                 total, product = 0.0, 1.0
                 ahead = True
@@ -139,24 +136,30 @@ def refine_switching_times(
                     if ahead and tried[g] <= time[i]:
                         part = max(part, corner)
                         b = parts[part]
-                        S = predict(tried[g] - last, q[b], u[b], S)
-                        S = turn(what, levels.reset_variance, S)
+                        predict(order, order, tried[g] - last, q[b], u[b], x, p)
+                        turn(order, process.keep[what], process.jump[what], x, p)
                         last = tried[g]
                         ahead = False
                     while part < edges.size and time[i] - tried[g] >= edges[part]:
                         part += 1
                     b = parts[part]
-                    still = b == STICK or b == REST
-                    S = line_predict(time[i] - last, S) if still else predict(time[i] - last, q[b], u[b], S)
+                    two = alive[b] < len(order)
+                    if two:
+                        predict(order, LINE, time[i] - last, 0.0, 0.0, x, p)
+                    else:
+                        predict(order, order, time[i] - last, q[b], u[b], x, p)
                     last = time[i]
-                    s = 1.0 / (S[4] + r[b])
-                    e = position[i] - S[0]
+                    s = 1.0 / (p[0] + r[b])
+                    e = position[i] - x[0]
                     total -= e * e * s
                     product *= s
                     if product > 1e200 or product < 1e-200:
                         total += math.log(product)
                         product = 1.0
-                    S = line_update(e, s, r[b], S) if still else update(e, s, r[b], S)
+                    if two:
+                        update(order, LINE, e, s, r[b], x, p)
+                    else:
+                        update(order, order, e, s, r[b], x, p)
                 gain[g] = 0.5 * (total + math.log(product))
                 if gain[g] > gain[best]:
                     best = g

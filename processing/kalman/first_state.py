@@ -17,7 +17,7 @@ def first_state(time: Array, position: Array, variance: float, derivatives: int)
     variance : float
         Of a reading, m^2.
     derivatives : int
-        2 for x, v, a (`jerk_kernel`), 3 for x, v, a, j (`snap_kernel`), 1 for x, v and zeros as in `snap_kernel`.
+        2 for x, v, a (`white_jerk`), 3 for x, v, a, j (`stick_slip`), 1 for x, v and zeros as in `stick_slip`.
 
     Returns
     -------

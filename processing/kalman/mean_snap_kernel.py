@@ -7,27 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array
-from processing.kalman.snap_kernel import (
-    NoiseLevels,
-    line_predict,
-    line_update,
-    predict,
-    unpacked,
-    update,
-)
+from daq.compute.compile import stack, stack_square
+from processing.kalman.motion_kernel import LINE, Order, Process, predict, turn, unpack, update
 
 Labels = NDArray[np.uint8]
 
 
 def accumulate_normal_equations(
+    order: Order,
     time: Array,
     position: Array,
     state: Array,
     landing: float,
     edges: Array,
     parts: Labels,
-    levels: NoiseLevels,
-    loose: float,
+    process: Process,
+    loose: Array,
     gram: Array,
     rhs: Array,
 ) -> None:
@@ -45,16 +40,17 @@ def accumulate_normal_equations(
         Where parts begin, s from the landing; the last is 0.
     parts : array of shape (k + 2,)
         Labels: far before, the k parts asked for, the stick.
-    levels : NoiseLevels
+    process : Process
         By label; the mean snap is taken as 0.
-    loose : float
-        Variance, m^2/s^2, of the velocity's step at a landing whose time is not known.
+    loose : array of shape (4,)
+        Variances gained at the landing, whose time is not known: of the velocity's step, m^2/s^2, and zeros.
     gram, rhs : array of shape (k, k), (k,)
         Added to, the lower triangle alone of ``gram``.
     """
-    q, r = levels.process_density, levels.reading_variance
+    q, r = process.density, process.reading_variance
+    y, p = stack(order), stack_square(order)
     k = rhs.size
-    S = unpacked(state)
+    unpack(order, state, y, p)
     x, v, a, j = np.zeros(k), np.zeros(k), np.zeros(k), np.zeros(k)
     last = time[0]
     part = 0
@@ -69,7 +65,7 @@ def accumulate_normal_equations(
             last = to
             b = parts[part]
             if ahead:
-                S = predict(h, q[b], 0.0, S)
+                predict(order, order, h, q[b], 0.0, y, p)
                 for n in range(k):
                     u = 1.0 if part == n + 1 else 0.0
                     x[n] += h * (v[n] + h / 2 * (a[n] + h / 3 * (j[n] + h / 4 * u)))
@@ -77,23 +73,26 @@ def accumulate_normal_equations(
                     a[n] += h * (j[n] + h / 2 * u)
                     j[n] += h * u
             else:
-                S = line_predict(h, S)
+                predict(order, LINE, h, 0.0, 0.0, y, p)
                 for n in range(k):
                     x[n] += h * v[n]
             if not corner:
                 break
             ahead = False
-            S = (S[0], S[1], 0.0, 0.0, S[4], S[5], 0.0, 0.0, S[8] + loose, 0.0, 0.0, 0.0, 0.0, 0.0)
+            turn(order, 2, loose, y, p)
             part = edges.size
-        s = 1.0 / (S[4] + r[parts[part]])
-        e = position[i] - S[0]
+        s = 1.0 / (p[0] + r[parts[part]])
+        e = position[i] - y[0]
         for n in range(k):
             rhs[n] += x[n] * e * s
             for m in range(n + 1):
                 gram[n, m] += x[n] * x[m] * s
             g = x[n] * s
-            x[n] -= S[4] * g
-            v[n] -= S[5] * g
-            a[n] -= S[6] * g
-            j[n] -= S[7] * g
-        S = update(e, s, r[parts[part]], S) if ahead else line_update(e, s, r[parts[part]], S)
+            x[n] -= p[0] * g
+            v[n] -= p[1] * g
+            a[n] -= p[2] * g
+            j[n] -= p[3] * g
+        if ahead:
+            update(order, order, e, s, r[parts[part]], y, p)
+        else:
+            update(order, LINE, e, s, r[parts[part]], y, p)

@@ -20,7 +20,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.compute.compile import compiled
-from processing.kalman import jerk_kernel
+from processing.kalman import motion_kernel
 from processing.kalman.first_state import first_state
 from processing.polynomial import uneven
 from processing.record.motion import Motion
@@ -28,7 +28,9 @@ from processing.record.noise import reading_step
 from processing.record.series import Series, computed_once
 from processing.record.stretches import representative_stretches
 
-KERNELS = ("processing.kalman.jerk_kernel",)
+KERNELS = ("processing.kalman.motion_kernel",)
+JERK = (0.0, 0.0, 0.0)  # order of the motion: x, v, a
+STORED = motion_kernel.stored_size(len(JERK))
 SHORT = 8  # samples: pieces below are one parabola
 BLOCK = 4096  # samples smoothed at a time
 FIT_SAMPLES = 12_288  # samples the noise levels are fitted to
@@ -111,11 +113,11 @@ def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
     edges = np.cumsum([0, *(time.size for time, _ in stretches)])
     time, position = (np.concatenate(own) for own in zip(*stretches, strict=True))
     states = np.array([first_state(*stretch, 1.0, 2) for stretch in stretches])
-    run = compiled(jerk_kernel.sum_likelihood, KERNELS)
+    run = compiled(motion_kernel.sum_likelihood, KERNELS)
 
     def cost(log_rho: float, every: int) -> tuple[float, float]:
         """Return minus the log likelihood, up to a constant, and the variance of a reading at which it is least."""
-        logarithms, squares, samples = run(time, position, edges, every, math.exp(log_rho), states)
+        logarithms, squares, samples = run(JERK, time, position, edges, every, math.exp(log_rho), states)
         variance = max(squares / samples, 1e-30)
         return 0.5 * (samples * math.log(variance) + logarithms), variance
 
@@ -136,8 +138,21 @@ def innovations(time: Array, position: Array, noise: Noise, stored: Array) -> Ar
     They are the last columns of ``stored``, (n, STORED), which the filter overwrites.
     """
     state = first_state(time, position, noise.reading, 2)
-    compiled(jerk_kernel.forward, KERNELS)(time, position, noise.jerk, noise.reading, state, stored)
-    return stored[:, jerk_kernel.STORED - 2 :]
+    label, *none = _unmarked(time.size)
+    compiled(motion_kernel.forward, KERNELS)(JERK, time, position, label, *none, process(noise), state, stored)
+    return stored[:, STORED - 2 :]
+
+
+def process(noise: Noise) -> motion_kernel.Process:
+    """Return the noise as the kernel takes it: one label, no corner."""
+    density, reading = np.array([noise.jerk]), np.array([noise.reading])
+    n = len(JERK)
+    return motion_kernel.Process(density, np.zeros(1), reading, np.full(1, n), np.full(1, n), np.zeros((1, n)))
+
+
+def _unmarked(n: int) -> tuple[motion_kernel.Labels, Array, motion_kernel.Labels]:
+    """Return the labels of n samples alike, and times and kinds of no corners."""
+    return np.zeros(n, np.uint8), np.empty(0), np.empty(0, np.uint8)
 
 
 def least_variance(series: Series) -> float:
@@ -212,21 +227,25 @@ def smooth_piece(
     Memory for the filter grows with the block alone: the smoother of a block starts ``behind`` samples after it, and
     what lies further on has faded by then.
     """
-    forward, backward = compiled(jerk_kernel.forward, KERNELS), compiled(jerk_kernel.backward, KERNELS)
+    forward, backward = compiled(motion_kernel.forward, KERNELS), compiled(motion_kernel.backward, KERNELS)
     n = time.size
-    stored = np.empty((min(block + behind, n), jerk_kernel.STORED))
+    stored = np.empty((min(block + behind, n), STORED))
+    known = process(noise)
+    sums = np.zeros((1, 4)), np.zeros((1, len(JERK), 2))  # how well the noise levels fit: not asked for
     state = first_state(time, position, noise.reading, 2)
     for begin in range(0, n, block):
         end = min(begin + block, n)
         far = min(end + behind, n)
-        forward(time[begin:end], position[begin:end], noise.jerk, noise.reading, state, stored)
-        forward(time[end:far], position[end:far], noise.jerk, noise.reading, state.copy(), stored[end - begin :])
-        backward(time[begin:far], stored[: far - begin], end - begin, motion, first + begin)
+        label, *none = _unmarked(far - begin)
+        k = end - begin
+        forward(JERK, time[begin:end], position[begin:end], label[:k], *none, known, state, stored)
+        forward(JERK, time[end:far], position[end:far], label[k:], *none, known, state.copy(), stored[k:])
+        backward(JERK, time[begin:far], label, *none, known, stored[: far - begin], k, motion, first + begin, *sums)
 
 
 def reach(rho: float) -> int:
     """Return after how many samples what a smoother starts from has faded."""
-    return math.ceil(2 * jerk_kernel.SETTLED / float(rho ** (1 / 6))) + 8
+    return math.ceil(2 * motion_kernel.SETTLED / float(rho ** (1 / 6))) + 8
 
 
 def equivalent_window(rho: float, n: int) -> int:

@@ -13,11 +13,11 @@ import numpy as np
 from daq.compute.compile import compiled
 from processing.kalman import mean_snap_kernel
 from processing.kalman.first_state import first_state
-from processing.kalman.snap_kernel import LAND, LANDING, NEAR_LANDING, OVERTAKE, SLIP, STICK, NoiseLevels
+from processing.kalman.stick_slip import LAND, LANDING, NEAR_LANDING, OVERTAKE, SLIP, SNAP, STICK, NoiseLevels, process
 from processing.record.series import Series
 from processing.segmentation.switching_times import SwitchingTimes
 
-KERNELS = ("processing.kalman.snap_kernel", "processing.kalman.mean_snap_kernel")
+KERNELS = ("processing.kalman.motion_kernel", "processing.kalman.mean_snap_kernel")
 
 PARTS = len(NEAR_LANDING)
 BEFORE, BEHIND = 1 / 3, 1 / 12  # of a slip: what is looked at around a landing
@@ -34,7 +34,8 @@ def with_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) -
     landings = np.flatnonzero(times.kind == LAND)
     if landings.size < 2:
         return levels
-    loose = (OPEN * levels.peak * float(np.median(times.sd[landings]))) ** 2
+    loose = np.array([0.0, (OPEN * levels.peak * float(np.median(times.sd[landings]))) ** 2, 0.0, 0.0])
+    noise = process(levels)
     edges = np.concatenate((-unit * np.array(NEAR_LANDING)[::-1], [0.0]))
     parts = np.array([SLIP, *range(LANDING + PARTS - 1, LANDING - 1, -1), STICK], np.uint8)
     gram, rhs = np.zeros((PARTS, PARTS)), np.zeros(PARTS)
@@ -55,7 +56,7 @@ def with_mean_snap(series: Series, times: SwitchingTimes, levels: NoiseLevels) -
             continue
         time, position = series.time[i:j], series.position[i:j]
         state = first_state(time, position, float(levels.reading_variance[SLIP]), 3)
-        run(time, position, state, at, edges, parts, levels, loose, gram, rhs)
+        run(SNAP, time, position, state, at, edges, parts, noise, loose, gram, rhs)
         seen += 1
     if seen < 2:
         return levels

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.compute.arrays import Array
-from processing.kalman.snap_kernel import LAND, LEAVE, OVERTAKE, RIDE, SLIP, STICK, NoiseLevels
+from processing.kalman.stick_slip import LAND, LEAVE, OVERTAKE, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.estimates import RecordEstimates
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
-from processing.kalman import jerk_kernel, white_jerk
-from processing.kalman.snap_kernel import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
+from processing.kalman import white_jerk
+from processing.kalman.stick_slip import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.estimates import RecordEstimates
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch, merged, null_model, reestimate_noise
@@ -191,7 +191,7 @@ def _jerk_gains(series: Series, noise: white_jerk.Noise, workspace: Workspace, s
     gain = np.zeros(series.time.size)
     for piece in series.pieces:
         if piece.stop - piece.start >= white_jerk.SHORT:
-            stored = workspace.array(piece.stop - piece.start, jerk_kernel.STORED)
+            stored = workspace.array(piece.stop - piece.start, white_jerk.STORED)
             found = white_jerk.innovations(series.time[piece], series.position[piece], noise, stored)
             gain[piece] = _log_likelihood(found)
     return _summed(gain, spans)

@@ -1,7 +1,7 @@
 """Noise levels of a motion that sticks and slips: process noise of each part, readings, and resets at corners.
 
 Each level is brought to its greatest likelihood by a fixed point of its own, which the smoother's backward pass yields
-(`processing.kalman.snap_kernel`).
+(`processing.kalman.stick_slip`).
 """
 
 import math
@@ -10,10 +10,12 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from daq.compute.compile import compiled
-from processing.kalman import corner_kernel, snap_kernel, white_jerk
+from processing.kalman import corner_kernel, motion_kernel, white_jerk
 from processing.kalman.first_state import first_state
-from processing.kalman.snap_kernel import (
+from processing.kalman.stick_slip import (
     CUT,
+    JUMPS,
+    KINDS,
     LABELS,
     LANDING,
     LEAVING,
@@ -22,8 +24,12 @@ from processing.kalman.snap_kernel import (
     REST,
     RIDE,
     SLIP,
+    SNAP,
     STICK,
+    STORED,
     NoiseLevels,
+    process,
+    summed_by_jump,
 )
 from processing.record.motion import Motion
 from processing.record.series import Series
@@ -86,11 +92,11 @@ def filter_stretch(
     """Filter a stretch of n samples; return its labels, (n,), and what was expected of each sample, (n, STORED)."""
     time, position = series.time[stretch.own], series.position[stretch.own]
     at, kind = times.at[stretch.corners], times.kind[stretch.corners]
-    label, stored = np.empty(time.size, np.uint8), workspace.array(time.size, snap_kernel.STORED)
+    label, stored = np.empty(time.size, np.uint8), workspace.array(time.size, STORED)
     compiled(corner_kernel.label_samples, KERNELS)(time, at, kind, stretch.first, times.unit, label)
     known = 1 if stretch.first in (STICK, REST) else 3
     state = first_state(time, position, float(levels.reading_variance[stretch.first]), known)
-    compiled(snap_kernel.forward, KERNELS)(time, position, label, at, kind, levels, state, stored)
+    compiled(motion_kernel.forward, KERNELS)(SNAP, time, position, label, at, kind, process(levels), state, stored)
     return label, stored
 
 
@@ -113,17 +119,18 @@ def smooth_stretch(
     -------
     label : array of shape (n,)
     noise, steps : array of shape (LABELS, 4), (JUMPS, 2)
-        Sums that tell how well each noise level fits (`processing.kalman.snap_kernel.backward`).
+        Sums that tell how well each noise level fits (`processing.kalman.motion_kernel.backward`).
     """
     label, stored = filter_stretch(series, times, levels, stretch, workspace)
     at, kind = times.at[stretch.corners], times.kind[stretch.corners]
-    noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
-    wanted = motion is not None
+    noise, steps = np.zeros((LABELS, 4)), np.zeros((KINDS, len(SNAP), 2))
+    wanted = 0 if motion is None else label.size
     if motion is None:
         motion = np.empty((6, 0))
-    back = compiled(snap_kernel.backward, KERNELS)
-    back(series.time[stretch.own], label, at, kind, stored, wanted, motion, stretch.own.start, noise, steps)
-    return label, noise, steps
+    back, time = compiled(motion_kernel.backward, KERNELS), series.time[stretch.own]
+    known = process(levels)
+    back(SNAP, time, label, at, kind, known, stored, wanted, motion, stretch.own.start, noise, steps)
+    return label, noise, summed_by_jump(steps)
 
 
 def reestimate_noise(
@@ -150,7 +157,7 @@ def reestimate_noise(
         used = [FilterStretch(stretch.own, SLIP, slice(0, 0)) for stretch in used]
     least = 0.25 * white_jerk.least_variance(series)
     for _ in range(iterations):
-        noise, steps = np.zeros((LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
+        noise, steps = np.zeros((LABELS, 4)), np.zeros((JUMPS, 2))
         for stretch in used:
             own = smooth_stretch(series, times, levels, stretch, workspace)
             noise += own[1]

@@ -1,6 +1,6 @@
 """Smoothing of stick-slip: switching times fitted to the record, process noise of each part by likelihood.
 
-A stick on an even belt is a straight line; a slip is a motion of white snap (`processing.kalman.snap_kernel`), of
+A stick on an even belt is a straight line; a slip is a motion of white snap (`processing.kalman.stick_slip`), of
 higher density near its ends, where friction changes fast, than in its middle.  The parts meet in corners: at a landing
 x and v are continuous and the acceleration drops to 0; at a break-away the jerk jumps (the acceleration too, where the
 break-away level differs from sliding friction).  A stick on an uneven belt is smoothed like a slip.
@@ -26,7 +26,7 @@ import numpy as np
 from daq.compute.arrays import Array, Mask, runs
 from daq.compute.compile import compiled
 from processing.kalman import white_jerk
-from processing.kalman.snap_kernel import (
+from processing.kalman.stick_slip import (
     KICK,
     LAND,
     LEAVE,

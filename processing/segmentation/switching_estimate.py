@@ -6,7 +6,7 @@ import numpy as np
 
 from daq.compute.compile import compiled
 from processing.kalman import corner_kernel
-from processing.kalman.snap_kernel import (
+from processing.kalman.stick_slip import (
     LAND,
     LANDING,
     LEAVING,
@@ -19,9 +19,11 @@ from processing.kalman.snap_kernel import (
     REST,
     RIDE,
     SLIP,
+    SNAP,
     STICK,
     STOP,
     NoiseLevels,
+    process,
 )
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch
@@ -40,7 +42,7 @@ def refine_switching_times(
     ``width`` scales how far from its place it is looked for: 1 at first, less when it is nearly known.
     """
     run = compiled(corner_kernel.refine_switching_times, KERNELS)
-    unit = times.unit
+    unit, noise = times.unit, process(levels)
     finest = series.interval / 4 if width >= 1 else 0.0
     new_at, new_sd = times.at.copy(), times.sd.copy()
     near, far = unit * np.array(NEAR_LANDING), unit * np.array(NEAR_ONSET)
@@ -76,8 +78,8 @@ def refine_switching_times(
             reach = np.stack((np.maximum(at - half - back, own[:, 0]), np.minimum(at + half + on, own[:, 1])), axis=1)
             found = np.empty((pick.size, 2))
             run(
-                *(time, position, stored, kind, at, own, np.searchsorted(time, reach), (half / 4, finest)),
-                *(edges, np.array(parts, np.uint8), corner, levels, found),
+                *(SNAP, time, position, stored, kind, at, own, np.searchsorted(time, reach), (half / 4, finest)),
+                *(edges, np.array(parts, np.uint8), corner, noise, found),
             )
             new_at[stretch.corners.start + pick] = found[:, 0]
             new_sd[stretch.corners.start + pick] = found[:, 1] * (SHARP if kind in (LAND, STOP, OVERTAKE) else 1.0)

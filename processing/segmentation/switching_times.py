@@ -1,6 +1,6 @@
 """Corners of a motion that sticks and slips, in order of time, and how they part a record.
 
-Kinds of corners and labels of the parts between them are those of `processing.kalman.snap_kernel`.
+Kinds of corners and labels of the parts between them are those of `processing.kalman.stick_slip`.
 """
 
 from dataclasses import dataclass, replace
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
-from processing.kalman.snap_kernel import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
+from processing.kalman.stick_slip import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
 from processing.record.motion import PhaseSegmentation
 from processing.record.series import Series
 
 Labels = NDArray[np.uint8]
 
-KERNELS = ("processing.kalman.snap_kernel", "processing.kalman.corner_kernel")
+KERNELS = ("processing.kalman.motion_kernel", "processing.kalman.stick_slip", "processing.kalman.corner_kernel")
 FIT_SAMPLES = 9_000  # samples the noise levels are fitted to: about a dozen slips of the bench; chosen, not swept
 
 
 @dataclass(frozen=True, eq=False)
 class SwitchingTimes:
-    """Corners in order of time: when (s), how uncertain (s), what (of `processing.kalman.snap_kernel`), (c,) each.
+    """Corners in order of time: when (s), how uncertain (s), what (of `processing.kalman.stick_slip`), (c,) each.
 
     ``first`` is the label that every piece begins with, ``unit`` the usual length of a slip, s.
     """

@@ -8,7 +8,7 @@ import pytest
 import processing
 from daq.compute.compile import compiled
 from daq.errors import InputError
-from processing.kalman import corner_kernel, jerk_kernel, mean_snap_kernel, snap_kernel, white_jerk
+from processing.kalman import corner_kernel, mean_snap_kernel, motion_kernel, stick_slip, white_jerk
 from processing.kalman.first_state import first_state
 from processing.methods import registry
 from processing.record import series
@@ -158,7 +158,7 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
     def approach(t):
         """Return x at times before a landing at 0, with 0.22 m/s and 9.5 m/s^2 there, and on the belt behind it."""
         x, v, a, j, begun, found = 0.0, 0.22, 9.5, 400.0, 0.0, 0.22 * t
-        for edge, u in zip((*snap_kernel.NEAR_LANDING, 1.0), (*means, 0.0), strict=True):
+        for edge, u in zip((*stick_slip.NEAR_LANDING, 1.0), (*means, 0.0), strict=True):
             h = t - begun
             found = np.where(h < 0, x + h * (v + h / 2 * (a + h / 3 * (j + h / 4 * u))), found)
             h = -unit * edge - begun
@@ -176,12 +176,12 @@ def test_the_mean_snap_before_landings_is_learned_from_many(imported):
     each = [(own, approach(own - landing)) for own, landing in zip(grid, at, strict=True)]
     time, position = (np.concatenate([own[i] for own in each]) for i in (0, 1))
     data = series.from_recording(imported(time, position + 1e-7 * rng.standard_normal(time.size)))
-    kind = np.full(40, snap_kernel.LAND, np.uint8)
-    times = SwitchingTimes(at, np.full(40, 5e-5), kind, (snap_kernel.SLIP,) * 40, unit)
-    q = np.full(snap_kernel.LABELS, 1e-3)
-    q[snap_kernel.LANDING : snap_kernel.LANDING + 4] = (1e6, 1e5, 1e4, 1e3)
-    levels = snap_kernel.NoiseLevels(q, np.zeros_like(q), np.full(q.size, 1e-14), np.zeros(snap_kernel.JUMPS), 9.5)
-    found = landing_snap.with_mean_snap(data, times, levels).mean_snap[snap_kernel.LANDING : snap_kernel.LANDING + 4]
+    kind = np.full(40, stick_slip.LAND, np.uint8)
+    times = SwitchingTimes(at, np.full(40, 5e-5), kind, (stick_slip.SLIP,) * 40, unit)
+    q = np.full(stick_slip.LABELS, 1e-3)
+    q[stick_slip.LANDING : stick_slip.LANDING + 4] = (1e6, 1e5, 1e4, 1e3)
+    levels = stick_slip.NoiseLevels(q, np.zeros_like(q), np.full(q.size, 1e-14), np.zeros(stick_slip.JUMPS), 9.5)
+    found = landing_snap.with_mean_snap(data, times, levels).mean_snap[stick_slip.LANDING : stick_slip.LANDING + 4]
     assert found == pytest.approx(means, rel=0.1)
     alone = replace(times, at=times.at[:1], sd=times.sd[:1], kind=kind[:1])
     assert landing_snap.with_mean_snap(data, alone, levels) is levels
@@ -192,21 +192,23 @@ def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
     data = series.from_recording(recorded(motion(5, 0.5, start=0.1)))
     time, position = data.time, data.position
     first = first_state(time, position, 5e-12, 2 if kernel == "jerk" else 1)
-    at, kind = np.array([0.1, 0.2023]), np.array([snap_kernel.START, snap_kernel.LAND], np.uint8)
-    levels = snap_kernel.NoiseLevels(*(np.full(18, value) for value in (1e5, 1e3, 5e-12)), np.ones(9), 9.5)
+    at, kind = np.array([0.1, 0.2023]), np.array([stick_slip.START, stick_slip.LAND], np.uint8)
+    levels = stick_slip.NoiseLevels(*(np.full(18, value) for value in (1e5, 1e3, 5e-12)), np.ones(9), 9.5)
     outcomes = []
     for make in (lambda function: function, lambda function: compiled(function, (*KERNELS, *white_jerk.KERNELS))):
         found, state = np.empty((6, time.size)), first.copy()
+        order, process = stick_slip.SNAP, stick_slip.process(levels)
+        label, corners = np.zeros(time.size, np.uint8), (at, kind)
         if kernel == "jerk":
-            stored = np.empty((time.size, jerk_kernel.STORED))
-            make(jerk_kernel.forward)(time, position, 100.0, 5e-12, state, stored)
-            make(jerk_kernel.backward)(time, stored, time.size, found, 0)
+            order, corners = white_jerk.JERK, (at[:0], kind[:0])
+            process = white_jerk.process(white_jerk.Noise(100.0, 5e-12))
         else:
-            label, stored = np.empty(time.size, np.uint8), np.empty((time.size, snap_kernel.STORED))
-            make(corner_kernel.label_samples)(time, at, kind, snap_kernel.REST, 0.1, label)
-            make(snap_kernel.forward)(time, position, label, at, kind, levels, state, stored)
-            sums = np.zeros((snap_kernel.LABELS, 4)), np.zeros((snap_kernel.JUMPS, 2))
-            make(snap_kernel.backward)(time, label, at, kind, stored, True, found, 0, *sums)
+            make(corner_kernel.label_samples)(time, at, kind, stick_slip.REST, 0.1, label)
+        stored = np.empty((time.size, motion_kernel.stored_size(len(order))))
+        make(motion_kernel.forward)(order, time, position, label, *corners, process, state, stored)
+        sums = np.zeros((stick_slip.LABELS, 4)), np.zeros((stick_slip.KINDS, len(order), 2))
+        whole = time.size
+        make(motion_kernel.backward)(order, time, label, *corners, process, stored, whole, found, 0, *sums)
         outcomes.append(found)
     one, two = outcomes
     scale = np.abs(one).max(axis=1, keepdims=True)
@@ -217,14 +219,15 @@ def test_the_mean_snaps_kernel_runs_as_written_as_it_runs_compiled(motion, recor
     data = series.from_recording(recorded(motion(5, 2.0)))
     landing = next(start for start, _ in motion(5, 2.0).sticks[1:]) - motion(5, 2.0).time[0]
     i, j = np.searchsorted(data.time, (landing - 0.2, landing + 0.05))
-    edges, parts = np.array([-0.02, -0.005, 0.0]), np.array([snap_kernel.SLIP, 2, 1, snap_kernel.STICK], np.uint8)
-    levels = snap_kernel.NoiseLevels(*(np.full(18, value) for value in (1e5, 0.0, 5e-12)), np.zeros(9), 9.5)
+    edges, parts = np.array([-0.02, -0.005, 0.0]), np.array([stick_slip.SLIP, 2, 1, stick_slip.STICK], np.uint8)
+    levels = stick_slip.NoiseLevels(*(np.full(18, value) for value in (1e5, 0.0, 5e-12)), np.zeros(9), 9.5)
     outcomes = []
     state = first_state(data.time[i:j], data.position[i:j], 5e-12, 3)
     kernel = mean_snap_kernel.accumulate_normal_equations
+    noise, loose = stick_slip.process(levels), np.array([0.0, 1e-6, 0.0, 0.0])
     for run in (kernel, compiled(kernel, landing_snap.KERNELS)):
         gram, rhs = np.zeros((2, 2)), np.zeros(2)
-        run(data.time[i:j], data.position[i:j], state, landing, edges, parts, levels, 1e-6, gram, rhs)
+        run(stick_slip.SNAP, data.time[i:j], data.position[i:j], state, landing, edges, parts, noise, loose, gram, rhs)
         outcomes.append(np.concatenate((gram.ravel(), rhs)))
     assert np.abs(outcomes[0]).min(initial=np.inf, where=outcomes[0] != 0) > 0
     assert outcomes[1] == pytest.approx(outcomes[0], rel=1e-9)

@@ -1,0 +1,385 @@
+"""Kernels: the Kalman filter of a motion whose n-th derivative is white noise, on any times, and its smoother.
+
+State: x and its first n - 1 derivatives.  Between samples h apart the n-th derivative has a mean u and white noise of
+density q; a reading is x + noise of variance r.  All of these belong to the label of a sample (`Process`), and so does
+how many derivatives are alive: 2 where x and v alone go on, without noise, else n.  At a corner between samples the
+derivatives from ``keep`` on become 0, and each gains the variance ``jump``.  The filter writes down what it expected of
+every sample; the smoother goes back over that and needs no inverse:
+
+    l = F'l - h (e/s + k'l),   smoothed state = expected - p l,   its covariance = p - p m p
+
+with the adjoint state l and its information m (F the step of the state, h = (1, 0, ...), e the innovation, s its
+variance, k the gain).  In what is stored s stands for 1/s.  On its way back it sums what says how well each noise level
+was chosen: sum(l^2)/sum(m) of the last derivative is 1 at the level of greatest likelihood, and the level times that
+ratio comes closer to it.
+
+``order`` is a tuple of n numbers, whatever they are, and ``part`` one of as many as are alive: lengths of tuples are
+constants of the compiled code, so that the loops unroll, and the state lives in arrays of n and n n numbers on the
+stack.  Of p the upper triangle is kept, of m the lower one: each is carried in place.  Every function runs as written
+or compiled (`daq.compute.compile`).
+
+Source: G. J. Bierman, Automatica 9 (1973) 503 (the modified Bryson-Frazier smoother); Q of the integrated Wiener
+process: Wahba, J. R. Stat. Soc. B 40 (1978) 364; the fixed point: J. Burridge, Commun. Stat. 16 (1987); D. MacKay,
+Neural Comput. 4 (1992) 415.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.arrays import Array, Integers
+from daq.compute.compile import stack, stack_square
+
+Labels = NDArray[np.uint8]
+Order = tuple[float, ...]
+Sums = tuple[float, float, float]
+
+LINE = (0.0, 0.0)  # order of a motion of which x and v alone are alive
+SETTLED = 36.0  # natural logarithm of how far a start must have faded: 2e-16
+INVERSE = (0.0, *(1 / k for k in range(1, 10)))
+OVER_FACTORIAL = tuple(1 / math.factorial(k) for k in range(10))
+
+
+class Process(NamedTuple):
+    """The noise of a motion of order n: arrays of shape (labels,), and of its corners, one row a kind.
+
+    Attributes
+    ----------
+    density, mean : array of shape (labels,)
+        Of the n-th derivative.
+    reading_variance : array of shape (labels,)
+        m^2.
+    alive : array of int, shape (labels,)
+        Derivatives that go on, x included: 2 or n.
+    keep, jump : array of int, shape (kinds,), array of shape (kinds, n)
+        At a corner: how many derivatives go on, and the variance that each gains.
+    """
+
+    density: Array
+    mean: Array
+    reading_variance: Array
+    alive: Integers
+    keep: Integers
+    jump: Array
+
+
+def state_size(n: int) -> int:
+    """Return the numbers in a filter's state: x and derivatives, the upper triangle of p by rows, the time it is of."""
+    return n + n * (n + 1) // 2 + 1
+
+
+def stored_size(n: int) -> int:
+    """Return the numbers kept of a sample: x and p as expected, 1/s, e/s."""
+    return n + n * (n + 1) // 2 + 2
+
+
+def predict(order: Order, part: Order, h: float, q: float, u: float, x: Any, p: Any) -> None:
+    """Carry the state over h seconds."""
+    n, alive = len(order), len(part)
+    for i in range(alive):
+        t = 0.0
+        for m in range(alive - 1, i, -1):
+            t = (t + x[m]) * (h * INVERSE[m - i])
+        x[i] += t
+    for i in range(alive):
+        for c in range(i, alive):
+            t = 0.0
+            for m in range(alive - 1, i, -1):
+                t = (t + p[min(m, c) * n + max(m, c)]) * (h * INVERSE[m - i])
+            p[i * n + c] += t
+    for c in range(alive):
+        for i in range(c + 1):
+            t = 0.0
+            for m in range(alive - 1, c, -1):
+                t = (t + p[i * n + m]) * (h * INVERSE[m - c])
+            p[i * n + c] += t
+    if alive == n:
+        g = q * h
+        for s in range(2 * n - 2, -1, -1):  # g is q h^(2 n - 1 - s)
+            for i in range(n):
+                j = s - i
+                if i <= j < n:
+                    p[i * n + j] += g * (INVERSE[2 * n - 1 - s] * OVER_FACTORIAL[n - 1 - i] * OVER_FACTORIAL[n - 1 - j])
+            g *= h
+        g = u * h
+        for i in range(n - 1, -1, -1):
+            x[i] += g * OVER_FACTORIAL[n - i]
+            g *= h
+
+
+def update(order: Order, part: Order, e: float, s: float, r: float, x: Any, p: Any) -> None:
+    """Take in a reading with innovation e; s = 1/(p00 + r).
+
+    A variance keeps at least the part r s of itself, since p01^2 <= p00 p11: where r is 1e-16 of p00, as beside a
+    reading without noise, the difference is rounding, of either sign.
+    """
+    n, alive = len(order), len(part)
+    g, f = e * s, r * s
+    for i in range(alive):
+        x[i] += p[i] * g
+    for i in range(1, alive):
+        t = p[i] * s
+        p[i * n + i] = max(p[i * n + i] - t * p[i], p[i * n + i] * f)
+        for c in range(i + 1, alive):
+            p[i * n + c] -= t * p[c]
+    for c in range(alive):
+        p[c] *= f
+
+
+def turn(order: Order, keep: int, jump: Array, x: Any, p: Any) -> None:
+    """Go through a corner."""
+    n = len(order)
+    for d in range(n):
+        if d >= keep:
+            x[d] = 0.0
+            for m in range(n):
+                p[d * n + m] = 0.0
+                p[m * n + d] = 0.0
+        p[d * n + d] += jump[d]
+
+
+def unpack(order: Order, w: Array, x: Any, p: Any) -> None:
+    """Read a state."""
+    n = len(order)
+    k = n
+    for i in range(n):
+        x[i] = w[i]
+        for c in range(i, n):
+            p[i * n + c] = w[k]
+            k += 1
+
+
+def pack(order: Order, w: Array, x: Any, p: Any) -> None:
+    """Write a state."""
+    n = len(order)
+    k = n
+    for i in range(n):
+        w[i] = x[i]
+        for c in range(i, n):
+            w[k] = p[i * n + c]
+            k += 1
+
+
+def forward(
+    order: Order,
+    time: Array,
+    position: Array,
+    label: Labels,
+    at: Array,
+    kind: Labels,
+    process: Process,
+    state: Array,
+    stored: Array,
+) -> None:
+    """Filter from ``state`` on, which ends behind the last sample; write what was expected of each, (n, stored_size).
+
+    ``label`` (n,) picks the noise; ``at`` and ``kind`` (c,) are the corners among the samples, in order.
+    """
+    n = len(order)
+    q, u, r, alive = process.density, process.mean, process.reading_variance, process.alive
+    x, p = stack(order), stack_square(order)
+    unpack(order, state, x, p)
+    end = n + n * (n + 1) // 2
+    last = state[end]
+    c = 0
+    for i in range(time.size):
+        while c < at.size and at[c] <= time[i]:
+            b = label[max(i - 1, 0)]
+            predict(order, order, at[c] - last, q[b], u[b], x, p)
+            turn(order, process.keep[kind[c]], process.jump[kind[c]], x, p)
+            last = at[c]
+            c += 1
+        b = label[i]
+        two = alive[b] < n
+        if two:
+            predict(order, LINE, time[i] - last, 0.0, 0.0, x, p)
+        else:
+            predict(order, order, time[i] - last, q[b], u[b], x, p)
+        last = time[i]
+        w = stored[i]
+        pack(order, w, x, p)
+        s = 1.0 / (p[0] + r[b])
+        e = position[i] - x[0]
+        w[end], w[end + 1] = s, e * s
+        if two:
+            update(order, LINE, e, s, r[b], x, p)
+        else:
+            update(order, order, e, s, r[b], x, p)
+    pack(order, state, x, p)
+    state[end] = last
+
+
+def take_in(
+    order: Order, part: Order, w: Array, adjoint: Any, information: Any, gain: Any, v: Any
+) -> tuple[float, float]:
+    """Add the reading of a sample to the adjoint state and its information; return its score and its variance."""
+    n, alive = len(order), len(part)
+    end = n + n * (n + 1) // 2
+    s = w[end]
+    for i in range(alive):
+        gain[i] = w[n + i] * s
+    d, u = s, w[end + 1]
+    for i in range(alive):
+        t = 0.0
+        for c in range(alive):
+            t += information[max(i, c) * n + min(i, c)] * gain[c]
+        v[i] = t
+        d += gain[i] * t
+        u += gain[i] * adjoint[i]
+    adjoint[0] -= u
+    information[0] += d - 2 * v[0]
+    for i in range(1, alive):
+        information[i * n] -= v[i]
+    return u, d
+
+
+def write_motion(
+    order: Order, part: Order, w: Array, adjoint: Any, information: Any, row: Any, motion: Array, at: int
+) -> None:
+    """Write x, v, a and their variances of one sample."""
+    n, alive = len(order), len(part)
+    for i in range(3):
+        if i >= alive:
+            motion[i, at] = motion[3 + i, at] = 0.0
+            continue
+        for c in range(alive):
+            low, high = min(i, c), max(i, c)
+            row[c] = w[n + low * n - low * (low - 1) // 2 + high - low]
+        t, z = 0.0, 0.0
+        for c in range(alive):
+            t += row[c] * adjoint[c]
+            y = 0.0
+            for m in range(c + 1, alive):
+                y += row[m] * information[m * n + c]
+            z += row[c] * (row[c] * information[c * n + c] + 2 * y)
+        motion[i, at] = w[i] - t
+        motion[3 + i, at] = row[i] - z
+
+
+def carry_back(order: Order, part: Order, h: float, adjoint: Any, information: Any) -> None:
+    """Take the adjoint state and its information back over h seconds."""
+    n, alive = len(order), len(part)
+    for i in range(alive - 1, -1, -1):
+        t = 0.0
+        for m in range(i):
+            t = (t + adjoint[m]) * (h * INVERSE[i - m])
+        adjoint[i] += t
+    for i in range(alive - 1, -1, -1):
+        for c in range(i, -1, -1):
+            t = 0.0
+            for m in range(i):
+                t = (t + information[max(m, c) * n + min(m, c)]) * (h * INVERSE[i - m])
+            information[i * n + c] += t
+    for c in range(alive - 1, -1, -1):
+        for i in range(c, alive):
+            t = 0.0
+            for m in range(c):
+                t = (t + information[i * n + m]) * (h * INVERSE[c - m])
+            information[i * n + c] += t
+
+
+def backward(
+    order: Order,
+    time: Array,
+    label: Labels,
+    at: Array,
+    kind: Labels,
+    process: Process,
+    stored: Array,
+    wanted: int,
+    motion: Array,
+    begin: int,
+    noise: Array,
+    steps: Array,
+) -> None:
+    """Smooth from the last sample back.
+
+    ``motion`` (6, n) gets x v a and their variances of the first ``wanted`` samples, from its column ``begin`` on;
+    ``noise`` (labels, 4) is added sum(l^2) and sum(m) of the last derivative, and the same for the readings; ``steps``
+    (kinds, n, 2) likewise for what each derivative gains at corners.
+    """
+    n = len(order)
+    alive, keep = process.alive, process.keep
+    adjoint, information, row, v = stack(order), stack_square(order), stack(order), stack(order)
+    for i in range(n):
+        adjoint[i] = 0.0
+    for i in range(n * n):
+        information[i] = 0.0
+    c = at.size - 1
+    for i in range(time.size - 1, -1, -1):
+        w = stored[i]
+        b = label[i]
+        two = alive[b] < n
+        if two:
+            u, d = take_in(order, LINE, w, adjoint, information, row, v)
+        else:
+            u, d = take_in(order, order, w, adjoint, information, row, v)
+        noise[b, 2] += u * u
+        noise[b, 3] += d
+        if i < wanted:
+            if two:
+                write_motion(order, LINE, w, adjoint, information, row, motion, begin + i)
+            else:
+                write_motion(order, order, w, adjoint, information, row, motion, begin + i)
+        if i == 0:
+            break
+        if two and (c < 0 or at[c] <= time[i - 1]):
+            carry_back(order, LINE, time[i] - time[i - 1], adjoint, information)
+            continue
+        now = time[i]
+        while True:
+            # Back over the interval; corners in it, the latest first, cut it into parts.
+            corner = c >= 0 and at[c] > time[i - 1]
+            h = now - (at[c] if corner else time[i - 1])
+            noise[b, 0] += h * (adjoint[n - 1] * adjoint[n - 1] + h * adjoint[n - 2] * adjoint[n - 1])
+            noise[b, 1] += h * (information[n * n - 1] + h * information[n * n - 2])
+            carry_back(order, order, h, adjoint, information)
+            if not corner:
+                break
+            now = at[c]
+            what = kind[c]
+            b = label[i - 1]
+            c -= 1
+            for m in range(n):
+                if m >= keep[what]:
+                    adjoint[m] = 0.0
+                    for j in range(n):
+                        information[m * n + j] = 0.0
+                        information[j * n + m] = 0.0
+                else:
+                    steps[what, m, 0] += adjoint[m] * adjoint[m]
+                    steps[what, m, 1] += information[m * n + m]
+
+
+def sum_likelihood(
+    order: Order, time: Array, position: Array, edges: Integers, every: int, q: float, states: Array
+) -> Sums:
+    """Filter the stretches of samples edges[k]..edges[k + 1] - 1 of every ``every``-th k, for readings of variance 1.
+
+    Each begins in its own of the ``states``, (k, state_size).  Returned are sums over all samples but the first four of
+    a stretch, which only set its filter up: of the logarithm of the innovation's variance, of its square over that
+    variance, and of 1.
+    """
+    n = len(order)
+    logarithms = squares = samples = 0.0
+    product = 1.0
+    x, p = stack(order), stack_square(order)
+    for k in range(0, edges.size - 1, every):
+        unpack(order, states[k], x, p)
+        last = states[k, n + n * (n + 1) // 2]
+        for i in range(edges[k], edges[k + 1]):
+            predict(order, order, time[i] - last, q, 0.0, x, p)
+            last = time[i]
+            s = 1.0 / (p[0] + 1.0)
+            e = position[i] - x[0]
+            if i >= edges[k] + 4:
+                product *= s
+                squares += e * e * s
+                samples += 1.0
+                if product < 1e-200:
+                    logarithms -= math.log(product)
+                    product = 1.0
+            update(order, order, e, s, 1.0, x, p)
+    return logarithms - math.log(product), squares, samples

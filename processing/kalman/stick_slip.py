@@ -1,0 +1,78 @@
+"""A motion of white snap that sticks and slips: its parts, its corners, and the noise of both.
+
+The motion is that of `processing.kalman.motion_kernel` with x, v, a and j (jerk): between samples the snap is a mean u
+(m/s^4) and white noise of density q (m^2/s^7), a reading is x + noise of variance r, and all change with the part of
+the motion a sample lies in (its label).  In sticks on an even belt and at rest a = j = 0, without noise.  Between
+samples lie corners:
+
+    LAND    onto a belt that runs evenly: x and v go on, a and j are 0 from here
+    LEAVE   the belt: x and v go on, a and j change by an unknown step of variance reset[0], reset[1]
+    MEET    a belt that does not run evenly: as LEAVE, of variance reset[2], reset[3]
+    KICK    v, a and j all step: reset[4], reset[5], reset[6]
+    START   from rest: as LEAVE, of variance reset[7], reset[8]
+    STOP    to rest: as LAND
+    OVERTAKE  the mass comes up to the belt's speed and runs ahead of it: as MEET; it lands behind that
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.compute.arrays import Array
+from processing.kalman.motion_kernel import Process, stored_size
+
+Labels = NDArray[np.uint8]
+
+SNAP = (0.0, 0.0, 0.0, 0.0)  # order of the motion: x, v, a, j
+STORED = stored_size(len(SNAP))
+LAND, LEAVE, MEET, KICK, START, STOP, OVERTAKE = 1, 2, 3, 4, 5, 6, 7
+STICK, LANDING, SLIP, ONSET, RIDE, MET, LEAVING, REST = 0, 1, 5, 6, 10, 11, 12, 13  # LANDING and ONSET: four each
+CUT = 14  # four: where a slip is cut off
+LABELS = 18
+NEAR_LANDING = (1 / 128, 1 / 48, 1 / 24, 1 / 8)  # of a slip's length: where its parts near a landing begin
+NEAR_ONSET = (1 / 32, 1 / 16, 1 / 8, 1 / 4)
+KINDS = 8  # of corners, one more than the last
+JUMPS = 9  # variances: LEAVE a j, MEET a j, KICK v a j, START a j
+JUMP_KIND = np.array([LEAVE, LEAVE, MEET, MEET, KICK, KICK, KICK, START, START])
+JUMP_DERIVATIVE = np.array([2, 3, 2, 3, 1, 2, 3, 2, 3])
+
+
+class NoiseLevels(NamedTuple):
+    """Noise of each part of the motion, by its label, and of the resets at corners.
+
+    Attributes
+    ----------
+    process_density, mean_snap : array of shape (LABELS,)
+        Density, m^2/s^7, and mean, m/s^4, of the snap.
+    reading_variance : array of shape (LABELS,)
+        m^2.
+    reset_variance : array of shape (JUMPS,)
+        Of the steps at corners: LEAVE a j, MEET a j, KICK v a j, START a j, in (m/s)^2, (m/s^2)^2, (m/s^3)^2.
+    peak : float
+        About the largest acceleration, m/s^2.
+    """
+
+    process_density: Array
+    mean_snap: Array
+    reading_variance: Array
+    reset_variance: Array
+    peak: float
+
+
+def process(levels: NoiseLevels) -> Process:
+    """Return the noise as `processing.kalman.motion_kernel` takes it."""
+    alive, keep = np.full(LABELS, len(SNAP)), np.full(KINDS, len(SNAP))
+    alive[[STICK, REST]] = 2
+    keep[[LAND, STOP]] = 2
+    jump = np.zeros((KINDS, len(SNAP)))
+    jump[JUMP_KIND, JUMP_DERIVATIVE] = levels.reset_variance
+    jump[OVERTAKE] = jump[MEET]
+    return Process(levels.process_density, levels.mean_snap, levels.reading_variance, alive, keep, jump)
+
+
+def summed_by_jump(steps: Array) -> Array:
+    """Return the sums of each reset variance, (JUMPS, 2), from those of each kind of corner, (KINDS, 4, 2)."""
+    shared = steps.copy()
+    shared[MEET] += steps[OVERTAKE]
+    return np.asarray(shared[JUMP_KIND, JUMP_DERIVATIVE])
