@@ -162,12 +162,13 @@ def export(
 
     Example: process export run.h5 --csv motion.csv
     """
-    from daq.output import atomic
+    from daq.output import atomic, suffix
     from processing import export as tables
 
     if csv is None:
         raise InputError("nothing to write", "command line", "give --csv FILE")
     atomic.refuse_existing(csv, force, file)
+    suffix.check(csv, suffix.CSV, "--csv")
     recording, stored = _stored(file)
     motion = _smoothed(recording) if stored is None else stored
     columns = tables.write_csv(motion, csv, force=force)

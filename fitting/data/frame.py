@@ -17,6 +17,7 @@ from daq.errors import DataError, InputError
 from daq.runfile.rig import Measured, Rig
 from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
+from fitting.data.slip_duration import slip_duration
 from processing.record.kinematics import Kinematics
 from processing.record.noise import smallest_step
 from processing.record.series import LONG
@@ -25,10 +26,6 @@ from processing.record.setting import is_possible_speed
 SLIPPING = 0.5  # of the belt's speed: slower than this, the mass slips
 REST_FRACTION = 0.05  # of the belt's speed: slower than this, the mass is at rest
 FEWEST_STICKS = 4
-# How long a slip lasts over how long the mass is slower than half the belt's speed, where no slip is seen from its
-# beginning to its end.  In 55 contacts with 5 to 25 samples a slip it is 1.15 to 1.6; at 1, a slip of 11 samples would
-# be refused as one of 7, at 2 one of 5 would be fitted.
-WHOLE = 4 / 3
 FASTER_GAP = 3.0  # sample intervals: a longer one is a gap
 
 
@@ -64,7 +61,7 @@ class MeasuredMotion:
     slip_s : float
         About how long a slip lasts, s, a power of two (`rounded_slip`): the unit of all times in the fit.
     samples_per_slip : float
-        Of the usual slip, from break-away to landing (`whole_slip`).
+        Of the usual slip, from break-away to landing (`fitting.data.slip_duration`).
     length_error : float
         Relative standard error of every length: that of the metres per count.
     compliance : Measured or None
@@ -170,6 +167,8 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
     usual = float(np.median(np.diff(kinematics.time)))
     rest = _rest_position(rig, recording.rig)
     slip = usual_slip(time, sign * position, sign * velocity < SLIPPING * abs(speed))
+    # What smoothing leaves out as faults is in them: few samples a slip look like spikes.
+    readings = recording.position - kinematics.offset
     prior = believed
     if channel is not None:
         middle = 0.5 * float(position.max() + position.min())
@@ -197,7 +196,7 @@ def from_kinematics(kinematics: Kinematics, rig: Rig, belt_speed: Measured | flo
         velocity_error=float(np.median(kinematics.velocity_errors[kept])),
         half_window=kinematics.window * usual / 2,
         slip_s=rounded_slip(slip),
-        samples_per_slip=whole_slip(kinematics, sign * kinematics.velocity < SLIPPING * abs(speed), slip) / usual,
+        samples_per_slip=slip_duration(kinematics.time, sign * readings, kinematics.noise) / usual,
         length_error=_length_error(recording.rig),
         compliance=Measured(-channel.slope.value, channel.slope.sd)
         if channel is not None and channel.slows_under_load
@@ -229,31 +228,6 @@ def usual_slip(time: Array, position: Array, slips: NDArray[np.bool_]) -> float:
     order = np.argsort(lengths)
     travelled = np.cumsum(ways[order])
     return float(lengths[order][np.searchsorted(travelled, 0.5 * travelled[-1])])
-
-
-def whole_slip(kinematics: Kinematics, slow: NDArray[np.bool_], shortest: float) -> float:
-    """Return how long a slip usually lasts from break-away to landing, s.
-
-    The mass is slower than half the belt's speed for a part of that.  Slips are those between two sticks in which it is
-    so once, from its beginning to its end; where fewer than `FEWEST_STICKS` are seen, it is `WHOLE` of that time.
-
-    Parameters
-    ----------
-    kinematics : Kinematics
-    slow : (n,) bool
-        Where the mass moves slower than half the belt's speed.
-    shortest : float
-        How long the mass is slower, s: what `usual_slip` says.
-    """
-    begins, ends = np.array(runs(slow), np.int64).reshape(-1, 2).T
-    phases = kinematics.phases
-    lasting = []
-    for before, slip, after in zip(phases, phases[1:], phases[2:], strict=False):
-        between = (before.kind, slip.kind, after.kind) == ("stick", "slip", "stick")
-        held = np.searchsorted(ends, slip.first, side="right"), np.searchsorted(begins, slip.last, side="right")
-        if between and held[1] - held[0] == 1 and begins[held[0]] >= slip.first and ends[held[0]] <= slip.last + 1:
-            lasting.append(slip.end - slip.start)
-    return float(np.median(lasting)) if len(lasting) >= FEWEST_STICKS else WHOLE * shortest
 
 
 def rounded_slip(usual: float) -> float:

@@ -100,11 +100,11 @@ def refuse_few_samples(motion: MeasuredMotion, record: Kinematics) -> None:
     samples = round(motion.samples_per_slip)
     if samples >= FEWEST_SAMPLES:
         return
-    slip_s = samples * float(np.median(np.diff(motion.time)))
+    slip_s = motion.samples_per_slip * float(np.median(np.diff(record.time)))
     what = f"{samples} samples a slip; a verdict needs {FEWEST_SAMPLES}"
     lasts = f"{slip_s:.3g} s" if slip_s >= 0.1 else f"{1e3 * slip_s:.2g} ms"
-    # one sample more than needed: how many a slip has is known to one
-    do = f"record at {_rounded_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts {lasts}"
+    # one sample more than needed: how many a slip has is known to a sample (`fitting.data.slip_duration`)
+    do = f"record at {_rounded_up((FEWEST_SAMPLES + 1) / slip_s):g} Hz or more: a slip lasts about {lasts}"
     error = DataError(what, str(record.recording.source), do)
     found = Finding("samples-per-slip", f"{what}: {do}", float(samples), float(FEWEST_SAMPLES))
     error.add_result({"findings": [vars(found)]}, [])

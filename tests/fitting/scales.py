@@ -84,7 +84,8 @@ class Truth:
     sticks : int
         Sticks between two slips, as long as two samples or longer.
     samples_per_slip : float
-        Of the median slip between two such sticks; without sticks of about a slip's length.
+        Of the median slip between two sticks, however short; of a mass that never sticks again, of a natural period:
+        it slips from one approach to the belt's speed to the next.
     cycles : float
         Sticks; of constant friction, under which no stick is sustained, natural periods.
     """
@@ -198,9 +199,8 @@ def _truth(drawn: Drawn, motion: Motion) -> Truth:
     # The first slip begins with the belt; every landing but the last of a record is followed by a break-away.
     sticks = broke[1:] - landed[: broke.size - 1]
     lasting = sticks * drawn.rate_hz >= 2
-    slips = (landed[1:] - broke[1 : landed.size])[: max(lasting.size - 1, 0)]
-    between = slips[lasting[:-1] & lasting[1:]] if lasting.size else slips
-    slip = float(np.median(between)) if between.size else SLIP * 2 * math.pi / drawn.contact.omega
+    slips = landed[1:] - broke[1 : landed.size]
+    slip = float(np.median(slips)) if slips.size else 2 * math.pi / drawn.contact.omega
     count = int(lasting.sum())
     periods = (drawn.contact.duration - drawn.contact.belt_start) * drawn.contact.omega / (2 * math.pi)
     return Truth(count, slip * drawn.rate_hz, periods if drawn.law in (1, 2) else count)

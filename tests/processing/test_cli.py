@@ -199,3 +199,12 @@ def test_export_writes_what_reads_back(typed, path, tmp_path):
     assert code == 2
     assert "exists" in err
     assert typed("export", path)[0] == 2
+
+
+def test_export_refuses_a_table_named_like_a_run(typed, path, tmp_path):
+    """A table was written into motion.h5."""
+    target = tmp_path / "motion.h5"
+    code, _, err = typed("export", path, "--csv", target)
+    assert code == 2
+    assert "this is a CSV table" in err
+    assert not target.exists()
