@@ -78,12 +78,23 @@ def margin(w: Window, mode: int, held: bool, t: float, x: float, v: float) -> fl
     return edge - abs(e)
 
 
+def margin_at_side(w: Window, mode: int, side: float, t: float, x: float, v: float) -> float:
+    """Return `margin`, of a ramp that from its edge where the belt is faster (``side`` 1.0) or slower (-1.0)."""
+    if mode == RAMP or mode == CREEP:
+        return edge_speed(w.contact) - side * (belt_speed(w, t) - v)
+    return margin(w, mode, False, t, x, v)
+
+
 def time_of_edge(w: Window, mode: int, t: float, x: float, v: float, h: float) -> float:
-    """Return the part of the step h after which the mode ends, by bisection with a secant where that is faster."""
+    """Return the part of the step h after which the mode ends, by bisection with a secant where that is faster.
+
+    A ramp ends at the edge on whose side the step does: it begins on the other one, within rounding.
+    """
     low, high = 0.0, h
-    at_low = max(margin(w, mode, False, t, x, v), 0.0)
     far_x, far_v = advance(w, mode, t, x, v, h)
-    at_high = margin(w, mode, False, t + h, far_x, far_v)
+    side = 1.0 if belt_speed(w, t + h) >= far_v else -1.0
+    at_low = max(margin_at_side(w, mode, side, t, x, v), 0.0)
+    at_high = margin_at_side(w, mode, side, t + h, far_x, far_v)
     for number in range(MOST_BISECTIONS):
         if high - low <= 1e-15 * (abs(t) + h) or at_low == 0.0:
             break
@@ -91,7 +102,7 @@ def time_of_edge(w: Window, mode: int, t: float, x: float, v: float, h: float) -
         if not low < guess < high:
             guess = 0.5 * (low + high)
         x_guess, v_guess = advance(w, mode, t, x, v, guess)
-        value = margin(w, mode, False, t + guess, x_guess, v_guess)
+        value = margin_at_side(w, mode, side, t + guess, x_guess, v_guess)
         if value > 0.0:
             low, at_low = guess, value
         else:
