@@ -56,8 +56,13 @@ class PassNoise:
         """Which cycles (cycles,) fit about as well as the others."""
         return np.asarray(self.weights > INLIER_WEIGHT)
 
-    def for_last_pass(self, task: Task, windows: ShootingWindows, local: Array) -> "PassNoise":
-        """Return the same with levels that may fade as they fall from cycle to cycle, and outliers hardly counted."""
+    @property
+    def for_last_pass(self) -> "PassNoise":
+        """The same with outlying cycles that hardly count."""
+        return replace(self, weights=without_outliers(self.weights))
+
+    def with_fade(self, task: Task, windows: ShootingWindows, local: Array) -> "PassNoise":
+        """Return the same with levels that may fade within a cycle about as they fall from cycle to cycle."""
         sd = []
         for run, motion in enumerate(task.problem.motions):
             table = windows.table
@@ -66,7 +71,7 @@ class PassNoise:
             trend = wear.level_trend(windows.level_epoch[own], levels)
             lost = DEFAULT_FADE_SD / motion.slip_s if trend is None else math.hypot(trend.rate.value, trend.rate.sd)
             sd.append(max(lost, LEAST_FADE_SD / motion.slip_s))
-        return replace(self, weights=without_outliers(self.weights), fade_sd=np.array(sd))
+        return replace(self, fade_sd=np.array(sd))
 
     def seen(self, task: Task, windows: ShootingWindows, residual: Array, local: Array, *, first: bool) -> "PassNoise":
         """Return the noise that residuals (N,) show, run by run.

@@ -90,8 +90,15 @@ def settle(at: TaskFit) -> TaskFit | None:
 
 def finish(at: TaskFit) -> TaskFit | None:
     """Fit again with every sample, through nodes; None where the motion cannot be followed in these shorter steps."""
-    task, start = at.task, FitStart(at.q, restarted(at))
-    noise = at.noise.for_last_pass(task, at.windows, at.local)
+    task = at.task
+    fading = Model(task, at.windows, flow.SEARCH_STEP, at.model.near)
+    noise = at.noise.with_fade(task, at.windows, at.local)
+    # The noise is that of levels that fade: without, a drag that wears shows several times as much.
+    faded = _one_pass(fading, FitStart(at.q, restarted(at)), noise, SEARCH, LATER_DAMPING)
+    if faded is None:
+        return None
+    at = _with_noise(faded, first=False)
+    start, noise = FitStart(at.q, restarted(at)), at.noise.for_last_pass
     whole = fitted_windows(task.problem, thinned=False)
     nodes = SampleNodes.of(whole, [coarse_stride(motion) for motion in task.problem.motions])
     every = Model(task, whole, flow.LONGEST_STEP)

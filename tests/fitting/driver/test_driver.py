@@ -43,6 +43,14 @@ def test_what_a_law_leaves_does_not_depend_on_which_laws_are_asked_for(runs_of):
             assert found.q == pytest.approx(there.q, rel=1e-6)
 
 
+def test_noise_is_that_of_levels_that_fade(runs_of):
+    """Within one long drag a tenth of the level wears away, and a fit to its noise without that had k/m 4 sd off."""
+    (found,) = fit_laws([2], runs_of(law=2, seed=1, wear=0.15, duration=30.0))
+    assert found.rms < 1.15 * found.task.problem.motions[0].resolution
+    assert float(found.noise.sigma[0]) < 3 * found.rms
+    assert abs(deviation(found, Global.K, TRUE[Global.K])) < NEAR
+
+
 @pytest.mark.parametrize(("record", "ramp"), [(1, 2), (5, 2), (5, 6)])
 def test_a_ramp_errs_no_more_than_the_same_law_without_it(runs_of, record, ramp):
     found = {one.task.curve.law: one.rms for one in fit_laws([ramp - 1, ramp], runs_of(law=record, seed=1))}
