@@ -13,7 +13,7 @@ import numpy as np
 from fitting.driver.curves import LawCurve
 from fitting.driver.fit import TaskFit
 from fitting.driver.noise import PassNoise
-from fitting.driver.passes import finish, first_pass, regressed_start, settle
+from fitting.driver.passes import finish, first_pass, regressed_start, restarted_windows, settle
 from fitting.driver.task import FitStart, Task, law_task
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import Run
@@ -25,6 +25,9 @@ LOST = 3.0
 # Times the best error after the first pass.  True laws reach 20 there in harsh records; twice costs time alone.
 GIVEN_UP = 30.0
 NEAR = 10.0  # times the best error; no law that errs 5 times as much was in a set, and at 20 every sample costs time
+# Times the error of the best, where that is lost: what errs less starts again.  At half a wrong law is judged by a poor
+# minimum, at twice laws that cannot be the nearest take time.
+RIVAL = 3.0
 DONATES = 0.8  # of a task's error: another that errs less gives it a start; at 0.95 neighbours in noise do
 NARROW = 0.02  # of the first width of a ramp that starts next to none, where it starts at its jump law's end
 CONTAINED = 1.0005  # times the error of the curve that it contains: a ramp that errs more is in a poor minimum
@@ -79,7 +82,7 @@ def fit_all(tasks: Sequence[Task], asked: Callable[[Task], bool] = lambda _: Tru
                 trial = first_pass(task, start_beside(task, donor))
                 if trial is not None and (own is None or trial.rms < own.rms):
                     first[k] = trial
-    found = [one for one in first if one is not None]
+    found = _again([one for one in first if one is not None])
     limit = GIVEN_UP * min((one.rms for one in found), default=0.0)
     found = _contained([one if one.rms > limit else settle(one) or one for one in found], settle)
     limit = NEAR * min((one.rms for one in found), default=0.0)
@@ -114,6 +117,17 @@ def _donors(task: Task, k: int, first: Sequence[TaskFit | None]) -> list[TaskFit
     inner = [one for one in others if task.curve.is_ramp_of(one.task.curve)]
     best = sorted((one for one in others if one not in inner), key=lambda one: one.rms)[:1]
     return [*inner, *best]
+
+
+def _again(found: list[TaskFit]) -> list[TaskFit]:
+    """Let tasks start again with their windows at the smoothed motion, where even the best of them is lost."""
+    lowest = min((one.rms for one in found), default=0.0)
+    out = []
+    for one in found:
+        lost = LOST * max(motion.resolution for motion in one.task.problem.motions)
+        trial = first_pass(one.task, restarted_windows(one)) if lowest > lost and one.rms < RIVAL * lowest else None
+        out.append(trial if trial is not None and trial.rms < one.rms else one)
+    return out
 
 
 def _is_ramp_of(one: TaskFit, other: TaskFit) -> bool:

@@ -61,6 +61,15 @@ def regressed_start(task: Task) -> FitStart:
     return FitStart(np.concatenate([shared, task.curve.start, np.zeros(task.widths[2])]), local)
 
 
+def restarted_windows(at: TaskFit) -> FitStart:
+    """Return where a fit starts again: its shared unknowns, with all windows at the smoothed motion.
+
+    Some cycles may have been held in poor minima by the first shared unknowns, and have held these where they were.
+    """
+    problem = at.task.problem
+    return FitStart(at.q, starts.cycle_starts(at.windows, problem.motions, problem.cycles, at.u))
+
+
 def first_pass(task: Task, start: FitStart, noise: PassNoise | None = None) -> TaskFit | None:
     """Fit on the thinned record; None where the start cannot be followed.
 

@@ -6,10 +6,11 @@ import pytest
 from fitting.departures.library import eccentricity, guide_friction, spring_nonlinear
 from fitting.driver.driver import fit, fit_beside, fit_from, fit_laws
 from fitting.driver.model import Model
-from fitting.driver.passes import regressed_start
+from fitting.driver.passes import first_pass, regressed_start, restarted_windows
 from fitting.driver.task import curve_task, law_task
 from fitting.estimation.objective import fitted_windows
 from fitting.model.parameters import PER_CYCLE, Global
+from fitting.model.starts import cycle_starts
 from fitting.sensitivity.flow import LONGEST_STEP
 
 NEAR = 4.0  # standard errors
@@ -110,3 +111,14 @@ def test_derivatives_are_differences_of_the_residuals(runs_of, free, force):
 def test_a_force_with_a_scanned_scale_is_refused(runs_of):
     with pytest.raises(ValueError, match="scan it"):
         law_task(5, runs_of(law=5, seed=1), [eccentricity.DEPARTURE])
+
+
+def test_a_lost_law_starts_again_with_its_windows_at_the_smoothed_motion(runs_of):
+    runs = runs_of(law=4, seed=1)
+    task = law_task(5, runs)
+    first = first_pass(task, regressed_start(task))
+    again = restarted_windows(first)
+    problem = task.problem
+    assert np.array_equal(again.q, first.q)
+    assert not np.array_equal(again.local, first.local)
+    assert np.array_equal(again.local, cycle_starts(first.windows, problem.motions, problem.cycles, first.u))
