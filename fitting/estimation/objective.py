@@ -3,6 +3,7 @@
 import numpy as np
 
 from daq.compute.arrays import Array, Integers
+from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit, PassState
 from fitting.least_squares.problem import Evaluate, LeastSquaresProblem
 from fitting.model import parameters
@@ -17,12 +18,17 @@ STICK_SPEED_SD = 0.05  # of the belt's speed: how well smoothing knows the speed
 
 def fitted_windows(problem: EstimationProblem, *, thinned: bool) -> ShootingWindows:
     """Return the windows of all runs, of every sample or thinned to `COARSE` a slip."""
-    parts = []
-    for run in problem.runs:
-        motion = run.motion
-        stride = max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE)) if thinned else 1
-        parts.append(ShootingWindows.from_cycles(motion, run.cut.used, stride))
-    return ShootingWindows.join(parts)
+    return ShootingWindows.join(
+        [
+            ShootingWindows.from_cycles(run.motion, run.cut.used, coarse_stride(run.motion) if thinned else 1)
+            for run in problem.runs
+        ]
+    )
+
+
+def coarse_stride(motion: MeasuredMotion) -> int:
+    """Return every how many samples one is left of a record thinned to `COARSE` a slip."""
+    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE))
 
 
 def priors(problem: EstimationProblem, state: PassState) -> tuple[Array, Array]:

@@ -102,6 +102,7 @@ def minimise(
     max_steps: int = 40,
     tolerance: float = 1e-5,
     damping: float = FIRST_DAMPING,
+    steady: float = math.inf,
 ) -> Solution | None:
     """Minimise from (u, local); None when not even the start can be followed.
 
@@ -116,6 +117,9 @@ def minimise(
         Stop when a step lowers the cost by less than this fraction (twice in a row), or by less than this at all.
     damping : float
         Of the first step, times the curvatures: less where the start is known to be near.
+    steady : float
+        Of the weighted rms residual: a step that changes it by more is not one to stop at, however little it gains.
+        Where the noise is taken to be large, the cost is small and nearly all priors.
     """
     u = np.clip(u, problem.lower, problem.upper)
     at = _point(problem, u, local)
@@ -140,12 +144,20 @@ def minimise(
         if there is None:  # the point itself can be followed, one of its neighbours cannot
             at, outcome = at._replace(u=trial.u, local=trial.local, cost=trial.cost), "no progress"
             break
-        at = there
-        calm = calm + 1 if gain < tolerance * at.cost or gain < tolerance else 0
+        before, at = at, there
+        small = gain < tolerance * at.cost or gain < tolerance
+        if small and steady < math.inf:
+            small = abs(_rms(problem, before) - _rms(problem, at)) < steady * _rms(problem, at)
+        calm = calm + 1 if small else 0
         if calm >= 2:
             outcome = "converged"
             break
     return Solution(at.u, at.local, at.cost, at.residual, at.blocks, outcome, steps)
+
+
+def _rms(problem: LeastSquaresProblem, at: Point) -> float:
+    """Return the root of the weighted sum of squares of the residuals."""
+    return math.sqrt(float(np.sum(problem.weights * np.add.reduceat(at.residual**2, problem.starts))))
 
 
 def _point(problem: LeastSquaresProblem, u: Array, local: Array) -> Point | None:

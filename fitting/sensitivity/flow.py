@@ -78,12 +78,23 @@ def margin(w: Window, mode: int, held: bool, t: float, x: float, v: float) -> fl
     return edge - abs(e)
 
 
+def margin_at_side(w: Window, mode: int, side: float, t: float, x: float, v: float) -> float:
+    """Return `margin`, of a ramp that from its edge where the belt is faster (``side`` 1.0) or slower (-1.0)."""
+    if mode == RAMP or mode == CREEP:
+        return edge_speed(w.contact) - side * (belt_speed(w, t) - v)
+    return margin(w, mode, False, t, x, v)
+
+
 def time_of_edge(w: Window, mode: int, t: float, x: float, v: float, h: float) -> float:
-    """Return the part of the step h after which the mode ends, by bisection with a secant where that is faster."""
+    """Return the part of the step h after which the mode ends, by bisection with a secant where that is faster.
+
+    A ramp ends at the edge on whose side the step does: it begins on the other one, within rounding.
+    """
     low, high = 0.0, h
-    at_low = max(margin(w, mode, False, t, x, v), 0.0)
     far_x, far_v = advance(w, mode, t, x, v, h)
-    at_high = margin(w, mode, False, t + h, far_x, far_v)
+    side = 1.0 if belt_speed(w, t + h) >= far_v else -1.0
+    at_low = max(margin_at_side(w, mode, side, t, x, v), 0.0)
+    at_high = margin_at_side(w, mode, side, t + h, far_x, far_v)
     for number in range(MOST_BISECTIONS):
         if high - low <= 1e-15 * (abs(t) + h) or at_low == 0.0:
             break
@@ -91,7 +102,7 @@ def time_of_edge(w: Window, mode: int, t: float, x: float, v: float, h: float) -
         if not low < guess < high:
             guess = 0.5 * (low + high)
         x_guess, v_guess = advance(w, mode, t, x, v, guess)
-        value = margin(w, mode, False, t + guess, x_guess, v_guess)
+        value = margin_at_side(w, mode, side, t + guess, x_guess, v_guess)
         if value > 0.0:
             low, at_low = guess, value
         else:
@@ -187,6 +198,62 @@ def store_middle(w: Window, mode: int, t: float, h: float, points: Array, i: int
     store_point(w, mode, middle, x, v, points, i + 1)
 
 
+def first_mode(w: Window, stick: bool, t: float, x: float, v: float) -> tuple[int, float]:
+    """Return the mode in which a window begins, and the velocity: where the mass is bound to the belt, not its own."""
+    belt, edge = belt_speed(w, t), edge_speed(w.contact)
+    if stick and edge == 0.0:
+        mode = STICK
+        v = belt
+    elif stick:
+        mode = ramp_mode(w, True, t, x)
+        v = min(max(v, belt - 10 * edge), belt + 10 * edge)
+    elif edge > 0.0 and abs(belt - v) <= edge:
+        mode = ramp_mode(w, False, t, x)
+    else:
+        mode = NEGATIVE if belt - v >= 0.0 else POSITIVE
+    if mode == CREEP:
+        v = bound_velocity(w, mode, t, x)
+    return mode, v
+
+
+def mode_at_edge(
+    w: Window,
+    before: int,
+    held: bool,
+    landed: bool,
+    overtakes: bool,
+    earliest: float,
+    next_level: float,
+    t: float,
+    x: float,
+    v: float,
+) -> tuple[int, bool, bool, float]:
+    """Return the mode after one that has ended, whether it is held to its window's end, has landed, and the level.
+
+    The first touch of the belt from ``earliest`` on is the landing: the next level holds, and the mass sticks until the
+    window ends, or overtakes the belt and sticks when it comes back.
+    """
+    jump = edge_speed(w.contact) == 0.0
+    if landed and before == POSITIVE:
+        return STICK if jump else ramp_mode(w, True, t, x), True, True, w.level
+    if landed or before != NEGATIVE or t < earliest:
+        return next_mode(w, before, t, x, v), held, landed, w.level
+    if jump:
+        return POSITIVE if overtakes else STICK, not overtakes, True, next_level
+    after = Window(w.u, w.contact, next_level, w.epoch, w.low, w.high, w.extra)
+    return ramp_mode(after, not overtakes, t, x), not overtakes, True, next_level
+
+
+def contact_of(curve: int, own: Array, ramp: int, knots: Array, pieces: Array) -> Contact:
+    """Return the contact of a run with unknowns ``own`` (13,)."""
+    F = math.exp(own[LOG_F])
+    d = own[D] if ramp == 1 else 0.0
+    q = own[COMPLIANCE] * F / own[K]
+    c = Contact(curve, F, own[SHAPE], d, q, 1.0, 1.0, knots, pieces)
+    static = own[STATIC] if ramp == 1 and q == 0.0 else 1.0
+    return Contact(curve, F, own[SHAPE], d, q, static, normal_curve(c, 0.0)[0], knots, pieces)
+
+
 def follow_window(
     w: Window,
     stick: bool,
@@ -214,17 +281,8 @@ def follow_window(
     where they are too small, and (0, -1) where the motion cannot be followed.
     """
     t = times[0]
-    e, edge = belt_speed(w, t) - v, edge_speed(w.contact)
     held, landed = stick, stick
-    if stick:
-        mode = STICK if edge == 0.0 else ramp_mode(w, held, t, x)
-        v = belt_speed(w, t) if edge == 0.0 else min(max(v, belt_speed(w, t) - 10 * edge), belt_speed(w, t) + 10 * edge)
-    elif edge > 0.0 and abs(e) <= edge:
-        mode = ramp_mode(w, held, t, x)
-    else:
-        mode = NEGATIVE if e >= 0.0 else POSITIVE
-    if mode == CREEP:
-        v = bound_velocity(w, mode, t, x)
+    mode, v = first_mode(w, stick, t, x, v)
     i, events, entered, since = 0, 0, True, t
     while True:
         if m + 3 > points.shape[1] or s >= steps.shape[0]:
@@ -276,18 +334,8 @@ def follow_window(
                 return 0, -1
             before = mode
             rates_before = rates_at(w, before, t, x, v)
-            if landed and before == POSITIVE:
-                held = True
-                mode = STICK if edge == 0.0 else ramp_mode(w, held, t, x)
-            elif not landed and before == NEGATIVE and t >= earliest:
-                landed, held = True, not overtakes
-                w = Window(w.u, w.contact, next_level, w.epoch, w.low, w.high, w.extra)
-                if edge == 0.0:
-                    mode = POSITIVE if overtakes else STICK
-                else:
-                    mode = ramp_mode(w, held, t, x)
-            else:
-                mode = next_mode(w, before, t, x, v)
+            mode, held, landed, level = mode_at_edge(w, before, held, landed, overtakes, earliest, next_level, t, x, v)
+            w = Window(w.u, w.contact, level, w.epoch, w.low, w.high, w.extra)
             if mode == STICK or mode == CREEP:
                 v = bound_velocity(w, mode, t, x)
             # Off a ramp that ends at the level of slip, position, velocity and force go on, and so does a tangent.
@@ -356,12 +404,7 @@ def follow_windows(
     for row in range(table.shape[0]):
         own, part = u[table[row, 5]], local[table[row, 0]]
         first, n = table[row, 2], table[row, 3]
-        F = math.exp(own[LOG_F])
-        d = own[D] if ramp == 1 else 0.0
-        q = own[COMPLIANCE] * F / own[K]
-        c = Contact(curve, F, own[SHAPE], d, q, 1.0, 1.0, knots, pieces)
-        static = own[STATIC] if ramp == 1 and q == 0.0 else 1.0
-        c = Contact(curve, F, own[SHAPE], d, q, static, normal_curve(c, 0.0)[0], knots, pieces)
+        c = contact_of(curve, own, ramp, knots, pieces)
         stick = table[row, 1] == 1
         low, high = 0, 0
         if extra.time.size > 0:

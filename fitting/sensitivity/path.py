@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -186,20 +187,7 @@ def follow(
     longest_step : float
         Times the fastest rate of the motion; a search may take longer ones (`flow.LONGEST_STEP`).
     """
-    spline = curve.spline
-    own = np.array(u, float).reshape(-1, PER_RUN)
-    if spline is not None:
-        own[:, rates.LOG_F] = 0.0
-    extra = rates.Extra(np.zeros(1, np.int64), NOTHING, NOTHING, NOTHING, drag)
-    if along is not None:
-        none = NOTHING
-        extra = rates.Extra(
-            along.first_point,
-            along.time,
-            none if acceleration is None else np.ascontiguousarray(acceleration),
-            none if belt_speed is None else np.ascontiguousarray(belt_speed),
-            drag,
-        )
+    arguments = kernel_arguments(windows, curve, u, local, along, acceleration, belt_speed, drag)
     N, rows = windows.time.size, windows.table.shape[0]
     reached = np.zeros(N, np.int64)
     first_point, first_step = np.zeros((2, rows + 1), np.int64)
@@ -212,17 +200,7 @@ def follow(
         points, kinds = np.empty((10, 2 * size)), np.empty((2, 2 * size), np.int64)
         steps, jumps = np.empty((size, 3), np.int64), np.empty((size, 3))
         status = kernel(
-            curve.code,
-            own,
-            np.ascontiguousarray(local),
-            windows.table,
-            windows.level_epoch,
-            windows.earliest_landing,
-            windows.time,
-            NO_KNOTS if spline is None else spline.knots,
-            NO_PIECES if spline is None else spline.pieces,
-            int(curve.ramp),
-            extra,
+            *arguments,
             longest_step,
             points,
             kinds,
@@ -243,7 +221,7 @@ def follow(
     return Path(
         windows,
         curve,
-        own.ravel(),
+        arguments[1].ravel(),
         np.array(local),
         time=points[flow.TIME, :M],
         position=points[flow.POSITION, :M],
@@ -262,6 +240,43 @@ def follow(
         steps=steps[:S],
         jumps=jumps[:S],
         reached=reached,
+    )
+
+
+def kernel_arguments(
+    windows: ShootingWindows,
+    curve: Curve,
+    u: Array,
+    local: Array,
+    along: Path | None,
+    acceleration: Array | None,
+    belt_speed: Array | None,
+    drag: rates.Drag,
+) -> tuple[Any, ...]:
+    """Return what a kernel that follows windows begins with, from the parameters of `follow`."""
+    spline = curve.spline
+    own = np.array(u, float).reshape(-1, PER_RUN)
+    if spline is not None:
+        own[:, rates.LOG_F] = 0.0
+    extra = rates.Extra(
+        np.zeros(1, np.int64) if along is None else along.first_point,
+        NOTHING if along is None else along.time,
+        NOTHING if along is None or acceleration is None else np.ascontiguousarray(acceleration),
+        NOTHING if along is None or belt_speed is None else np.ascontiguousarray(belt_speed),
+        drag,
+    )
+    return (
+        curve.code,
+        own,
+        np.ascontiguousarray(local),
+        windows.table,
+        windows.level_epoch,
+        windows.earliest_landing,
+        windows.time,
+        NO_KNOTS if spline is None else spline.knots,
+        NO_PIECES if spline is None else spline.pieces,
+        int(curve.ramp),
+        extra,
     )
 
 

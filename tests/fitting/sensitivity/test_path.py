@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.shooting import evaluator
 from fitting.sensitivity.columns import local_tangents, shared_tangents, spline_tangents
+from fitting.sensitivity.flow import LONGEST_STEP, SEARCH_STEP
 from fitting.sensitivity.path import Curve, follow, spline_curve, with_coefficients
 from fitting.sensitivity.rates import Drag
 from fitting.sensitivity.spline import FrictionSpline
@@ -79,6 +80,16 @@ def test_a_steep_ramp_takes_few_steps(one_window, stick):
     windows, local = one_window(stick=stick), (STUCK if stick else SLIP)[None]
     path = follow(windows, Curve(HYPERBOLIC, True), unknowns(shape=9.6, d=1e-3), local)
     assert path.steps.shape[0] < 2 * windows.time.size
+
+
+@pytest.mark.parametrize("longest", [LONGEST_STEP, SEARCH_STEP])
+def test_a_ramp_that_one_step_crosses_is_left_on_its_other_side(one_window, longest):
+    """The mass went back to the edge that it came from, until it had changed its mode 200 times and was given up."""
+    windows, fast = one_window(), np.array([[0.149, V + 1e-3, 0.0, 0.0, 0.0, 0.0]])
+    u = unknowns(log_f=np.log(0.583), d=4.4e-7)
+    narrow = follow(windows, Curve(CONSTANT, True), u, fast, longest_step=longest)
+    jump = follow(windows, Curve(CONSTANT, False), u, fast)
+    assert narrow.model == pytest.approx(jump.model, abs=1e-6)
 
 
 def spline_of(function, fastest=0.9, pieces=13):

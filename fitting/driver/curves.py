@@ -1,0 +1,192 @@
+"""What friction is in a fit: one of the six laws, or a curve followed through a spline.
+
+A curve has ``size`` numbers theta of its own, with bounds and priors; ``beside`` are the shared unknowns that are
+fitted beside it.  It gives the friction along a path and the derivatives of the positions.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from daq.compute.arrays import Array
+from fitting.curve.coordinates import CurveCoordinates
+from fitting.curve.starts import project
+from fitting.model import parameters
+from fitting.model.parameters import PER_RUN, Global
+from fitting.sensitivity.columns import shared_tangents
+from fitting.sensitivity.path import Curve, Path, law_curve, spline_curve
+from fitting.sensitivity.spline import FrictionSpline
+from fitting.sensitivity.tangents import tangents
+from rig_sim.flow.modes import STICK
+from rig_sim.friction.curve import magnitude
+from rig_sim.friction.law import LAWS
+
+Friction = Callable[[Array], Array]  # slip speeds (k,), m/s, to friction per unit mass (k,), m/s^2
+PER_PIECE = 20  # slip speeds a piece at which another friction is read; half and twice give the same spline to 1e-4
+
+
+class FrictionCurve(ABC):
+    """A curve in a fit.
+
+    Attributes
+    ----------
+    ramp : bool
+        Whether slip begins beyond a ramp of half-width d, a shared unknown.
+    size : int
+        How many numbers theta it has.
+    start, prior, precision, lower, upper : (size,) f8
+        Of theta: where a fit starts, means and 1/sd^2 of the priors (0 where nothing is known), bounds.
+    """
+
+    ramp: bool
+    size: int
+    start: Array
+    prior: Array
+    precision: Array
+    lower: Array
+    upper: Array
+
+    @abstractmethod
+    def on_path(self, theta: Array, beside: Array) -> Curve | None:
+        """Return the curve that a path is followed with; None where these numbers give no friction."""
+
+    @abstractmethod
+    def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
+        """Return the derivatives of the positions by the shared unknowns at ``places`` (p,), then by theta.
+
+        Shape (N, p + size).
+        """
+
+    @abstractmethod
+    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
+        """Return friction per unit mass (m/s^2) at slip speeds s (k,); ``u`` are the unknowns of all runs."""
+
+    @abstractmethod
+    def near(self, friction: Friction, beside: Array) -> Array:
+        """Return theta (size,) of this kind of curve near another friction."""
+
+    def is_ramp_of(self, other: "FrictionCurve") -> bool:
+        """Return whether this is the other curve behind a ramp, and so contains it."""
+        return False
+
+
+class LawCurve(FrictionCurve):
+    """One of the six laws: its parameters are the shared unknowns LOG_F and SHAPE, and none of its own."""
+
+    size = 0
+
+    def __init__(self, law: int) -> None:
+        self.law, self.ramp = law, bool(LAWS[law].ramp)
+        self.start = self.prior = self.precision = self.lower = self.upper = np.empty(0)
+
+    def on_path(self, theta: Array, beside: Array) -> Curve:
+        """See `FrictionCurve`."""
+        return law_curve(LAWS[self.law].curve_code, self.ramp)
+
+    def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
+        """See `FrictionCurve`."""
+        return shared_tangents(path, places)
+
+    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
+        """See `FrictionCurve`."""
+        p = parameters.values(u[:PER_RUN])
+        return np.asarray(magnitude(LAWS[self.law].curve_code, s, p.F, p.shape * p.F, p.shape))
+
+    def near(self, friction: Friction, beside: Array) -> Array:
+        """Return nothing: what a law starts from beside another one is `EstimationProblem.start_near`."""
+        return np.empty(0)
+
+    def is_ramp_of(self, other: FrictionCurve) -> bool:
+        """See `FrictionCurve`."""
+        return self.ramp and isinstance(other, LawCurve) and other.law == self.law - 1
+
+
+class ThroughSpline(FrictionCurve):
+    """A curve whose friction per unit mass is a spline; a subclass says by which numbers.
+
+    Attributes
+    ----------
+    spline : FrictionSpline
+        Its knots; the coefficients follow from theta.
+    """
+
+    spline: FrictionSpline
+
+    @abstractmethod
+    def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
+        """Return the spline's coefficients (n,), m/s^2, and their derivatives (n, beside + size)."""
+
+    def on_path(self, theta: Array, beside: Array) -> Curve | None:
+        """See `FrictionCurve`."""
+        return spline_curve(self.spline.with_coefficients(self.coefficients(theta, beside)[0]), self.ramp)
+
+    def columns(self, path: Path, theta: Array, places: Sequence[int]) -> Array:
+        """See `FrictionCurve`."""
+        found = along_spline(path, self.coefficients(theta, path.u[list(places)])[1])
+        found[:, : len(places)] += shared_tangents(path, places)
+        return found
+
+    def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
+        """See `FrictionCurve`."""
+        return self.spline.with_coefficients(self.coefficients(theta, beside)[0])(s)
+
+
+class FreeCurve(ThroughSpline):
+    """A free spline; theta are `CurveCoordinates`.
+
+    Parameters
+    ----------
+    knots : (n + 1,) f8
+        Slip speeds, m/s.
+    ramp : bool
+    coefficients : (n + 3,) f8
+        Where it starts, m/s^2.
+    offset, beside : (p,) f8
+        By how much the whole curve moves with each of the unknowns beside it, and where these start.
+    """
+
+    def __init__(self, knots: Array, *, ramp: bool, coefficients: Array, offset: Array, beside: Array) -> None:
+        self.spline, self.ramp, self.size = FrictionSpline.over(knots), ramp, coefficients.size
+        self.basis = CurveCoordinates.around(coefficients, offset, beside)
+        self.prior, self.precision = np.zeros(self.size), self.basis.precision
+        self.lower, self.upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        self.start = self.basis.unknowns(beside, coefficients)[beside.size :]
+
+    def near(self, friction: Friction, beside: Array) -> Array:
+        """See `FrictionCurve`."""
+        s = np.linspace(0.0, self.spline.knots[-1], PER_PIECE * (self.spline.knots.size - 1))
+        found = np.einsum("ik,k->i", project(self.spline, s), friction(s))
+        return self.basis.unknowns(beside, found)[beside.size :]
+
+    def coefficients(self, theta: Array, beside: Array) -> tuple[Array, Array]:
+        """See `ThroughSpline`."""
+        return self.basis.coefficients(np.concatenate([beside, theta])), self.basis.slopes
+
+
+def along_spline(path: Path, directions: Array) -> Array:
+    """Return the derivatives of the positions along directions of the spline's coefficients, shape (N, k).
+
+    As `fitting.sensitivity.columns.spline_tangents` times ``directions`` (n, k), but k columns are integrated, not n,
+    and of those only the ones that are not 0.
+    """
+    spline = path.curve.spline
+    if spline is None:
+        raise ValueError("this path follows a law's curve: there are no coefficients")
+    ramp_width = path.unknown(Global.D) if path.curve.ramp else 0.0
+    at_rest = float(spline.coefficients[0])
+    loss = path.unknown(Global.COMPLIANCE) * np.exp(path.unknown(Global.LOG_F)) / path.unknown(Global.K)
+    yields = bool(np.any(loss))
+    giving = 1 - loss * path.friction_slope / path.level if yields else 1.0
+    forces = spline.basis(path.slip_speed, path.level * path.side * giving)
+    if path.curve.ramp or yields:
+        ramp = ~path.slips & (path.mode != STICK)
+        share = ramp_width / np.maximum(ramp_width + loss * at_rest, 1e-300)
+        forces[ramp, 0] = (path.friction / at_rest * share)[ramp]
+    edge = np.zeros((path.windows.table.shape[0], directions.shape[0]))
+    edge[:, 0] = np.broadcast_to(loss, path.time.shape)[path.first_point[:-1]]
+    used = np.flatnonzero(directions.any(axis=0))
+    found = np.zeros((path.reached.size, directions.shape[1]))
+    along = np.ascontiguousarray(directions[:, used])
+    found[:, used] = tangents(path, np.einsum("mn,nk->mk", forces, along), edge=np.einsum("wn,nk->wk", edge, along))
+    return found

@@ -1,0 +1,161 @@
+"""Positions that a task predicts in windows, and their derivatives: what a least-squares problem evaluates."""
+
+from typing import Any
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers
+from fitting.departures.definition.departure import Forcing
+from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.driver.task import Task
+from fitting.least_squares.problem import Evaluate
+from fitting.model.windows import ShootingWindows
+from fitting.sensitivity.columns import local_tangents
+from fitting.sensitivity.path import Curve, Path, follow
+from fitting.sensitivity.tangents import tangents
+from fitting.sensitivity.values import positions
+
+NO_SCALE = float("nan")  # of a force: a task fits none that depends on one
+
+
+class Model:
+    """A task's predictions in windows.
+
+    A force by the mass's own velocity acts along the motion itself, another one along an earlier path, `near`, which
+    `settle` brings up to date.
+
+    Parameters
+    ----------
+    task : Task
+    windows : ShootingWindows
+    longest_step : float
+        Times the fastest rate of the motion (`fitting.sensitivity.flow`).
+    near : Path, optional
+        Where forces are evaluated, in the same windows.
+    count : (N,) f8, optional
+        How many samples each residual stands for; 1 each without it.
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        windows: ShootingWindows,
+        longest_step: float,
+        near: Path | None = None,
+        count: Array | None = None,
+    ) -> None:
+        self.task, self.windows, self.longest_step, self.near = task, windows, longest_step, near
+        self._size = None if count is None else np.sqrt(count)
+        fastest = max(float(np.max(np.abs(motion.velocity))) for motion in task.problem.motions)
+        self._tables = [force.drag_table(fastest) for force in task.forces]
+        self._last: tuple[Array, Array, Array | None] | None = None
+
+    @property
+    def along(self) -> bool:
+        """Whether a force acts along an earlier path."""
+        return any(force.drag is None for force in self.task.forces)
+
+    def settle(self, q: Array, local: Array, times: int) -> None:
+        """Evaluate forces along the path of these unknowns from now on; ``times``, as they change the path."""
+        for _ in range(times if self.along else 0):
+            found = self.path(q, local)
+            if found is None:
+                return
+            self.near, self._last = found, None
+
+    def path(self, q: Array, local: Array) -> Path | None:
+        """Follow the motion with all that tangents need; None where it cannot be followed."""
+        u, theta, sizes = self.task.split(q)
+        curve = self._curve(q, theta)
+        if curve is None:
+            return None
+        acting, _ = self._acting(sizes)
+        return follow(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
+
+    def residual(self, q: Array, local: Array) -> Array | None:
+        """Return model minus measurement (N,), m; None where the motion cannot be followed."""
+        if self._last is not None and np.array_equal(q, self._last[0]) and np.array_equal(local, self._last[1]):
+            return self._last[2]
+        u, theta, sizes = self.task.split(q)
+        curve, found = self._curve(q, theta), None
+        if curve is not None:
+            acting, reading = self._acting(sizes)
+            found = positions(self.windows, curve, u, local, longest_step=self.longest_step, **acting)
+            found = None if found is None else found + reading - self.windows.position
+        self._last = q.copy(), local.copy(), found
+        return found
+
+    def evaluate(self, q: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
+        """As `fitting.least_squares.problem.Evaluate`; rows are as large as the root of what they stand for."""
+        residual = self.residual(q, local)
+        path = self.path(q, local) if derivatives and residual is not None else None
+        if residual is None or (derivatives and path is None):
+            return None
+        jacobian = np.zeros((0, 0)) if path is None else self.jacobian(path, q)
+        return self._sized(residual, jacobian)
+
+    def some(self, q: Array, cycles: Integers) -> Evaluate:
+        """Return what evaluates the own unknowns of these cycles (indices) alone, q held."""
+        part = Model(self.task, self.windows.some(cycles), self.longest_step)
+        if self._size is not None:
+            part._size = np.concatenate([self._size[self.windows.rows[k]] for k in cycles])
+
+        def evaluate(_: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
+            residual = part.residual(q, local)
+            path = part.path(q, local) if derivatives and residual is not None else None
+            if residual is None or (derivatives and path is None):
+                return None
+            return part._sized(residual, np.zeros((0, 0)) if path is None else local_tangents(path))
+
+        return evaluate
+
+    def jacobian(self, path: Path, q: Array) -> Array:
+        """Return the derivatives of the positions by all unknowns, shape (N, p + n + m + 6)."""
+        _, theta, _ = self.task.split(q)
+        parts = [self.task.curve.columns(path, theta, self.task.places)]
+        for forcing in self._forcings(path):
+            width = next(part.shape[1] for part in forcing if part is not None)
+            if forcing.acceleration is None and forcing.belt_speed is None and forcing.reading is not None:
+                parts.append(forcing.reading)
+                continue
+            acts = np.zeros((path.time.size, width)) if forcing.acceleration is None else forcing.acceleration
+            parts.append(tangents(path, acts, belt_speed=forcing.belt_speed, position=forcing.reading))
+        return np.ascontiguousarray(np.hstack([*parts, local_tangents(path)]))
+
+    def _curve(self, q: Array, theta: Array) -> Curve | None:
+        return self.task.curve.on_path(theta, q[: len(self.task.places)])
+
+    def _sized(self, residual: Array, jacobian: Array) -> tuple[Array, Array]:
+        if self._size is None:
+            return residual, jacobian
+        return residual * self._size, jacobian * self._size[: len(jacobian), None]
+
+    def _forcings(self, path: Path) -> list[Forcing]:
+        if not self.task.forces:
+            return []
+        motion = FittedMotion.from_path(path, self.task.problem.motions, path.residual)
+        return [force.forcing(motion, NO_SCALE) for force in self.task.forces]
+
+    def _acting(self, sizes: Array) -> tuple[dict[str, Any], Array | float]:
+        """Return what the forces add to a path, as arguments of `follow`, and to the reading, m."""
+        more: dict[str, Any] = {}
+        reading: Array | float = 0.0
+        forcings = [] if self.near is None else self._forcings(self.near)
+        first = 0
+        for k, (force, table) in enumerate(zip(self.task.forces, self._tables, strict=True)):
+            own = sizes[first : first + force.columns]
+            first += force.columns
+            if force.drag is not None:
+                more["drag"] = table._replace(acceleration=float(own[0]) * table.acceleration)
+                continue
+            if not forcings:
+                continue
+            more["along"] = self.near
+            for name in ("acceleration", "belt_speed"):
+                part = getattr(forcings[k], name)
+                if part is not None:
+                    more[name] = more.get(name, 0.0) + np.einsum("mk,k->m", part, own)
+            part = forcings[k].reading
+            if part is not None:
+                reading = reading + np.einsum("nk,k->n", part, own)
+        return more, reading

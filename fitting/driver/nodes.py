@@ -1,0 +1,81 @@
+"""Every sample of a record, seen through fewer nodes: the last pass of a fit needs tangents at these alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.compute.arrays import Array, Integers
+from fitting.model.windows import ShootingWindows
+
+
+@dataclass(frozen=True, eq=False)
+class SampleNodes:
+    """Samples n apart in each window, and its last one; a node stands for the samples about it.
+
+    A sample counts to the two nodes beside it, by a share that falls linearly from one to the other.
+
+    Attributes
+    ----------
+    windows : ShootingWindows
+        Of the nodes.
+    left : (N,) i8
+        The node before each sample.
+    share : (N,) f8
+        The share of each sample that counts to the next node.
+    count : (nodes,) f8
+        Samples about each.
+    """
+
+    windows: ShootingWindows
+    left: Integers
+    share: Array
+    count: Array
+
+    @classmethod
+    def of(cls, whole: ShootingWindows, strides: Sequence[int]) -> "SampleNodes":
+        """Take every so many samples of each run's windows."""
+        table, picked, left, share, total = whole.table.copy(), [], [], [], 0
+        ends = np.zeros(len(whole.rows), np.int64)
+        for row, (cycle, _, first, size, _, run) in enumerate(whole.table):
+            time = whole.time[first : first + size]
+            own = np.unique(np.r_[np.arange(0, size, strides[run]), size - 1])
+            before = np.clip(np.searchsorted(own, np.arange(size), side="right") - 1, 0, max(own.size - 2, 0))
+            gap = time[own[np.minimum(before + 1, own.size - 1)]] - time[own[before]]
+            left.append(total + before)
+            share.append((time - time[own[before]]) / np.where(gap > 0, gap, 1.0))
+            picked.append(first + own)
+            table[row, 2:4] = total, own.size
+            total += own.size
+            ends[cycle] = total
+        index, before, part = np.concatenate(picked), np.concatenate(left), np.concatenate(share)
+        windows = replace(
+            whole,
+            table=table,
+            time=whole.time[index],
+            position=whole.position[index],
+            source=whole.source[index],
+            rows=tuple(slice(int(a), int(b)) for a, b in zip(np.r_[0, ends[:-1]], ends, strict=True)),
+            parts=(),
+        )
+        return cls(windows, before, part, _shared_out(np.ones(part.size), before, part, total))
+
+    def seen(self, model: Array, residual: Array) -> ShootingWindows:
+        """Return the nodes, measured where their residual is the mean of those of the samples about them.
+
+        Parameters
+        ----------
+        model : (nodes,) f8
+            Positions that are predicted at the nodes, m.
+        residual : (N,) f8
+            Of every sample, m.
+        """
+        total = _shared_out(residual, self.left, self.share, self.count.size)
+        mean = np.divide(total, self.count, out=np.zeros_like(total), where=self.count > 0)
+        return replace(self.windows, position=model - mean)
+
+
+def _shared_out(values: Array, left: Integers, share: Array, nodes: int) -> Array:
+    """Return the sum of values (N,) about each node, shape (nodes,)."""
+    right = np.minimum(left + 1, nodes - 1)
+    return np.asarray(np.bincount(left, (1 - share) * values, nodes) + np.bincount(right, share * values, nodes))

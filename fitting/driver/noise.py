@@ -1,0 +1,100 @@
+"""What a pass of a fit assumes of the noise, and what its residuals show."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.compute.arrays import Array, Mask
+from fitting.driver.task import Task
+from fitting.estimation import wear
+from fitting.estimation.fit import (
+    DEFAULT_FADE_SD,
+    INLIER_WEIGHT,
+    LEAST_FADE_SD,
+    OUTLIER_LEVEL_SD,
+    OVERTAKING_FACTOR,
+    cycle_weights,
+    effective_sigma,
+    without_outliers,
+)
+from fitting.estimation.objective import STICK_SPEED_SD
+from fitting.model.parameters import PerCycle
+from fitting.model.windows import ShootingWindows
+
+# Of the logarithms of the friction levels: their standard deviation before a fit has seen them, and within what limits
+# one that was seen is believed.  At half the lower limit a record of few cycles holds its levels together; at twice the
+# upper one a level runs off where its slip shows next to none.
+FIRST_SCATTER, LEAST_SCATTER, MOST_SCATTER = 0.1, 0.01, 0.5
+COUNTED_WEIGHT = 0.5  # of a cycle in the noise; its error is at most 1.7 times the median, twice that lets kicks in
+START_SD = 0.1  # of the travel: how far a window may start from the smoothed motion
+
+
+@dataclass(frozen=True, eq=False)
+class PassNoise:
+    """What a pass assumes.
+
+    Attributes
+    ----------
+    sigma : (runs,) f8
+        Effective standard deviation of one residual, m.
+    weights : (cycles,) f8
+        Of each cycle: 1, and less for one that errs more than the usual one.
+    scatter : float
+        Standard deviation of the logarithms of the friction levels.
+    fade_sd : (runs,) f8 or None
+        How much a level may fade within a cycle, 1/s; None while it does not.
+    """
+
+    sigma: Array
+    weights: Array
+    scatter: float = FIRST_SCATTER
+    fade_sd: Array | None = None
+
+    @property
+    def inliers(self) -> Mask:
+        """Which cycles (cycles,) fit about as well as the others."""
+        return np.asarray(self.weights > INLIER_WEIGHT)
+
+    @property
+    def for_last_pass(self) -> "PassNoise":
+        """The same with outlying cycles that hardly count."""
+        return replace(self, weights=without_outliers(self.weights))
+
+    def with_fade(self, task: Task, windows: ShootingWindows, local: Array) -> "PassNoise":
+        """Return the same with levels that may fade within a cycle about as they fall from cycle to cycle."""
+        sd = []
+        for run, motion in enumerate(task.problem.motions):
+            table = windows.table
+            own = (table[:, 1] == 0) & (table[:, 5] == run) & self.inliers[table[:, 0]]
+            levels = np.exp(local[table[own, 0], PerCycle.LEVEL])
+            trend = wear.level_trend(windows.level_epoch[own], levels)
+            lost = DEFAULT_FADE_SD / motion.slip_s if trend is None else math.hypot(trend.rate.value, trend.rate.sd)
+            sd.append(max(lost, LEAST_FADE_SD / motion.slip_s))
+        return replace(self, fade_sd=np.array(sd))
+
+    def seen(self, task: Task, windows: ShootingWindows, residual: Array, local: Array, *, first: bool) -> "PassNoise":
+        """Return the noise that residuals (N,) show, run by run.
+
+        After the first pass it only falls: a wrong curve must not talk itself into noise that excuses it.
+        """
+        rms, run = windows.rms(residual), windows.run
+        weights, sigma = np.ones(rms.size), self.sigma.copy()
+        for k, motion in enumerate(task.problem.motions):
+            own = np.flatnonzero(run == k)
+            weights[own] = cycle_weights(rms[own], max(float(np.median(rms[own])), motion.resolution))
+            seen = effective_sigma(residual, [windows.rows[c] for c in own if weights[c] > COUNTED_WEIGHT])
+            sigma[k] = max(seen if first else min(seen, float(sigma[k])), motion.resolution)
+        levels = local[weights > INLIER_WEIGHT, PerCycle.LEVEL]
+        scatter = float(np.clip(np.std(levels), LEAST_SCATTER, MOST_SCATTER))
+        return replace(self, sigma=sigma, weights=weights, scatter=scatter)
+
+    def local_precision(self, task: Task, windows: ShootingWindows) -> Array:
+        """Return the precisions (cycles, 6) of the cycles' own unknowns: about the smoothed motion, and their level."""
+        wide = [(START_SD * motion.travel, motion.belt_speed) for motion in task.problem.motions]
+        sd = np.array([[x, v, 0.0, 0.0, x, STICK_SPEED_SD * v] for x, v in wide])[windows.run]
+        levels = slice(PerCycle.LEVEL, PerCycle.NEXT_LEVEL + 1)
+        sd[:, levels] = task.problem.level_prior * self.scatter
+        sd[windows.overtaking, PerCycle.NEXT_LEVEL] *= OVERTAKING_FACTOR
+        sd[~self.inliers, levels] = OUTLIER_LEVEL_SD
+        return np.asarray(1 / sd**2)
