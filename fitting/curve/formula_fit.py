@@ -11,6 +11,7 @@ or is negative at a speed of the motion is refused as one that cannot be followe
 import math
 import time as clock
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from daq.compute.arrays import Array
 from daq.compute.distributions import student_quantile
 from daq.errors import InputError
+from daq.runfile.rig import Measured
 from fitting.curve.band import covariances
 from fitting.curve.spline_fit import FINAL, SplineFit
 from fitting.data.cycles import Cycle
@@ -46,6 +48,7 @@ PER_PIECE = 6  # speeds of each piece at which the spline is put through the for
 BEYOND = 1.1  # of the measured curve's last knot: slips of the fit may be a little faster
 STEPS: dict[str, Any] = FINAL | {"max_steps": 40, "damping": 1e-6}  # a form leaves the measured curve by a few bands
 DOUBLED = 2.0  # of a parameter: whether the derivative by it changes then shows whether it bends the curve
+LEAST_SHOWN = 1e-6  # of a prior's precision: a record that adds less shows nothing of the unknown
 SAME = 1e-9  # of a derivative: less is rounding
 
 
@@ -244,8 +247,9 @@ class FormulaFit:
             tuple(self.cycles[k] for k in own),
         )
 
-    def parameters(self, alpha: float) -> dict[str, Parameter]:
-        """Return k/m and the formula's parameters, with intervals of confidence 1 - alpha; per unit mass."""
+    @cached_property
+    def variances(self) -> Array:
+        """Variances (p,) of the shared unknowns: the larger of those by the noise and by the scatter of the cycles."""
         linear = LinearisedFit(
             shared=np.ascontiguousarray(self.jacobian[:, : self.solution.u.size]),
             local=np.ascontiguousarray(self.jacobian[:, self.solution.u.size :]),
@@ -257,8 +261,22 @@ class FormulaFit:
             local_precision=self.task.local_precision,
             local_gradient=self.task.local_precision * (self.solution.local - self.task.local_prior),
         )
-        variance = np.max([np.diag(found) for found in covariances(linear)], axis=0)
-        error = np.sqrt(np.maximum(variance, 0.0))
+        return np.asarray(np.maximum(np.max([np.diag(found) for found in covariances(linear)], axis=0), 0.0))
+
+    def without_prior(self, slot: Global, run: int = 0) -> Measured | None:
+        """Return what the record alone shows of an unknown with a prior; None where there is none, or nothing shown."""
+        place = PER_RUN * run + slot
+        index = self.host.places.index(place if place in self.host.places else slot)
+        weight, variance = float(self.task.precision[index]), float(self.variances[index])
+        alone = 1 / variance - weight if variance > 0 else 0.0
+        if weight == 0 or alone <= LEAST_SHOWN * weight:
+            return None
+        value = float(self.solution.u[index])
+        return Measured(value + weight * (value - float(self.task.prior[index])) / alone, math.sqrt(1 / alone))
+
+    def parameters(self, alpha: float) -> dict[str, Parameter]:
+        """Return k/m and the formula's parameters, with intervals of confidence 1 - alpha; per unit mass."""
+        error = np.sqrt(self.variances)
         quantile = student_quantile(1 - alpha / 2, max(len(self.rows) - 1, 1))
         u, places = self.solution.u, list(self.host.places)
         found = {"k/m": _interval(float(u[0]), float(error[places.index(Global.K)]), quantile, "s^-2")}

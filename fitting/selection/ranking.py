@@ -21,7 +21,11 @@ from fitting.estimation import break_aways, derived
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import candidates, equivalence, evidence, rig_intervals, rivals, screening, verdict
-from fitting.selection.contradictions import find_contradictions, name_contradictions
+from fitting.selection.contradictions import (
+    find_contradictions,
+    name_contradictions,
+    without_those_of_the_law,
+)
 from fitting.selection.evidence import Evidence, ModelSet
 from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult
@@ -156,6 +160,8 @@ def rank(
     tables = [list(own) for own in zip(*map(rig_intervals.over_the_set, by_run), strict=True)]
     rows = tuple(table[-1] for table in tables)
     contradicted = find_contradictions(ordered[0], [run.motion for run in runs], tables[0], records)
+    if competition is not None:
+        contradicted = without_those_of_the_law(contradicted, competition.inside_band(assessed.together.curve))
     if competition is not None and beaten and described:
         words = verdict.rival_sentence(rows, competition)
     elif not rejected:

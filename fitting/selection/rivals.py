@@ -103,6 +103,11 @@ class Competition:
         """By how much the best rival leads the best of the six, in log evidence; negative where it does not."""
         return 0.5 * (min(self.chosen.score.values()) - min(rival.score for rival in self.rivals))
 
+    def inside_band(self, curve: MeasuredCurve | None) -> list[FormulaFit]:
+        """Return the rivals of the set whose forms lie inside the band of the measured curve: they describe it."""
+        inside = {form.name for form in curve.forms if form.inside_band} if curve is not None else set()
+        return [row.fit for row in self.rivals if row.in_set and FORM[row.law][0] in inside]
+
 
 def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, FormFit]]:
     """Return the published laws whose forms the measured curve prefers to those of the six, best first.
@@ -155,7 +160,7 @@ def compete(
     fits : sequence of Fit
         Of the six.
     chosen : ModelSet
-        Of the six alone: a rival takes laws out of its set, and brings none in.
+        Of the six alone: between themselves they are judged without rivals, which beat all of its set or none.
     rivals : sequence of FormulaFit
     runs : sequence of Run
     motion : MeasuredMotion
@@ -169,7 +174,8 @@ def compete(
     errors = np.array([evidence.penalised(fit, evidence.unit_errors(fit, runs, units), units) for fit in every])
     together = evidence.model_confidence_set(Evidence(tuple(fit.law for fit in every), errors, units.samples), alpha)
     led_by_rival = isinstance(min(together.score, key=together.score.__getitem__), str)
-    members = tuple(law for law in chosen.members if law in together.members) if led_by_rival else chosen.members
+    left = not led_by_rival or any(law in together.members for law in chosen.members)
+    members = chosen.members if left else ()
     lag = min(together.score[fit.law] for fit in fits)
     score = {law: own + lag for law, own in chosen.score.items()} | {fit.law: together.score[fit.law] for fit in rivals}
     total = sum(math.exp(-own / 2) for own in score.values())

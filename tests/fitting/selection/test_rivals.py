@@ -1,10 +1,12 @@
 """Published curves beside the six: none of them passes for one of the six alone, and true laws keep their sets."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from daq.runfile.rig import Measured
 from fitting import job
 from fitting.curve.formula_fit import fit_formula
 from fitting.law import Law
@@ -18,13 +20,13 @@ STRIBECK = {"curve": "stribeck", "Fs": 2.0, "Fc": 1.2, "v_s": 0.05, "Fv": 0.0, "
 def seen_by_camera(contacts, synthetic, tmp_path_factory):
     """Give a function that ranks a contact as a camera of 250 Hz shows it."""
 
-    def of(noise, seed, **changes):
+    def of(noise, seed, rig=None, **changes):
         contact = contacts.Contact(**STRIBECK | {"belt": 0.05, "duration": 20.0, "seed": seed} | changes)
         time = np.arange(0, contact.duration, 1 / 250)
         position = contacts.simulate(contact, time) + np.random.default_rng(seed).normal(0, noise, time.size)
         path: Path = tmp_path_factory.mktemp("camera") / "track.csv"
         recording = synthetic.imported(path, time, position, 7)
-        return rank(smooth(recording))
+        return rank(smooth(recording), rig and replace(recording.rig, **rig))
 
     return of
 
@@ -47,6 +49,18 @@ def test_a_stribeck_contact_is_not_one_of_the_six_alone(seen_by_camera, power, n
     assert abs(stiffness["value"] - 160.0) < 4 * stiffness["stderr"]
     assert document["ranking"][0]["in_set"]
     assert "stribeck" in ranking.verdict
+
+
+def test_the_true_rest_position_is_not_contradicted_where_a_rival_fits_it(seen_by_camera):
+    # Law 5 moved it: the true one was "contradicted", and the wrong law stayed.
+    ranking = seen_by_camera(5e-5, 3, rig={"x0": Measured(0.0, 1e-4)})
+    document = ranking.as_json()
+    assert document["set"] == []
+    assert "stribeck" in document["rivals"]
+    assert [one["code"] for one in document["findings"]] == []
+    found = document["ranking"][0]["parameters"]
+    for name, true in (("Fs/m", 4.0), ("Fc/m", 2.4), ("v_s", 0.05)):
+        assert abs(found[name]["value"] - true) < 4 * found[name]["stderr"]
 
 
 def test_a_law_that_the_curve_prefers_has_no_rival(ranked):
