@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from fitting.adequacy.result import Adequacy
     from fitting.batch import BatchRow
-    from fitting.selection.result import Ranking
+    from fitting.selection.result import LawResult, Ranking
+    from fitting.selection.rivals import RivalResult
 
 MOST_FORMS = 4  # shown on the terminal; the document and the report have all
 INTERVAL = 3  # column of the table of parameters that may be broken over two lines
@@ -102,8 +103,8 @@ def fit(
     """Fit the friction laws to a run, rank them, and write a report beside it.
 
     Ends with exit code 0 when one law is left, 5 when the record cannot distinguish several (they are
-    named), 6 when it is stick-slip that none of the laws describes, and 4 when it holds too little or no belt
-    stick-slip. Results are added to the run file; raw data stay as
+    named), 6 when it is stick-slip that none of the laws describes, or that a published curve besides them describes
+    better, and 4 when it holds too little or no belt stick-slip. Results are added to the run file; raw data stay as
     they are.
 
     Several runs are fitted together, as one contact: the law's parameters, spring and damping are one for all, belt
@@ -316,13 +317,17 @@ def _laws(ranking: "Ranking") -> "Table":
     from daq.output.lengths import format_length
 
     table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
-    for row in ranking.rows:
+    for row in ranking.candidates:
         behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
         weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
         style = "bold" if row.in_set else None
         member = "yes" if row.in_set else "-"
-        table.add_row(f"{row.law} {row.name}", format_length(row.rms_m), behind, weight, member, style=style)
+        table.add_row(_title(row), format_length(row.rms_m), behind, weight, member, style=style)
     return table
+
+
+def _title(row: "LawResult | RivalResult") -> str:
+    return f"{row.law} {row.name}" if isinstance(row.law, int) else f"{row.name}: {row.formula}"
 
 
 def _adequacy(adequacy: "Adequacy") -> list[Any]:

@@ -118,7 +118,7 @@ def exit_code(document: Mapping[str, Any]) -> int:
     """Return the exit code of a fit by its document: one law, several, or none that describes the record."""
     if document["adequacy"]["verdict"] not in (ADEQUATE, None):  # None: goodness of fit could not be judged
         return EXIT_NO_LAW
-    return EXIT_DONE if len(document["set"]) == 1 else EXIT_UNDECIDED
+    return EXIT_DONE if len(document["set"]) + len(document.get("rivals", ())) == 1 else EXIT_UNDECIDED
 
 
 def load_run(path: Path, options: FitOptions) -> LoadedRun:

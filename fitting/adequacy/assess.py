@@ -35,6 +35,15 @@ class Assessment:
     together: Adequacy
     runs: tuple[Adequacy, ...]
 
+    def beaten(self, laws: int) -> "Assessment":
+        """Return the assessment where another curve describes the runs better than each of the ``laws`` asked for.
+
+        Noise alone may have made what the best law leaves; less is left of the same record by a rival.
+        """
+        outcome = NONE_FITTED if laws < NUMBER_OF_LAWS else NONE_OF_SIX
+        runs = tuple(replace(own, verdict=outcome) for own in self.runs)
+        return replace(self, together=replace(self.together, verdict=outcome), runs=runs)
+
 
 @dataclass(frozen=True, eq=False)
 class Judged:

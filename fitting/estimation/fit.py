@@ -206,6 +206,15 @@ class Fit:
         return math.sqrt(max(self.geometric_mean_rms**2 - noise**2, 0.0))
 
     @property
+    def calibration_deviations(self) -> Array:
+        """How far the active unknowns are from calibrations that were given, in standard deviations; else 0."""
+        guessed = [
+            place % PER_RUN == Global.DATUM and self.problem.motions[place // PER_RUN].datum_prior is None
+            for place in self.active
+        ]
+        return np.where(guessed, 0.0, self.prior_deviations)
+
+    @property
     def law_parameters(self) -> int:
         """Number of the law's own shared unknowns; what every law has besides (datum, damping, fade, belt) not."""
         return sum(place % PER_RUN not in NUISANCE for place in self.active)

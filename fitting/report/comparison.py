@@ -36,19 +36,26 @@ class ComparedRun:
 
     @property
     def law(self) -> int | None:
-        """The best law; None where no law came near, or the fit failed."""
-        rows = self.document.get("ranking")
-        return rows[0]["law"] if rows else None
+        """The best of the six; None where no law came near, or the fit failed."""
+        return None if self._best is None else self._best["law"]
+
+    @property
+    def _best(self) -> Mapping[str, Any] | None:
+        return next((row for row in self.document.get("ranking", ()) if isinstance(row["law"], int)), None)
 
     @property
     def decided(self) -> bool:
         """Whether one law is left that describes the record."""
         found = (self.parameter(name) for name in SHOWN)
-        return self.law is not None and len(self.document["set"]) == 1 and all(p is None or p.trusted for p in found)
+        return (
+            self.law is not None
+            and len(self.document["set"]) + len(self.document.get("rivals", ())) == 1
+            and all(p is None or p.trusted for p in found)
+        )
 
     def parameter(self, name: str) -> Parameter | None:
         """Return a parameter of the best law; None where it has none of this name."""
-        item = None if self.law is None else self.document["ranking"][0]["parameters"].get(name)
+        item = None if self._best is None else self._best["parameters"].get(name)
         return None if item is None else _parameter(item)
 
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 
 from daq.runfile.rig import Measured, Rig
+from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import without_prior
 from fitting.estimation.fit import Fit
@@ -67,6 +68,34 @@ def _of_run(
             )
             found.append(Finding(code, text, value.value, expected.value, sigmas))
     return found
+
+
+def without_those_of_the_law(
+    contradicted: Sequence[Sequence[Finding]], rivals: Sequence[FormulaFit]
+) -> list[list[Finding]]:
+    """Return the contradictions of each run without those of rest position or damping that a rival does not have.
+
+    A wrong law moves what was stated to where its curve fits; a curve that describes the record as well or better
+    without moving it shows that the record does not contradict it.
+    """
+    return [
+        [one for one in own if not any(_agrees(fit, one.code, run) for fit in rivals)]
+        for run, own in enumerate(contradicted)
+    ]
+
+
+def _agrees(fit: FormulaFit, code: str, run: int) -> bool:
+    """Return whether a curve fits the record with a stated rest position or damping."""
+    slot = {"datum": Global.DATUM, "x0": Global.DATUM, "damping": Global.DAMPING}.get(code)
+    if slot is None:
+        return False
+    seen = fit.without_prior(slot, run)
+    if seen is None:
+        return True
+    place = PER_RUN * run + slot
+    index = fit.host.places.index(place if place in fit.host.places else slot)
+    spread = math.hypot(seen.sd, 1 / math.sqrt(float(fit.task.precision[index])))
+    return abs(seen.value - float(fit.task.prior[index])) <= SURE * spread
 
 
 def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]]) -> str:

@@ -16,16 +16,19 @@ ramp law): then the winner's extra parameter does not improve the fit.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.compute.arrays import Array, autocorrelation_time
 from daq.compute.distributions import student_quantile
+from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
-from fitting.model.parameters import PER_RUN, Global
+from fitting.law import LIMITS
 from fitting.model.problem import Run
+from fitting.model.windows import ShootingWindows
 
 NESTED = {1: (), 2: (1,), 3: (1,), 4: (3, 2, 1), 5: (1,), 6: (5, 2, 1)}  # laws that are a limit of the key
 FEWEST_CYCLES = 4
@@ -46,20 +49,68 @@ TIE = 1.0  # score: a law that is a limit of the winner, and whose evidence diff
 OPEN = 4.0
 
 
+class Residuals(Protocol):
+    """What a fit leaves of a run."""
+
+    @property
+    def windows(self) -> ShootingWindows:
+        """The windows that were fitted."""
+
+    @property
+    def residual(self) -> Array:
+        """Model minus measurement, m, (N,)."""
+
+    @property
+    def rows(self) -> tuple[slice, ...]:
+        """The residuals of each cycle."""
+
+    @property
+    def cycles(self) -> tuple[Cycle, ...]:
+        """The cycles."""
+
+
+class Candidate(Residuals, Protocol):
+    """What competes: the fit of one of the six, or of a law given as a formula."""
+
+    @property
+    def law(self) -> int | str:
+        """Its number, or the formula's name."""
+
+    @property
+    def geometric_mean_rms(self) -> float:
+        """Geometric mean of the cycles' errors, m."""
+
+    @property
+    def inlier_cycles(self) -> NDArray[np.bool_]:
+        """Which cycles fit about as well as the others."""
+
+    @property
+    def law_parameters(self) -> int:
+        """Number of the law's own shared unknowns."""
+
+    @property
+    def calibration_deviations(self) -> Array:
+        """How far unknowns are from their calibrations, in standard deviations; 0 without one."""
+
+    def for_run(self, run: int) -> Residuals:
+        """Return what is left of one run."""
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Paired evidence of laws.
 
     Attributes
     ----------
-    laws : tuple of int
+    laws : tuple of int or str
+        Numbers of the six, names of formulas.
     penalised : (laws, units) f8
         Log error of each unit, penalty included.
     samples : float
         Effective samples behind them; fewer than there are units count as one a unit.
     """
 
-    laws: tuple[int, ...]
+    laws: tuple[int | str, ...]
     penalised: Array
     samples: float = 0.0
 
@@ -91,7 +142,7 @@ def _log_error(residual: Array, motion: MeasuredMotion) -> float:
     return 0.5 * math.log(float(np.mean(residual**2)) + motion.resolution**2)
 
 
-def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
+def common_inliers(fits: Sequence[Candidate]) -> NDArray[np.bool_]:
     """Return which cycles are judged by, shape (cycles,): those that the best law describes, if these are enough.
 
     A cycle with a velocity step in its slip is described by no law, and does not help to decide between them.  Laws
@@ -107,11 +158,19 @@ def common_inliers(fits: Sequence[Fit]) -> NDArray[np.bool_]:
     return trusted if trusted.sum() >= FEWEST_CYCLES else np.ones_like(trusted)
 
 
-def _related(law: int, other: int) -> bool:
-    return law == other or law in NESTED[other] or other in NESTED[law]
+def nested(law: int | str) -> tuple[int | str, ...]:
+    """Return the laws that are a limit of this one; of a formula on either contact, and of a ramp's all."""
+    if isinstance(law, int):
+        return NESTED[law]
+    limits = LIMITS.get(law, ())
+    return (*limits, *(own + 1 for own in limits if isinstance(own, int)))
 
 
-def common_units(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> Units:
+def _related(law: int | str, other: int | str) -> bool:
+    return law == other or law in nested(other) or other in nested(law)
+
+
+def common_units(fits: Sequence[Candidate], runs: Sequence[Run], *, sustained: bool) -> Units:
     """Return the units by which laws are compared, as the best law's residuals have them.
 
     A law that a coarse fit ruled out has fewer samples in a cycle than the best; the cycle has no more units than that.
@@ -134,7 +193,7 @@ def common_units(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -
 
 
 def _judged(
-    fit: Fit, runs: Sequence[Run], inliers: NDArray[np.bool_], *, sustained: bool
+    fit: Candidate, runs: Sequence[Run], inliers: NDArray[np.bool_], *, sustained: bool
 ) -> list[tuple[MeasuredMotion, Array]]:
     """Return the residuals that are evidence, with the motion they belong to: cycle by cycle, or of each drag."""
     found = []
@@ -151,7 +210,7 @@ def _judged(
     return found
 
 
-def unit_errors(fit: Fit, runs: Sequence[Run], units: Units) -> Array:
+def unit_errors(fit: Candidate, runs: Sequence[Run], units: Units) -> Array:
     """Return the log error of every unit, run by run; shape (units,)."""
     judged = _judged(fit, runs, units.inliers, sustained=units.sustained)
     found = [
@@ -190,7 +249,7 @@ def drag_error(fits: Sequence[Fit], runs: Sequence[Run]) -> float:
     return min(errors, default=math.inf)
 
 
-def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
+def _drag_rows(fit: Residuals, drag: tuple[int, int]) -> slice:
     """Return the residuals of the start-up drag: the sine after it is the same under laws 1 and 2."""
     _, stick, first, count, *_ = fit.windows.table[0]
     if not stick or fit.cycles[0].stick != drag:
@@ -198,23 +257,19 @@ def _drag_rows(fit: Fit, drag: tuple[int, int]) -> slice:
     return slice(int(first), int(first + count))
 
 
-def penalised(fit: Fit, errors: Array, units: Units) -> Array:
+def penalised(fit: Candidate, errors: Array, units: Units) -> Array:
     """Return the log errors plus the penalties for the law's parameters and for contradicting its calibrations."""
     n = max(units.samples, errors.size)
     return errors + (fit.law_parameters * math.log(n) + prior_misfit(fit)) / (2 * n)
 
 
-def prior_misfit(fit: Fit) -> float:
+def prior_misfit(fit: Candidate) -> float:
     """Return what a fit pays for contradicting its calibrations, like a squared deviation where that is small.
 
     Student's t with 4 degrees of freedom: a calibration can be plainly wrong, and then must not decide alone.  A datum
     that was guessed is no calibration and costs nothing.
     """
-    guessed = [
-        place % PER_RUN == Global.DATUM and fit.problem.motions[place // PER_RUN].datum_prior is None
-        for place in fit.active
-    ]
-    return float(np.sum(5 * np.log1p(np.where(guessed, 0.0, fit.prior_deviations) ** 2 / 4)))
+    return float(np.sum(5 * np.log1p(fit.calibration_deviations**2 / 4)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,11 +279,11 @@ class ModelSet:
     ``behind`` is the mean paired difference of log error to the best law, with its standard error.
     """
 
-    order: tuple[int, ...]
-    members: tuple[int, ...]
-    score: dict[int, float]
-    weight: dict[int, float]
-    behind: dict[int, tuple[float, float]]
+    order: tuple[Any, ...]
+    members: tuple[Any, ...]
+    score: dict[Any, float]
+    weight: dict[Any, float]
+    behind: dict[Any, tuple[float, float]]
 
 
 def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
@@ -252,8 +307,8 @@ def model_confidence_set(evidence: Evidence, alpha: float) -> ModelSet:
     for i, law in enumerate(laws):
         difference = errors[i] - errors[winner]
         behind[law] = (float(difference.mean()), float(np.std(difference, ddof=1)) / math.sqrt(n))
-    limits = NESTED[laws[winner]]
-    alike = {law for law in laws if score[law] < (TIE if law in limits else OPEN) and laws[winner] not in NESTED[law]}
+    limits = nested(laws[winner])
+    alike = {law for law in laws if score[law] < (TIE if law in limits else OPEN) and laws[winner] not in nested(law)}
     near = {law for law in laws if behind[law][0] <= quantile * behind[law][1]} | alike
     members = [law for law in sorted(laws, key=score.__getitem__) if law in near]
     preferred = [law for law in members if law in limits]

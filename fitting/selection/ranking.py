@@ -13,15 +13,19 @@ import numpy as np
 
 from daq.errors import InputError
 from daq.runfile.rig import Measured, Rig
-from fitting.adequacy.assess import assess
+from fitting.adequacy.assess import Assessment, assess
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.data import frame
 from fitting.departures.ageing import find_ageing
 from fitting.estimation import break_aways, derived
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
-from fitting.selection import candidates, equivalence, evidence, rig_intervals, screening, verdict
-from fitting.selection.contradictions import find_contradictions, name_contradictions
+from fitting.selection import candidates, equivalence, evidence, rig_intervals, rivals, screening, verdict
+from fitting.selection.contradictions import (
+    find_contradictions,
+    name_contradictions,
+    without_those_of_the_law,
+)
 from fitting.selection.evidence import Evidence, ModelSet
 from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult
@@ -128,10 +132,18 @@ def rank(
         return _without_law(refused.reason, laws, runs, records, begun)
     fits, chosen = _judge(fits, runs, alpha, sustained=sustained)
     ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
+    assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha, _revolution(records))
+    competition = _with_rivals(fits, chosen, assessed, runs, alpha) if sustained else None
+    if competition is not None:
+        chosen = competition.chosen
+        ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
     for fit in ordered:
         member = "in the set" if fit.law in chosen.members else "not in the set"
         logger.info("law %d: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
-    assessed = assess(ordered, chosen.members, [run.motion for run in runs], len(laws), alpha, _revolution(records))
+    beaten = competition is not None and competition.beaten
+    described = not assessed.together.rejected
+    if beaten and described:
+        assessed = assessed.beaten(len(laws))
     rejected = assessed.together.rejected
     logger.info("goodness of fit: %s", assessed.together.said)
     outside = assessed.together.outside_band
@@ -148,9 +160,14 @@ def rank(
     tables = [list(own) for own in zip(*map(rig_intervals.over_the_set, by_run), strict=True)]
     rows = tuple(table[-1] for table in tables)
     contradicted = find_contradictions(ordered[0], [run.motion for run in runs], tables[0], records)
-    if not rejected:
+    if competition is not None:
+        contradicted = without_those_of_the_law(contradicted, competition.inside_band(assessed.together.curve))
+    if competition is not None and beaten and described:
+        words = verdict.rival_sentence(rows, competition)
+    elif not rejected:
         measured = all(run.motion.belt_measured for run in runs)
         words = verdict.verdict_sentence(rows, chosen.members, sustained=sustained, measured=measured, runs=len(runs))
+        words = verdict.with_rivals(words, competition)
         words = name_contradictions(words, contradicted)
     else:
         words = verdict.no_law_sentence(rows, assessed.together)
@@ -171,6 +188,7 @@ def rank(
         if aged is not None:
             adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
         side = Ranking(words, chosen.members, own, events, said, run.motion, run.cut, adequacy, findings=findings)
+        side = replace(side, rivals=() if competition is None else competition.rivals)
         sides.append(side)
     cpu_s = clock.process_time() - begun
     if len(sides) == 1:
@@ -189,7 +207,19 @@ def rank(
         cpu_s=cpu_s,
         findings=tuple(finding for side in sides for finding in side.findings),
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
+        rivals=() if competition is None else competition.rivals,
     )
+
+
+def _with_rivals(
+    fits: Sequence[Fit], chosen: ModelSet, assessed: Assessment, runs: Sequence[Run], alpha: float
+) -> rivals.Competition | None:
+    """Judge the laws beside the published forms that the measured curve prefers; None where it prefers none."""
+    curve = assessed.together.curve
+    found = [] if curve is None else rivals.fit_rivals(curve)
+    for fit in found:
+        logger.info("%s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.solution.outcome, fit.cpu_s)
+    return rivals.compete(fits, chosen, found, runs, runs[0].motion, alpha) if found else None
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:

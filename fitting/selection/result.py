@@ -11,6 +11,7 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway, Correlations, Parameter
+from fitting.selection.rivals import RivalResult
 from processing.record.finding import Finding
 
 if TYPE_CHECKING:
@@ -99,6 +100,8 @@ class Ranking:
     adequacy : Adequacy
         Of all runs together.
     cpu_s : float
+    rivals : tuple of RivalResult
+        Curves besides the six that were fitted, best first (`fitting.selection.rivals`).
     runs : tuple of Ranking
         Of several runs fitted together each run's own side: its parameters, residuals, cycles and motion.
     """
@@ -114,10 +117,11 @@ class Ranking:
     cpu_s: float = 0.0
     findings: tuple[Finding, ...] = ()
     runs: "tuple[Ranking, ...]" = ()
+    rivals: tuple[RivalResult, ...] = ()
 
     @property
     def best(self) -> LawResult:
-        """The first row; there is none where no law came near the record."""
+        """The best row of the six; there is none where no law came near the record."""
         return self.rows[0]
 
     @property
@@ -132,12 +136,21 @@ class Ranking:
                 return row
         raise KeyError(law)
 
+    @property
+    def candidates(self) -> "list[LawResult | RivalResult]":
+        """The rows of the six and of their rivals, best first: members of the set before all others."""
+        six = iter(self.rows)  # a law that is a limit of the best one may stand before it
+        found: list[LawResult | RivalResult] = [*self.rows, *self.rivals]
+        found.sort(key=lambda row: (not row.in_set, row.score))
+        return [row if isinstance(row, RivalResult) else next(six) for row in found]
+
     def as_json(self) -> dict[str, Any]:
         """Return the command's JSON document."""
         document = {
             "verdict": self.verdict,
             "set": list(self.laws_in_set),
-            "ranking": [row.as_json() for row in self.rows],
+            "rivals": [row.law for row in self.rivals if row.in_set],
+            "ranking": [row.as_json() for row in self.candidates],
             "cycles": [event.as_json() for event in self.events],
             "warnings": list(self.warnings),
             "findings": [vars(finding) for finding in self.findings],
@@ -188,7 +201,7 @@ class Ranking:
         import pandas as pd
 
         table, units = [], {}
-        for row in self.rows:
+        for row in self.candidates:
             flat = row.as_json()
             del flat["outside_band"]
             for name, item in flat.pop("parameters").items():

@@ -15,6 +15,7 @@ from fitting.departures.result import FoundDeparture
 from fitting.model.parameters import Global
 from fitting.model.problem import NARROWEST_RAMP
 from fitting.selection.result import LawResult
+from fitting.selection.rivals import Competition, RivalResult
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
@@ -111,6 +112,32 @@ def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
         head = f"none of the {which} describes this record"
     parts = [part for part in (_instead(adequacy), _left_over(best, adequacy, len(rows))) if part]
     return f"{head}: {'; '.join(parts)}"
+
+
+def rival_sentence(rows: Sequence[LawResult], competition: Competition) -> str:
+    """Return the verdict where rivals describe a record better than each of the laws, which noise may not rule out."""
+    best, rival = rows[0], competition.rivals[0]
+    which = "of the six" if len(rows) == len(LAWS) else "of the laws fitted"
+    others = [f"a {own.name} curve" for own in competition.rivals[1:] if own.in_set]
+    equal = f"; {' and '.join(others)} cannot be distinguished from it" if others else ""
+    return (
+        f"law {best.law} ({best.name}) is the best {which}; a {rival.name} curve describes the record better "
+        f"(by {competition.lead:.3g} in log evidence): {_values(rival)}{equal}"
+    )
+
+
+def with_rivals(words: str, competition: Competition | None) -> str:
+    """Return a verdict on the laws of a set that also names the rivals in it."""
+    found = [] if competition is None else [row for row in competition.rivals if row.in_set]
+    if not found:
+        return words
+    named = " or ".join(f"a {row.name} curve ({_values(row)})" for row in found)
+    return f"{words}; {named} describes the record as well"
+
+
+def _values(rival: RivalResult) -> str:
+    found = ((name, rival.parameters[name]) for name in rival.fit.formula.free)
+    return ", ".join(f"{name} = {item.value:.3g} {item.unit}".rstrip() for name, item in found)
 
 
 def _instead(adequacy: Adequacy) -> str:

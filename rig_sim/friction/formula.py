@@ -132,8 +132,12 @@ class Formula:
         """
         return self._evaluated(s, parameters, (SPEED,))[1][0]
 
-    def gradient(self, s: "Array | float", parameters: Mapping[str, float]) -> "Array":
-        """Return the derivatives by the parameters: the shape of ``s`` and one more axis, in the parameters' order.
+    def gradient(
+        self, s: "Array | float", parameters: Mapping[str, float], by: tuple[str, ...] | None = None
+    ) -> "Array":
+        """Return the derivatives by the parameters: the shape of ``s`` and one more axis, in the order of ``by``.
+
+        By all parameters, in their order, where ``by`` does not name some of them.
 
         Raises
         ------
@@ -142,7 +146,7 @@ class Formula:
         """
         import numpy as np
 
-        slopes = self._evaluated(s, parameters, self.parameters)[1]
+        slopes = self._evaluated(s, parameters, self.parameters if by is None else by)[1]
         return np.stack(slopes, axis=-1) if slopes else np.empty((*np.shape(s), 0))
 
     def _evaluated(

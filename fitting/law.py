@@ -1,0 +1,171 @@
+"""`Law`: a friction curve of one's own, or a published one by its name, to be fitted beside the six.
+
+``s`` is the slip speed, m/s; every other name of the formula is a parameter, per unit mass as Fs/m is.
+
+==========================  ================================================  =======================================
+name                        friction at slip speed s                            source
+==========================  ================================================  =======================================
+stribeck                    Fc + (Fs - Fc) exp(-s/v_s)                          A. Tustin, J. IEE 94 (1947) 143
+stribeck-viscous            ... + Fv s                                          the same
+stribeck-gaussian           Fc + (Fs - Fc) exp(-(s/v_s)^2)                      B. Armstrong-Helouvry et al. (1994)
+stribeck-gaussian-viscous   ... + Fv s                                          the same
+logarithmic                 Fs - b ln(1 + s/v_0)                                J. Dieterich, JGR 84 (1979) 2161
+power                       Fs - b (s/v_1)^p, v_1 = 1 m/s                      E. Rabinowicz (1958)
+==========================  ================================================  =======================================
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from daq.errors import InputError, nearest
+from rig_sim.friction.formula import SPEED, Formula
+
+NAME = re.compile(r"[A-Za-z][\w-]*")
+DRAWS = 3  # sets of parameters at which a formula's units are found: one would let a chance zero decide
+Bound = tuple[float | None, float | None]
+
+
+@dataclass(frozen=True)
+class Law:
+    """A friction curve as a formula of the slip speed.
+
+    Parameters
+    ----------
+    name : str
+        A letter, then letters, digits, ``_`` and ``-``.
+    formula : str
+        As `rig_sim.friction.formula` reads it.
+    ramp : bool
+        Whether slip begins beyond a ramp, as under laws 2, 4 and 6; else friction jumps.
+    start : mapping of str to float, optional
+        First values of parameters; those left out are found.
+    bounds : mapping of str to (low, high), optional
+        None for no bound.
+    fix : mapping of str to float, optional
+        Parameters that are known and not fitted.
+
+    Raises
+    ------
+    InputError
+        For a name or a formula that cannot be read, the place marked by a caret; for values that are not finite, not
+        within their bounds, or of no parameter.
+    """
+
+    name: str
+    formula: str
+    ramp: bool = field(default=False, kw_only=True)
+    start: Mapping[str, float] | None = field(default=None, kw_only=True, hash=False)
+    bounds: Mapping[str, Bound] | None = field(default=None, kw_only=True, hash=False)
+    fix: Mapping[str, float] | None = field(default=None, kw_only=True, hash=False)
+
+    def __post_init__(self) -> None:
+        """Read the formula, and refuse values that cannot be."""
+        if not NAME.fullmatch(self.name):
+            raise InputError(f"{self.name!r} is no name of a law", "law", "begin with a letter; use letters, digits, -")
+        known = self.curve.parameters
+        if not known:
+            raise InputError(f"law {self.name} has no parameter", "formula", "name at least the friction level")
+        for kind in ("start", "bounds", "fix"):
+            for name in getattr(self, kind) or {}:
+                if name not in known:
+                    what = f"{name} is no parameter of law {self.name}"
+                    raise InputError(what, kind, nearest(name, list(known)))
+        for name, (low, high) in (self.bounds or {}).items():
+            if low is not None and high is not None and not low < high:
+                raise InputError(f"bounds of {name} are {low:g} and {high:g}", "bounds", "give the lower one first")
+        for kind in ("start", "fix"):
+            for name, value in (getattr(self, kind) or {}).items():
+                low, high = self.limits(name)
+                if not (math.isfinite(value) and low <= value <= high):
+                    what = f"{name} is {value:g}, not within {low:g} and {high:g}"
+                    raise InputError(what, kind, f"give one that law {self.name} allows")
+
+    @cached_property
+    def curve(self) -> Formula:
+        """The formula as it was read."""
+        return Formula.parse(self.formula)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters that are fitted, in order of first appearance."""
+        return tuple(name for name in self.curve.parameters if name not in (self.fix or {}))
+
+    @cached_property
+    def dimensions(self) -> dict[str, tuple[int, int]]:
+        """Powers of friction and of speed in each parameter, by Euler's theorem on homogeneous functions.
+
+        Friction f has the unit of its own, so that sum a_j p_j df/dp_j = f; speeds may be counted in any unit, so that
+        sum b_j p_j df/dp_j + s df/ds = 0.  Empty where no whole powers a, b satisfy both: a number of the formula then
+        stands for a quantity with a unit.
+        """
+        import numpy as np
+
+        rng = np.random.default_rng(len(self.formula))
+        names = self.curve.parameters
+        rows, level, fall = [], [], []
+        for _ in range(DRAWS):
+            values = {name: float(rng.uniform(0.5, 2.0)) for name in names}
+            s = rng.uniform(0.1, 2.0, 4 * len(names))
+            try:
+                rows.append(self.curve.gradient(s, values) * np.array(list(values.values())))
+                level.append(self.curve.value(s, values))
+                fall.append(-s * self.curve.slope(s, values))
+            except InputError:
+                return {}
+        table = np.concatenate(rows)
+        target = np.stack((np.concatenate(level), np.concatenate(fall)), axis=1)
+        found = np.linalg.lstsq(table, target, rcond=None)[0]
+        whole = np.rint(found)
+        if not np.allclose(table @ whole, target, rtol=0.0, atol=1e-6 * float(np.abs(target).max())):
+            return {}
+        return {name: (int(a), int(b)) for name, (a, b) in zip(names, whole, strict=True)}
+
+    def unit(self, name: str, *, newtons: bool = False) -> str:
+        """Return the unit of a parameter, per unit mass or with friction in newtons; empty where it is not known."""
+        force, speed = self.dimensions.get(name, (0, 0))
+        if newtons and force == 1:
+            return {0: "N", -1: "N s/m"}.get(speed) or f"N (m/s)^{speed}"
+        words = {(0, 1): "m/s", (0, -1): "s/m"}
+        powers = (("m", force + speed), ("s", -2 * force - speed))
+        composed = " ".join(f"{base}^{power}" if power != 1 else base for base, power in powers if power)
+        return words.get((force, speed), composed)
+
+    def limits(self, name: str) -> tuple[float, float]:
+        """Return the least and the largest value of a parameter."""
+        low, high = (self.bounds or {}).get(name, (None, None))
+        return -math.inf if low is None else low, math.inf if high is None else high
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.formula}"
+
+
+def _published(name: str, formula: str, **more: Mapping[str, float]) -> Law:
+    positive = [own for own in ("Fs", "Fc", "v_s", "v_0", "p") if re.search(rf"\b{own}\b", formula)]
+    return Law(name, formula, bounds=dict.fromkeys(positive, (0.0, None)), fix=more.get("fix"))
+
+
+STRIBECK, GAUSSIAN = "Fc + (Fs - Fc)*exp(-s/v_s)", "Fc + (Fs - Fc)*exp(-(s/v_s)**2)"
+PUBLISHED = {
+    law.name: law
+    for law in (
+        _published("stribeck", STRIBECK),
+        _published("stribeck-viscous", f"{STRIBECK} + Fv*{SPEED}"),
+        _published("stribeck-gaussian", GAUSSIAN),
+        _published("stribeck-gaussian-viscous", f"{GAUSSIAN} + Fv*{SPEED}"),
+        _published("logarithmic", "Fs - b*log(1 + s/v_0)"),
+        _published("power", "Fs - b*(s/v_1)**p", fix={"v_1": 1.0}),
+    )
+}
+# Which curves are limits of a published one: jump laws of the six, and other published ones.  An exponential fall, a
+# logarithm and a power include the straight line; a Gaussian fall without a viscous term does not.
+LIMITS: dict[str, tuple[int | str, ...]] = {
+    "stribeck": (1, 3),
+    "stribeck-viscous": (1, 3, "stribeck"),
+    "stribeck-gaussian": (1,),
+    "stribeck-gaussian-viscous": (1, 3, "stribeck-gaussian"),
+    "logarithmic": (1, 3),
+    "power": (1, 3),
+}

@@ -1,0 +1,106 @@
+"""Published curves beside the six: none of them passes for one of the six alone, and true laws keep their sets."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.runfile.rig import Measured
+from fitting import job
+from fitting.curve.formula_fit import fit_formula
+from fitting.law import Law
+from fitting.selection.ranking import rank
+from processing.smoothing import smooth
+
+STRIBECK = {"curve": "stribeck", "Fs": 2.0, "Fc": 1.2, "v_s": 0.05, "Fv": 0.0, "m": 0.5, "k": 80.0, "c": 0.02}
+
+
+@pytest.fixture(scope="module")
+def seen_by_camera(contacts, synthetic, tmp_path_factory):
+    """Give a function that ranks a contact as a camera of 250 Hz shows it."""
+
+    def of(noise, seed, rig=None, **changes):
+        contact = contacts.Contact(**STRIBECK | {"belt": 0.05, "duration": 20.0, "seed": seed} | changes)
+        time = np.arange(0, contact.duration, 1 / 250)
+        position = contacts.simulate(contact, time) + np.random.default_rng(seed).normal(0, noise, time.size)
+        path: Path = tmp_path_factory.mktemp("camera") / "track.csv"
+        recording = synthetic.imported(path, time, position, 7)
+        return rank(smooth(recording), rig and replace(recording.rig, **rig))
+
+    return of
+
+
+@pytest.mark.parametrize(("power", "named"), [(1.0, "stribeck"), (2.0, "stribeck-gaussian")])
+def test_a_stribeck_contact_is_not_one_of_the_six_alone(seen_by_camera, power, named):
+    # It was "law 5, adequate" alone, with exit code 0.
+    ranking = seen_by_camera(5e-5, 3, power=power)
+    document = ranking.as_json()
+    assert named in document["rivals"]
+    assert job.exit_code(document) in (5, 6)
+    if not document["set"]:
+        assert not ranking.adequacy.adequate
+    row = next(row for row in document["ranking"] if row["law"] == named)
+    assert row["asked"] is False
+    assert row["formula"].startswith("Fc + (Fs - Fc)*exp(")
+    fall = row["parameters"]["v_s"]
+    assert abs(fall["value"] - 0.05) < 4 * fall["stderr"]
+    stiffness = row["parameters"]["k/m"]
+    assert abs(stiffness["value"] - 160.0) < 4 * stiffness["stderr"]
+    assert document["ranking"][0]["in_set"]
+    assert "stribeck" in ranking.verdict
+
+
+def test_the_true_rest_position_is_not_contradicted_where_a_rival_fits_it(seen_by_camera):
+    # Law 5 moved it: the true one was "contradicted", and the wrong law stayed.
+    ranking = seen_by_camera(5e-5, 3, rig={"x0": Measured(0.0, 1e-4)})
+    document = ranking.as_json()
+    assert document["set"] == []
+    assert "stribeck" in document["rivals"]
+    assert [one["code"] for one in document["findings"]] == []
+    found = document["ranking"][0]["parameters"]
+    for name, true in (("Fs/m", 4.0), ("Fc/m", 2.4), ("v_s", 0.05)):
+        assert abs(found[name]["value"] - true) < 4 * found[name]["stderr"]
+
+
+def test_a_law_that_the_curve_prefers_has_no_rival(ranked):
+    ranking = ranked(law=5, duration=10.0)
+    assert ranking.rivals == ()
+    document = ranking.as_json()
+    assert (document["set"], document["rivals"]) == ([5], [])
+    assert job.exit_code(document) == 0
+
+
+def test_law_5_as_a_formula_gives_what_law_5_gives(ranked):
+    row = ranked(law=5, duration=10.0).row(5)
+    curve = ranked(law=5, duration=10.0).adequacy.curve
+    p = row.fit.values
+    law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
+    found = fit_formula(law, curve.spline_fit, {"Fs": 0.9 * p.F, "gamma": 1.2 * p.shape})
+    assert found.rms == pytest.approx(row.rms_m, rel=1e-3)
+    stiffness = found.parameters(0.05)["k/m"]
+    assert stiffness.value == pytest.approx(row.parameters["k/m"].value, abs=0.1 * row.parameters["k/m"].stderr)
+    assert found.values["gamma"] == pytest.approx(p.shape, rel=1e-3)
+
+
+def test_derivatives_by_the_parameters_are_those_of_the_motion(ranked):
+    curve = ranked(law=5, duration=10.0).adequacy.curve
+    p = ranked(law=5, duration=10.0).row(5).fit.values
+    law = Law("mine", "Fs/(1 + gamma*s)", bounds={"gamma": (0.0, None)})
+    found = fit_formula(law, curve.spline_fit, {"Fs": p.F, "gamma": p.shape})
+    at, step = found.solution, 1e-5
+    for place in (at.u.size - 2, at.u.size - 1):
+        sides = []
+        for sign in (-1.0, 1.0):
+            q = at.u.copy()
+            q[place] += sign * step * max(abs(q[place]), 1.0)
+            sides.append(found.task.evaluate(q, at.local, False)[0])
+        numeric = (sides[1] - sides[0]) / (2 * step * max(abs(at.u[place]), 1.0))
+        own = found.jacobian[:, place]
+        assert np.max(np.abs(numeric - own)) < 2e-3 * np.max(np.abs(own))
+
+
+def test_a_curve_that_is_negative_is_not_fitted(ranked):
+    curve = ranked(law=5, duration=10.0).adequacy.curve
+    law = Law("mine", "Fs - G*s")
+    assert fit_formula(law, curve.spline_fit, {"Fs": 1.0, "G": 1e3}) is None
