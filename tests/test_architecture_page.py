@@ -48,14 +48,3 @@ def test_no_files_import_each_other_in_a_circle():
     imports = {name: imported_names(path, for_types=True) & set(modules) for name, path in modules.items()}
     order = graphlib.TopologicalSorter(imports)
     order.prepare()  # raises CycleError, naming the files
-
-
-def test_no_two_classes_share_a_name():
-    # Three classes were called Motion once: a traceback that named one named no place.
-    places: dict[str, list[str]] = {}
-    for package in PACKAGES:
-        for path in (ROOT / package).rglob("*.py"):
-            for statement in ast.parse(path.read_text()).body:
-                if isinstance(statement, ast.ClassDef):
-                    places.setdefault(statement.name, []).append(str(path.relative_to(ROOT)))
-    assert {name: files for name, files in places.items() if len(files) > 1} == {}
