@@ -10,10 +10,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from daq.compute.arrays import Array, Integers
 from processing.record.series import Series
 
-LEARNED = 2**17  # samples that the estimates of a longer record are made from: 40 slips of the published 376 s
-PARTS = 4  # stretches of them: each must hold some sticks and slips; with 8 of half the length slow ones are cut
+WINDOW = 2**12  # samples: the record is looked through in windows of as many
+LEAST, MOST = 2**14, 2**17  # samples that a model of a longer record is learned from
+SWINGS = 12  # to and fro, of the mass, that they hold where the record has them: 8 slips make a usual one
+PARTS = 4  # stretches of them
 ACTIVE = 0.2  # of the travel within the most active stretches: less is rest, and says nothing about sticks
-STRIDE = 4  # of the samples whose percentiles are a stretch's travel
+STRIDE = 4  # of the samples whose percentiles are a window's travel
+READ = 2**15  # samples read at a time
 SHORTEST = 16  # samples: a stretch below this is left out (third differences of fewer say little)
 
 
@@ -61,9 +64,10 @@ def representative_stretches(series: Series, most: int, parts: int = 8) -> list[
 
 
 def learning_stretches(positions: Callable[[slice], Array], n: int) -> tuple[list[slice], float]:
-    """Return the stretches of a record that its noise levels, thresholds and speeds are estimated from, and its travel.
+    """Return the stretches that the model of a record is learned from, and how far the record travels.
 
-    They are spread evenly over the parts of the record in which the mass moves.
+    They are spread evenly over the parts of the record in which the mass moves.  A mass that swings slowly needs longer
+    ones.
 
     Parameters
     ----------
@@ -75,25 +79,36 @@ def learning_stretches(positions: Callable[[slice], Array], n: int) -> tuple[lis
     Returns
     -------
     list of slice
-        In order of time, `LEARNED` samples at most.
+        In order of time, of `LEAST` to `MOST` samples together.
     float
-        Between the percentiles 1 and 99 of the positions in any stretch, m.
+        Between the percentiles 1 and 99 of the positions in any window, m.
     """
-    length = LEARNED // PARTS
-    starts = list(range(0, n, length)) if n <= LEARNED else [*range(0, n - length, length), n - length]
-    ends = [np.percentile(positions(slice(at, at + length))[::STRIDE], (1, 99)) for at in starts]
+    ends, swings = [], 0
+    for at in range(0, n, READ):
+        read = positions(slice(at, min(at + READ, n)))[::STRIDE]
+        for begin in range(0, read.size, WINDOW // STRIDE):
+            x = read[begin : begin + WINDOW // STRIDE]
+            ends.append(np.percentile(x, (1, 99)))
+            swings += _swings(x, *ends[-1])
     low, high = np.array(ends).T
     travel = float(high.max() - low.min())
-    if n <= LEARNED:
+    wanted = min(max(LEAST, round(SWINGS * n / swings) if swings else n), MOST)
+    windows = max(-(-wanted // (PARTS * WINDOW)), 1)  # of each stretch
+    slots = n // (windows * WINDOW)
+    if n <= MOST and slots < 2 * PARTS:
         return [slice(0, n)], travel
-    travels = high - low
+    low, high = (own[: slots * windows].reshape(slots, windows) for own in (low, high))
+    travels = high.max(axis=1) - low.min(axis=1)
     active = np.flatnonzero(travels >= ACTIVE * np.median(np.sort(travels)[-PARTS:]))
     picked = active[np.unique(np.linspace(0, active.size - 1, PARTS).astype(int))].tolist()
-    # The last one ends with the record, and may begin within the one before it.
-    begins = [starts[k] for k in picked]
-    if len(begins) > 1 and begins[-1] < begins[-2] + length:
-        begins[-2] = begins[-1] - length
-    return [slice(at, at + length) for at in sorted(set(begins))], travel
+    return [slice(k * windows * WINDOW, (k + 1) * windows * WINDOW) for k in picked], travel
+
+
+def _swings(x: Array, low: float, high: float) -> int:
+    """Return how often the positions go from their lower quarter, of the range low..high, to the upper one and back."""
+    side = np.sign(np.round(2 * (x - (low + high) / 2) / max(high - low, 1e-300)))
+    turns = np.diff(side[side != 0])
+    return int(min(np.count_nonzero(turns > 0), np.count_nonzero(turns < 0)))
 
 
 def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) -> tuple[int, int]:
@@ -101,11 +116,10 @@ def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) ->
 
     At rest the medians of five positions differ by ``slack``, m, at most.
     """
-    length = LEARNED // PARTS
-    starts = list(range(0, max(n - 4, 1), length))
+    starts = list(range(0, max(n - 4, 1), WINDOW))
 
     def away(at: int, rest: float) -> Integers:
-        x = positions(slice(at, min(at + length + 4, n)))
+        x = positions(slice(at, min(at + WINDOW + 4, n)))
         middle = np.median(sliding_window_view(x, 5), axis=1) if x.size >= 5 else x
         return np.flatnonzero(np.abs(middle - rest) > slack) + at + 2
 

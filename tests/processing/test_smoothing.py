@@ -14,7 +14,6 @@ import daq
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from processing import smoothing, stage
-from processing.record import stretches
 from processing.smoothing import smooth
 
 
@@ -57,8 +56,6 @@ def test_the_smoothers_agree_within_their_errors_and_find_the_same_sticks(path, 
 @pytest.mark.parametrize("block", [11_000, 40_000])
 def test_sticks_and_slips_do_not_depend_on_the_blocks(tmp_path, pulled, monkeypatch, block):
     """Creep and 18 spikes a second: noise levels of each block gave 217 to 241 slips of one published record."""
-    for module in (smoothing, stretches):
-        monkeypatch.setattr(module, "LEARNED", 2**15)
     record = pulled(40.0).recording
     store.write(tmp_path / "run.h5", record)
     whole = smooth(record)
