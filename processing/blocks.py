@@ -23,6 +23,7 @@ from processing.kalman import white_jerk
 from processing.kalman.bridge import across_faults
 from processing.methods import registry
 from processing.methods.method_model import MethodModel
+from processing.model_values import values
 from processing.record.finding import Finding
 from processing.record.motion import ROWS, BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
 from processing.record.position_steps import PositionStep, step_offsets, without_steps
@@ -183,23 +184,22 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
         Whether to look for steps of the position.
     """
     recording, data = stretches.recording, stretches.data
-    limits = sensor_faults.learn(data)
+    limits, sound = sensor_faults.learn(data)
     slack = plateaus.slack_at_rest(data.pitch, stretches.travel, limits.noise)
     moving = plateaus.motion_samples(stretches.positions, stretches.samples, slack, data.interval)
-    data = replace(data, moving=_span(data.time, stretches.number, moving))
-    bridged = sensor_faults.without_faults(data, limits).bridged
-    unit = position_steps.learn(bridged, limits.noise) if steps else 0.0
-    cleaned = _clean(recording, data, limits, unit)
-    how = registry.learn(method, cleaned.seen, setting, limits.noise)
-    belt = BeltRecord.of(recording, cleaned.sound.kept, cleaned.seen)
+    unit = position_steps.learn(sound.bridged, limits.noise) if steps else 0.0
+    seen = replace(_clean(recording, sound, unit).seen, moving=_span(data.time, stretches.number, moving))
+    how = registry.learn(method, seen, setting, limits.noise)
+    belt = BeltRecord.of(recording, sound.kept, seen)
     noise = None if belt is None else learn_noise(belt)
-    jerk = white_jerk.fit(cleaned.seen) if how.jerk is None else how.jerk
+    jerk = white_jerk.fit(seen) if how.jerk is None else how.jerk
     model = MotionModel(data.interval, moving, limits, unit, how, jerk, None, math.nan, noise)
     if how.sticks is not None:
         return replace(model, belt_speed=how.sticks.speed)
-    motion = registry.apply(cleaned.seen, how)
-    found = plateaus.learn(cleaned.seen, motion, how.stated, _belt_motion(belt, model, motion, cleaned.seen))
-    return replace(model, rule=found[0], belt_speed=found[1])
+    motion = registry.apply(seen, how)
+    rides = _belt_motion(belt, model, motion, seen)
+    rule, speed, _ = plateaus.learn(seen, motion, how.stated, rides)
+    return replace(model, rule=rule, belt_speed=speed)
 
 
 def apply(
@@ -223,8 +223,9 @@ def apply(
         Sum of the steps of the position before the first of the m samples, in its segment, m.
     """
     span = _span(data.time, low + np.arange(data.time.size), model.moving)
-    cleaned = _clean(recording, replace(data, interval=model.interval, moving=span), model.limits, model.step_unit)
-    data, seen, sound, offset = cleaned.data, cleaned.seen, cleaned.sound, cleaned.offset
+    sound = sensor_faults.without_faults(replace(data, interval=model.interval, moving=span), model.limits)
+    cleaned = _clean(recording, sound, model.step_unit)
+    data, seen, offset = cleaned.data, cleaned.seen, cleaned.offset
     motion = registry.apply(seen, model.method)
     belt = _belt_motion(BeltRecord.of(recording, sound.kept, seen), model, motion, seen)
     found = _phases(recording, seen, motion, belt, model)
@@ -321,6 +322,7 @@ def join(
         ),
         "noise": model.limits.noise,
         "repaired": fixed and bool(steps),
+        "model": values(model),
     }
 
 
@@ -345,9 +347,8 @@ def _span(time: Array, number: Integers, moving: tuple[int, int]) -> tuple[float
     return begin, end
 
 
-def _clean(recording: "Recording", data: Series, limits: sensor_faults.FaultLimits, unit: float) -> _Cleaned:
-    """Find faults and steps of the position, and take them out."""
-    sound = sensor_faults.without_faults(data, limits)
+def _clean(recording: "Recording", sound: sensor_faults.SoundRecord, unit: float) -> _Cleaned:
+    """Find steps of the position in a record without faults, and take them out."""
     found = position_steps.position_steps(sound.bridged, unit) if unit else ()
     steps = tuple(step for step in found if sound.kept[step.first : step.last + 1].all())
     offset = step_offsets(recording.segment, steps)

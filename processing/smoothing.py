@@ -7,7 +7,7 @@ are never looked at here.
 
 import logging
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,8 +20,9 @@ from daq.errors import InputError, nearest
 from daq.runfile import store
 from daq.runfile.nexus import EVERY
 from processing import belt_motion, blocks, stage
-from processing.blocks import BlockFindings, Stretches
+from processing.blocks import BlockFindings, MotionModel, Stretches
 from processing.methods import registry
+from processing.model_values import restored
 from processing.record import import_grid, series
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.series import Series
@@ -47,6 +48,7 @@ def smooth(
     times: str = "recorded",
     belt_speed: float | str = "auto",
     repair_counts: str = "flag",
+    model: Mapping[str, Any] | None = None,
 ) -> Kinematics:
     """Rebuild position, velocity and acceleration from a recording.
 
@@ -72,6 +74,9 @@ def smooth(
         (`processing.defects.position_steps`): not to look for them; to mark them, and leave
         the position as it was counted; or to mark them and put them back.  Where they are looked for, velocity and
         acceleration are those of the motion on either side, without the jump of the count.
+    model : mapping, optional
+        `Kinematics.model` of an earlier smoothing, applied as it is: nothing is learned, and method, window, order and
+        belt speed are its own.
 
     Returns
     -------
@@ -93,11 +98,14 @@ def smooth(
     data = series.from_recording(recording, times)
     setting = _setting(window, order, belt_speed, data, recording.unit)
     n, positions = data.time.size, recording.position.__getitem__
-    picked, travel = learning_stretches(positions, n)
-    stretches = _joined([_part(recording, data, own) for own in picked], picked, positions, n, travel)
-    model = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
-    block = blocks.apply(recording, data, slice(0, n), 0, model, repair=repair_counts)
-    header = blocks.join(model, [block.found], recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
+    if model:
+        known = restored(MotionModel, model)
+    else:
+        picked, travel = learning_stretches(positions, n)
+        stretches = _joined([_part(recording, data, own) for own in picked], picked, positions, n, travel)
+        known = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
+    block = blocks.apply(recording, data, slice(0, n), 0, known, repair=repair_counts)
+    header = blocks.join(known, [block.found], recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
     columns: dict[str, Any] = block.columns
     made = Kinematics(
         recording=recording,

@@ -68,9 +68,10 @@ def learn(series: Series, noise: float) -> float:
 
     ``noise`` is the standard deviation of a position, m.
     """
-    unit = series.pitch or PER_NOISE * noise
-    found = _found(series, unit)
-    return unit if series.pitch or not found or _is_datum(series, found) else 0.0
+    if series.pitch:
+        return series.pitch
+    unit = PER_NOISE * noise
+    return unit if _is_datum(series, _found(series, unit)) else 0.0
 
 
 def position_steps(series: Series, unit: float) -> tuple[PositionStep, ...]:

@@ -77,8 +77,8 @@ class SoundRecord:
     bridged: Series
 
 
-def learn(series: Series) -> FaultLimits:
-    """Return the limits of a record."""
+def learn(series: Series) -> tuple[FaultLimits, SoundRecord]:
+    """Return the limits of a record, and the record without its faults."""
     step = reading_step(series)
     spread = noise = position_noise(series)
     left = without_faults(series, FaultLimits(step, spread, noise))
@@ -88,7 +88,7 @@ def learn(series: Series) -> FaultLimits:
             break
         spread = noise
         left = without_faults(series, FaultLimits(step, spread, noise))
-    return FaultLimits(step, spread, noise)
+    return FaultLimits(step, spread, noise), left
 
 
 def without_faults(series: Series, limits: FaultLimits) -> SoundRecord:

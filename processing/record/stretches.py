@@ -10,10 +10,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 from daq.compute.arrays import Array, Integers
 from processing.record.series import Series
 
-WINDOW = 2**12  # samples: the record is looked through in windows of as many
-LEAST, MOST = 2**14, 2**17  # samples that a model of a longer record is learned from
-SWINGS = 12  # to and fro, of the mass, that they hold where the record has them: 8 slips make a usual one
-PARTS = 4  # stretches of them
+WINDOW = 2**11  # samples: stretches are so long, or multiples of it
+LEAST, MOST = 2**14, 2**17  # samples that the model of a longer record is learned from
+SHARE = 1 / 8  # of a record, between those: it costs little, and a record changes
+SWINGS = 8  # slips, or swings to and fro, that they hold where the record has them: fewer make no usual one
+PARTS, PART = 4, 2**13  # stretches of them at most, and samples of one at least
 ACTIVE = 0.2  # of the travel within the most active stretches: less is rest, and says nothing about sticks
 STRIDE = 4  # of the samples whose percentiles are a window's travel
 READ = 2**15  # samples read at a time
@@ -85,22 +86,22 @@ def learning_stretches(positions: Callable[[slice], Array], n: int) -> tuple[lis
     """
     ends, swings = [], 0
     for at in range(0, n, READ):
-        read = positions(slice(at, min(at + READ, n)))[::STRIDE]
-        for begin in range(0, read.size, WINDOW // STRIDE):
-            x = read[begin : begin + WINDOW // STRIDE]
-            ends.append(np.percentile(x, (1, 99)))
-            swings += _swings(x, *ends[-1])
-    low, high = np.array(ends).T
+        x = positions(slice(at, min(at + READ, n)))[::STRIDE]
+        whole = x[: x.size // (WINDOW // STRIDE) * (WINDOW // STRIDE)].reshape(-1, WINDOW // STRIDE)
+        ends += [np.percentile(own, (1, 99), axis=-1).T for own in (whole, x[whole.size :]) if own.size]
+        swings += _swings(x, *np.percentile(x, (1, 99)))
+    low, high = np.vstack(ends).T
     travel = float(high.max() - low.min())
-    wanted = min(max(LEAST, round(SWINGS * n / swings) if swings else n), MOST)
-    windows = max(-(-wanted // (PARTS * WINDOW)), 1)  # of each stretch
+    wanted = min(max(LEAST, round(SHARE * n), round(SWINGS * n / swings) if swings else n), MOST)
+    parts = min(wanted // PART, PARTS)
+    windows = -(-wanted // (parts * WINDOW))  # of each stretch
     slots = n // (windows * WINDOW)
-    if n <= MOST and slots < 2 * PARTS:
+    if slots <= parts:
         return [slice(0, n)], travel
     low, high = (own[: slots * windows].reshape(slots, windows) for own in (low, high))
     travels = high.max(axis=1) - low.min(axis=1)
-    active = np.flatnonzero(travels >= ACTIVE * np.median(np.sort(travels)[-PARTS:]))
-    picked = active[np.unique(np.linspace(0, active.size - 1, PARTS).astype(int))].tolist()
+    active = np.flatnonzero(travels >= ACTIVE * np.median(np.sort(travels)[-parts:]))
+    picked = active[np.unique(np.linspace(0, active.size - 1, parts).astype(int))].tolist()
     return [slice(k * windows * WINDOW, (k + 1) * windows * WINDOW) for k in picked], travel
 
 

@@ -27,7 +27,7 @@ import numpy as np
 from daq.compute.arrays import Array, Mask, runs
 from daq.runfile.rig import Measured
 from processing.kalman import white_jerk
-from processing.record.motion import BeltMotion, Motion, PhaseSegmentation
+from processing.record.motion import BeltMotion, Motion, Phase, PhaseSegmentation
 from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.stretches import moving_samples
@@ -126,8 +126,8 @@ class _Search:
 
 def learn(
     series: Series, motion: Motion, stated: float | None = None, belt: BeltMotion | None = None
-) -> tuple[PlateauRule, float]:
-    """Return the rule of a record, and the speed of its belt by its sticks, m/s (NaN without a stick).
+) -> tuple[PlateauRule, float, tuple[Phase, ...]]:
+    """Return the rule of a record, the speed of its belt by its sticks, m/s (NaN without one), and sticks and slips.
 
     Parameters
     ----------
@@ -148,10 +148,10 @@ def learn(
     rule = replace(rule, speed=common, fastest=usual_fastest(series, sticks, apart))
     sticks = without_creep(series, sticks, apart, rule.fastest)
     if sticks and _is_overtaken(search, common, sticks):
-        return replace(rule, speed=math.nan), math.nan
+        return replace(rule, speed=math.nan), math.nan, phases_from_sticks(series, moving, [])
     phases = phases_from_sticks(series, moving, sticks)
     held = [search.rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
-    return rule, speed_before_creep(held, motion.window, common)
+    return rule, speed_before_creep(held, motion.window, common), phases
 
 
 def segment(

@@ -122,8 +122,8 @@ def learn(
     StickSlip or None
         None where there is no stick, or none that model selection accepts.
     """
-    rule, level = plateaus.learn(series, pilot, stated)
-    first = initial_switching_times(series, plateaus.segment(series, pilot, rule, level, stated=stated))
+    rule, _, phases = plateaus.learn(series, pilot, stated)
+    first = initial_switching_times(series, phases)
     if not first.at.size:
         return rule, None
     workspace, needed = Workspace(), bic_penalty(series.time.size)
@@ -168,7 +168,7 @@ def apply(
     if not series.time.size:
         return pilot
     workspace = Workspace()
-    first = initial_switching_times(series, plateaus.segment(series, pilot, rule, model.speed, stated=stated))
+    first = initial_switching_times(series, plateaus.segment(series, pilot, rule, model.speed, stated=stated).phases)
     _, early = _looked_for(series, workspace, replace(first, unit=model.slip), model.first, model.misfit)
     corners = _placed(series, workspace, early, model)
     times = corners.times
