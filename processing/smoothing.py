@@ -27,7 +27,7 @@ from processing.record import import_grid, series
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.series import Series
 from processing.record.setting import Setting, parse_belt_speed, parse_window
-from processing.record.stretches import learning_stretches
+from processing.record.stretches import survey
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -96,14 +96,11 @@ def smooth(
     begun = clock.process_time()
     _check(method, repair_counts)
     data = series.from_recording(recording, times)
-    setting = _setting(window, order, belt_speed, data, recording.unit)
-    n, positions = data.time.size, recording.position.__getitem__
+    n, asked = data.time.size, (method, window, order, belt_speed, repair_counts)
     if model:
         known = restored(MotionModel, model)
     else:
-        picked, travel = learning_stretches(positions, n)
-        stretches = _joined([_part(recording, data, own) for own in picked], picked, positions, n, travel)
-        known = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
+        known, _ = _learn(lambda own: _part(recording, data, own), recording.position.__getitem__, n, *asked)
     block = blocks.apply(recording, data, slice(0, n), 0, known, repair=repair_counts)
     header = blocks.join(known, [block.found], recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
     columns: dict[str, Any] = block.columns
@@ -154,12 +151,8 @@ def smooth_file(
     _check(method, repair_counts)
     with store.reading(path, own) as run:
         n = run.samples
-        picked, travel = learning_stretches(run.positions, n)
-        stretches = _joined([_read(run, part, times) for part in picked], picked, run.positions, n, travel)
-        recording = stretches.recording
-        setting = _setting(window, order, belt_speed, stretches.data, recording.unit)
-        model = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
-        del stretches
+        asked = method, window, order, belt_speed, repair_counts
+        model, recording = _learn(lambda part: _read(run, part, times), run.positions, n, *asked)
     margin = min(max(MARGIN, 2 * model.window), BLOCK)
     belt = belt_motion.has_belt_encoder(recording)
     found: list[BlockFindings] = []
@@ -207,6 +200,33 @@ def _check(method: str, repair_counts: str) -> None:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
 
 
+def _learn(
+    read: "Callable[[slice], tuple[Recording, Series]]",
+    positions: Callable[[slice], Array],
+    n: int,
+    method: str,
+    window: int | str,
+    order: int | None,
+    belt_speed: float | str,
+    repair_counts: str,
+) -> "tuple[MotionModel, Recording]":
+    """Return the model of a record of n samples, and the stretches that it was learned from.
+
+    ``read`` returns some of the samples, ``positions`` their positions alone, m.
+    """
+    seen = survey(positions, n)
+    wanted = Setting(None if window == "auto" else 0, order)
+    for least in registry.samples_learned(method, wanted):
+        picked = seen.stretches(least)
+        stretches = _joined([read(own) for own in picked], picked, positions, n, seen.travel)
+        recording, data = stretches.recording, stretches.data
+        setting = _setting(window, order, belt_speed, data, recording.unit)
+        model = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
+        if model.method.sticks is not None or data.time.size == n:
+            break
+    return model, recording
+
+
 def _setting(window: int | str, order: int | None, belt_speed: float | str, data: Series, unit: str) -> Setting:
     speed = parse_belt_speed(belt_speed)
     if speed is not None and unit != "m":
@@ -235,7 +255,9 @@ def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording,
         segment=recording.segment[own],
         belt_count=None if belt is None else belt[own],
     )
-    return part, series.from_recording(part)
+    kept = np.zeros(data.time.size, bool)
+    kept[own] = True
+    return part, data.taken(kept)
 
 
 def _joined(

@@ -19,7 +19,7 @@ from processing.record.motion import Motion
 from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting
-from processing.record.stretches import learning_stretches
+from processing.record.stretches import LEAST, MOST, survey
 
 METHODS = {
     "auto": "processing.methods.smoothers",
@@ -71,10 +71,20 @@ def apply(series: Series, model: MethodModel) -> Motion:
 
 def estimate(name: str, series: Series, setting: Setting) -> Motion:
     """Rebuild the motion of a record: learn from stretches that represent it, and apply that to all of it."""
-    kept = np.zeros(series.time.size, bool)
-    for own in learning_stretches(series.position.__getitem__, series.time.size)[0]:
-        kept[own] = True
-    return apply(series, learn(name, series if kept.all() else series.taken(kept), setting))
+    seen = survey(series.position.__getitem__, series.time.size)
+    for least in samples_learned(name, setting):
+        kept = np.zeros(series.time.size, bool)
+        for own in seen.stretches(least):
+            kept[own] = True
+        model = learn(name, series if kept.all() else series.taken(kept), setting)
+        if model.sticks is not None or kept.all():
+            break
+    return apply(series, model)
+
+
+def samples_learned(name: str, setting: Setting) -> tuple[int, ...]:
+    """Return how many samples a method learns from at least: more where few show no sticks that it accepts."""
+    return (LEAST, MOST) if resolve(name, setting) in ("auto", "segment") else (MOST,)
 
 
 def _module(method: str) -> Method:

@@ -17,10 +17,9 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from processing.kalman import white_jerk
-from processing.methods import smoothers
+from processing.methods import registry
 from processing.polynomial.even_fit import coefficients, convolved
 from processing.polynomial.even_grid import even_grid
-from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting, longest_piece
 from processing.record.stretches import representative_stretches
@@ -64,7 +63,7 @@ def choose(series: Series, order: int | None = None) -> WindowChoice:
         degree = 4 if order is None else order
         return WindowChoice(_within(max(41, degree + 1 | 1), degree, limit), degree, 0.0)
     noise = white_jerk.fit(series)
-    motion = smoothers.apply(series, smoothers.learn("auto", series, Setting(), position_noise(series)))
+    motion = registry.estimate("auto", series, Setting())
     goals = [_velocity_on_grid(series.time[own], motion.velocity[own], motion.acceleration[own]) for own in stretches]
     orders = (order,) if order is not None else ORDERS
     window, degree = _closest(grids, goals, math.log(noise.rho(series.interval)), orders)

@@ -2,6 +2,7 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,10 +12,10 @@ from daq.compute.arrays import Array, Integers
 from processing.record.series import Series
 
 WINDOW = 2**11  # samples: stretches are so long, or multiples of it
-LEAST, MOST = 2**14, 2**17  # samples that the model of a longer record is learned from
+LEAST, MOST = 11 * 2**11, 2**17  # samples that the model of a longer record is learned from
+PART = 2**15  # samples of one stretch of them at least: the sticks that its ends cut are odd ones
 SHARE = 1 / 8  # of a record, between those: it costs little, and a record changes
 SWINGS = 8  # slips, or swings to and fro, that they hold where the record has them: fewer make no usual one
-PARTS, PART = 4, 2**13  # stretches of them at most, and samples of one at least
 ACTIVE = 0.2  # of the travel within the most active stretches: less is rest, and says nothing about sticks
 STRIDE = 4  # of the samples whose percentiles are a window's travel
 READ = 2**15  # samples read at a time
@@ -64,26 +65,43 @@ def representative_stretches(series: Series, most: int, parts: int = 8) -> list[
     return [own for own in inside if own.stop - own.start >= SHORTEST]
 
 
-def learning_stretches(positions: Callable[[slice], Array], n: int) -> tuple[list[slice], float]:
-    """Return the stretches that the model of a record is learned from, and how far the record travels.
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """How a record of n samples moves: the percentiles 1 and 99 of the positions in each window, m, and its swings."""
 
-    They are spread evenly over the parts of the record in which the mass moves.  A mass that swings slowly needs longer
-    ones.
+    low: Array
+    high: Array
+    swings: int
+    n: int
 
-    Parameters
-    ----------
-    positions : callable
-        Returns the positions of a slice of samples, m.
-    n : int
-        Samples of the record.
+    @property
+    def travel(self) -> float:
+        """How far the record travels, m."""
+        return float(self.high.max() - self.low.min())
 
-    Returns
-    -------
-    list of slice
-        In order of time, of `LEAST` to `MOST` samples together.
-    float
-        Between the percentiles 1 and 99 of the positions in any window, m.
-    """
+    def stretches(self, least: int) -> list[slice]:
+        """Return the stretches that the model of the record is learned from, in order of time.
+
+        They are spread evenly over the parts of the record in which the mass moves, and have ``least`` to `MOST`
+        samples together: of a record that swings slowly, and of a long one, more.
+        """
+        slow = round(SWINGS * self.n / self.swings) if self.swings else self.n
+        wanted = min(max(least, round(SHARE * self.n), slow), MOST)
+        parts = max(wanted // PART, 1)
+        windows = -(-wanted // (parts * WINDOW))  # of each stretch
+        slots = self.n // (windows * WINDOW)
+        if slots <= parts:
+            return [slice(0, self.n)]
+        low, high = (own[: slots * windows].reshape(slots, windows) for own in (self.low, self.high))
+        travels = high.max(axis=1) - low.min(axis=1)
+        active = np.flatnonzero(travels >= ACTIVE * np.median(np.sort(travels)[-parts:]))
+        middles = (np.arange(parts) + 0.5) / parts  # of equal parts of what moves
+        picked = np.unique(active[(middles * active.size).astype(int)]).tolist()
+        return [slice(k * windows * WINDOW, (k + 1) * windows * WINDOW) for k in picked]
+
+
+def survey(positions: Callable[[slice], Array], n: int) -> Survey:
+    """Look through a record; ``positions`` returns those of a slice of its n samples, m."""
     ends, swings = [], 0
     for at in range(0, n, READ):
         x = positions(slice(at, min(at + READ, n)))[::STRIDE]
@@ -91,18 +109,7 @@ def learning_stretches(positions: Callable[[slice], Array], n: int) -> tuple[lis
         ends += [np.percentile(own, (1, 99), axis=-1).T for own in (whole, x[whole.size :]) if own.size]
         swings += _swings(x, *np.percentile(x, (1, 99)))
     low, high = np.vstack(ends).T
-    travel = float(high.max() - low.min())
-    wanted = min(max(LEAST, round(SHARE * n), round(SWINGS * n / swings) if swings else n), MOST)
-    parts = min(wanted // PART, PARTS)
-    windows = -(-wanted // (parts * WINDOW))  # of each stretch
-    slots = n // (windows * WINDOW)
-    if slots <= parts:
-        return [slice(0, n)], travel
-    low, high = (own[: slots * windows].reshape(slots, windows) for own in (low, high))
-    travels = high.max(axis=1) - low.min(axis=1)
-    active = np.flatnonzero(travels >= ACTIVE * np.median(np.sort(travels)[-parts:]))
-    picked = active[np.unique(np.linspace(0, active.size - 1, parts).astype(int))].tolist()
-    return [slice(k * windows * WINDOW, (k + 1) * windows * WINDOW) for k in picked], travel
+    return Survey(low, high, swings, n)
 
 
 def _swings(x: Array, low: float, high: float) -> int:

@@ -52,7 +52,13 @@ from processing.segmentation.model_selection import (
     learn_gate,
     odd_spans,
 )
-from processing.segmentation.noise_levels import Workspace, first_levels, reestimate_noise, smooth_stretch
+from processing.segmentation.noise_levels import (
+    Workspace,
+    first_levels,
+    label_stretch,
+    reestimate_noise,
+    smooth_stretch,
+)
 from processing.segmentation.phase_layout import speed_of_sticks, sticks_at_corners
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, sticks_of, stretches
@@ -145,12 +151,14 @@ def learn(
                 return rule, None
             return learn(series.taken(others), noise, pilot.taken(others), stated, gated=True)
         times, levels, gate = kept
-    motion, stick = _run(series, workspace, times, -1.0, levels)  # as `_averaged` does
-    line = _line_factor(_straighten(series, stick, times.unit, levels, motion, 1.0))
-    motion, stick = _run(series, workspace, times, 0.0, levels)
+    motion, stick = _run(series, workspace, times, levels)
     _straighten(series, stick, times.unit, levels, motion, 1.0)
     sticks = sticks_at_corners(series, _corners(series, times))
     speed = speed_of_sticks(series, sticks, motion[1], pilot.window)
+    lined = _shifted(times, -1.0)  # the lines are those of `_averaged`
+    for stretch in stretches(series, lined):
+        stick[stretch.own] = label_stretch(series, lined, stretch) == STICK
+    line = _line_factor(_straighten(series, stick, times.unit, levels, motion, 1.0))
     return rule, replace(found, levels=levels, gate=gate, line=line, speed=speed)
 
 
@@ -243,9 +251,9 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model
     H = 1/(1 + w^8), the two variances are the integrals of w^(2d) H^2 and of w^(2d) H, and their ratio is
     1 - (2 d + 1)/8 in the d-th derivative.
     """
-    early, stick = _run(series, workspace, times, -1.0, model.levels)
+    early, stick = _run(series, workspace, _shifted(times, -1.0), model.levels)
     _straighten(series, stick, times.unit, model.levels, early, model.line)
-    late, stick_late = _run(series, workspace, times, 1.0, model.levels)
+    late, stick_late = _run(series, workspace, _shifted(times, 1.0), model.levels)
     line = stick & stick_late
     for derivative in range(3):  # one at a time, so that what is computed on the way stays in the processor's cache
         share = 1 - (2 * derivative + 1) / 8
@@ -269,10 +277,13 @@ def _corners(series: Series, times: SwitchingTimes) -> list[Corner]:
     return sorted(found, key=lambda corner: corner.time)
 
 
-def _run(
-    series: Series, workspace: Workspace, times: SwitchingTimes, shift: float, levels: NoiseLevels
-) -> tuple[Array, Mask]:
-    """Smooth with the switching times moved by ``shift`` standard deviations, in order still.
+def _shifted(times: SwitchingTimes, shift: float) -> SwitchingTimes:
+    """Return the switching times moved by ``shift`` standard deviations, in order still."""
+    return replace(times, at=np.maximum.accumulate(times.at + shift * times.sd))
+
+
+def _run(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> tuple[Array, Mask]:
+    """Smooth with the switching times as they are.
 
     Returns
     -------
@@ -280,7 +291,6 @@ def _run(
         x, v, a and their variances.
     stick : array of bool, shape (n,)
     """
-    times = replace(times, at=np.maximum.accumulate(times.at + shift * times.sd))
     motion, stick = np.empty((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:
         if piece.stop - piece.start < white_jerk.SHORT:
