@@ -70,6 +70,22 @@ def test_sticks_and_slips_do_not_depend_on_the_blocks(tmp_path, pulled, monkeypa
     assert summary.noise == pytest.approx(whole.noise, rel=1e-6)
 
 
+@pytest.mark.parametrize("block", [9000, 20_000])
+@pytest.mark.parametrize("law", [3, 6])
+def test_the_velocity_in_blocks_is_that_of_the_whole(tmp_path, motion, run_data, monkeypatch, law, block):
+    """In a block the procedure of learning ran again with remembered results: ends of sticks differed by 4 samples."""
+    store.write(tmp_path / "run.h5", run_data(motion(law, 40.0)))
+    whole = smooth(daq.load(tmp_path / "run.h5"))
+    monkeypatch.setattr(smoothing, "BLOCK", block)
+    summary = smoothing.smooth_file(tmp_path / "run.h5")
+    found = stage.load(tmp_path / "run.h5")
+    assert [(own.first, own.last) for own in summary.sticks] == [(own.first, own.last) for own in whole.sticks]
+    assert len(whole.sticks) > 15
+    apart = np.abs(found.velocity - whole.velocity) / whole.velocity_errors
+    assert np.quantile(apart, 0.999) < 1e-9
+    assert apart.max() < 1e-6
+
+
 @pytest.mark.parametrize("repair", ["flag", "fix"])
 def test_lost_counts_are_carried_from_block_to_block(tmp_path, motion, run_data, small_blocks, repair):
     data = run_data(motion(5, 20.0, start=0.5))
