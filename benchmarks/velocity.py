@@ -26,13 +26,13 @@ import numpy as np
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
+import processing
 import rig_sim
 from daq.compute.arrays import pieces
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Measured, Rig
 from processing import smoothing, stage
-from processing.defects import position_steps
 from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.methods import window_choice as windows
@@ -310,11 +310,11 @@ def losses(seed: int) -> dict[str, float]:
         at = np.sort(rng.choice(clear, 40, replace=False))
         lost = sum(size * np.clip((np.arange(60_000) - k + 1) / width, 0, 1) for k in at)
         count = np.floor(bench.x / bench.pitch + lost).astype(np.int64)
-        seen = position_steps.position_steps(bench.series(count=count))
+        seen = processing.smooth(bench.run(count), "fd").losses
         right = [k for k in at if any(abs(loss.first - k) <= 5 and abs(loss.counts - size) <= 1 for loss in seen)]
         found[f"{size} counts over {width}"] = len(right) / at.size
     found["false in 5 clean minutes"] = sum(
-        len(position_steps.position_steps(Bench(seed + k, 7.67e-6, 30e-6).series())) for k in range(5)
+        len(processing.smooth(Bench(seed + k, 7.67e-6, 30e-6).run(), "fd").losses) for k in range(5)
     )
     return found
 

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from velocity import CASES, Bench, chosen_windows, scenes
 
-from processing.defects import position_steps, velocity_steps
+import processing
+from processing.defects import velocity_steps
 from processing.methods import registry
 from processing.record.setting import Setting
-from processing.segmentation import plateaus
 
 RESULTS = Path(__file__).resolve().parent / "results"
 RMS = {"7.67 um, no jitter": 0.07, "7.67 um + 30 us": 0.07, "50 um + 30 us": 0.22}
@@ -82,9 +82,7 @@ def _sticks(bench: Bench) -> int:
 
 
 def _found(bench: Bench, times: str = "recorded", method: str = "auto") -> int:
-    data = bench.series(times)
-    motion = registry.estimate(method, data, Setting())
-    return sum(phase.kind == "stick" and phase.duration > 0.03 for phase in plateaus.segment(data, motion).phases)
+    return sum(stick.duration > 0.03 for stick in processing.smooth(bench.run(), method, times=times).sticks)
 
 
 def sticks(seed: int) -> tuple[Row, Limits]:
@@ -119,7 +117,7 @@ def losses(seed: int) -> tuple[Row, Limits]:
         at = np.linspace(150, 59_400, 150).astype(int) + rng.integers(0, 300, 150)
         lost = sum(size * np.clip((np.arange(60_000) - k + 1) / width, 0, 1) for k in at)
         count = np.floor(bench.x / bench.pitch + lost).astype(np.int64)
-        seen = position_steps.position_steps(bench.series(count=count))
+        seen = processing.smooth(bench.run(count), "fd").losses
         found = [min(seen, key=lambda loss, k=k: abs(loss.first - k), default=None) for k in at]
         hit = np.array([own is not None and abs(own.first - k) <= 6 for own, k in zip(found, at, strict=True)])
         clear = np.array([np.abs(bench.landings - bench.time[k]).min() > 0.03 for k in at])
@@ -130,7 +128,7 @@ def losses(seed: int) -> tuple[Row, Limits]:
         limits[f"{name}: size right"] = (0.95, 1.0)
         row[f"{name}: false"], limits[f"{name}: false"] = float(len(seen) - hit.sum()), (0.0, 0.0)
     clean = [Bench(100 * seed + k, pitch, 30e-6) for k in range(5) for pitch in (7.67e-6, 50e-6)]
-    row["false in 10 clean minutes"] = float(sum(len(position_steps.position_steps(own.series())) for own in clean))
+    row["false in 10 clean minutes"] = float(sum(len(processing.smooth(own.run(), "fd").losses) for own in clean))
     limits["false in 10 clean minutes"] = (0.0, 0.0)
     return row, limits
 

@@ -4,7 +4,7 @@ The relative motion is smoothed as one record, the difference of both: in stick 
 and what a filter blurs at a corner it blurs in both alike.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,10 +12,10 @@ import numpy as np
 from daq.compute.arrays import Mask
 from processing.kalman import white_jerk
 from processing.methods import registry
-from processing.record.estimates import RecordEstimates
+from processing.methods.method_model import MethodModel
 from processing.record.motion import BeltMotion, Motion
+from processing.record.noise import position_noise
 from processing.record.series import Series
-from processing.record.setting import Setting
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -27,10 +27,45 @@ def has_belt_encoder(recording: "Recording") -> bool:
     return recording.belt_count is not None and rig.belt_metres_per_count is not None and recording.unit == "m"
 
 
-def smooth_belt(
-    recording: "Recording", kept: Mask, series: Series, motion: Motion, estimates: RecordEstimates
-) -> BeltMotion | None:
-    """Return the belt of a recording; None without a channel or a common unit.
+@dataclass(frozen=True, eq=False)
+class BeltRecord:
+    """The counts of a belt as a record, and the positions of the mass seen from it, of the same n samples."""
+
+    belt: Series
+    relative: Series
+
+    @classmethod
+    def of(cls, recording: "Recording", kept: Mask, series: Series) -> "BeltRecord | None":
+        """Return the belt of a recording; None without a channel or a common unit.
+
+        ``kept`` is True for the samples of the run that are in ``series``, its positions made ready.
+        """
+        pitch = recording.rig.belt_metres_per_count
+        if not has_belt_encoder(recording) or recording.belt_count is None or pitch is None:
+            return None
+        travel = (recording.belt_count[kept] - recording.belt_count[0]) * pitch.value
+        both = float(np.hypot(series.pitch, pitch.value))
+        return cls(
+            replace(series, position=travel, origin=0.0, pitch=abs(pitch.value)),
+            replace(series, position=series.position - travel, origin=0.0, pitch=both),
+        )
+
+
+@dataclass(frozen=True)
+class BeltNoise:
+    """Standard deviations of a position of the belt and of the mass seen from it, m."""
+
+    belt: float
+    relative: float
+
+
+def learn_noise(record: BeltRecord) -> BeltNoise:
+    """Return the noise of a record."""
+    return BeltNoise(position_noise(record.belt), position_noise(record.relative))
+
+
+def smooth_belt(record: BeltRecord, noise: BeltNoise, motion: Motion, model: MethodModel, pitch: float) -> BeltMotion:
+    """Return the motion of the belt, and that of the mass relative to it.
 
     Savitzky-Golay and differences take the belt as they took the mass; for the others it is
     `processing.kalman.white_jerk` with the mass's own jerk, as a belt knows no corners, or softer ones.  The mass seen
@@ -38,37 +73,21 @@ def smooth_belt(
 
     Parameters
     ----------
-    recording : Recording
-        The run.
-    kept : array of bool, shape (n,)
-        True for the m samples of the run that are in the series.
-    series : Series
-        Its positions, made ready.
+    record, noise : BeltRecord, BeltNoise
+        The belt of a record or of a block of it, and the noise of the record.
     motion : Motion
-        What a method made of the positions.
-    estimates : RecordEstimates
-        Those that the method used; the belt's become a part of them.
+        What a method made of the positions of the mass.
+    model : MethodModel
+        What that method learned.
+    pitch : float
+        Of the positions of the mass, m; 0 for a record without counts.
     """
-    pitch = recording.rig.belt_metres_per_count
-    if not has_belt_encoder(recording) or recording.belt_count is None or pitch is None:
-        return None
-    travel = (recording.belt_count[kept] - recording.belt_count[0]) * pitch.value
-    own = replace(series, position=travel, origin=0.0, pitch=abs(pitch.value))
-    seen = replace(
-        series, position=series.position - travel, origin=0.0, pitch=float(np.hypot(series.pitch, pitch.value))
-    )
-    if motion.method == "fd":
-        belt, relative = (
-            registry.estimate("fd", other, Setting(), estimates.part(name))
-            for name, other in (("belt", own), ("relative", seen))
-        )
-        return BeltMotion(belt.velocity, belt.velocity_errors, seen, relative)
-    setting = Setting(motion.window, motion.order if motion.method == "sg" else 4)
-    relative = registry.estimate("sg", seen, setting, estimates.part("relative"))
-    if motion.method == "sg":
-        belt = registry.estimate("sg", own, setting, estimates.part("belt"))
+    order = motion.order if motion.method == "sg" else 4
+    how = model if model.method == "fd" else MethodModel(method="sg", noise=0.0, window=motion.window, order=order)
+    relative = registry.apply(record.relative, replace(how, noise=noise.relative))
+    if model.jerk is None:
+        belt = registry.apply(record.belt, replace(how, noise=noise.belt))
     else:
-        noise = estimates.once("jerk", lambda: white_jerk.fit(series))
-        finer = (own.pitch / series.pitch) ** 2 if series.pitch else 1.0
-        belt = white_jerk.smooth(own, white_jerk.Noise(noise.jerk, noise.reading * finer))
-    return BeltMotion(belt.velocity, belt.velocity_errors, seen, relative)
+        finer = (record.belt.pitch / pitch) ** 2 if pitch else 1.0
+        belt = white_jerk.smooth(record.belt, white_jerk.Noise(model.jerk.jerk, model.jerk.reading * finer))
+    return BeltMotion(belt.velocity, belt.velocity_errors, record.relative, relative)

@@ -1,294 +1,414 @@
-"""One block of a record smoothed, and what is found in the blocks joined over the record.
+"""Learn from a record how its motion is to be smoothed, apply that to each block of it, and join the blocks.
 
-A record in memory is one block.  A longer one is smoothed block by block, each with some samples on either side, of
-which only the block itself is kept.  Noise levels, thresholds and speeds are estimated once, from stretches that
-represent the record (`BlockSmoother.learn`), so that sticks and slips do not depend on where blocks begin.  Lost counts
-and phases that cross a boundary are carried from block to block.  That takes a few numbers for each stick and slip;
-otherwise memory does not grow with the record.
+`learn` takes stretches that represent a record and returns its `MotionModel`: noise levels, thresholds and speeds.
+`apply` smooths a block with some samples on either side, and looks at nothing else: sticks and slips do not depend on
+where blocks begin, and a smoothing can be repeated from its model.  A record in memory is one block.  `join` puts
+together what was found in the blocks: a few numbers for each stick and slip, so that memory does not grow with the
+record.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.compute.arrays import Array, Integers
 from daq.runfile.rig import Measured
-from processing import belt_motion
-from processing.defects import frames, position_steps, velocity_steps
+from processing.belt_motion import BeltNoise, BeltRecord, learn_noise, smooth_belt
+from processing.defects import frames, position_steps, sensor_faults, velocity_steps
 from processing.defects.findings import belt_findings, drift_finding, sensor_findings, step_findings
-from processing.defects.sensor_faults import SoundRecord, without_faults
 from processing.kalman import white_jerk
 from processing.kalman.bridge import across_faults
 from processing.methods import registry
-from processing.record.estimates import RecordEstimates
+from processing.methods.method_model import MethodModel
+from processing.model_values import values
 from processing.record.finding import Finding
-from processing.record.motion import BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
+from processing.record.motion import ROWS, BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
 from processing.record.position_steps import PositionStep, step_offsets, without_steps
 from processing.record.series import Series
 from processing.record.setting import Setting
-from processing.record.stretches import moving_samples
 from processing.segmentation import plateaus
+from processing.segmentation.phase_layout import segment_at_corners
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
 
-
 PARTS = 8  # of a block, whose means show a drift
+LONGEST = 2**16  # samples: no smoother's window counts as longer
 SOUND = 0.9  # share of the samples around a velocity step that must be positions; a bridged hole has a kink at its ends
 
 
-class BlockSmoother:
-    """Smooths the blocks of a record, in order.
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """The stretches that represent a record of ``samples`` samples, as one.
 
-    Parameters
-    ----------
-    method : str
-        Name in `processing.methods.registry`.
-    setting : Setting
-        Window, order and stated belt speed, for all blocks alike.
-    repair : {"off", "flag", "fix"}
-        What to do about steps of the position: lost counts, or a datum that moved.
+    ``number`` (m,) are the samples' numbers in the record, ``positions`` returns a slice of all its positions, m, and
+    ``travel`` is how far these go, m.
     """
 
-    def __init__(self, method: str, setting: Setting, repair: str) -> None:
-        self.method, self.setting, self.repair = method, setting, repair
-        self._estimates = RecordEstimates()
-        self._moving: tuple[int, int] | None = None
-        self._interval = 0.0
-        self._phases: list[Phase] = []
-        self._losses: list[PositionStep] = []
-        self._steps: list[VelocityStep] = []
-        self._methods: dict[str, int] = {}
-        self._windows: list[tuple[int, int]] = []
-        self._belt_speeds: list[float] = []
-        self._plateau_speeds: list[float] = []
-        self._noises: list[float] = []
-        self._faults: list[Fault] = []
-        self._step_sums = np.zeros(frames.SUMS)
-        self._samples = 0
-        self._unit = ""
-        self._stated_speed: Measured | None = None
-        self._means: list[tuple[float, float]] = []
-        self._offset = 0.0  # sum of the steps so far in this segment
-
-    def learn(
-        self, stretches: "tuple[Recording, Series]", positions: Callable[[slice], Array], n: int, travel: float
-    ) -> int:
-        """Estimate what all blocks share; return the window of the smoother in samples.
-
-        Parameters
-        ----------
-        stretches : (Recording, Series)
-            Those that represent the record (`learning_stretches`), as one.
-        positions : callable
-            Returns the positions of a slice of samples, m.
-        n, travel : int, float
-            Samples of the record, and how far it travels, m.
-        """
-        made = self._find(*stretches)
-        self._estimates.close()
-        self._interval = made.data.interval
-        first, last = moving_samples(positions, n, plateaus.slack_at_rest(made.data.pitch, travel, made.sound.noise))
-        least = plateaus.LEAST_STICK / self._interval
-        if first <= last:
-            first, last = first if first > least else 0, last if n - 1 - last > least else n - 1
-        self._moving = first, last
-        return made.motion.window
-
-    def smooth(self, recording: "Recording", data: Series, own: slice, low: int = 0) -> dict[str, Any]:
-        """Smooth one block.
-
-        Parameters
-        ----------
-        recording, data : Recording, Series
-            The block with its neighbouring samples, m in all.
-        own : slice
-            The k samples of the block among them.
-        low : int
-            Number of the first of the m samples in the record.
-
-        Returns
-        -------
-        dict of arrays of shape (k,)
-            time, position, velocity, acceleration, their errors, and the belt's velocity where it has an encoder.
-        """
-        if self._moving is not None:
-            first, last = (own - low for own in self._moving)
-            begin = -math.inf if first <= 0 else float(data.time[first]) if first < data.time.size else math.inf
-            end = math.inf if last >= data.time.size - 1 else float(data.time[last]) if last >= 0 else -math.inf
-            data = replace(data, interval=self._interval, moving=(begin, end))
-        made = self._find(recording, data)
-        sound, losses, offset, belt = made.sound, made.losses, made.offset, made.belt
-        data, seen, motion, found = made.data, made.seen, made.motion, made.found
-        phases = found.phases
-        self._noises.append(sound.noise)
-        if sound.faults:
-            number = np.flatnonzero(sound.kept)
-            phases = tuple(replace(own, first=int(number[own.first]), last=int(number[own.last])) for own in phases)
-            jerk = self._estimates.once("jerk", lambda: white_jerk.fit(seen)).jerk
-            motion = across_faults(data.time, sound.kept, motion, jerk)
-        if self.repair == "fix":
-            shift = -self._offset_before(recording, own, losses)
-        else:
-            shift = offset[own]
-        columns = {
-            "time": data.time[own],
-            "position": motion.position[own] + shift,
-            "velocity": motion.velocity[own],
-            "acceleration": motion.acceleration[own],
-            "position_errors": motion.position_errors[own],
-            "velocity_errors": motion.velocity_errors[own],
-            "acceleration_errors": motion.acceleration_errors[own],
-        }
-        if belt is not None:
-            for name, values in (("belt_velocity", belt.velocity), ("belt_velocity_errors", belt.velocity_errors)):
-                whole = np.interp(data.time, seen.time, values) if sound.faults else values
-                columns[name] = whole[own]
-        for fault in sound.faults:
-            first, last = max(fault.first, own.start), min(fault.last, own.stop - 1)
-            if first <= last:
-                self._faults.append(Fault(first + low, last + low, fault.kind))
-        if recording.raw is None:  # a board's sample numbers show where samples are missing
-            self._step_sums += frames.step_sums(sound.bridged, own, sound.noise)
-        for loss in losses:
-            if own.start <= loss.first < own.stop:
-                self._losses.append(replace(loss, first=loss.first + low, last=loss.last + low))
-        for step in velocity_steps.velocity_steps(data):
-            near = slice(max(step.sample - velocity_steps.AROUND, 0), step.sample + velocity_steps.AROUND)
-            if own.start <= step.sample < own.stop and sound.kept[near].mean() > SOUND:
-                self._steps.append(VelocityStep(step.sample + low, step.step))
-        self._samples += own.stop - own.start
-        self._unit, self._stated_speed = recording.unit, recording.rig.belt_speed
-        for part in np.array_split(np.arange(own.start, own.stop), PARTS):
-            if part.size:
-                self._means.append((float(data.time[part].mean()), float(columns["position"][part - own.start].mean())))
-        self._join(phases, data, low, own.start + low, own.stop + low)
-        self._methods[motion.method] = self._methods.get(motion.method, 0) + own.stop - own.start
-        self._windows.append((motion.window, motion.order))
-        self._belt_speeds.append(found.belt_speed)
-        self._plateau_speeds.append(found.plateau_speed)
-        return columns
-
-    def _find(self, recording: "Recording", data: Series) -> "BlockResult":
-        """Find faults, losses, motion and phases of a block with its neighbouring samples."""
-        estimates = self._estimates
-        sound = without_faults(data, estimates.part("faults"))
-        losses = position_steps.position_steps(sound.bridged, estimates.part("steps")) if self.repair != "off" else ()
-        losses = tuple(loss for loss in losses if sound.kept[loss.first : loss.last + 1].all())
-        offset = step_offsets(recording.segment, losses)
-        data = without_steps(sound.bridged, offset)
-        seen = without_steps(sound.series, offset[sound.kept])
-        motion = registry.estimate(self.method, seen, self.setting, estimates)
-        belt = belt_motion.smooth_belt(recording, sound.kept, seen, motion, estimates)
-        measured = recording.rig.belt_speed if recording.unit == "m" else None
-        found = plateaus.segment(seen, motion, measured, self.setting.belt_speed, belt, estimates.part("phases"))
-        return BlockResult(data, sound, losses, offset, seen, motion, belt, found)
-
-    @property
-    def sticks(self) -> list[Phase]:
-        """The sticks found so far."""
-        return [phase for phase in self._phases if phase.kind == "stick"]
-
-    def header(self) -> dict[str, Any]:
-        """Return what `SmoothingHeader` states: the method and window of most samples, the median belt speed."""
-        window, order = max(set(self._windows), key=self._windows.count)
-        faults, noise, plateau_speed = tuple(self._faults), self._noise(), _median(self._plateau_speeds)
-        counted = frames.count_frames(self._step_sums)
-        return {
-            "method": max(self._methods, key=lambda name: self._methods[name]),
-            "window": window,
-            "order": order,
-            "belt_speed": _median(self._belt_speeds),
-            "plateau_speed": plateau_speed,
-            "phases": tuple(self._phases),
-            "losses": tuple(self._losses),
-            "kicks": tuple(self._steps),
-            "faults": faults,
-            "dropped_frames": counted.lost,
-            "findings": (
-                *sensor_findings(faults, counted, self._samples),
-                *step_findings(self._losses, counted, self._unit, repaired=self.repair == "fix"),
-                *self._drift(),
-                *belt_findings(self._stated_speed, plateau_speed if self.sticks else math.nan, self._unit),
-            ),
-            "noise": noise,
-            "repaired": self.repair == "fix" and bool(self._losses),
-        }
-
-    def _drift(self) -> list[Finding]:
-        """Return the drift of a record that moves, and never slips."""
-        if len(self._means) < PARTS or len(self.sticks) > 1:
-            return []
-        time, position = np.array(self._means).T
-        found = drift_finding(time, position, self._unit)
-        return [] if found is None else [found]
-
-    def _noise(self) -> float:
-        """Return the median noise of the blocks in which anything changes."""
-        changing = [noise for noise in self._noises if noise > 0]
-        return float(np.median(changing)) if changing else 0.0
-
-    def _offset_before(self, recording: "Recording", own: slice, losses: tuple[PositionStep, ...]) -> Array:
-        """Return the steps in the segment before the first sample read, for every sample of the block."""
-        segment = recording.segment[own]
-        earlier = sum(loss.size for loss in losses if loss.first < own.start)
-        before = np.where(segment == segment[0], self._offset - earlier, 0.0)
-        if segment[-1] != segment[0]:
-            self._offset = 0.0
-        inside = [loss for loss in losses if own.start <= loss.first < own.stop]
-        self._offset += sum(loss.size for loss in inside if recording.segment[loss.first] == segment[-1])
-        return np.asarray(before)
-
-    def _join(self, phases: tuple[Phase, ...], data: Series, low: int, begin: int, end: int) -> None:
-        """Take the block's share of its phases; one that continues the block before is merged with it."""
-        for phase in phases:
-            first, last = max(phase.first + low, begin), min(phase.last + low, end - 1)
-            if last < first:
-                continue
-            cut_before, cut_behind = first > phase.first + low, last < phase.last + low
-            own = Phase(
-                phase.kind,
-                float(data.time[first - low]) if cut_before else phase.start,
-                float(data.time[last - low]) if cut_behind else phase.end,
-                first,
-                last,
-                math.inf if cut_before else phase.start_sd,
-                math.inf if cut_behind else phase.end_sd,
-            )
-            before = self._phases[-1] if self._phases else None
-            if before is not None and cut_before and before.kind == own.kind and before.last + 1 == own.first:
-                self._phases[-1] = replace(own, start=before.start, first=before.first, start_sd=before.start_sd)
-            else:
-                self._phases.append(own)
+    recording: "Recording"
+    data: Series
+    number: Integers
+    positions: Callable[[slice], Array]
+    samples: int
+    travel: float
 
 
 @dataclass(frozen=True, eq=False)
-class BlockResult:
-    """What is found in the m samples of a block and of its neighbourhood.
+class MotionModel:
+    """What is learned from a record: all that smoothing a block of it needs.
+
+    Attributes
+    ----------
+    interval : float
+        Median sample interval, s.
+    moving : (int, int)
+        Samples of the first motion of the record and of the last one.
+    limits : FaultLimits
+        What faults of the sensor are judged by.
+    step_unit : float
+        Of the test for steps of the position, m; 0: they are not looked for.
+    method : MethodModel
+        The method that runs, and what it learned.
+    jerk : white_jerk.Noise
+        Of the record as a motion of white jerk: the motion across faults.
+    rule : PlateauRule or None
+        How sticks show in the motion that the method makes; None where the method finds them itself.
+    belt_speed : float
+        Of the belt by its sticks, m/s, signed; NaN where there are none.
+    belt_noise : BeltNoise or None
+        Of a belt with an encoder.
+    """
+
+    interval: float
+    moving: tuple[int, int]
+    limits: sensor_faults.FaultLimits
+    step_unit: float
+    method: MethodModel
+    jerk: white_jerk.Noise
+    rule: plateaus.PlateauRule | None
+    belt_speed: float
+    belt_noise: BeltNoise | None
+
+    @property
+    def window(self) -> int:
+        """Samples that the method smooths over."""
+        return self.method.window or white_jerk.equivalent_window(self.jerk.rho(self.interval), LONGEST)
+
+    @property
+    def plateau_speed(self) -> float:
+        """Common speed of the plateaus, m/s; NaN without plateaus."""
+        return self.belt_speed if self.rule is None else self.rule.speed
+
+
+@dataclass(frozen=True, eq=False)
+class BlockFindings:
+    """What was found in a block, by the samples' numbers in the record.
+
+    Attributes
+    ----------
+    phases : tuple of Phase
+        Cut off at the ends of the block.
+    continues : bool
+        Whether the first phase goes on from the block before.
+    step_segments : tuple of int
+        Segment of every step of the position.
+    step_sums : array
+        `processing.defects.frames.step_sums`; zeros where a board's sample numbers show missing samples.
+    means : list of (float, float)
+        Time, s, and position, m, of parts of the block.
+    samples, window, order : int
+    belt_speed : float
+        m/s.
+    """
+
+    phases: tuple[Phase, ...]
+    continues: bool
+    faults: tuple[Fault, ...]
+    steps: tuple[PositionStep, ...]
+    step_segments: tuple[int, ...]
+    kicks: tuple[VelocityStep, ...]
+    step_sums: Array
+    means: list[tuple[float, float]]
+    samples: int
+    window: int
+    order: int
+    belt_speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class BlockMotion:
+    """The motion of the k samples of a block, and what was found in it.
+
+    ``columns`` are arrays of shape (k,) by name: time, position, velocity, acceleration, their errors, and the belt's
+    velocity where it has an encoder.
+    """
+
+    columns: dict[str, Array]
+    found: BlockFindings
+
+
+@dataclass(frozen=True, eq=False)
+class _Cleaned:
+    """The m samples of a block and of its neighbourhood, without faults and without steps of the position.
 
     Attributes
     ----------
     data, seen : Series
-        Without steps of the position: all m samples, with lines across faults, and those that are positions.
-    sound, losses, offset : SoundRecord, tuple of PositionStep, array of shape (m,)
+        All m samples, with lines across faults, and those that are positions.
+    sound, steps, offset : SoundRecord, tuple of PositionStep, array of shape (m,)
         Faults, steps, and the sum of the steps before each sample, m.
-    motion, belt, found : Motion, BeltMotion or None, PhaseSegmentation
-        Of the samples ``seen``.
     """
 
     data: Series
-    sound: SoundRecord
-    losses: tuple[PositionStep, ...]
-    offset: Array
     seen: Series
-    motion: Motion
-    belt: BeltMotion | None
-    found: PhaseSegmentation
+    sound: sensor_faults.SoundRecord
+    steps: tuple[PositionStep, ...]
+    offset: Array
 
 
-def _median(speeds: list[float]) -> float:
-    finite = [speed for speed in speeds if math.isfinite(speed)]
-    return float(np.median(finite)) if finite else math.nan
+def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -> MotionModel:
+    """Learn the model of a record.
+
+    Parameters
+    ----------
+    stretches : Stretches
+        Those that represent the record.
+    method : str
+        Name in `processing.methods.registry`.
+    setting : Setting
+        Window, order and stated belt speed.
+    steps : bool
+        Whether to look for steps of the position.
+    """
+    recording, data = stretches.recording, stretches.data
+    limits, sound = sensor_faults.learn(data)
+    slack = plateaus.slack_at_rest(data.pitch, stretches.travel, limits.noise)
+    moving = plateaus.motion_samples(stretches.positions, stretches.samples, slack, data.interval)
+    unit = position_steps.learn(sound.bridged, limits.noise) if steps else 0.0
+    seen = replace(_clean(recording, sound, unit).seen, moving=_span(data.time, stretches.number, moving))
+    how = registry.learn(method, seen, setting, limits.noise)
+    belt = BeltRecord.of(recording, sound.kept, seen)
+    noise = None if belt is None else learn_noise(belt)
+    jerk = white_jerk.fit(seen) if how.jerk is None else how.jerk
+    model = MotionModel(data.interval, moving, limits, unit, how, jerk, None, math.nan, noise)
+    if how.sticks is not None:
+        return replace(model, belt_speed=how.sticks.speed)
+    motion = registry.apply(seen, how)
+    rides = _belt_motion(belt, model, motion, seen)
+    rule, speed, _ = plateaus.learn(seen, motion, how.stated, rides)
+    return replace(model, rule=rule, belt_speed=speed)
+
+
+def apply(
+    recording: "Recording", data: Series, own: slice, low: int, model: MotionModel, *, repair: str, before: float = 0.0
+) -> BlockMotion:
+    """Smooth one block of a record.
+
+    Parameters
+    ----------
+    recording, data : Recording, Series
+        The block with its neighbouring samples, m in all.
+    own : slice
+        The k samples of the block among them.
+    low : int
+        Number of the first of the m samples in the record.
+    model : MotionModel
+        Of the record.
+    repair : {"off", "flag", "fix"}
+        Whether the position is without its steps ("fix") or as it was read.
+    before : float
+        Sum of the steps of the position before the first of the m samples, in its segment, m.
+    """
+    span = _span(data.time, low + np.arange(data.time.size), model.moving)
+    sound = sensor_faults.without_faults(replace(data, interval=model.interval, moving=span), model.limits)
+    cleaned = _clean(recording, sound, model.step_unit)
+    data, seen, offset = cleaned.data, cleaned.seen, cleaned.offset
+    motion = registry.apply(seen, model.method)
+    belt = _belt_motion(BeltRecord.of(recording, sound.kept, seen), model, motion, seen)
+    found = _phases(recording, seen, motion, belt, model)
+    phases = found.phases
+    if sound.faults:
+        number = np.flatnonzero(sound.kept)
+        phases = tuple(replace(phase, first=int(number[phase.first]), last=int(number[phase.last])) for phase in phases)
+        motion = across_faults(data.time, sound.kept, motion, model.jerk.jerk)
+    columns = {"time": data.time[own]} | {name: getattr(motion, name)[own] for name in ROWS}
+    if repair == "fix":
+        segment = recording.segment
+        columns["position"] = columns["position"] - np.where(segment[own] == segment[0], before, 0.0)
+    else:
+        columns["position"] = columns["position"] + offset[own]
+    if belt is not None:
+        for name, values in (("belt_velocity", belt.velocity), ("belt_velocity_errors", belt.velocity_errors)):
+            whole = np.interp(data.time, seen.time, values) if sound.faults else values
+            columns[name] = whole[own]
+    steps = tuple(step for step in cleaned.steps if own.start <= step.first < own.stop)
+    parts = [part for part in np.array_split(np.arange(own.start, own.stop), PARTS) if part.size]
+    numbered = recording.raw is not None
+    return BlockMotion(
+        columns,
+        BlockFindings(
+            phases=tuple(_cut(phase, data, own, low) for phase in phases if _meets(phase, own)),
+            continues=any(phase.first < own.start <= phase.last for phase in phases),
+            faults=tuple(
+                Fault(max(fault.first, own.start) + low, min(fault.last, own.stop - 1) + low, fault.kind)
+                for fault in sound.faults
+                if _meets(fault, own)
+            ),
+            steps=tuple(replace(step, first=step.first + low, last=step.last + low) for step in steps),
+            step_segments=tuple(int(recording.segment[step.first]) for step in steps),
+            kicks=_kicks(cleaned, own, low),
+            # A board's sample numbers show where samples are missing.
+            step_sums=np.zeros(frames.SUMS) if numbered else frames.step_sums(sound.bridged, own, model.limits.noise),
+            means=[(float(data.time[k].mean()), float(columns["position"][k - own.start].mean())) for k in parts],
+            samples=own.stop - own.start,
+            window=motion.window,
+            order=motion.order,
+            belt_speed=found.belt_speed,
+        ),
+    )
+
+
+def join(
+    model: MotionModel, blocks: Sequence[BlockFindings], unit: str, stated: Measured | None, *, fixed: bool
+) -> dict[str, Any]:
+    """Return what `SmoothingHeader` states of a record, from what was found in its blocks, in order.
+
+    Parameters
+    ----------
+    model : MotionModel
+        Of the record.
+    blocks : sequence of BlockFindings
+        In order.
+    unit : {"m", "count"}
+        Of the positions.
+    stated : Measured or None
+        The rig's belt speed, m/s.
+    fixed : bool
+        Whether steps of the position were taken out of it.
+    """
+    phases: list[Phase] = []
+    for block in blocks:
+        own = list(block.phases)
+        if block.continues and phases and phases[-1].kind == own[0].kind and phases[-1].last + 1 == own[0].first:
+            begun = phases.pop()
+            own[0] = replace(own[0], start=begun.start, first=begun.first, start_sd=begun.start_sd)
+        phases += own
+    stuck = sum(phase.kind == "stick" for phase in phases)
+    windows = [(block.window, block.order) for block in blocks]
+    window, order = max(set(windows), key=windows.count)
+    steps = tuple(step for block in blocks for step in block.steps)
+    faults = tuple(fault for block in blocks for fault in block.faults)
+    counted = frames.count_frames(np.sum([block.step_sums for block in blocks], axis=0))
+    speeds = [block.belt_speed for block in blocks if math.isfinite(block.belt_speed)]
+    return {
+        "method": model.method.method,
+        "window": window,
+        "order": order,
+        "belt_speed": float(np.median(speeds)) if speeds else math.nan,
+        "plateau_speed": model.plateau_speed,
+        "phases": tuple(phases),
+        "losses": steps,
+        "kicks": tuple(kick for block in blocks for kick in block.kicks),
+        "faults": faults,
+        "dropped_frames": counted.lost,
+        "findings": (
+            *sensor_findings(faults, counted, sum(block.samples for block in blocks)),
+            *step_findings(list(steps), counted, unit, repaired=fixed),
+            *([] if stuck > 1 else _drift(blocks, unit)),
+            *belt_findings(stated, model.plateau_speed if stuck else math.nan, unit),
+        ),
+        "noise": model.limits.noise,
+        "repaired": fixed and bool(steps),
+        "model": values(model),
+    }
+
+
+def steps_before(blocks: Sequence[BlockFindings], segment: int, sample: int) -> float:
+    """Return the sum of the steps of the position in a segment before a sample, m."""
+    return sum(
+        step.size
+        for block in blocks
+        for step, own in zip(block.steps, block.step_segments, strict=True)
+        if own == segment and step.first < sample
+    )
+
+
+def _span(time: Array, number: Integers, moving: tuple[int, int]) -> tuple[float, float]:
+    """Return when the motion between two samples of the record begins and ends, s, as seen from some of its samples.
+
+    ``number`` (n,) are these samples' numbers; what lies before the first of them or behind the last is infinite.
+    """
+    first, last = np.searchsorted(number, moving[0]), np.searchsorted(number, moving[1], side="right") - 1
+    begin = -math.inf if moving[0] <= number[0] else float(time[first]) if first < number.size else math.inf
+    end = math.inf if moving[1] >= number[-1] else float(time[last]) if last >= 0 else -math.inf
+    return begin, end
+
+
+def _clean(recording: "Recording", sound: sensor_faults.SoundRecord, unit: float) -> _Cleaned:
+    """Find steps of the position in a record without faults, and take them out."""
+    found = position_steps.position_steps(sound.bridged, unit) if unit else ()
+    steps = tuple(step for step in found if sound.kept[step.first : step.last + 1].all())
+    offset = step_offsets(recording.segment, steps)
+    seen = without_steps(sound.series, offset[sound.kept])
+    return _Cleaned(without_steps(sound.bridged, offset), seen, sound, steps, offset)
+
+
+def _belt_motion(belt: BeltRecord | None, model: MotionModel, motion: Motion, seen: Series) -> BeltMotion | None:
+    if belt is None or model.belt_noise is None:
+        return None
+    return smooth_belt(belt, model.belt_noise, motion, model.method, seen.pitch)
+
+
+def _phases(
+    recording: "Recording", seen: Series, motion: Motion, belt: BeltMotion | None, model: MotionModel
+) -> PhaseSegmentation:
+    """Return the sticks and slips of the samples ``seen``."""
+    measured = recording.rig.belt_speed if recording.unit == "m" else None
+    stated, level = model.method.stated, model.belt_speed
+    if model.rule is not None:
+        return plateaus.segment(seen, motion, model.rule, level, measured, stated, belt)
+    moving = plateaus.in_motion(seen)
+    found = segment_at_corners(seen, motion, moving, level, stated, measured)
+    return found if belt is None or stated is not None else replace(found, belt_speed=belt.speed(moving))
+
+
+def _meets(found: Phase | Fault, own: slice) -> bool:
+    return bool(found.first < own.stop and found.last >= own.start)
+
+
+def _cut(phase: Phase, data: Series, own: slice, low: int) -> Phase:
+    """Return the part of a phase that lies in a block."""
+    first, last = max(phase.first, own.start), min(phase.last, own.stop - 1)
+    cut_before, cut_behind = first > phase.first, last < phase.last
+    return Phase(
+        phase.kind,
+        float(data.time[first]) if cut_before else phase.start,
+        float(data.time[last]) if cut_behind else phase.end,
+        first + low,
+        last + low,
+        math.inf if cut_before else phase.start_sd,
+        math.inf if cut_behind else phase.end_sd,
+    )
+
+
+def _kicks(cleaned: _Cleaned, own: slice, low: int) -> tuple[VelocityStep, ...]:
+    """Return the steps of the velocity in a block, where most of the samples around are positions."""
+    found = []
+    for step in velocity_steps.velocity_steps(cleaned.data):
+        near = slice(max(step.sample - velocity_steps.AROUND, 0), step.sample + velocity_steps.AROUND)
+        if own.start <= step.sample < own.stop and cleaned.sound.kept[near].mean() > SOUND:
+            found.append(VelocityStep(step.sample + low, step.step))
+    return tuple(found)
+
+
+def _drift(blocks: Sequence[BlockFindings], unit: str) -> list[Finding]:
+    """Return the drift of a record that moves, and never slips."""
+    means = [mean for block in blocks for mean in block.means]
+    if len(means) < PARTS:
+        return []
+    time, position = np.array(means).T
+    found = drift_finding(time, position, unit)
+    return [] if found is None else [found]

@@ -1,30 +1,33 @@
 """From a recording to its motion: estimate, then find what is lost, where it stuck and how fast the belt ran.
 
-`smooth` does so in memory; `smooth_file` reads, smooths and writes a run block by block, whatever its length.  Both run
-`processing.blocks`.  The rig's scene and its truth are never looked at here.
+`smooth` does so in memory; `smooth_file` reads, smooths and writes a run block by block, whatever its length.  Both
+learn from stretches of the record and apply that to its blocks (`processing.blocks`).  The rig's scene and its truth
+are never looked at here.
 """
 
 import logging
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 
+from daq.compute.arrays import Array
 from daq.errors import InputError, nearest
 from daq.runfile import store
 from daq.runfile.nexus import EVERY
-from processing import belt_motion, stage
-from processing.blocks import BlockSmoother
+from processing import belt_motion, blocks, stage
+from processing.blocks import BlockFindings, MotionModel, Stretches
 from processing.methods import registry
+from processing.model_values import restored
 from processing.record import import_grid, series
 from processing.record.kinematics import Kinematics, SmoothingSummary
 from processing.record.series import Series
 from processing.record.setting import Setting, parse_belt_speed, parse_window
-from processing.record.stretches import LEARNED, learning_stretches
+from processing.record.stretches import survey
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -45,6 +48,7 @@ def smooth(
     times: str = "recorded",
     belt_speed: float | str = "auto",
     repair_counts: str = "flag",
+    model: Mapping[str, Any] | None = None,
 ) -> Kinematics:
     """Rebuild position, velocity and acceleration from a recording.
 
@@ -70,6 +74,9 @@ def smooth(
         (`processing.defects.position_steps`): not to look for them; to mark them, and leave
         the position as it was counted; or to mark them and put them back.  Where they are looked for, velocity and
         acceleration are those of the motion on either side, without the jump of the count.
+    model : mapping, optional
+        `Kinematics.model` of an earlier smoothing, applied as it is: nothing is learned, and method, window, order and
+        belt speed are its own.
 
     Returns
     -------
@@ -89,18 +96,19 @@ def smooth(
     begun = clock.process_time()
     _check(method, repair_counts)
     data = series.from_recording(recording, times)
-    blocks = BlockSmoother(method, _setting(window, order, belt_speed, data, recording.unit), repair_counts)
-    n = data.time.size
-    if n > LEARNED:
-        stretches, travel = learning_stretches(recording.position.__getitem__, n)
-        joined = _joined([_part(recording, data, own) for own in stretches])
-        blocks.learn(joined, recording.position.__getitem__, n, travel)
-    columns = blocks.smooth(recording, data, slice(0, n))
+    n, asked = data.time.size, (method, window, order, belt_speed, repair_counts)
+    if model:
+        known = restored(MotionModel, model)
+    else:
+        known, _ = _learn(lambda own: _part(recording, data, own), recording.position.__getitem__, n, *asked)
+    block = blocks.apply(recording, data, slice(0, n), 0, known, repair=repair_counts)
+    header = blocks.join(known, [block.found], recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
+    columns: dict[str, Any] = block.columns
     made = Kinematics(
         recording=recording,
         times=times,
         **columns,
-        **blocks.header(),
+        **header,
         cpu_s=clock.process_time() - begun,
     )
     said = made.recording.name, made.method, len(made.sticks), made.cpu_s
@@ -143,14 +151,11 @@ def smooth_file(
     _check(method, repair_counts)
     with store.reading(path, own) as run:
         n = run.samples
-        stretches, travel = learning_stretches(run.positions, n)
-        joined = _joined([_read(run, own, times) for own in stretches])
-        recording = joined[0]
-        belt = belt_motion.has_belt_encoder(recording)
-        blocks = BlockSmoother(method, _setting(window, order, belt_speed, joined[1], recording.unit), repair_counts)
-        widest = blocks.learn(joined, run.positions, n, travel)
-        del joined
-    margin = min(max(MARGIN, 2 * widest), BLOCK)
+        asked = method, window, order, belt_speed, repair_counts
+        model, recording = _learn(lambda part: _read(run, part, times), run.positions, n, *asked)
+    margin = min(max(MARGIN, 2 * model.window), BLOCK)
+    belt = belt_motion.has_belt_encoder(recording)
+    found: list[BlockFindings] = []
     made: list[SmoothingSummary] = []
 
     def write(entry: h5py.Group) -> None:
@@ -162,17 +167,23 @@ def smooth_file(
             for begin in range(0, n, BLOCK):
                 end = min(begin + BLOCK, n)
                 part, data, low = reader.read(begin, end)
-                columns = blocks.smooth(part, data, slice(begin - low, end - low), low)
-                stage.fill(table, begin, columns)
-                ends += [float(columns["time"][0]), float(columns["time"][-1])]
+                before = blocks.steps_before(found, int(part.segment[0]), low)
+                block = blocks.apply(
+                    part, data, slice(begin - low, end - low), low, model, repair=repair_counts, before=before
+                )
+                found.append(block.found)
+                stage.fill(table, begin, block.columns)
+                ends += [float(block.columns["time"][0]), float(block.columns["time"][-1])]
                 progress(end)
+        header = blocks.join(model, found, recording.unit, recording.rig.belt_speed, fixed=repair_counts == "fix")
+        stuck = sum(phase.last - phase.first + 1 for phase in header["phases"] if phase.kind == "stick")
         summary = SmoothingSummary(
-            **blocks.header(),
+            **header,
             times=times,
             samples=n,
             span=ends[-1] - ends[0],
             unit=recording.unit,
-            plateau_fraction=sum(stick.last - stick.first + 1 for stick in blocks.sticks) / n,
+            plateau_fraction=stuck / n,
             belt_counted=belt,
             cpu_s=clock.process_time() - begun,
         )
@@ -187,6 +198,33 @@ def _check(method: str, repair_counts: str) -> None:
     registry.check(method)
     if repair_counts not in REPAIRS:
         raise InputError(f"is {repair_counts!r}", "--repair-counts", nearest(repair_counts, REPAIRS))
+
+
+def _learn(
+    read: "Callable[[slice], tuple[Recording, Series]]",
+    positions: Callable[[slice], Array],
+    n: int,
+    method: str,
+    window: int | str,
+    order: int | None,
+    belt_speed: float | str,
+    repair_counts: str,
+) -> "tuple[MotionModel, Recording]":
+    """Return the model of a record of n samples, and the stretches that it was learned from.
+
+    ``read`` returns some of the samples, ``positions`` their positions alone, m.
+    """
+    seen = survey(positions, n)
+    wanted = Setting(None if window == "auto" else 0, order)
+    for least in registry.samples_learned(method, wanted):
+        picked = seen.stretches(least)
+        stretches = _joined([read(own) for own in picked], picked, positions, n, seen.travel)
+        recording, data = stretches.recording, stretches.data
+        setting = _setting(window, order, belt_speed, data, recording.unit)
+        model = blocks.learn(stretches, method, setting, steps=repair_counts != "off")
+        if model.method.sticks is not None or data.time.size == n:
+            break
+    return model, recording
 
 
 def _setting(window: int | str, order: int | None, belt_speed: float | str, data: Series, unit: str) -> Setting:
@@ -217,34 +255,43 @@ def _part(recording: "Recording", data: Series, own: slice) -> "tuple[Recording,
         segment=recording.segment[own],
         belt_count=None if belt is None else belt[own],
     )
-    return part, series.from_recording(part)
+    kept = np.zeros(data.time.size, bool)
+    kept[own] = True
+    return part, data.taken(kept)
 
 
-def _joined(parts: "list[tuple[Recording, Series]]") -> "tuple[Recording, Series]":
-    """Return stretches one after the other, ten sample intervals apart, as one record of as many pieces."""
-    if len(parts) == 1:
-        return parts[0]
-    first, data = parts[0]
-    pieces, at, end = [], 0, 0.0
-    time, position, segment, belt = [], [], [], []
-    for k, (recording, part) in enumerate(parts):
-        pieces += [slice(own.start + at, own.stop + at) for own in part.pieces]
-        time.append(part.time - part.time[0] + end)
-        position.append(part.position - part.position[0])
-        segment.append(np.full(part.time.size, k, np.uint16))
-        if recording.belt_count is not None:
-            belt.append(recording.belt_count - recording.belt_count[0])
-        at += part.time.size
-        end = float(time[-1][-1]) + 10 * part.interval
-    whole = replace(
-        first,
-        time=np.concatenate(time),
-        position=np.concatenate(position),
-        segment=np.concatenate(segment),
-        belt_count=np.concatenate(belt) if belt else None,
-    )
-    interval = float(np.median([part.interval for _, part in parts]))
-    return whole, replace(data, time=whole.time, position=whole.position, interval=interval, pieces=tuple(pieces))
+def _joined(
+    parts: "list[tuple[Recording, Series]]",
+    own: list[slice],
+    positions: Callable[[slice], Array],
+    samples: int,
+    travel: float,
+) -> Stretches:
+    """Return parts of a record, its samples ``own``, as one record of as many pieces or more."""
+    recording, data = parts[0]
+    number = np.concatenate([np.arange(part.start, part.stop) for part in own])
+    if len(parts) > 1:
+        pieces, at = [], 0
+        for _, part in parts:
+            pieces += [slice(piece.start + at, piece.stop + at) for piece in part.pieces]
+            at += part.time.size
+        belts = [part.belt_count for part, _ in parts if part.belt_count is not None]
+        recording = replace(
+            recording,
+            time=np.concatenate([part.time for _, part in parts]),
+            position=np.concatenate([part.position for part, _ in parts]),
+            count=None,
+            segment=np.concatenate([np.full(part.time.size, k, np.uint16) for k, (_, part) in enumerate(parts)]),
+            belt_count=np.concatenate(belts) if belts else None,
+        )
+        data = replace(
+            data,
+            time=recording.time,
+            position=np.concatenate([part.position + (part.origin - data.origin) for _, part in parts]),
+            interval=float(np.median([part.interval for _, part in parts])),
+            pieces=tuple(pieces),
+        )
+    return Stretches(recording, data, number, positions, samples, travel)
 
 
 class _Reader:

@@ -3,6 +3,7 @@
 ::
 
     smooth            NXprocess   @default=phase_portrait; program, version, date, sequence_index
+      model           NXcollection  what was learned from the record, in groups (`processing.blocks.MotionModel`)
       parameters      NXparameters  how it was made, and the sha256 of what it was made from; first_sample and
                                   last_sample where a part of the run was smoothed
       kinematics      NXdata      time, position, velocity, acceleration and their errors (f4) over time; with a belt
@@ -49,6 +50,15 @@ COUNTS = ("sticks", "slips", "spikes", "frozen")
 HASHED_AT_A_TIME = 1 << 20  # values, 8 MB
 ADDED = ("start_errors", "end_errors", "size")  # columns that the first stages did not have
 Column = tuple[Callable[[Any], float], type, str]  # of a row its value, the type and the units, {unit} for a length's
+MODEL_UNITS = {  # of the numbers in a model, by name
+    **dict.fromkeys(("interval", "shortest", "slip"), "s"),
+    **dict.fromkeys(("step", "spread", "noise", "step_unit", "belt", "relative"), "{unit}"),
+    **dict.fromkeys(("speed", "fastest", "belt_speed", "stated"), "{unit}/s"),
+    **dict.fromkeys(("tolerance", "peak"), "{unit}/s^2"),
+    **dict.fromkeys(("reading", "reading_variance"), "{unit}^2"),
+    **dict.fromkeys(("misfit", "corner", "line", "reset_variance"), ""),  # the last are of different derivatives
+    **{"jerk": "{unit}^2/s^5", "process_density": "{unit}^2/s^7", "mean_snap": "{unit}/s^4"},
+}
 TABLES: dict[str, tuple[str, str, str, dict[str, Column]]] = {  # title, axis, signal, columns
     "phases": (
         "sticks and slips",
@@ -154,6 +164,7 @@ def finish(smooth: h5py.Group, motion: Kinematics | SmoothingSummary, digest: st
     if own != nexus.EVERY:
         for name, sample in zip(PART, (own.start, own.stop - 1), strict=True):
             nexus.field(parameters, name, np.int64(sample))
+    _write_model(nexus.group(smooth, "model", "NXcollection"), motion.model, unit)
     portrait = nexus.group(
         smooth, "phase_portrait", "NXdata", signal="velocity", axes="position", title="phase portrait"
     )
@@ -260,7 +271,32 @@ def load(path: Path) -> Kinematics | None:
             findings=_findings(entry, path),
             repaired="repaired" in entry[parameters] and bool(nexus.read_number(entry, f"{parameters}/repaired", path)),
             cpu_s=nexus.read_number(entry, f"{parameters}/cpu_time", path),
+            model=_read_model(entry["smooth/model"]) if "smooth/model" in entry else {},
         )
+
+
+def _write_model(made: h5py.Group, model: Mapping[str, Any], unit: str) -> None:
+    """Write the values of a model, each with its units, and its parts as groups."""
+    for name, value in model.items():
+        if isinstance(value, Mapping):
+            _write_model(nexus.group(made, name, "NXcollection"), value, unit)
+        elif isinstance(value, str):
+            nexus.field(made, name, value)
+        else:
+            numbers = np.asarray(value)
+            units = MODEL_UNITS[name].format(unit=unit) if numbers.dtype.kind == "f" else None
+            nexus.field(made, name, numbers.astype(np.uint8) if numbers.dtype == bool else numbers, units)
+
+
+def _read_model(made: h5py.Group) -> dict[str, Any]:
+    """Return the values of a model as they were written."""
+    found: dict[str, Any] = {}
+    for name, member in made.items():
+        if isinstance(member, h5py.Group):
+            found[name] = _read_model(member)
+        else:
+            found[name] = member.asstr()[()] if h5py.check_string_dtype(member.dtype) else member[()]
+    return found
 
 
 def _with_own_events(recording: Recording, part: slice) -> Recording:

@@ -1,8 +1,12 @@
 """What a smoothed run says: as JSON, and in sentences for a person."""
 
 import math
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from daq.output.lengths import shown_range, shown_speed
 from processing.record.kinematics import Kinematics, SmoothingSummary
@@ -58,6 +62,7 @@ def run_as_json(motion: Kinematics) -> dict[str, Any]:
         "unit": recording.unit,
         "position_range": [float(motion.position.min()), float(motion.position.max())],
         "velocity_range": [float(motion.velocity.min()), float(motion.velocity.max())],
+        "model": _plain(motion.model),
         "events": {kind: recording.event_kind.count(kind) for kind in sorted(set(recording.event_kind))},
     }
 
@@ -122,7 +127,29 @@ def run_sentences(motion: Kinematics, file: Path) -> list[str]:
         f"{data['samples']} samples at {data['rate_hz']:g} Hz, {data['duration_s']:.4g} s{segments}; events: {events}",
         f"position {shown_range(low, high, unit)}, velocity {slow:.4g} to {fast:.4g} {shown_speed(unit)}",
         *sentences(motion),
+        *(f"model{name}: {numbers}" for name, numbers in _groups(motion.model)),
     ]
+
+
+def _plain(model: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a model in lists and plain numbers."""
+    plain = {name: _plain(value) if isinstance(value, Mapping) else np.asarray(value) for name, value in model.items()}
+    return {name: value if isinstance(value, dict) else value.tolist() for name, value in plain.items()}
+
+
+def _groups(model: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the parts of a model: the name of each, and its numbers, those by label of the motion left out."""
+    own = {key: np.asarray(value) for key, value in model.items() if not isinstance(value, Mapping)}
+    numbers = [f"{key} {_shown(value)}" for key, value in own.items() if value.size <= 2]
+    if numbers:
+        yield name, ", ".join(numbers)
+    for key, value in model.items():
+        if isinstance(value, Mapping):
+            yield from _groups(value, f"{name} {key}")
+
+
+def _shown(value: "NDArray[Any]") -> str:
+    return " to ".join(f"{own:.4g}" if isinstance(own, float) else str(own) for own in np.atleast_1d(value).tolist())
 
 
 def _count(number: int, word: str) -> str:

@@ -67,17 +67,17 @@ def step_sums(series: Series, own: slice, noise: float) -> Array:
     standard deviation of one position, m.
     """
     sums = np.zeros(SUMS)
-    step = smallest_step(series.position[own])
-    for piece in series.pieces:
-        part = slice(max(piece.start, own.start), min(piece.stop, own.stop))
-        if part.stop - part.start > 2 * SHORT and is_even(series.time[part]):
-            least = CLEAR * math.sqrt(2) * noise
-            found = np.zeros(OF_KERNEL)
-            compiled(fault_kernel.count_steps, KERNELS)(series.position[part], noise, least, NEAR, found)
-            valid = OF_KERNEL if noise >= DITHERED * step else UNCLEAR
-            sums[:valid] += found[:valid]
-            if noise >= REPEATED * step > 0:
-                sums[OF_KERNEL:] += _equal_readings(np.rint(np.abs(np.diff(series.position[part])) / step))
+    parts = [slice(max(piece.start, own.start), min(piece.stop, own.stop)) for piece in series.pieces]
+    even = [part for part in parts if part.stop - part.start > 2 * SHORT and is_even(series.time[part])]
+    step = smallest_step(series.position[own]) if even else 0.0
+    for part in even:
+        least = CLEAR * math.sqrt(2) * noise
+        found = np.zeros(OF_KERNEL)
+        compiled(fault_kernel.count_steps, KERNELS)(series.position[part], noise, least, NEAR, found)
+        valid = OF_KERNEL if noise >= DITHERED * step else UNCLEAR
+        sums[:valid] += found[:valid]
+        if noise >= REPEATED * step > 0:
+            sums[OF_KERNEL:] += _equal_readings(np.rint(np.abs(np.diff(series.position[part])) / step))
     return sums
 
 

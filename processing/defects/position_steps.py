@@ -24,8 +24,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from daq.compute.arrays import Array, Integers
 from processing.defects.change_point import ROUNDED, ChangeModels, change_models, jump_weights
 from processing.polynomial.even_grid import even_grid
-from processing.record.estimates import RecordEstimates
-from processing.record.noise import position_noise
 from processing.record.position_steps import PositionStep, step_offsets, step_profile
 from processing.record.series import Series
 
@@ -65,27 +63,41 @@ DEGREE = 4  # of the polynomial beside the models
 SLACK = 0.5  # of the sum of steps: by how much a record may be wider without them; without slips it is by all of it
 
 
-def position_steps(series: Series, estimates: RecordEstimates | None = None) -> tuple[PositionStep, ...]:
+def learn(series: Series, noise: float) -> float:
+    """Return the unit of the test, m; 0 where the record shows no steps, or slips that look like steps.
+
+    ``noise`` is the standard deviation of a position, m.
+    """
+    if series.pitch:
+        return series.pitch
+    unit = PER_NOISE * noise
+    return unit if _is_datum(series, _found(series, unit)) else 0.0
+
+
+def position_steps(series: Series, unit: float) -> tuple[PositionStep, ...]:
     """Find where the position steps by ten counts or more, or by eight to ten standard deviations of a position.
 
     Parameters
     ----------
     series : Series
-        The record.
-    estimates : RecordEstimates, optional
-        Of the record that this is a block of.
+        The record, or a block of it.
+    unit : float
+        Of the test, from `learn`.
 
     Returns
     -------
     tuple of PositionStep
         In order of time.  A step adds its size to all readings from ``last`` on.
     """
-    counted = bool(series.pitch)
-    estimates = estimates or RecordEstimates()
-    unit = estimates.once("unit", lambda: series.pitch if counted else PER_NOISE * position_noise(series))
-    if not unit or (estimates.known("datum") and not estimates.once("datum", lambda: True)):
-        return ()
+    found = _found(series, unit)
+    return tuple(found) if series.pitch or _is_datum(series, found) else ()
+
+
+def _found(series: Series, unit: float) -> list[PositionStep]:
     found: list[PositionStep] = []
+    if not unit:
+        return found
+    counted = bool(series.pitch)
     for number, piece in enumerate(series.pieces):
         if piece.stop - piece.start <= 2 * AROUND + SPREAD:
             continue
@@ -96,9 +108,7 @@ def position_steps(series: Series, estimates: RecordEstimates | None = None) -> 
         for first, last, size in own:
             counts = round(size) if counted else 0
             found.append(PositionStep(piece.start + first, piece.start + last, counts, unit * (counts or size)))
-    if counted or not found:
-        return tuple(found)
-    return tuple(found) if estimates.once("datum", lambda: _is_datum(series, found)) else ()
+    return found
 
 
 def _is_datum(series: Series, steps: list[PositionStep]) -> bool:

@@ -9,10 +9,8 @@ Found are single spikes beyond six standard deviations of a position (and two an
 bursts of noise, and a sensor that holds its value while nothing moves or until the mass has come back.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,6 @@ import numpy as np
 from daq.compute.arrays import HOLE, Array, Integers, Mask, runs
 from daq.compute.compile import compiled
 from processing.defects import fault_kernel
-from processing.record.estimates import RecordEstimates
 from processing.record.motion import Fault, mask_of
 from processing.record.noise import position_noise, reading_step
 from processing.record.series import LONG, Series
@@ -38,6 +35,26 @@ CATCH_UP = 4.0  # times the mean step beside them: what the value jumps by when 
 LESS = 0.95  # of the noise before: where it falls below that without the faults, more of them show
 
 
+@dataclass(frozen=True)
+class FaultLimits:
+    """What faults are judged by, m.
+
+    Attributes
+    ----------
+    step : float
+        That readings are rounded to; 0 where there is none.
+    spread : float
+        Standard deviation of a position as `OUT_OF_LINE` takes it: that of the record with the faults in it, unless
+        they are so frequent that they raise it.
+    noise : float
+        Standard deviation of a position that is no fault.
+    """
+
+    step: float
+    spread: float
+    noise: float
+
+
 @dataclass(frozen=True, eq=False)
 class SoundRecord:
     """A record without its faults.
@@ -52,52 +69,40 @@ class SoundRecord:
         Those samples.
     bridged : Series
         All n samples, with straight lines where there are faults.
-    noise : float
-        Standard deviation of one position that is kept, m.
     """
 
     faults: tuple[Fault, ...]
     kept: Mask
     series: Series
     bridged: Series
-    noise: float
 
 
-def without_faults(series: Series, estimates: RecordEstimates | None = None) -> SoundRecord:
-    """Return the record without its faults."""
-    estimates = estimates or RecordEstimates()
-    step = estimates.once("step", lambda: reading_step(series))
-    if estimates.known("noise"):
-        limit, noise = estimates.once("limit", lambda: math.nan), estimates.once("noise", lambda: math.nan)
-        faults = _faults(series, limit, step)
-        left = _only(series, ~mask_of(faults, series.time.size)) if faults else series
-    else:
-        limit = noise = position_noise(series)
-        faults = _faults(series, limit, step)
-        left = _only(series, ~mask_of(faults, series.time.size)) if faults else series
-        for _ in range(3 if faults else 0):  # frequent spikes add to the noise
-            before, noise = noise, position_noise(left)
-            if noise > LESS * before:
-                break
-            limit = noise
-            faults = _faults(series, limit, step)
-            left = _only(series, ~mask_of(faults, series.time.size))
-        estimates.once("limit", lambda: limit)
-        estimates.once("noise", lambda: noise)
-    kept = ~mask_of(faults, series.time.size)
-    if not faults:
-        return SoundRecord((), kept, series, series, noise)
-    own = np.flatnonzero(kept)
-    bridged = np.interp(series.time, series.time[own], series.position[own])
-    return SoundRecord(tuple(faults), kept, left, replace(series, position=bridged), noise)
+def learn(series: Series) -> tuple[FaultLimits, SoundRecord]:
+    """Return the limits of a record, and the record without its faults."""
+    step = reading_step(series)
+    spread = noise = position_noise(series)
+    left = without_faults(series, FaultLimits(step, spread, noise))
+    for _ in range(3 if left.faults else 0):  # frequent spikes add to the noise
+        before, noise = noise, position_noise(left.series)
+        if noise > LESS * before:
+            break
+        spread = noise
+        left = without_faults(series, FaultLimits(step, spread, noise))
+    return FaultLimits(step, spread, noise), left
 
 
-def _faults(series: Series, noise: float, step: float) -> list[Fault]:
-    found: list[Fault] = []
+def without_faults(series: Series, limits: FaultLimits) -> SoundRecord:
+    """Return the record, or a block of it, without its faults."""
+    faults: list[Fault] = []
     for piece in series.pieces:
         if piece.stop - piece.start > 2 * BESIDE:
-            found += _in_piece(series.position[piece], noise, step, piece.start)
-    return found
+            faults += _in_piece(series.position[piece], limits.spread, limits.step, piece.start)
+    kept = ~mask_of(faults, series.time.size)
+    if not faults:
+        return SoundRecord((), kept, series, series)
+    left = series.taken(kept, max(HOLE * series.interval, LONG))
+    bridged = np.interp(series.time, left.time, left.position)
+    return SoundRecord(tuple(faults), kept, left, replace(series, position=bridged))
 
 
 def _in_piece(x: Array, noise: float, step: float, start: int) -> list[Fault]:
@@ -187,18 +192,3 @@ def _all_found(run: Callable[..., int], *rows: tuple[tuple[int, ...], type]) -> 
         if count <= room:
             return [array[:count] for array in arrays]
         room = count
-
-
-def _only(series: Series, kept: Mask) -> Series:
-    """Return the samples ``kept`` of a record, (n,); its pieces end where a long hole is left."""
-    own = np.flatnonzero(kept)
-    time = series.time[own]
-    cut = np.diff(time) > max(HOLE * series.interval, LONG)
-    starts = {int(np.searchsorted(own, piece.start)) for piece in series.pieces}
-    edges = sorted({0, own.size} | starts | set((np.flatnonzero(cut) + 1).tolist()))
-    return replace(
-        series,
-        time=time,
-        position=series.position[own],
-        pieces=tuple(slice(i, j) for i, j in pairwise(edges)),
-    )

@@ -6,26 +6,28 @@ a piece repeats the one before it.  One count over one interval is already pitch
 
 import numpy as np
 
-from processing.record.estimates import RecordEstimates
+from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
-from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting, refuse_window
 
 WINDOW = 2  # samples
 
 
-def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Motion:
-    """Differentiate by differences of neighbouring samples.
+def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
+    """Return the model: there is nothing to learn but the noise of a position, m.
 
-    Parameters
-    ----------
-    series : Series
-        The record.
-    setting : Setting
-        Must be empty: two points and a straight line are the method.
-    estimates : RecordEstimates
-        Of the record that this is a block of, or empty.
+    Raises
+    ------
+    InputError
+        When a window or an order was asked for: two points and a straight line are the method.
+    """
+    refuse_window(setting, method, "finite differences have no window")
+    return MethodModel(method=method, noise=noise, window=WINDOW, order=1, stated=setting.belt_speed)
+
+
+def apply(series: Series, model: MethodModel) -> Motion:
+    """Differentiate by differences of neighbouring samples.
 
     Returns
     -------
@@ -33,17 +35,11 @@ def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Mo
         Position as recorded, velocity by the forward difference, acceleration by the second difference on the three
         samples around.  Errors are those of independent reading errors; they do not cover the truncation error
         a dt/2 of a one-sided difference.
-
-    Raises
-    ------
-    InputError
-        When a window or an order was asked for.
     """
-    refuse_window(setting, "fd", "finite differences have no window")
     n = series.time.size
     velocity, acceleration = np.zeros(n), np.zeros(n)
     velocity_errors, acceleration_errors = np.full(n, np.inf), np.full(n, np.inf)
-    sigma = estimates.once("floor", lambda: position_noise(series))
+    sigma = model.noise
     for piece in series.pieces:
         t, x = series.time[piece], series.position[piece]
         if t.size < 2:
@@ -66,7 +62,7 @@ def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Mo
         position_errors=np.full(n, sigma),
         velocity_errors=velocity_errors,
         acceleration_errors=acceleration_errors,
-        window=WINDOW,
-        order=1,
-        method="fd",
+        window=model.window,
+        order=model.order,
+        method=model.method,
     )

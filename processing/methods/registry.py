@@ -1,7 +1,8 @@
 """The methods that make velocity from position, behind one signature; a method's module is imported when it is used.
 
-A method is a module with ``estimate(series, setting, estimates) -> Motion``.  To admit a new one, add its line to
-`METHODS`.
+A method is a module with ``learn(method, series, setting, noise) -> MethodModel`` and ``apply(series, model) ->
+Motion``.  What is learned from a record, or from stretches that represent it, is applied to all of it, in one block or
+in many.  To admit a new one, add its line to `METHODS`.
 Every method is held to one contract (tests/processing/methods/test_methods.py): shapes kept, zero gives zero, a
 straight line comes back exactly, nothing crosses a gap, errors are positive, and bad samples were refused before it
 by index.
@@ -10,16 +11,20 @@ by index.
 from importlib import import_module
 from typing import Protocol, cast
 
+import numpy as np
+
 from daq.errors import InputError, nearest
-from processing.record.estimates import RecordEstimates
+from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
+from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import Setting
+from processing.record.stretches import LEAST, MOST, survey
 
 METHODS = {
-    "auto": "processing.methods.auto",
-    "segment": "processing.methods.segment",
-    "rts": "processing.methods.rts",
+    "auto": "processing.methods.smoothers",
+    "segment": "processing.methods.smoothers",
+    "rts": "processing.methods.smoothers",
     "sg": "processing.methods.savgol",
     "fd": "processing.methods.differences",
 }
@@ -28,8 +33,14 @@ METHODS = {
 class Method(Protocol):
     """The one signature."""
 
-    def estimate(self, series: Series, setting: Setting, estimates: RecordEstimates) -> Motion:
-        """Rebuild the motion of ``series``; InputError for a setting that the method cannot carry out."""
+    def learn(self, method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
+        """Learn how ``series`` is to be smoothed; InputError for a setting that the method cannot carry out.
+
+        ``noise`` is the standard deviation of a position, m.
+        """
+
+    def apply(self, series: Series, model: MethodModel) -> Motion:
+        """Rebuild the motion of ``series``."""
 
 
 def check(name: str) -> None:
@@ -43,11 +54,38 @@ def resolve(name: str, setting: Setting) -> str:
     return "sg" if name == "auto" and (setting.window is not None or setting.order is not None) else name
 
 
-def estimate(name: str, series: Series, setting: Setting, estimates: RecordEstimates | None = None) -> Motion:
-    """Run the method ``name`` on the record; the result's ``method`` is the one that was chosen by "auto".
+def learn(name: str, series: Series, setting: Setting, noise: float | None = None) -> MethodModel:
+    """Learn from a record how the method ``name`` smooths it; the model's ``method`` is the one that "auto" chose.
 
-    ``estimates`` are those of the record that ``series`` is a block of; by default it is one of its own.
+    ``noise`` is the standard deviation of a position, m, by default that of the series.
     """
     check(name)
-    module = cast(Method, import_module(METHODS[resolve(name, setting)]))
-    return module.estimate(series, setting, estimates or RecordEstimates())
+    method = resolve(name, setting)
+    return _module(method).learn(method, series, setting, position_noise(series) if noise is None else noise)
+
+
+def apply(series: Series, model: MethodModel) -> Motion:
+    """Rebuild the motion of the record that the model was learned from, or of a block of it."""
+    return _module(model.method).apply(series, model)
+
+
+def estimate(name: str, series: Series, setting: Setting) -> Motion:
+    """Rebuild the motion of a record: learn from stretches that represent it, and apply that to all of it."""
+    seen = survey(series.position.__getitem__, series.time.size)
+    for least in samples_learned(name, setting):
+        kept = np.zeros(series.time.size, bool)
+        for own in seen.stretches(least):
+            kept[own] = True
+        model = learn(name, series if kept.all() else series.taken(kept), setting)
+        if model.sticks is not None or kept.all():
+            break
+    return apply(series, model)
+
+
+def samples_learned(name: str, setting: Setting) -> tuple[int, ...]:
+    """Return how many samples a method learns from at least: more where few show no sticks that it accepts."""
+    return (LEAST, MOST) if resolve(name, setting) in ("auto", "segment") else (MOST,)
+
+
+def _module(method: str) -> Method:
+    return cast(Method, import_module(METHODS[method]))

@@ -3,29 +3,26 @@
 import numpy as np
 
 from processing.methods import window_choice
+from processing.methods.method_model import MethodModel
 from processing.polynomial import savgol
-from processing.record.estimates import RecordEstimates
 from processing.record.motion import Motion
-from processing.record.noise import position_noise
 from processing.record.series import Series
 from processing.record.setting import DEFAULT_ORDER, Setting, check_window
 
 
-def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Motion:
-    """Fit local polynomials.
+def learn(method: str, series: Series, setting: Setting, noise: float) -> MethodModel:
+    """Return the model: window and order, chosen from the record where they are not given.
 
     Parameters
     ----------
+    method : str
+        "sg".
     series : Series
         The record.
     setting : Setting
         Window and order; what is None is chosen from the record (`processing.methods.window_choice.choose`).
-    estimates : RecordEstimates
-        Of the record that this is a block of, or empty.
-
-    Returns
-    -------
-    Motion
+    noise : float
+        Standard deviation of a position, m.
 
     Raises
     ------
@@ -33,20 +30,24 @@ def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Mo
         For an even window, or one that does not exceed the order.
     """
     if setting.window is None:
-        chosen = estimates.once("window", lambda: window_choice.choose(series, setting.order))
+        chosen = window_choice.choose(series, setting.order)
         length, order = chosen.window, chosen.order
     else:
         length, order = setting.window, DEFAULT_ORDER if setting.order is None else setting.order
     check_window(length, order)
+    return MethodModel(method=method, noise=noise, window=length, order=order, stated=setting.belt_speed)
+
+
+def apply(series: Series, model: MethodModel) -> Motion:
+    """Fit local polynomials."""
+    length, order = model.window, model.order
     values, norms, probe, probe_norms = (np.empty((3, series.time.size)) for _ in range(4))
     for piece in series.pieces:
         own = series.time[piece], series.position[piece]
         values[:, piece], norms[:, piece] = savgol.fit(*own, length, order)
         probe[:, piece], probe_norms[:, piece] = savgol.fit(*own, savgol.half(length, order), order)
     errors = np.empty_like(values)
-    floor = (
-        series.pitch / np.sqrt(12) if length > order + 3 else estimates.once("floor", lambda: position_noise(series))
-    )
+    floor = series.pitch / np.sqrt(12) if length > order + 3 else model.noise
     for piece in series.pieces:
         errors[:, piece] = savgol.standard_errors(
             series.position[piece],
@@ -55,4 +56,4 @@ def estimate(series: Series, setting: Setting, estimates: RecordEstimates) -> Mo
             length,
             floor,
         )
-    return Motion.from_rows(series, values, errors, window=length, order=order, method="sg")
+    return Motion.from_rows(series, values, errors, window=length, order=order, method=model.method)

@@ -1,8 +1,8 @@
 """The Savitzky-Golay window, chosen from the record without knowing the truth.
 
 Cross-validation fails at coarse counts, whose error is a slow sawtooth instead of white noise.  The likelihood of a
-smoother does not: the record is smoothed by `processing.methods.auto`, noise levels fitted by likelihood, and of the
-Savitzky-Golay filters (window, order) the one is taken whose velocity comes closest to the smoother's.  It lies within
+smoother does not: the record is smoothed by the default (`processing.methods.smoothers`), and of the Savitzky-Golay
+filters (window, order) the one is taken whose velocity comes closest to the smoother's.  It lies within
 a few per cent of the best window known with truth, from 1 to 200 um a count, with and without jitter
 (tests/processing/methods/test_window_choice.py).
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from processing.kalman import white_jerk
-from processing.methods import auto
+from processing.methods import registry
 from processing.polynomial.even_fit import coefficients, convolved
 from processing.polynomial.even_grid import even_grid
 from processing.record.series import Series
@@ -63,7 +63,7 @@ def choose(series: Series, order: int | None = None) -> WindowChoice:
         degree = 4 if order is None else order
         return WindowChoice(_within(max(41, degree + 1 | 1), degree, limit), degree, 0.0)
     noise = white_jerk.fit(series)
-    motion = auto.estimate(series, Setting())
+    motion = registry.estimate("auto", series, Setting())
     goals = [_velocity_on_grid(series.time[own], motion.velocity[own], motion.acceleration[own]) for own in stretches]
     orders = (order,) if order is not None else ORDERS
     window, degree = _closest(grids, goals, math.log(noise.rho(series.interval)), orders)

@@ -5,10 +5,11 @@ made is a `SmoothingHeader`; a record too long for memory yields a `SmoothingSum
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -69,6 +70,9 @@ class SmoothingHeader:
     plateau_speed : float
         m/s: common speed of the plateaus, whatever the belt's nominal speed; NaN without plateaus, or when the
         motion was read back from a file.
+    model : mapping
+        What was learned from the record and applied to it (`processing.blocks.MotionModel`), as numbers by name and
+        such of its parts; empty when the motion was read back from a file that does not hold it.
     """
 
     method: str
@@ -86,6 +90,7 @@ class SmoothingHeader:
     findings: tuple[Finding, ...] = ()
     cpu_s: float
     plateau_speed: float = math.nan
+    model: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def sticks(self) -> tuple[Phase, ...]:

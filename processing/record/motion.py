@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, Self
 
 import numpy as np
 
 from daq.compute.arrays import Array, Mask
 from processing.record.series import Series
+
+ROWS = ("position", "velocity", "acceleration", "position_errors", "velocity_errors", "acceleration_errors")
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,18 @@ class Motion:
             method=method,
             corners=corners,
         )
+
+    def rows(self) -> Array:
+        """Return x, v, a and their standard errors, a copy of shape (6, n)."""
+        return np.array([getattr(self, name) for name in ROWS])
+
+    def taken(self, kept: Mask) -> Self:
+        """Return the samples ``kept``, (n,)."""
+        return self.with_rows(self.rows()[:, kept])
+
+    def with_rows(self, rows: Array) -> Self:
+        """Return the motion with other `rows`."""
+        return replace(self, **dict(zip(ROWS, rows, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ A shorter hole (a lost sample or two) stays inside its piece: the recorded times
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, wraps
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeVar
@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, pieces
+from daq.compute.arrays import Array, Integers, Mask, pieces
 from daq.errors import InputError
 from processing.polynomial.even_grid import even_grid
 
@@ -68,6 +68,16 @@ class Series:
         """Positions of each piece on its even grid, in counts; empty for a lone sample.  Needs a pitch."""
         own = [(self.time[piece], self.position[piece] / self.pitch) for piece in self.pieces]
         return tuple(even_grid(time, count) if time.size > 1 else np.empty(0) for time, count in own)
+
+    def taken(self, kept: Mask, hole: float = 0.0) -> "Series":
+        """Return the samples ``kept``, (n,); a hole left longer than ``hole``, s, ends a piece."""
+        own = np.flatnonzero(kept)
+        time = self.time[own]
+        cut = (np.diff(own) > 1) & (np.diff(time) > hole)
+        starts = {int(np.searchsorted(own, piece.start)) for piece in self.pieces}
+        edges = sorted({0, own.size} | starts | set((np.flatnonzero(cut) + 1).tolist()))
+        taken = tuple(slice(i, j) for i, j in pairwise(edges))
+        return replace(self, time=time, position=self.position[own], pieces=taken)
 
 
 def computed_once(function: Callable[[Series], Result]) -> Callable[[Series], Result]:

@@ -2,6 +2,7 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -10,10 +11,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from daq.compute.arrays import Array, Integers
 from processing.record.series import Series
 
-LEARNED = 2**17  # samples that the estimates of a longer record are made from: 40 slips of the published 376 s
-PARTS = 4  # stretches of them: each must hold some sticks and slips; with 8 of half the length slow ones are cut
+WINDOW = 2**11  # samples: stretches are so long, or multiples of it
+LEAST, MOST = 11 * 2**11, 2**17  # samples that the model of a longer record is learned from
+PART = 2**15  # samples of one stretch of them at least: the sticks that its ends cut are odd ones
+SHARE = 1 / 8  # of a record, between those: it costs little, and a record changes
+SWINGS = 8  # slips, or swings to and fro, that they hold where the record has them: fewer make no usual one
 ACTIVE = 0.2  # of the travel within the most active stretches: less is rest, and says nothing about sticks
-STRIDE = 4  # of the samples whose percentiles are a stretch's travel
+STRIDE = 4  # of the samples whose percentiles are a window's travel
+READ = 2**15  # samples read at a time
 SHORTEST = 16  # samples: a stretch below this is left out (third differences of fewer say little)
 
 
@@ -60,40 +65,58 @@ def representative_stretches(series: Series, most: int, parts: int = 8) -> list[
     return [own for own in inside if own.stop - own.start >= SHORTEST]
 
 
-def learning_stretches(positions: Callable[[slice], Array], n: int) -> tuple[list[slice], float]:
-    """Return the stretches of a record that its noise levels, thresholds and speeds are estimated from, and its travel.
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """How a record of n samples moves: the percentiles 1 and 99 of the positions in each window, m, and its swings."""
 
-    They are spread evenly over the parts of the record in which the mass moves.
+    low: Array
+    high: Array
+    swings: int
+    n: int
 
-    Parameters
-    ----------
-    positions : callable
-        Returns the positions of a slice of samples, m.
-    n : int
-        Samples of the record.
+    @property
+    def travel(self) -> float:
+        """How far the record travels, m."""
+        return float(self.high.max() - self.low.min())
 
-    Returns
-    -------
-    list of slice
-        In order of time, `LEARNED` samples at most.
-    float
-        Between the percentiles 1 and 99 of the positions in any stretch, m.
-    """
-    length = LEARNED // PARTS
-    starts = list(range(0, n, length)) if n <= LEARNED else [*range(0, n - length, length), n - length]
-    ends = [np.percentile(positions(slice(at, at + length))[::STRIDE], (1, 99)) for at in starts]
-    low, high = np.array(ends).T
-    travel = float(high.max() - low.min())
-    if n <= LEARNED:
-        return [slice(0, n)], travel
-    travels = high - low
-    active = np.flatnonzero(travels >= ACTIVE * np.median(np.sort(travels)[-PARTS:]))
-    picked = active[np.unique(np.linspace(0, active.size - 1, PARTS).astype(int))].tolist()
-    # The last one ends with the record, and may begin within the one before it.
-    begins = [starts[k] for k in picked]
-    if len(begins) > 1 and begins[-1] < begins[-2] + length:
-        begins[-2] = begins[-1] - length
-    return [slice(at, at + length) for at in sorted(set(begins))], travel
+    def stretches(self, least: int) -> list[slice]:
+        """Return the stretches that the model of the record is learned from, in order of time.
+
+        They are spread evenly over the parts of the record in which the mass moves, and have ``least`` to `MOST`
+        samples together: of a record that swings slowly, and of a long one, more.
+        """
+        slow = round(SWINGS * self.n / self.swings) if self.swings else self.n
+        wanted = min(max(least, round(SHARE * self.n), slow), MOST)
+        parts = max(wanted // PART, 1)
+        windows = -(-wanted // (parts * WINDOW))  # of each stretch
+        slots = self.n // (windows * WINDOW)
+        if slots <= parts:
+            return [slice(0, self.n)]
+        low, high = (own[: slots * windows].reshape(slots, windows) for own in (self.low, self.high))
+        travels = high.max(axis=1) - low.min(axis=1)
+        active = np.flatnonzero(travels >= ACTIVE * np.median(np.sort(travels)[-parts:]))
+        middles = (np.arange(parts) + 0.5) / parts  # of equal parts of what moves
+        picked = np.unique(active[(middles * active.size).astype(int)]).tolist()
+        return [slice(k * windows * WINDOW, (k + 1) * windows * WINDOW) for k in picked]
+
+
+def survey(positions: Callable[[slice], Array], n: int) -> Survey:
+    """Look through a record; ``positions`` returns those of a slice of its n samples, m."""
+    ends, swings = [], 0
+    for at in range(0, n, READ):
+        x = positions(slice(at, min(at + READ, n)))[::STRIDE]
+        whole = x[: x.size // (WINDOW // STRIDE) * (WINDOW // STRIDE)].reshape(-1, WINDOW // STRIDE)
+        ends += [np.percentile(own, (1, 99), axis=-1).T for own in (whole, x[whole.size :]) if own.size]
+        swings += _swings(x, *np.percentile(x, (1, 99)))
+    low, high = np.vstack(ends).T
+    return Survey(low, high, swings, n)
+
+
+def _swings(x: Array, low: float, high: float) -> int:
+    """Return how often the positions go from their lower quarter, of the range low..high, to the upper one and back."""
+    side = np.sign(np.round(2 * (x - (low + high) / 2) / max(high - low, 1e-300)))
+    turns = np.diff(side[side != 0])
+    return int(min(np.count_nonzero(turns > 0), np.count_nonzero(turns < 0)))
 
 
 def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) -> tuple[int, int]:
@@ -101,11 +124,10 @@ def moving_samples(positions: Callable[[slice], Array], n: int, slack: float) ->
 
     At rest the medians of five positions differ by ``slack``, m, at most.
     """
-    length = LEARNED // PARTS
-    starts = list(range(0, max(n - 4, 1), length))
+    starts = list(range(0, max(n - 4, 1), WINDOW))
 
     def away(at: int, rest: float) -> Integers:
-        x = positions(slice(at, min(at + length + 4, n)))
+        x = positions(slice(at, min(at + WINDOW + 4, n)))
         middle = np.median(sliding_window_view(x, 5), axis=1) if x.size >= 5 else x
         return np.flatnonzero(np.abs(middle - rest) > slack) + at + 2
 

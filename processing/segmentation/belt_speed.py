@@ -53,7 +53,7 @@ def speed_before_creep(velocity: list[Array], window: int, common: float) -> flo
     long = [own for own in velocity if own.size >= 4 * max(2 * window, QUARTER)]
     if len(long) < FEWEST:
         return common
-    quarters = np.array([[np.median(part) for part in np.array_split(own, 4)] for own in long]) / common
+    quarters = np.array([[median_value(part) for part in np.array_split(own, 4)] for own in long]) / common
     first, second, _, last = np.median(quarters, axis=0)
     scatter = float(np.median(np.abs(quarters[:, 1] - quarters[:, 3] - (second - last)))) / 0.6745
     if second - last < max(CREEP, 4 * scatter / math.sqrt(len(long))) or abs(first - second) > LEVEL * (second - last):

@@ -18,10 +18,8 @@ import numpy as np
 
 from daq.compute.arrays import Array
 from processing.kalman.stick_slip import LAND, LEAVE, OVERTAKE, RIDE, SLIP, STICK, NoiseLevels
-from processing.record.estimates import RecordEstimates
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED
-from processing.segmentation.model_selection import BIC_FACTOR
 from processing.segmentation.noise_levels import Workspace, filter_stretch
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import (
@@ -52,7 +50,7 @@ def with_ends(
     times: SwitchingTimes,
     levels: NoiseLevels,
     speed: float,
-    estimates: RecordEstimates,
+    needed: float,
 ) -> SwitchingTimes:
     """Return ``first`` with a landing or a break-away near each end of a piece that needs one, or ``first`` itself.
 
@@ -64,11 +62,10 @@ def with_ends(
         By label.
     speed : float
         Of the sticks, m/s, NaN where there is none: a part that is cut off as stick must have it.
-    estimates : RecordEstimates
-        Of the record: how much a corner must gain.
+    needed : float
+        Log likelihood that a corner must gain.
     """
     levels = _read_alike(levels)
-    needed = estimates.once("needed", lambda: BIC_FACTOR * math.log(series.time.size))
     begins = list(first.first)
     added: list[tuple[float, int]] = []
     number = {own.start: k for k, own in enumerate(series.pieces)}
@@ -170,15 +167,27 @@ def _read_alike(levels: NoiseLevels) -> NoiseLevels:
 
 
 def with_overtaking(
-    series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, estimates: RecordEstimates
-) -> SwitchingTimes:
-    """Return the switching times with an overtaking corner before each landing that needs one."""
+    series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels, usual: float | None
+) -> tuple[float, SwitchingTimes]:
+    """Return the switching times with an overtaking corner before each landing that needs one.
+
+    Parameters
+    ----------
+    usual : float or None
+        Mean square innovation that the usual stick of the record begins with; None: that of these.
+
+    Returns
+    -------
+    float
+        ``usual``.
+    SwitchingTimes
+    """
     levels = _read_alike(levels)
     at, kind, sd = list(times.at), list(times.kind), list(times.sd)
     added: list[int] = []
     every = stretches(series, times)
     misfit = [_misfits_of_landings(series, workspace, times, levels, stretch) for stretch in every]
-    usual = estimates.once("usual misfit", lambda: _usual(misfit))
+    usual = _usual(misfit) if usual is None else usual
     for stretch, own in zip(every, misfit, strict=True):
         for k in (k for k, size in own.items() if size > ODD * usual):
             better = _time_ahead(series, workspace, times, levels, stretch, k)
@@ -190,12 +199,12 @@ def with_overtaking(
                 sd.insert(place, sd[place])
                 added.append(place)
     if not added:
-        return times
+        return usual, times
     times = replace(times, at=np.array(at), kind=np.array(kind, np.uint8), sd=np.array(sd))
     better_times = refine_switching_times(series, workspace, times, levels, 1.0)
     near = np.unique(np.clip(np.array(added)[:, None] + np.arange(-1, 3), 0, times.at.size - 1))
     times.at[near], times.sd[near] = better_times.at[near], better_times.sd[near]
-    return times
+    return usual, times
 
 
 def misfits(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> Array:

@@ -5,14 +5,13 @@ model is a motion of white jerk or of white snap throughout, whichever is more l
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
 from processing.kalman.stick_slip import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
-from processing.record.estimates import RecordEstimates
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch, merged, null_model, reestimate_noise
 from processing.segmentation.switching_estimate import refine_switching_times
@@ -20,99 +19,231 @@ from processing.segmentation.switching_times import SwitchingTimes, spans_of, st
 
 # Of ln n, for each corner: the BIC penalty of its three parameters, (ln n)/2 each (Schwarz, Ann. Stat. 6 (1978) 461).
 BIC_FACTOR = 1.5
+WIDTHS = 1.0, 0.25  # of the search for the corners of sticks on an uneven belt, in turn
 FEW = 1 / 6  # share of the sticks that may be odd (a tap makes two of one): the others still show what a stick is
 
 Span = tuple[float, float]
 
 
-def accept_sticks(
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """What a stick must be more likely than.
+
+    Attributes
+    ----------
+    jerk : white_jerk.Noise
+        Of a motion of white jerk throughout.
+    snap : NoiseLevels
+        Of a motion of white snap throughout.
+    uneven : NoiseLevels or None
+        Of sticks on an uneven belt, as each stick is tried; None where every one is on an even belt.
+    lenient : bool
+        Whether most sticks are beyond doubt, so that the others need only help.
+    """
+
+    jerk: white_jerk.Noise
+    snap: NoiseLevels
+    uneven: NoiseLevels | None
+    lenient: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedCorners:
+    """Corners before their refinement, ``first``, and after it."""
+
+    first: SwitchingTimes
+    times: SwitchingTimes
+
+
+def bic_penalty(samples: int) -> float:
+    """Return the log likelihood that a corner must gain in a record of so many samples."""
+    return BIC_FACTOR * math.log(samples)
+
+
+def learn_gate(
     series: Series,
     workspace: Workspace,
-    times: SwitchingTimes,
+    corners: PlacedCorners,
     levels: NoiseLevels,
-    noise: white_jerk.Noise,
-    first: SwitchingTimes,
-    estimates: RecordEstimates,
-) -> tuple[SwitchingTimes, NoiseLevels] | list[Span]:
-    """Return switching times and noise levels of the sticks accepted, each on an even belt or on an uneven one.
+    jerk: white_jerk.Noise,
+    needed: float,
+) -> tuple[SwitchingTimes, NoiseLevels, Gate] | list[Span]:
+    """Return the sticks accepted, each on an even belt or on an uneven one, the levels they have, and the gate.
 
     Parameters
     ----------
-    times, levels : SwitchingTimes, NoiseLevels
-        The estimates.
-    noise : white_jerk.Noise
+    corners : PlacedCorners
+        Of all sticks.
+    levels : NoiseLevels
+        Of sticks on an even belt.
+    jerk : white_jerk.Noise
         Of the null model of white jerk.
-    first : SwitchingTimes
-        Where the estimation began: that of uneven sticks starts there again.
-    estimates : RecordEstimates
-        Of the record: in a block of it each stick is accepted or rejected by itself, as one of the record.
+    needed : float
+        Log likelihood that a corner must gain.
 
     Returns
     -------
-    (SwitchingTimes, NoiseLevels), or list of (float, float)
+    (SwitchingTimes, NoiseLevels, Gate), or list of (float, float)
         Where the null model is kept, the spans of time, s, of the few sticks that prevent the others from being
         accepted; empty where these are not few.
     """
+    times = corners.times
     sticks = sticks_of(times)
     if not sticks:
-        return (times, _final_levels(levels, estimates)) if estimates.closed else []
-    bare = without(times, np.ones(times.at.size, bool))
-    snap = estimates.once(
-        "null model",
-        lambda: reestimate_noise(series, workspace, times, null_model(levels), 3, null_model=True),
-    )
-    spans = spans_of(series, times, sticks)
-    plain = _jerk_gains(series, noise, workspace, spans)
-    smooth = _gains(series, bare, snap, workspace, spans)
-    even = _gains(series, times, levels, workspace, spans)
-    needed = estimates.once("needed", lambda: BIC_FACTOR * math.log(series.time.size))
-    corners = np.array([len(stick) for stick in sticks])
-    ridden = np.zeros(len(sticks), bool)
-    other_way = np.maximum(plain, smooth)
-    gained = (even - other_way)[:-1]
-    if estimates.once("rounded", lambda: bool((gained < needed * corners).any())):
-        even = _better_rounded(series, times, levels, workspace, spans, even)
-        gained = (even - other_way)[:-1]
-    uneven = levels.reading_variance[STICK] > 1.3 * levels.reading_variance[SLIP]
-    if estimates.once("uneven", lambda: bool(uneven or (gained < needed * corners).any())):
-        kinds = np.where(first.kind == LAND, MEET, first.kind).astype(np.uint8)
-        firsts = tuple(RIDE if label == STICK else label for label in first.first)
-        other = replace(first, kind=kinds, first=firsts)
+        return []
+    snap = reestimate_noise(series, workspace, times, null_model(levels), 3, null_model=True)
+    gate = Gate(jerk, snap, uneven=None, lenient=False)
+    judged = _Judged.of(series, workspace, times, levels, gate, needed)
+    if levels.reading_variance[STICK] > 1.3 * levels.reading_variance[SLIP] or judged.in_doubt.any():
         riding = levels._replace(
             mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
         )
-        for width in (1.0, 0.25):
-            riding = _reestimated(series, workspace, other, riding, estimates, f"riding, {width}")
+        other = _as_rides(corners.first)
+        for width in WIDTHS:
+            riding = reestimate_noise(series, workspace, other, riding, 2)
             other = refine_switching_times(series, workspace, other, riding, width)
-        riding = _reestimated(series, workspace, other, riding, estimates, "riding")
-        rides = _gains(series, other, riding, workspace, spans)
-        ridden = (rides > even + needed)[:-1]
-        gained = np.maximum(gained, (rides - other_way)[:-1])
-        levels = estimates.once("ridden", lambda: _with_riding(levels, riding, ridden))
-        times = _with_times_of(times, other, [stick for stick, ride in zip(sticks, ridden, strict=True) if ride])
-    odd = odd_spans(series, times, sticks, gained < 0)
-    dropped = gained < needed * corners
-    # Where most sticks are beyond doubt, the others need only help.
-    if estimates.once("beyond doubt", lambda: bool(dropped.mean() < 1 / 3)):
-        dropped = gained < 0
-    if dropped.mean() > 1 / 3 and not estimates.closed:
+        riding = reestimate_noise(series, workspace, other, riding, 2)
+        gate = replace(gate, uneven=riding)
+        judged = judged.with_rides(series, workspace, other, riding)
+        levels = riding if judged.ridden.all() else merged(levels, riding)
+    odd = odd_spans(series, times, sticks, judged.gained < 0)
+    gate = replace(gate, lenient=bool(judged.in_doubt.mean() < 1 / 3))
+    dropped = judged.dropped(lenient=gate.lenient)
+    if dropped.mean() > 1 / 3:
         return []
-    lengths = np.array([np.ptp(times.at[stick]) for stick in sticks])
-    misfit = dropped & (lengths > times.unit)  # a flat part of a slip is shorter: these are sticks of another kind
+    misfit = dropped & judged.long
     if misfit.any():
-        return odd_spans(series, times, sticks, misfit, few=1.0 if estimates.closed else FEW)
-    changed = bool(dropped.any() or ridden.any())
-    before = times
-    if changed or estimates.known("rebuilt 0"):
-        times, levels = _rebuilt(series, workspace, times, levels, sticks, dropped, ridden, estimates)
-    if changed:
-        even = _gains(series, times, levels, workspace, spans)
-        even = _better_rounded(series, times, levels, workspace, spans, even)
-    if estimates.closed:
-        hopeless = dropped & (even[:-1] < other_way[:-1] - needed)
-        return odd_spans(series, before, sticks, hopeless, few=1.0) if hopeless.any() else (times, levels)
+        return odd_spans(series, judged.times, sticks, misfit)
+    times, even = judged.times, judged.even
+    if dropped.any() or judged.ridden.any():
+        times = _rebuilt(series, times, sticks, dropped, judged.ridden)
+        for _ in range(2):
+            levels = reestimate_noise(series, workspace, times, levels, 2)
+            times = refine_switching_times(series, workspace, times, levels, 0.25)
+        even = _gains(series, times, levels, workspace, judged.spans)
+        even = _better_rounded(series, times, levels, workspace, judged.spans, even)
     # What the sticks that are left gain must not be lost where the others were dropped.
-    return (times, levels) if even[-1] - max(plain[-1], smooth[-1]) > needed * times.at.size else odd
+    return (times, levels, gate) if even[-1] - judged.null[-1] > needed * times.at.size else odd
+
+
+def accept_sticks(
+    series: Series,
+    workspace: Workspace,
+    corners: PlacedCorners,
+    even: NoiseLevels,
+    levels: NoiseLevels,
+    gate: Gate,
+    needed: float,
+) -> SwitchingTimes | list[Span]:
+    """Return the sticks accepted in a block of a record, each by itself, as one of the record.
+
+    Parameters
+    ----------
+    even, levels : NoiseLevels
+        Of sticks on an even belt, and those that `learn_gate` returned.
+
+    Returns
+    -------
+    SwitchingTimes, or list of (float, float)
+        Where sticks do not fit, the spans of time, s, around them.
+    """
+    times = corners.times
+    sticks = sticks_of(times)
+    if not sticks:
+        return times
+    judged = _Judged.of(series, workspace, times, even, gate, needed)
+    if gate.uneven is not None:
+        other = _as_rides(corners.first)
+        for width in WIDTHS:
+            other = refine_switching_times(series, workspace, other, gate.uneven, width)
+        judged = judged.with_rides(series, workspace, other, gate.uneven)
+    dropped = judged.dropped(lenient=gate.lenient)
+    misfit = dropped & judged.long
+    if misfit.any():
+        return odd_spans(series, judged.times, sticks, misfit, few=math.inf)
+    rebuilt = _rebuilt(series, judged.times, sticks, dropped, judged.ridden)
+    if dropped.any():
+        gains = _gains(series, rebuilt, levels, workspace, judged.spans)
+        gains = _better_rounded(series, rebuilt, levels, workspace, judged.spans, gains)
+        hopeless = dropped & (gains < judged.null - needed)[:-1]
+        if hopeless.any():
+            return odd_spans(series, judged.times, sticks, hopeless, few=math.inf)
+    return rebuilt if gate.uneven is None else refine_switching_times(series, workspace, rebuilt, levels, 0.25)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """Sticks, and the log likelihoods of the samples of each and, last, of all: with them, and of the null model."""
+
+    times: SwitchingTimes
+    sticks: list[list[int]]
+    spans: Integers
+    even: Array
+    null: Array
+    rides: Array
+    needed: float
+
+    @classmethod
+    def of(
+        cls,
+        series: Series,
+        workspace: Workspace,
+        times: SwitchingTimes,
+        levels: NoiseLevels,
+        gate: Gate,
+        needed: float,
+    ) -> "_Judged":
+        """Return the sticks on an even belt."""
+        sticks = sticks_of(times)
+        spans = spans_of(series, times, sticks)
+        bare = without(times, np.ones(times.at.size, bool))
+        jerk, snap = _jerk_gains(series, gate.jerk, workspace, spans), _gains(series, bare, gate.snap, workspace, spans)
+        null = np.maximum(jerk, snap)
+        even = _gains(series, times, levels, workspace, spans)
+        made = cls(times, sticks, spans, even, null, np.full(even.size, -np.inf), needed)
+        doubt = made.in_doubt
+        if not doubt.any():
+            return made
+        better = np.where(np.append(doubt, True), _better_rounded(series, times, levels, workspace, spans, even), even)
+        better[-1] = even[-1] + (better - even)[:-1].sum()
+        return replace(made, even=better)
+
+    def with_rides(self, series: Series, workspace: Workspace, other: SwitchingTimes, levels: NoiseLevels) -> "_Judged":
+        """Return the sticks with what each gains on an uneven belt, and with the times it then has."""
+        made = replace(self, rides=_gains(series, other, levels, workspace, self.spans))
+        ridden = [stick for stick, ride in zip(self.sticks, made.ridden, strict=True) if ride]
+        return replace(made, times=_with_times_of(self.times, other, ridden))
+
+    @property
+    def ridden(self) -> Mask:
+        """True for the sticks on an uneven belt."""
+        return np.asarray((self.rides > self.even + self.needed)[:-1])
+
+    @property
+    def gained(self) -> Array:
+        """What each stick makes the record more likely by."""
+        return np.asarray((np.maximum(self.even, self.rides) - self.null)[:-1])
+
+    @property
+    def in_doubt(self) -> Mask:
+        """True for the sticks that gain less than their corners must."""
+        return np.asarray(self.gained < self.needed * np.array([len(stick) for stick in self.sticks]))
+
+    @property
+    def long(self) -> Mask:
+        """True for sticks longer than a slip: a flat part of a slip is shorter, these are sticks of another kind."""
+        return np.array([np.ptp(self.times.at[stick]) > self.times.unit for stick in self.sticks])
+
+    def dropped(self, *, lenient: bool) -> Mask:
+        """Return True for the sticks that are not accepted."""
+        return np.asarray(self.gained < 0) if lenient else self.in_doubt
+
+
+def _as_rides(first: SwitchingTimes) -> SwitchingTimes:
+    """Return the corners as those of sticks on an uneven belt."""
+    kinds = np.where(first.kind == LAND, MEET, first.kind).astype(np.uint8)
+    firsts = tuple(RIDE if label == STICK else label for label in first.first)
+    return replace(first, kind=kinds, first=firsts)
 
 
 def _with_times_of(times: SwitchingTimes, other: SwitchingTimes, sticks: list[list[int]]) -> SwitchingTimes:
@@ -125,29 +256,6 @@ def _with_times_of(times: SwitchingTimes, other: SwitchingTimes, sticks: list[li
         if (np.diff(trial) > 0).all():
             at[near], sd[stick] = trial, other.sd[stick]
     return replace(times, at=at, sd=sd)
-
-
-def _final_levels(levels: NoiseLevels, estimates: RecordEstimates) -> NoiseLevels:
-    """Return the levels of a record whose gate has been through, for a block of it that has no corner."""
-    ridden = estimates.once("ridden", lambda: levels)
-    return estimates.once("rebuilt 1", lambda: ridden)
-
-
-def _with_riding(levels: NoiseLevels, riding: NoiseLevels, ridden: Mask) -> NoiseLevels:
-    if not ridden.any():
-        return levels
-    return riding if ridden.all() else merged(levels, riding)
-
-
-def _reestimated(
-    series: Series,
-    workspace: Workspace,
-    times: SwitchingTimes,
-    levels: NoiseLevels,
-    estimates: RecordEstimates,
-    name: str,
-) -> NoiseLevels:
-    return estimates.once(name, lambda: reestimate_noise(series, workspace, times, levels, 2))
 
 
 def odd_spans(
@@ -174,7 +282,7 @@ def _gains(series: Series, times: SwitchingTimes, levels: NoiseLevels, workspace
 def _better_rounded(
     series: Series, times: SwitchingTimes, levels: NoiseLevels, workspace: Workspace, spans: Integers, even: Array
 ) -> Array:
-    """Return the likelihoods of even sticks, each with the reading variance of all sticks or of the slips.
+    """Return the gains ``even`` of even sticks, each with the reading variance of all sticks or of the slips.
 
     A belt that moves a round number of counts in a sample is rounded alike throughout a stick: by nothing in most, by
     half a count at every other sample in some.  One variance does not suit both.
@@ -208,16 +316,9 @@ def _summed(gain: Array, spans: Integers) -> Array:
 
 
 def _rebuilt(
-    series: Series,
-    workspace: Workspace,
-    times: SwitchingTimes,
-    levels: NoiseLevels,
-    sticks: list[list[int]],
-    dropped: Mask,
-    ridden: Mask,
-    estimates: RecordEstimates,
-) -> tuple[SwitchingTimes, NoiseLevels]:
-    """Return the times after the gate's verdict, its corners placed and its levels learned again."""
+    series: Series, times: SwitchingTimes, sticks: list[list[int]], dropped: Mask, ridden: Mask
+) -> SwitchingTimes:
+    """Return the times without the sticks ``dropped``, those on an uneven belt named so."""
     kind = times.kind.copy()
     first = list(times.first)
     gone = np.zeros(kind.size, bool)
@@ -231,10 +332,4 @@ def _rebuilt(
         elif ride:
             kind[stick[0]] = MEET
     kept = ~gone
-    times = replace(times, at=times.at[kept], sd=times.sd[kept], kind=kind[kept], first=tuple(first))
-    if estimates.closed and not estimates.known("rebuilt 0"):
-        return times, levels
-    for k in range(2):
-        levels = _reestimated(series, workspace, times, levels, estimates, f"rebuilt {k}")
-        times = refine_switching_times(series, workspace, times, levels, 0.25)
-    return times, levels
+    return replace(times, at=times.at[kept], sd=times.sd[kept], kind=kind[kept], first=tuple(first))

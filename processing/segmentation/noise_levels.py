@@ -86,14 +86,21 @@ def first_levels(series: Series, noise: white_jerk.Noise, pilot: Motion, unit: f
     return NoiseLevels(density, np.zeros(LABELS), np.full(LABELS, noise.reading), reset, peak)
 
 
+def label_stretch(series: Series, times: SwitchingTimes, stretch: FilterStretch) -> Labels:
+    """Return the part of the motion that each sample of a stretch lies in."""
+    time, label = series.time[stretch.own], np.empty(stretch.own.stop - stretch.own.start, np.uint8)
+    at, kind = times.at[stretch.corners], times.kind[stretch.corners]
+    compiled(corner_kernel.label_samples, KERNELS)(time, at, kind, stretch.first, times.unit, label)
+    return label
+
+
 def filter_stretch(
     series: Series, times: SwitchingTimes, levels: NoiseLevels, stretch: FilterStretch, workspace: Workspace
 ) -> tuple[Labels, Array]:
     """Filter a stretch of n samples; return its labels, (n,), and what was expected of each sample, (n, STORED)."""
     time, position = series.time[stretch.own], series.position[stretch.own]
     at, kind = times.at[stretch.corners], times.kind[stretch.corners]
-    label, stored = np.empty(time.size, np.uint8), workspace.array(time.size, STORED)
-    compiled(corner_kernel.label_samples, KERNELS)(time, at, kind, stretch.first, times.unit, label)
+    label, stored = label_stretch(series, times, stretch), workspace.array(time.size, STORED)
     known = 1 if stretch.first in (STICK, REST) else 3
     state = first_state(time, position, float(levels.reading_variance[stretch.first]), known)
     compiled(motion_kernel.forward, KERNELS)(SNAP, time, position, label, at, kind, process(levels), state, stored)

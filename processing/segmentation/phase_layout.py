@@ -6,13 +6,13 @@ that a method fitted itself (`processing.segmentation.smoother`) are used as the
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from daq.compute.arrays import Array, Mask, runs
 from daq.runfile.rig import Measured
-from processing.record.estimates import RecordEstimates
 from processing.record.motion import Corner, Motion, Phase, PhaseSegmentation
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED, reported_speed, speed_before_creep
@@ -29,25 +29,30 @@ Stick = tuple[float, float, float, float]  # start, end, and their standard devi
 
 
 def segment_at_corners(
-    series: Series,
-    motion: Motion,
-    moving: Mask,
-    stated: float | None,
-    measured: Measured | None,
-    estimates: RecordEstimates,
+    series: Series, motion: Motion, moving: Mask, level: float, stated: float | None, measured: Measured | None
 ) -> PhaseSegmentation:
-    """Lay out the phases between the corners that a method has fitted, with the uncertainties of their times."""
+    """Lay out the phases between the corners that a method has fitted, with the uncertainties of their times.
+
+    ``level`` is the speed of the record's sticks, m/s.
+    """
     moving = moving.copy()
-    sticks: list[Stick] = []
-    time = series.time
     for piece in series.pieces:
-        begin, end = float(time[piece.start]), float(time[piece.stop - 1])
-        inside = [corner for corner in motion.corners if begin <= corner.time <= end]
+        inside = _corners_inside(series, piece, motion.corners)
         if inside and inside[0].what == "start":
-            moving[piece.start : np.searchsorted(time, inside[0].time)] = False
+            moving[piece.start : np.searchsorted(series.time, inside[0].time)] = False
         if inside and inside[-1].what == "stop":
-            moving[np.searchsorted(time, inside[-1].time) : piece.stop] = False
-        landed = Corner(begin, math.inf, "land")
+            moving[np.searchsorted(series.time, inside[-1].time) : piece.stop] = False
+    sticks = sticks_at_corners(series, motion.corners)
+    phases = phases_from_sticks(series, moving, sticks)
+    return PhaseSegmentation(reported_speed(stated, measured, level, bool(sticks)), phases, level)
+
+
+def sticks_at_corners(series: Series, corners: Sequence[Corner]) -> list[Stick]:
+    """Return the sticks that begin and end with the corners, in order of time."""
+    sticks: list[Stick] = []
+    for piece in series.pieces:
+        inside = _corners_inside(series, piece, corners)
+        landed = Corner(float(series.time[piece.start]), math.inf, "land")
         stuck = bool(inside) and inside[0].what == "leave"
         for corner in inside:
             if corner.what == "land":
@@ -56,15 +61,25 @@ def segment_at_corners(
                 sticks.append((landed.time, corner.time, landed.sd, corner.sd))
                 stuck = False
         if stuck:
-            sticks.append((landed.time, end, landed.sd, math.inf))
-    bounds = [(np.searchsorted(time, stick[0]), np.searchsorted(time, stick[1], side="right")) for stick in sticks]
-    velocity = [motion.velocity[first:end] for first, end in bounds]
-    level = estimates.once("level", lambda: _speed_of_sticks(velocity, motion.window))
-    phases = phases_from_sticks(series, moving, sticks)
-    return PhaseSegmentation(reported_speed(stated, measured, level, bool(sticks)), phases, level)
+            sticks.append((landed.time, float(series.time[piece.stop - 1]), landed.sd, math.inf))
+    return sticks
 
 
-def _speed_of_sticks(velocity: list[Array], window: int) -> float:
+def _corners_inside(series: Series, piece: slice, corners: Sequence[Corner]) -> list[Corner]:
+    begin, end = series.time[piece.start], series.time[piece.stop - 1]
+    return [corner for corner in corners if begin <= corner.time <= end]
+
+
+def speed_of_sticks(series: Series, sticks: list[Stick], velocity: Array, window: int) -> float:
+    """Return the speed of the belt by the velocity, (n,), in sticks, m/s: their mean, or that before the mass creeps.
+
+    ``window`` is the length of the smoother that made it, in samples.
+    """
+    bounds = [(np.searchsorted(series.time, own[0]), np.searchsorted(series.time, own[1], "right")) for own in sticks]
+    return _common([velocity[first:end] for first, end in bounds], window)
+
+
+def _common(velocity: list[Array], window: int) -> float:
     held = np.concatenate(velocity) if velocity else np.empty(0)
     if not held.size:
         return math.nan
@@ -96,7 +111,7 @@ def corners_of_plateau(
     return start, end
 
 
-def without_creep(series: Series, sticks: list[Stick], apart: Array, estimates: RecordEstimates) -> list[Stick]:
+def without_creep(series: Series, sticks: list[Stick], apart: Array, usual: float) -> list[Stick]:
     """Return the sticks, longer where most of a slip between two of them is creep or the smear of the filter.
 
     A slip is then the part in which the mass is faster than `FAST` of its fastest.  A swing back is so for three
@@ -109,15 +124,13 @@ def without_creep(series: Series, sticks: list[Stick], apart: Array, estimates: 
         In order of time.
     apart : array of shape (n,)
         Velocity relative to the belt, m/s.
-    estimates : RecordEstimates
-        Of the record: the fastest of its usual slip.
+    usual : float
+        What `usual_fastest` returned for the record, m/s.
     """
     found: list[Stick] = sticks[:1]
     time = series.time
     starts = time[[piece.start for piece in series.pieces]]
-    spans = [np.searchsorted(time, (before[1], behind[0])) for before, behind in pairwise(sticks)]
-    fastest = [float(np.abs(apart[i:j]).max(initial=0.0)) for i, j in spans]
-    usual = estimates.once("fastest", lambda: float(np.median(fastest)) if len(fastest) >= FEWEST else 0.0)
+    spans, fastest = _between(series, sticks, apart)
     for (i, j), most, (before, behind) in zip(spans, fastest, pairwise(sticks), strict=True):
         same_piece = np.searchsorted(starts, before[1], side="right") == np.searchsorted(
             starts, behind[0], side="right"
@@ -131,6 +144,21 @@ def without_creep(series: Series, sticks: list[Stick], apart: Array, estimates: 
         else:
             found.append(behind)
     return found
+
+
+def usual_fastest(series: Series, sticks: list[Stick], apart: Array) -> float:
+    """Return how fast the usual slip between two sticks gets, m/s; 0 where there are few.
+
+    ``apart`` is the velocity relative to the belt, m/s, (n,).
+    """
+    fastest = _between(series, sticks, apart)[1]
+    return float(np.median(fastest)) if len(fastest) >= FEWEST else 0.0
+
+
+def _between(series: Series, sticks: list[Stick], apart: Array) -> tuple[list[tuple[int, int]], list[float]]:
+    """Return the samples between each stick and the next, and the largest size of ``apart`` among them."""
+    bounds = [np.searchsorted(series.time, (before[1], behind[0])).tolist() for before, behind in pairwise(sticks)]
+    return bounds, [float(np.abs(apart[i:j]).max(initial=0.0)) for i, j in bounds]
 
 
 def _crossing(time: Array, size: Array, at: int, level: float) -> float:

@@ -19,18 +19,18 @@ when they exceed the tolerance.
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.compute.arrays import Array, Mask, runs
 from daq.runfile.rig import Measured
 from processing.kalman import white_jerk
-from processing.record.estimates import RecordEstimates
-from processing.record.motion import BeltMotion, Motion, PhaseSegmentation
+from processing.record.motion import BeltMotion, Motion, Phase, PhaseSegmentation
 from processing.record.noise import position_noise
 from processing.record.series import Series
+from processing.record.stretches import moving_samples
 from processing.segmentation.belt_speed import (
     SAME_SPEED,
     common_speed,
@@ -44,7 +44,7 @@ from processing.segmentation.phase_layout import (
     corners_of_plateau,
     phases_from_sticks,
     runs_in_pieces,
-    segment_at_corners,
+    usual_fastest,
     without_creep,
 )
 
@@ -57,86 +57,172 @@ WIDER = 4.0  # the second tolerance of the plateau test
 PLATEAU = 0.5  # share of the wider stretch that must be flat already: 1/4 for a swing, near 1 for a plateau
 
 
-def segment(
-    series: Series,
-    motion: Motion,
-    measured: Measured | None = None,
-    stated: float | None = None,
-    belt: BeltMotion | None = None,
-    estimates: RecordEstimates | None = None,
-) -> PhaseSegmentation:
-    """Find sticks, slips and belt speed.
+@dataclass(frozen=True)
+class PlateauRule:
+    """How the sticks of a record show in a motion made from it.
+
+    Attributes
+    ----------
+    noise : white_jerk.Noise or None
+        Of the smoother motion in which plateaus are looked for; None: in the motion itself.
+    tolerance : float
+        What counts as no acceleration, m/s^2.
+    shortest : float
+        Plateau that is a stick, s.
+    speed : float
+        Common speed of the plateaus, m/s; NaN where none is a stick.
+    fastest : float
+        Speed relative to the belt that the usual slip reaches, m/s; 0: there is no usual one.
+    """
+
+    noise: white_jerk.Noise | None
+    tolerance: float
+    shortest: float
+    speed: float
+    fastest: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Plateaus, first and last sample each, of a motion ``seen``, and what the sticks among them are told by.
+
+    ``size`` is |a| of the motion, ``rides`` the motion of the mass, ``own`` that whose corners are looked for.
+    """
+
+    series: Series
+    moving: Mask
+    own: Motion
+    seen: Motion
+    rides: Motion
+    size: Array
+    plateaus: Runs
+    tolerance: float
+    stated: float | None
+    belt: BeltMotion | None
+
+    def aim(self, common: float) -> float:
+        """Return the speed that sticks have, m/s, or NaN where no plateau is one."""
+        return common if self.stated is None or math.isnan(common) else self.stated
+
+    def apart(self, common: float) -> Array:
+        """Return the velocity relative to the belt, m/s, (n,)."""
+        return self.own.velocity - self.aim(common) if self.belt is None else self.belt.motion.velocity
+
+    def sticks(self, common: float) -> list[Stick]:
+        """Return the plateaus at the belt's speed, with their corners."""
+        found: list[Stick] = []
+        for run in self.plateaus:
+            speed = median_value(self.seen.velocity[run[0] : run[1] + 1])
+            aim = slack = self.aim(common)
+            if self.belt is not None:  # relative to the belt, a stick has no speed
+                aim, slack = 0.0 * aim, median_value(self.belt.velocity[run[0] : run[1] + 1])
+            if abs(speed - aim) <= SAME_SPEED * abs(slack):
+                start, end = corners_of_plateau(
+                    run, self.series, self.size, self.seen.window, self.tolerance, self.moving
+                )
+                found.append((start, end, math.inf, math.inf))
+        return found
+
+
+def learn(
+    series: Series, motion: Motion, stated: float | None = None, belt: BeltMotion | None = None
+) -> tuple[PlateauRule, float, tuple[Phase, ...]]:
+    """Return the rule of a record, the speed of its belt by its sticks, m/s (NaN without one), and sticks and slips.
 
     Parameters
     ----------
     series, motion
         The record and the motion made from it.
-    measured : Measured, optional
-        The belt speed as the rig's calibration has it.
     stated : float, optional
         Belt speed that a person stated, m/s, signed: sticks are looked for at that speed alone.
     belt : BeltMotion, optional
         The belt's own motion, where it has an encoder; ``stated`` takes precedence over it.
-    estimates : RecordEstimates, optional
-        Of the record that this is a block of: its thresholds and speeds.
     """
-    estimates = estimates or RecordEstimates()
-    if stated is not None:
-        belt = None
+    belt = None if stated is not None else belt
     moving = in_motion(series)
-    if motion.corners or (estimates.closed and motion.method == "segment"):
-        cut = segment_at_corners(series, motion, moving, stated, measured, estimates)
-        return cut if belt is None else replace(cut, belt_speed=belt.speed(moving))
-    source = (series, motion) if belt is None else (belt.series, belt.motion)
-    seen, tolerance = _search_motion(*source, moving, estimates)
-    rides = seen if belt is None else motion
-    size = _centred(seen, series.pieces)
-    flat = (size <= tolerance) & moving
-    wide = (size <= WIDER * tolerance) & moving
-    shortest = estimates.once("shortest", lambda: _shortest_stick(series, seen, moving))
-    least = max(round(shortest / series.interval), 3)
-    candidates = _joined(runs_in_pieces(flat, series.pieces), runs_in_pieces(wide, series.pieces))
-    plateaus = [
-        run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, rides)
-    ]
-    common = estimates.once("common speed", lambda: common_speed(rides, plateaus))
-    level = stated if stated is not None else common
-    sticks: list[Stick] = []
-    for run in plateaus:
-        speed = median_value(seen.velocity[run[0] : run[1] + 1])
-        # Relative to the belt, a stick has no speed.
-        aim, slack = (level, level) if belt is None else (0.0, median_value(belt.velocity[run[0] : run[1] + 1]))
-        if abs(speed - aim) <= SAME_SPEED * abs(slack):
-            start, end = corners_of_plateau(run, series, size, seen.window, tolerance, moving)
-            sticks.append((start, end, math.inf, math.inf))
-    apart = motion.velocity - level if belt is None else belt.motion.velocity
-    sticks = without_creep(series, sticks, apart, estimates)
-    if sticks:
-        found = tuple(sticks)
-        overtaken = estimates.once("overtaken", lambda: _is_overtaken(series, seen, level, belt, moving, found))
-        sticks, common = ([], math.nan) if overtaken else (sticks, common)
+    seen, noise, tolerance = _smooth_until_resolved(*_source(series, motion, belt), moving)
+    rule = PlateauRule(noise, tolerance, _shortest_stick(series, seen, moving), math.nan, 0.0)
+    search = _searched(series, motion, seen, rule, moving, stated, belt)
+    common = common_speed(search.rides, search.plateaus)
+    sticks, apart = search.sticks(common), search.apart(common)
+    rule = replace(rule, speed=common, fastest=usual_fastest(series, sticks, apart))
+    sticks = without_creep(series, sticks, apart, rule.fastest)
+    if sticks and _is_overtaken(search, common, sticks):
+        return replace(rule, speed=math.nan), math.nan, phases_from_sticks(series, moving, [])
     phases = phases_from_sticks(series, moving, sticks)
-    if stated is None and belt is None:
-        held = [rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
-        level = estimates.once("level", lambda: speed_before_creep(held, motion.window, common))
+    held = [search.rides.velocity[phase.first : phase.last + 1] for phase in phases if phase.kind == "stick"]
+    return rule, speed_before_creep(held, motion.window, common), phases
+
+
+def segment(
+    series: Series,
+    motion: Motion,
+    rule: PlateauRule,
+    level: float,
+    measured: Measured | None = None,
+    stated: float | None = None,
+    belt: BeltMotion | None = None,
+) -> PhaseSegmentation:
+    """Find sticks, slips and belt speed in a record or a block of it.
+
+    Parameters
+    ----------
+    series, motion, stated, belt
+        As `learn` takes them.
+    rule, level : PlateauRule, float
+        What `learn` returned.
+    measured : Measured, optional
+        The belt speed as the rig's calibration has it.
+    """
+    belt = None if stated is not None else belt
+    moving = in_motion(series)
+    source, seen = _source(series, motion, belt)
+    seen = seen if rule.noise is None else white_jerk.smooth(source, rule.noise)
+    search = _searched(series, motion, seen, rule, moving, stated, belt)
+    sticks = without_creep(series, search.sticks(rule.speed), search.apart(rule.speed), rule.fastest)
+    phases = phases_from_sticks(series, moving, sticks)
     speed = reported_speed(stated, measured, level, bool(sticks)) if belt is None else belt.speed(moving)
-    return PhaseSegmentation(speed, phases, common)
+    return PhaseSegmentation(speed, phases, rule.speed)
 
 
-def _is_overtaken(
-    series: Series, seen: Motion, level: float, belt: BeltMotion | None, moving: Mask, sticks: Sequence[Stick]
-) -> bool:
+def _source(series: Series, motion: Motion, belt: BeltMotion | None) -> tuple[Series, Motion]:
+    """Return the motion in which plateaus are looked for, and its record: relative to the belt, if that is known."""
+    return (series, motion) if belt is None else (belt.series, belt.motion)
+
+
+def _searched(
+    series: Series,
+    motion: Motion,
+    seen: Motion,
+    rule: PlateauRule,
+    moving: Mask,
+    stated: float | None,
+    belt: BeltMotion | None,
+) -> _Search:
+    """Return the plateaus of the motion ``seen``."""
+    size = _centred(seen, series.pieces)
+    flat, wide = ((size <= factor * rule.tolerance) & moving for factor in (1.0, WIDER))
+    least = max(round(rule.shortest / series.interval), 3)
+    rides = seen if belt is None else motion
+    candidates = _joined(runs_in_pieces(flat, series.pieces), runs_in_pieces(wide, series.pieces))
+    found = [run for run, around in candidates if _is_plateau(run, around, least, seen.window) and _travels(run, rides)]
+    return _Search(series, moving, motion, seen, rides, size, found, rule.tolerance, stated, belt)
+
+
+def _is_overtaken(search: _Search, common: float, sticks: Sequence[Stick]) -> bool:
     """Return whether the mass is faster than the belt for longer than it sticks, noise within the sticks left out.
 
     Friction brakes what overtakes the belt: after a landing the mass does so for a small part of a stick.  A swing of
     an oscillation is faster for most of its way, whatever speed its lulls and turning points have.
     """
-    stuck = np.zeros(series.time.size, np.bool_)
+    time, seen, belt = search.series.time, search.seen, search.belt
+    stuck = np.zeros(time.size, np.bool_)
     for start, end, *_ in sticks:
-        stuck[np.searchsorted(series.time, start) : np.searchsorted(series.time, end, side="right")] = True
+        stuck[np.searchsorted(time, start) : np.searchsorted(time, end, side="right")] = True
+    level = search.aim(common)
     # Relative to a belt with an encoder, `seen` is the motion already.
     speed, ahead = (level, seen.velocity - level) if belt is None else (belt.velocity, seen.velocity)
-    faster = moving & ~stuck & (np.sign(speed) * ahead > SAME_SPEED * np.abs(speed))
+    faster = search.moving & ~stuck & (np.sign(speed) * ahead > SAME_SPEED * np.abs(speed))
     return bool(np.count_nonzero(faster) > np.count_nonzero(stuck))
 
 
@@ -149,18 +235,24 @@ def in_motion(series: Series) -> Mask:
     if series.moving is not None:
         begin, end = series.moving
         return np.asarray((series.time >= begin) & (series.time <= end))
-    x = series.position
+    x, n = series.position, series.time.size
     slack = slack_at_rest(series.pitch, float(np.ptp(x)), 0.0 if series.pitch else position_noise(series))
-    away = np.flatnonzero(np.abs(x - x[0]) > slack)
-    back = np.flatnonzero(np.abs(x - x[-1]) > slack)
-    mask = np.zeros(x.size, bool)
-    if away.size and back.size:
-        mask[away[0] : back[-1] + 1] = True
-        if away[0] * series.interval < LEAST_STICK:
-            mask[: away[0]] = True
-        if (x.size - 1 - back[-1]) * series.interval < LEAST_STICK:
-            mask[back[-1] :] = True
+    first, last = motion_samples(x.__getitem__, n, slack, series.interval)
+    mask = np.zeros(n, bool)
+    mask[first : last + 1] = True
     return mask
+
+
+def motion_samples(positions: Callable[[slice], Array], n: int, slack: float, interval: float) -> tuple[int, int]:
+    """Return the first and last of n samples between rest at the beginning and at the end; (n, -1) if nothing moves.
+
+    ``slack`` is what positions at rest differ by, m (`slack_at_rest`); rest shorter than a stick is none.
+    """
+    first, last = moving_samples(positions, n, slack)
+    least = LEAST_STICK / interval
+    if first > last:
+        return n, -1
+    return first if first > least else 0, last if n - 1 - last > least else n - 1
 
 
 def slack_at_rest(pitch: float, travel: float, noise: float) -> float:
@@ -195,16 +287,6 @@ def _shortest_stick(series: Series, seen: Motion, moving: Mask) -> float:
     speed = seen.velocity if forth > -back else -seen.velocity
     swings = len(runs(moving & (speed > 0.5 * max(forth, -back))))
     return min(LEAST_STICK, SHARE * series.interval * float(moving.sum()) / swings) if swings else LEAST_STICK
-
-
-def _search_motion(series: Series, motion: Motion, moving: Mask, estimates: RecordEstimates) -> tuple[Motion, float]:
-    """Return what `_smooth_until_resolved` does, with the noise levels and the tolerance of the record."""
-    if estimates.known("search"):
-        noise, tolerance = estimates.once("search", lambda: (None, math.nan))
-        return (motion if noise is None else white_jerk.smooth(series, noise)), tolerance
-    seen, noise, tolerance = _smooth_until_resolved(series, motion, moving)
-    estimates.once("search", lambda: (noise, tolerance))
-    return seen, tolerance
 
 
 def _smooth_until_resolved(

@@ -18,8 +18,7 @@ Not modelled: corners within a slip other than kicks, and counts that hardly cha
 """
 
 import math
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,14 +38,28 @@ from processing.kalman.stick_slip import (
     STOP,
     NoiseLevels,
 )
-from processing.record.estimates import RecordEstimates
 from processing.record.motion import Corner, Motion
 from processing.record.series import Series
-from processing.record.setting import Setting
-from processing.segmentation import line_fit, model_selection, plateaus
+from processing.segmentation import line_fit, plateaus
 from processing.segmentation.landing_snap import with_mean_snap
 from processing.segmentation.missed_corners import misfits, with_ends, with_overtaking
-from processing.segmentation.noise_levels import Workspace, first_levels, reestimate_noise, smooth_stretch
+from processing.segmentation.model_selection import (
+    Gate,
+    PlacedCorners,
+    Span,
+    accept_sticks,
+    bic_penalty,
+    learn_gate,
+    odd_spans,
+)
+from processing.segmentation.noise_levels import (
+    Workspace,
+    first_levels,
+    label_stretch,
+    reestimate_noise,
+    smooth_stretch,
+)
+from processing.segmentation.phase_layout import speed_of_sticks, sticks_at_corners
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, initial_switching_times, sticks_of, stretches
 
@@ -57,46 +70,158 @@ BAD = 16.0  # times the median mean square innovation: a stick that may raise th
 LINE = 1 / 3  # of a slip: the longest straight line through a stick (`line_fit` describes the effect of longer ones)
 
 
-def segmented(
-    series: Series, noise: white_jerk.Noise, pilot: Motion, setting: Setting, estimates: RecordEstimates, *, gated: bool
-) -> Motion | None:
-    """Return the motion by segments, or None when there is no stick (or none that model selection accepts).
+@dataclass(frozen=True, eq=False)
+class StickSlip:
+    """How a record sticks and slips.
 
-    In a block of a record whose estimates are closed it is None only where the whole record has none.
+    Attributes
+    ----------
+    slip : float
+        Usual length of a slip, s.
+    first : NoiseLevels
+        A rough guess, by which corners are looked for.
+    even : NoiseLevels
+        Of slips, and of sticks on an even belt: corners are placed by them, and such sticks accepted.
+    levels : NoiseLevels
+        Those of the sticks accepted, on an even belt and on an uneven one, and of slips.
+    misfit : float
+        Mean square innovation that the usual stick begins with (`with_overtaking`).
+    corner : float
+        Log likelihood that a corner must gain.
+    gate : Gate or None
+        What a stick is accepted by; None: every one is.
+    line : float
+        What the variances of straight lines through sticks are multiplied by.
+    speed : float
+        Of the sticks, m/s.
     """
-    while estimates.closed and estimates.has_part("rest"):
-        estimates = estimates.part("rest")
-    if estimates.closed and not estimates.known("accepted"):
-        return None
-    found = plateaus.segment(series, pilot, None, setting.belt_speed, estimates=estimates.part("plateaus"))
-    first = initial_switching_times(series, found)
-    if not first.at.size and not estimates.closed:
-        return None
-    first = replace(first, unit=estimates.once("unit", lambda: first.unit))
-    workspace = Workspace()
-    crude = estimates.once("first levels", lambda: first_levels(series, noise, pilot, first.unit))
-    times = refine_switching_times(series, workspace, first, crude, 1.0)
-    times = with_overtaking(series, workspace, times, crude, estimates)
-    first = _with_overtakes_of(first, times)
-    levels = estimates.once("levels", lambda: _estimated(series, workspace, times, crude))
-    speed = found.plateau_speed if setting.belt_speed is None else setting.belt_speed
-    ended = with_ends(series, workspace, first, times, levels, speed, estimates)
-    missed = ended is not first
-    if missed:
-        first, times = ended, refine_switching_times(series, workspace, ended, crude, 1.0)
-    early = times, crude
-    levels = estimates.once("levels with ends", lambda: _estimated(series, workspace, *early) if missed else levels)
-    times = refine_switching_times(series, workspace, times, levels, 0.25)
+
+    slip: float
+    first: NoiseLevels
+    even: NoiseLevels
+    levels: NoiseLevels
+    misfit: float
+    corner: float
+    gate: Gate | None
+    line: float
+    speed: float
+
+
+def learn(
+    series: Series, noise: white_jerk.Noise, pilot: Motion, stated: float | None, *, gated: bool
+) -> tuple[plateaus.PlateauRule, StickSlip | None]:
+    """Learn how a record sticks and slips.
+
+    Parameters
+    ----------
+    series, noise, pilot : Series, white_jerk.Noise, Motion
+        The record, its noise as one of white jerk, and the motion smoothed with that.
+    stated : float, optional
+        Belt speed that a person stated, m/s, signed.
+    gated : bool
+        Whether model selection decides on the sticks.
+
+    Returns
+    -------
+    PlateauRule
+        By which sticks are found in the pilot.
+    StickSlip or None
+        None where there is no stick, or none that model selection accepts.
+    """
+    rule, _, phases = plateaus.learn(series, pilot, stated)
+    first = initial_switching_times(series, phases)
+    if not first.at.size:
+        return rule, None
+    workspace, needed = Workspace(), bic_penalty(series.time.size)
+    crude = first_levels(series, noise, pilot, first.unit)
+    misfit, early = _looked_for(series, workspace, first, crude, None)
+    levels = _estimated(series, workspace, early.times, crude)
+    speed = rule.speed if stated is None else stated
+    found = StickSlip(first.unit, crude, levels, levels, misfit, needed, None, 1.0, speed)
+    corners = _placed(series, workspace, early, found)
+    times, gate = corners.times, None
     if gated:
-        kept = model_selection.accept_sticks(series, workspace, times, levels, noise, first, estimates.part("gate"))
+        kept = learn_gate(series, workspace, corners, levels, noise, needed)
         if isinstance(kept, list):
             # One stick may fit so badly that it raises the noise of all: then none of the others is accepted either.
-            bad = misfits(series, workspace, *early) > BAD
-            odd = kept or model_selection.odd_spans(series, early[0], sticks_of(early[0]), bad)
-            return _around(series, noise, pilot, setting, estimates, times, odd) if odd else None
-        times, levels = kept
-    estimates.once("accepted", lambda: True)
-    return _averaged(series, workspace, times, levels, pilot.window, estimates)
+            bad = misfits(series, workspace, early.times, crude) > BAD
+            odd = kept or odd_spans(series, early.times, sticks_of(early.times), bad)
+            others = _outside(series, odd)
+            if not odd or not others.any():
+                return rule, None
+            return learn(series.taken(others), noise, pilot.taken(others), stated, gated=True)
+        times, levels, gate = kept
+    motion, stick = _run(series, workspace, times, levels)
+    _straighten(series, stick, times.unit, levels, motion, 1.0)
+    sticks = sticks_at_corners(series, _corners(series, times))
+    speed = speed_of_sticks(series, sticks, motion[1], pilot.window)
+    lined = _shifted(times, -1.0)  # the lines are those of `_averaged`
+    for stretch in stretches(series, lined):
+        stick[stretch.own] = label_stretch(series, lined, stretch) == STICK
+    line = _line_factor(_straighten(series, stick, times.unit, levels, motion, 1.0))
+    return rule, replace(found, levels=levels, gate=gate, line=line, speed=speed)
+
+
+def apply(
+    series: Series,
+    pilot: Motion,
+    stated: float | None,
+    rule: plateaus.PlateauRule,
+    model: StickSlip,
+) -> Motion:
+    """Smooth a block of a record by segments; where its sticks do not fit it is the ``pilot``, smoothed without them.
+
+    Sticks found where they do not fit stay sticks, from and to the switching times estimated.
+    """
+    if not series.time.size:
+        return pilot
+    workspace = Workspace()
+    first = initial_switching_times(series, plateaus.segment(series, pilot, rule, model.speed, stated=stated).phases)
+    _, early = _looked_for(series, workspace, replace(first, unit=model.slip), model.first, model.misfit)
+    corners = _placed(series, workspace, early, model)
+    times = corners.times
+    if model.gate is not None:
+        known = model.even, model.levels, model.gate, model.corner
+        kept = accept_sticks(series, workspace, corners, *known)
+        if isinstance(kept, list):
+            others = _outside(series, kept)
+            found = apply(series.taken(others), pilot.taken(others), stated, rule, model)
+            rows = pilot.rows()
+            rows[:, others] = found.rows()
+            odd = [own for own in _corners(series, times) if any(low < own.time < high for low, high in kept)]
+            both = tuple(sorted((*found.corners, *odd), key=lambda corner: corner.time))
+            return replace(found.with_rows(rows), corners=both, method="segment", order=ORDER)
+        times = kept
+    return _averaged(series, workspace, times, model, pilot.window)
+
+
+def _outside(series: Series, spans: list[Span]) -> Mask:
+    """Return True for the samples outside the spans, s."""
+    outside = np.ones(series.time.size, bool)
+    for low, high in spans:
+        outside[slice(*np.searchsorted(series.time, (low, high)))] = False
+    return outside
+
+
+def _looked_for(
+    series: Series, workspace: Workspace, first: SwitchingTimes, levels: NoiseLevels, misfit: float | None
+) -> tuple[float, PlacedCorners]:
+    """Return the usual misfit of `with_overtaking`, and corners where they are most likely, those of overtaking too.
+
+    That is ``misfit`` where it is known.
+    """
+    times = refine_switching_times(series, workspace, first, levels, 1.0)
+    usual, times = with_overtaking(series, workspace, times, levels, misfit)
+    return usual, PlacedCorners(_with_overtakes_of(first, times), times)
+
+
+def _placed(series: Series, workspace: Workspace, early: PlacedCorners, model: StickSlip) -> PlacedCorners:
+    """Return the corners where they are most likely, with those near the ends of a piece."""
+    first = with_ends(series, workspace, early.first, early.times, model.even, model.speed, model.corner)
+    times = early.times
+    if first is not early.first:
+        times = refine_switching_times(series, workspace, first, model.first, 1.0)
+    return PlacedCorners(first, refine_switching_times(series, workspace, times, model.even, 0.25))
 
 
 def _with_overtakes_of(first: SwitchingTimes, times: SwitchingTimes) -> SwitchingTimes:
@@ -118,51 +243,7 @@ def _estimated(series: Series, workspace: Workspace, times: SwitchingTimes, leve
     return reestimate_noise(series, workspace, times, with_mean_snap(series, times, levels), 1)
 
 
-def _around(
-    series: Series,
-    noise: white_jerk.Noise,
-    pilot: Motion,
-    setting: Setting,
-    estimates: RecordEstimates,
-    times: SwitchingTimes,
-    odd: list[tuple[float, float]],
-) -> Motion | None:
-    """Smooth all but the spans ``odd``, s, by segments, and these by the first motion; None if the rest fails too.
-
-    Sticks inside the spans stay sticks, from and to the switching ``times`` estimated.
-    """
-    kept = np.ones(series.time.size, bool)
-    for low, high in odd:
-        kept[slice(*np.searchsorted(series.time, (low, high)))] = False
-    parts = [(piece.start + i, piece.start + j) for piece in series.pieces for i, j in runs(kept[piece])]
-    ends = np.cumsum([0, *(j - i for i, j in parts)]).tolist()
-    rest = replace(
-        series,
-        time=series.time[kept],
-        position=series.position[kept],
-        pieces=tuple(slice(i, j) for i, j in pairwise(ends)),
-    )
-    names = [f"{name}{end}" for name in ("position", "velocity", "acceleration") for end in ("", "_errors")]
-    first = replace(pilot, **{name: getattr(pilot, name)[kept] for name in names})
-    others = estimates if estimates.closed else estimates.part("rest")
-    found = segmented(rest, noise, first, setting, others, gated=True) if rest.time.size else None
-    if found is None:
-        return None
-    whole = {name: getattr(pilot, name).copy() for name in names}
-    for name in names:
-        whole[name][kept] = getattr(found, name)
-    inside = [corner for corner in _corners(series, times) if any(low < corner.time < high for low, high in odd)]
-    return replace(found, **whole, corners=tuple(sorted((*found.corners, *inside), key=lambda corner: corner.time)))
-
-
-def _averaged(
-    series: Series,
-    workspace: Workspace,
-    times: SwitchingTimes,
-    levels: NoiseLevels,
-    window: int,
-    estimates: RecordEstimates,
-) -> Motion:
+def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model: StickSlip, window: int) -> Motion:
     """Smooth, averaging over the uncertainty of the switching times: each a standard deviation early, and late.
 
     The smoother's variance has a share of the readings and one of the process noise.  A slip is smooth but for its
@@ -170,9 +251,9 @@ def _averaged(
     H = 1/(1 + w^8), the two variances are the integrals of w^(2d) H^2 and of w^(2d) H, and their ratio is
     1 - (2 d + 1)/8 in the d-th derivative.
     """
-    early, stick = _run(series, workspace, times, -1.0, levels)
-    _straighten(series, stick, times, levels, early, estimates)
-    late, stick_late = _run(series, workspace, times, 1.0, levels)
+    early, stick = _run(series, workspace, _shifted(times, -1.0), model.levels)
+    _straighten(series, stick, times.unit, model.levels, early, model.line)
+    late, stick_late = _run(series, workspace, _shifted(times, 1.0), model.levels)
     line = stick & stick_late
     for derivative in range(3):  # one at a time, so that what is computed on the way stays in the processor's cache
         share = 1 - (2 * derivative + 1) / 8
@@ -196,10 +277,13 @@ def _corners(series: Series, times: SwitchingTimes) -> list[Corner]:
     return sorted(found, key=lambda corner: corner.time)
 
 
-def _run(
-    series: Series, workspace: Workspace, times: SwitchingTimes, shift: float, levels: NoiseLevels
-) -> tuple[Array, Mask]:
-    """Smooth with the switching times moved by ``shift`` standard deviations, in order still.
+def _shifted(times: SwitchingTimes, shift: float) -> SwitchingTimes:
+    """Return the switching times moved by ``shift`` standard deviations, in order still."""
+    return replace(times, at=np.maximum.accumulate(times.at + shift * times.sd))
+
+
+def _run(series: Series, workspace: Workspace, times: SwitchingTimes, levels: NoiseLevels) -> tuple[Array, Mask]:
+    """Smooth with the switching times as they are.
 
     Returns
     -------
@@ -207,7 +291,6 @@ def _run(
         x, v, a and their variances.
     stick : array of bool, shape (n,)
     """
-    times = replace(times, at=np.maximum.accumulate(times.at + shift * times.sd))
     motion, stick = np.empty((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:
         if piece.stop - piece.start < white_jerk.SHORT:
@@ -221,22 +304,23 @@ def _run(
 
 
 def _straighten(
-    series: Series, stick: Mask, times: SwitchingTimes, levels: NoiseLevels, motion: Array, estimates: RecordEstimates
-) -> None:
-    """Replace what lies in sticks by straight lines; their errors are scaled to what neighbouring lines differ by."""
-    window = max(int(LINE * times.unit / series.interval), 16)
+    series: Series, stick: Mask, slip: float, levels: NoiseLevels, motion: Array, factor: float
+) -> list[float]:
+    """Replace what lies in sticks by straight lines; return what neighbouring lines differ by (`line_fit.fit_lines`).
+
+    ``slip`` is the usual length of one, s; ``factor`` scales the variances.
+    """
+    window = max(int(LINE * slip / series.interval), 16)
     variance = float(levels.reading_variance[STICK])
     run = compiled(line_fit.fit_lines, KERNELS)
-    every = []
+    found = []
     for piece in series.pieces:
-        sticks = [(piece.start + i, piece.start + j) for i, j in runs(stick[piece]) if j - i >= 8]
-        ratios = [run(series.time, series.position, i, j, window, variance, motion) for i, j in sticks]
-        differing = [ratio for ratio in ratios if ratio]
-        every += differing
-        factor = estimates.once("line factor", lambda: math.nan) if estimates.closed else _line_factor(differing)
-        for i, j in sticks:
-            motion[3:, i:j] *= factor
-    estimates.once("line factor", lambda: _line_factor(every))
+        for i, j in runs(stick[piece]):
+            if j - i >= 8:
+                own = slice(piece.start + i, piece.start + j)
+                found.append(run(series.time, series.position, own.start, own.stop, window, variance, motion))
+                motion[3:, own] *= factor
+    return [ratio for ratio in found if ratio]
 
 
 def _line_factor(differing: list[float]) -> float:

@@ -3,6 +3,7 @@
 Kinds of corners and labels of the parts between them are those of `processing.kalman.stick_slip`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from daq.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
 from processing.kalman.stick_slip import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
-from processing.record.motion import PhaseSegmentation
+from processing.record.motion import Phase
 from processing.record.series import Series
 
 Labels = NDArray[np.uint8]
@@ -43,8 +44,8 @@ class FilterStretch:
     corners: slice
 
 
-def initial_switching_times(series: Series, found: PhaseSegmentation) -> SwitchingTimes:
-    """Return the corners of the phases found: those that begin and end within a piece."""
+def initial_switching_times(series: Series, phases: Sequence[Phase]) -> SwitchingTimes:
+    """Return the corners of the phases: those that begin and end within a piece."""
     at: list[float] = []
     kind: list[int] = []
     first = []
@@ -52,7 +53,7 @@ def initial_switching_times(series: Series, found: PhaseSegmentation) -> Switchi
     time = series.time
     for piece in series.pieces:
         begin, end = time[piece.start], time[piece.stop - 1]
-        inside = [phase for phase in found.phases if begin <= phase.start and phase.end <= end]
+        inside = [phase for phase in phases if begin <= phase.start and phase.end <= end]
         begins = SLIP
         if inside and inside[0].kind == "stick" and inside[0].start <= begin:
             begins = STICK

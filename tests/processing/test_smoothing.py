@@ -14,7 +14,6 @@ import daq
 from daq.runfile import store
 from daq.runfile.recording import Recording
 from processing import smoothing, stage
-from processing.record import stretches
 from processing.smoothing import smooth
 
 
@@ -57,8 +56,6 @@ def test_the_smoothers_agree_within_their_errors_and_find_the_same_sticks(path, 
 @pytest.mark.parametrize("block", [11_000, 40_000])
 def test_sticks_and_slips_do_not_depend_on_the_blocks(tmp_path, pulled, monkeypatch, block):
     """Creep and 18 spikes a second: noise levels of each block gave 217 to 241 slips of one published record."""
-    for module in (smoothing, stretches):
-        monkeypatch.setattr(module, "LEARNED", 2**15)
     record = pulled(40.0).recording
     store.write(tmp_path / "run.h5", record)
     whole = smooth(record)
@@ -71,6 +68,22 @@ def test_sticks_and_slips_do_not_depend_on_the_blocks(tmp_path, pulled, monkeypa
         assert np.abs(apart).max() <= 4
     assert summary.belt_speed == pytest.approx(whole.belt_speed, rel=1e-6)
     assert summary.noise == pytest.approx(whole.noise, rel=1e-6)
+
+
+@pytest.mark.parametrize("block", [9000, 20_000])
+@pytest.mark.parametrize("law", [3, 6])
+def test_the_velocity_in_blocks_is_that_of_the_whole(tmp_path, motion, run_data, monkeypatch, law, block):
+    """In a block the procedure of learning ran again with remembered results: ends of sticks differed by 4 samples."""
+    store.write(tmp_path / "run.h5", run_data(motion(law, 40.0)))
+    whole = smooth(daq.load(tmp_path / "run.h5"))
+    monkeypatch.setattr(smoothing, "BLOCK", block)
+    summary = smoothing.smooth_file(tmp_path / "run.h5")
+    found = stage.load(tmp_path / "run.h5")
+    assert [(own.first, own.last) for own in summary.sticks] == [(own.first, own.last) for own in whole.sticks]
+    assert len(whole.sticks) > 15
+    apart = np.abs(found.velocity - whole.velocity) / whole.velocity_errors
+    assert np.quantile(apart, 0.999) < 1e-9
+    assert apart.max() < 1e-6
 
 
 @pytest.mark.parametrize("repair", ["flag", "fix"])

@@ -171,3 +171,34 @@ def test_a_stage_made_from_other_raw_data_is_refused(path):
         file["entry/smooth/parameters/sha256_input"] = "0" * 64
     with pytest.raises(InputError, match=r"made from other raw data; run: process smooth run\.h5"):
         stage.load(path)
+
+
+@pytest.mark.parametrize("law", [pytest.param(5, id="sticks"), pytest.param(0, id="none")])
+def test_a_stored_model_smooths_the_run_again_without_learning(tmp_path, motion, recorded, imported, law, monkeypatch):
+    time = np.arange(20_000) / 1e3
+    record = recorded(motion(law, 20.0)) if law else imported(time, np.round(0.1 * np.sin(6 * time), 6))
+    store.write(tmp_path / "model.h5", record)
+    run = daq.load(tmp_path / "model.h5")
+    made = smooth(run)
+    stage.save(made, tmp_path / "model.h5")
+    stored = stage.load(tmp_path / "model.h5").model
+    assert ("sticks" in stored["method"]) == bool(law)
+    monkeypatch.setattr("processing.blocks.learn", None)
+    again = smooth(run, model=stored)
+    assert np.array_equal(again.velocity, made.velocity)
+    assert np.array_equal(again.velocity_errors, made.velocity_errors)
+    assert again.phases == made.phases
+
+
+def test_every_float_of_a_stored_model_has_units(path):
+    stage.save(smooth(daq.load(path)), path)
+    floats = []
+    with h5py.File(path) as file:
+        file["entry/smooth/model"].visititems(
+            lambda name, found: (
+                floats.append(found) if isinstance(found, h5py.Dataset) and found.dtype.kind == "f" else None
+            )
+        )
+        assert len(floats) > 20
+        assert all("units" in found.attrs for found in floats)
+        assert file["entry/smooth/model/method/sticks/even/process_density"].attrs["units"] == "m^2/s^7"

@@ -8,6 +8,11 @@ import pytest
 import processing
 from processing.defects import position_steps
 from processing.record import series
+from processing.record.noise import position_noise
+
+
+def steps_of(data):
+    return position_steps.position_steps(data, position_steps.learn(data, position_noise(data)))
 
 
 @pytest.mark.parametrize("size", [10, -12, 40, -300])
@@ -17,7 +22,7 @@ def test_a_loss_within_one_sample_is_marked_where_it_happened(motion, recorded, 
     count = run.count.copy()
     for k in at:
         count[k:] += size
-    found = position_steps.position_steps(series.from_recording(replace(run, count=count)))
+    found = steps_of(series.from_recording(replace(run, count=count)))
     assert [loss.first for loss in found] == at
     assert [loss.last for loss in found] == at
     assert np.abs([loss.counts - size for loss in found]).max() <= 1
@@ -27,7 +32,7 @@ def test_a_loss_within_one_sample_is_marked_where_it_happened(motion, recorded, 
     ("jitter", "times"), [(0.0, "recorded"), (30e-6, "recorded"), (100e-6, "recorded"), (30e-6, "nominal")]
 )
 def test_no_false_alarm_in_a_clean_minute(motion, recorded, times, jitter):
-    assert position_steps.position_steps(series.from_recording(recorded(motion(5, 60.0, jitter)), times)) == ()
+    assert steps_of(series.from_recording(recorded(motion(5, 60.0, jitter)), times)) == ()
 
 
 @pytest.mark.parametrize(("noise", "law"), [pytest.param(2e-4, 5, marks=pytest.mark.slow), (1e-3, 3)])
@@ -61,9 +66,9 @@ def test_steps_do_not_depend_on_how_many_suspects_are_tested_together(monkeypatc
     for k in rng.choice(time.size, 20, replace=False):
         position[k:] += 3e-5
     data = series.from_recording(imported(time, position))
-    found = position_steps.position_steps(data)
+    found = steps_of(data)
     monkeypatch.setattr(position_steps, "TOGETHER", 1)
-    alone = position_steps.position_steps(data)
+    alone = steps_of(data)
     assert len(found) > 10
     assert [(step.first, step.last) for step in alone] == [(step.first, step.last) for step in found]
     assert [step.size for step in alone] == pytest.approx([step.size for step in found], rel=1e-9)
@@ -72,4 +77,4 @@ def test_steps_do_not_depend_on_how_many_suspects_are_tested_together(monkeypatc
 def test_slips_over_within_a_sample_are_no_steps_of_the_datum(imported):
     time = np.arange(4000) / 200.0
     saw = 0.1 * time % 0.08 + np.random.default_rng(1).normal(0, 1e-4, time.size)
-    assert position_steps.position_steps(series.from_recording(imported(time, saw))) == ()
+    assert steps_of(series.from_recording(imported(time, saw))) == ()

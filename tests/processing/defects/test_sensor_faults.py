@@ -9,14 +9,15 @@ import daq
 from daq.runfile import store
 from processing import smoothing, stage
 from processing.defects.frames import count_frames, step_sums
-from processing.defects.sensor_faults import without_faults
+from processing.defects.sensor_faults import learn
 from processing.record import series
 from processing.record.noise import position_noise
 from processing.smoothing import smooth
 
 
 def found_in(recording):
-    return without_faults(series.from_recording(recording))
+    data = series.from_recording(recording)
+    return learn(data)[1]
 
 
 @pytest.fixture
@@ -203,8 +204,8 @@ def test_few_samples_a_slip_are_no_lost_frames(imported, samples, noise, slower)
     """In a slip of 12 samples the fastest step is twice the mean of those beside it: half of the frames were "lost"."""
     time, position = few_a_slip(samples, noise, slower)
     data = series.from_recording(imported(time, position, 1 / slower))
-    sound = without_faults(data)
-    frames = count_frames(step_sums(sound.bridged, slice(0, time.size), sound.noise))
+    limits, sound = learn(data)
+    frames = count_frames(step_sums(sound.bridged, slice(0, time.size), limits.noise))
     assert (frames.lost, frames.doubled) == (0, 0)
 
 
@@ -213,8 +214,8 @@ def test_few_samples_a_slip_are_no_lost_frames(imported, samples, noise, slower)
 def test_frames_lost_at_few_samples_a_slip_are_found_all_the_same(imported, samples, slower):
     time, position = few_a_slip(samples, 1e-4, slower, keep=0.95)
     data = series.from_recording(imported(time, position, 1 / slower))
-    sound = without_faults(data)
-    frames = count_frames(step_sums(sound.bridged, slice(0, time.size), sound.noise))
+    limits, sound = learn(data)
+    frames = count_frames(step_sums(sound.bridged, slice(0, time.size), limits.noise))
     assert frames.share == pytest.approx(0.05, rel=0.4)
 
 

@@ -249,7 +249,7 @@ def test_half_sample_mode_finds_the_heap_and_not_the_mean():
 def test_a_first_sample_far_from_the_others_leaves_a_record_without_motion():
     # White noise that began with an outlier ended in an IndexError: nothing was as far from the last sample.
     x = np.r_[1.0, np.full(50, 0.4), 0.6]
-    assert not plateaus.in_motion(SimpleNamespace(position=x, pitch=0.2, interval=1e-3, moving=None)).any()
+    assert not plateaus.in_motion(SimpleNamespace(position=x, time=x, pitch=0.2, interval=1e-3, moving=None)).any()
 
 
 @pytest.mark.parametrize("samples", range(96, 160, 8))
@@ -260,5 +260,5 @@ def test_a_short_record_is_smoothed_more_no_further_than_it_is_long(samples):
     data = series.Series(time, position - position[0], float(position[0]), 0.0, 0.01, (slice(0, samples),))
     rough = white_jerk.smooth(data, white_jerk.Noise(1e9, 0.01))
     for window in range(9, 15, 2):
-        found = plateaus.segment(data, replace(rough, window=window))
-        assert found.phases
+        motion = replace(rough, window=window)
+        assert plateaus.learn(data, motion)[-1]

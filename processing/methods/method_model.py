@@ -1,0 +1,39 @@
+"""What a velocity method learns from a record, and then applies to the record or to any block of it."""
+
+from dataclasses import dataclass
+
+from processing.kalman import white_jerk
+from processing.segmentation.plateaus import PlateauRule
+from processing.segmentation.smoother import StickSlip
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MethodModel:
+    """The method that runs, and what it learned.
+
+    Attributes
+    ----------
+    method : str
+        Never "auto".
+    noise : float
+        Standard deviation of a position, m.
+    window, order : int
+        Of Savitzky-Golay; 0 for the others.
+    jerk : white_jerk.Noise or None
+        Of the smoothers.
+    rule : PlateauRule or None
+        How sticks show in the motion that ``jerk`` gives; None for a method without sticks.
+    sticks : StickSlip or None
+        How the record sticks and slips; None where it does not, or the method does not ask.
+    stated : float or None
+        Belt speed that a person stated, m/s, signed.
+    """
+
+    method: str
+    noise: float
+    window: int = 0
+    order: int = 0
+    jerk: white_jerk.Noise | None = None
+    rule: PlateauRule | None = None
+    sticks: StickSlip | None = None
+    stated: float | None = None
