@@ -25,10 +25,10 @@ LONGEST_NUMBER = 1000  # characters; the time that `float` takes for one grows w
 ALIKE = 3  # lines that must look like data below a header for what stands above it to be a preamble
 
 # Text from outside: each repeat takes all it can and gives none back, so that the work grows with the length alone.
-_NUMBER = re.compile(r"[+-]?+(?:(?:\d++\.?+\d*+|\.\d++)(?:[eE][+-]?+\d++)?+|nan|inf(?:inity)?+)", re.IGNORECASE)
-_PLAIN = r"[ \t]*+[+-]?+(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eE][+-]?+[0-9]++)?+[ \t]*+"
-_PLAIN_NUMBERS = re.compile(rf"{_PLAIN}(?:\n{_PLAIN})*+")
-_CLOCK = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d*+)?+)")
+_NUMBER = re.compile(r"[+-]?+(?:(?:\d++\.?+\d*+|\.\d++)(?>[eE][+-]?+\d++)?+|nan|inf(?>inity)?+)", re.IGNORECASE)
+_PLAIN = r"[ \t]*+[+-]?+(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?>[eE][+-]?+[0-9]++)?+[ \t]*+"
+_PLAIN_NUMBERS = re.compile(rf"{_PLAIN}(?>\n{_PLAIN})*+")
+_CLOCK = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?>[.,]\d*+)?+)")
 _DATE_END = re.compile("[T ]")
 _WIDE_GAP = re.compile(r"(?<!\s)\s{2,}+|\t")
 _GAP = re.compile(r"(?<!\s)\s++(?![(\[])")

@@ -18,7 +18,7 @@ from daq.wire.splitter import Splitter
 TIMES = {"t_us": 1, "us": 1, "t_ms": 1000, "ms": 1000, "t_s": 1_000_000, "s": 1_000_000}
 _COUNTS = ("up", "down", "count", "ticks")
 VALUES = {
-    **dict.fromkeys(TIMES, r"(\d{1,12}+)(?:\.(\d{0,9}+))?+"),
+    **dict.fromkeys(TIMES, r"(\d{1,12}+)(?>\.(\d{0,9}+))?+"),
     **dict.fromkeys(("up", "down"), r"(\d{1,10}+)"),
     **dict.fromkeys(("count", "ticks"), r"([+-]?+\d{1,10}+)"),
     **dict.fromkeys(("a", "b"), "([01])"),
@@ -36,7 +36,7 @@ _KINDS = {
     **dict.fromkeys(_COUNT_LABELS, "position"),
 }
 _NAME, _IS, _VALUE = r"[A-Za-z_][\w.()\[\]/%-]*+", r"[ \t]*+[=:][ \t]*+", r"[^,;:=\s]++"
-_LABELLED = re.compile(rf"(?:\A|[,;\s])[ \t]*+({_NAME}){_IS}({_VALUE})?+".encode())
+_LABELLED = re.compile(rf"(?:\A|[,;\s])[ \t]*+({_NAME}){_IS}(?>({_VALUE}))?+".encode())
 _MOST_FORMS = 64  # kept compiled; only damaged lines make more of them
 ENOUGH_LINES = 20  # labelled lines that define the columns when none are declared
 LONGEST_LINE = 256
@@ -172,8 +172,8 @@ def _form(names: tuple[str, ...], bits: int, labels: tuple[str, ...]) -> Columns
     if labels:
         other = rf"(?!(?i:{'|'.join(labels)}){_IS}){_NAME}{_IS}{_VALUE}"
         fields = [f"{label}{_IS}{field}" for label, field in zip(labels, fields, strict=True)]
-        fields[0] = f"(?:{other}{_SEPARATOR})*+{fields[0]}"
-        separator, end = f"{_SEPARATOR}(?:{other}{_SEPARATOR})*+", f"(?:{_SEPARATOR}{other})*+"
+        fields[0] = f"(?>{other}{_SEPARATOR})*+{fields[0]}"
+        separator, end = f"{_SEPARATOR}(?>{other}{_SEPARATOR})*+", f"(?>{_SEPARATOR}{other})*+"
     time = next(name for name in names if name in TIMES)
     counts = [name for name in ("up", "down", "count", "ticks") if name in names]
     up, down = (*counts, "")[:2]

@@ -151,7 +151,7 @@ def shape_of(form: Columns, found: re.Match[bytes]) -> Shape | None:
     taken = np.array([place.get(name, 0) for name in values])
     bits = (32, form.bits, form.bits, 2, 16)
     masks = np.array([(1 << b) - 1 if name in place else 0 for name, b in zip(values, bits, strict=False)])
-    compiled = re.compile(rb"(?:%b\n)++" % pattern)
+    compiled = re.compile(rb"(?>%b\n)++" % pattern)
     unguarded, unchecked = len(line) - guarded, len(line) - xor
     return Shape(compiled, form, numbers, place, taken, masks, digits, unguarded, unchecked)
 

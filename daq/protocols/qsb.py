@@ -51,7 +51,7 @@ _ERROR = re.compile(rb"e[0-9A-Fa-f]{0,18}")
 _BANNER = re.compile(rb"QSB-[A-Z0-9]{1,8}$")
 _SPACE = b" \r\n"
 # Samples, each with few enough spaces to be shorter than the longest record.
-_SAMPLES = re.compile(rb"(?:[ \r\n]{0,8}+s {0,8}+[0-9A-Fa-f]{2} {0,8}+[0-9A-Fa-f]{8} {0,8}+[0-9A-Fa-f]{8} {0,8}+!)++")
+_SAMPLES = re.compile(rb"(?>[ \r\n]{0,8}+s {0,8}+[0-9A-Fa-f]{2} {0,8}+[0-9A-Fa-f]{8} {0,8}+[0-9A-Fa-f]{8} {0,8}+!)++")
 _FIELDS = np.dtype([("register", "u1"), ("count", ">u4"), ("ticks", ">u4")])
 
 

@@ -65,6 +65,9 @@ class CountedMatch:
 
         if kind is codes.SUBPATTERN:
             return self._match(list(value[3]), text, at, go_on)
+        if kind is codes.ATOMIC_GROUP:
+            end = self._first_end(list(value), text, at)
+            return end is not None and go_on(end)
         if kind is codes.BRANCH:
             return any(self._match(list(branch), text, at, go_on) for branch in value[1])
         if kind in (codes.MAX_REPEAT, codes.MIN_REPEAT):
@@ -168,6 +171,42 @@ def test_the_count_of_work_finds_the_expressions_that_were_quadratic(expression,
 def test_the_counted_match_is_that_of_the_library(own, text):
     pattern, _ = EXPRESSIONS[own]
     assert CountedMatch(pattern).fullmatch(text) == bool(pattern.fullmatch(text))
+
+
+def loose_repeats(nodes: list[Any]) -> int:
+    """Return how many possessive repeats have a body of several parts that is no atomic group."""
+    found = 0
+    for kind, value in nodes:
+        if kind is codes.POSSESSIVE_REPEAT and len(value[2]) > 1:
+            found += 1
+        inner: list[Any] = []
+        if kind in (codes.MAX_REPEAT, codes.MIN_REPEAT, codes.POSSESSIVE_REPEAT):
+            inner = [value[2]]
+        elif kind is codes.SUBPATTERN:
+            inner = [value[3]]
+        elif kind is codes.BRANCH:
+            inner = value[1]
+        elif kind is codes.ATOMIC_GROUP:
+            inner = [value]
+        elif kind in (codes.ASSERT, codes.ASSERT_NOT):
+            inner = [value[1]]
+        found += sum(loose_repeats(list(body)) for body in inner)
+    return found
+
+
+@pytest.mark.parametrize(
+    "module", [*MODULES, "daq.protocols.columns", "daq.protocols.line_parser", "daq.protocols.qsb"]
+)
+def test_a_possessive_repeat_repeats_one_part(module):
+    """Python 3.11.0 to 3.11.4 match ``(?:ab)?+`` to "a" (gh-106052): "1.5e" was a number. ``(?>ab)?+`` is right there."""
+    patterns = [own for own in vars(importlib.import_module(module)).values() if isinstance(own, re.Pattern)]
+    assert all(loose_repeats(list(parser.parse(own.pattern, own.flags & ~re.UNICODE))) == 0 for own in patterns)
+    assert loose_repeats(list(parser.parse(r"(x(?:ab)?+)"))) == 1
+
+
+def test_digits_before_an_unfinished_exponent_are_no_number():
+    assert layout.number("1.5e", ".") is None
+    assert layout.number("1.5e-", ".") is None
 
 
 UNIT = re.compile(r"^(.*?)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\]|(?:/|,|\bin\b)\s*(\S+))$")
