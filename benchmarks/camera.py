@@ -24,7 +24,7 @@ import numpy as np
 
 import fitting
 import processing
-from daq.errors import DataError
+from daq.base.errors import DataError
 from daq.imports import track
 from daq.imports.options import ImportOptions
 

@@ -28,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.compute.workers import workers
+from daq.base.compute.workers import workers
 from rig_sim.dynamics.maps.stick_map import COARSE, EXACT, FINE, StickMap
 from rig_sim.dynamics.maps.sweep import attractors_at, sweep
 from rig_sim.flow.flow import Flow

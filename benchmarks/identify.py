@@ -34,7 +34,7 @@ import numpy as np
 import fitting
 import processing
 import rig_sim
-from daq.errors import DataError
+from daq.base.errors import DataError
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record

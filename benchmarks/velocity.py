@@ -28,10 +28,11 @@ import matplotlib.pyplot as plt
 
 import processing
 import rig_sim
-from daq.compute.arrays import pieces
+from daq.base.compute.arrays import pieces
+from daq.base.measured import Measured
 from daq.runfile import store
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from processing import smoothing, stage
 from processing.kalman import white_jerk
 from processing.methods import registry

@@ -15,7 +15,7 @@ __all__ = ["Recording", "__version__", "load"]
 def __getattr__(name: str) -> "Any":
     """Import the run-file reader when it is first asked for: ``import daq`` alone loads nothing."""
     if name == "__version__":
-        from daq.version import VERSION
+        from daq.base.version import VERSION
 
         return VERSION
     if name in __all__:

@@ -7,8 +7,8 @@ The built files and their source stand beside each other: in ``firmware/`` of th
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from daq.errors import InputError, nearest
-from daq.output import disk
+from daq.base.errors import InputError, nearest
+from daq.base.output import disk
 
 VERSION = "1.0.0"
 FIRST_BAUD = 115_200  # what the board listens at first; it finds the other rates by itself
@@ -103,7 +103,7 @@ def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Pa
         existing = target / file.name
         if existing.exists() and not force and existing.read_bytes() != file.read_bytes():
             raise InputError("exists with different content", str(existing), "give another -o, or --force")
-    from daq.output import atomic
+    from daq.base.output import atomic
 
     if target.exists() and not target.is_dir():
         raise InputError("is not a folder", str(target), "give a folder, with -o")

@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
+from daq.base.console.log import FLAGS
 from daq.cli.app import app as daq
-from daq.console.log import FLAGS
 from fitting.cli import app as fit_friction
 from processing.cli import app as process
 from rig_sim.cli.app import app as rig_sim

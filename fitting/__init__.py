@@ -14,7 +14,7 @@ __all__ = ["Ranking", "__version__", "rank"]
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is first asked for: ``import fitting`` alone loads nothing."""
     if name == "__version__":
-        from daq.version import VERSION
+        from daq.base.version import VERSION
 
         return VERSION
     if name in __all__:

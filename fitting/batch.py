@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from daq import errors
-from daq.compute.workers import workers
-from daq.errors import DeviceError, InputError, StickslipError
+from daq.base import errors
+from daq.base.compute.workers import workers
+from daq.base.errors import DeviceError, InputError, StickslipError
 from fitting import job
 from fitting.job import FitOptions, FitOutput, LoadedRun
 from fitting.report import comparison, page

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 from cyclopts import Parameter
 
-from daq.console import application, flags
-from daq.console.application import Answer, Json
-from daq.errors import DataError, InputError
-from daq.runfile.rig import Measured
+from daq.base.console import application, flags
+from daq.base.console.application import Answer, Json
+from daq.base.errors import DataError, InputError
+from daq.base.measured import Measured
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -132,7 +132,7 @@ def fit(
 
     Example: fit-friction --each monday/*.h5 --jobs 4
     """
-    from daq.output import atomic, suffix
+    from daq.base.output import atomic, suffix
     from daq.runfile import joint
     from fitting import batch, job
     from fitting.report import comparison, table
@@ -314,7 +314,7 @@ def _text(ranking: "Ranking", statistics: list[str], written: "Sequence[Path | N
 
 def _laws(ranking: "Ranking") -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
-    from daq.output.lengths import format_length
+    from daq.base.output.lengths import format_length
 
     table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
     for row in ranking.candidates:

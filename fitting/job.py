@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.compute.arrays import Array
-from daq.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
+from daq.base.compute.arrays import Array
+from daq.base.errors import EXIT_DONE, EXIT_NO_LAW, EXIT_UNDECIDED, DataError, InputError
+from daq.base.measured import Measured
 from daq.runfile import joint
 from daq.runfile import store as runfile
 from daq.runfile.joint import FittedRun
 from daq.runfile.nexus import EVERY
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from fitting.adequacy.result import ADEQUATE
 from fitting.report import page as report
 from fitting.report import stage as store

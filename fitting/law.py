@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from daq.errors import InputError, nearest
+from daq.base.errors import InputError, nearest
 from rig_sim.friction.formula import SPEED, Formula
 
 NAME = re.compile(r"[A-Za-z][\w-]*")

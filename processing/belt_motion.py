@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.compute.arrays import Mask
+from daq.base.compute.arrays import Mask
 from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.methods.method_model import MethodModel

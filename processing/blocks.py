@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array, Integers
+from daq.base.measured import Measured
 from processing.belt_motion import BeltNoise, BeltRecord, learn_noise, smooth_belt
 from processing.defects import frames, position_steps, sensor_faults, velocity_steps
 from processing.defects.findings import belt_findings, drift_finding, sensor_findings, step_findings

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 from cyclopts import Parameter
 
-from daq.console import application
-from daq.console.application import Answer, Json
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.console.application import Answer, Json
+from daq.base.errors import InputError
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -65,7 +65,7 @@ def smooth(
 
     Example: process smooth run.h5 --from 5 --to 1.5min
     """
-    from daq.console.units import quantity, time_or_none
+    from daq.base.units import quantity, time_or_none
     from daq.runfile import store
     from processing import smoothing, stage, summary
 
@@ -126,7 +126,7 @@ def inspect(
 
     Example: process inspect run.h5 --plot portrait.png
     """
-    from daq.output.plot import check_place, save
+    from daq.base.output.plot import check_place, save
     from processing import statistics, summary
     from processing.plot import inspection
 
@@ -162,7 +162,7 @@ def export(
 
     Example: process export run.h5 --csv motion.csv
     """
-    from daq.output import atomic, suffix
+    from daq.base.output import atomic, suffix
     from processing import export as tables
 
     if csv is None:

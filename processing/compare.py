@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from daq.runfile.recording import Recording, Truth
 from processing.methods import registry
 from processing.record import series

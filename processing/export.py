@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from daq.output import tables
+from daq.base.output import tables
 from processing.record.kinematics import Kinematics
 
 

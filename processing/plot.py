@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from daq.output.lengths import shown_length
-from daq.output.plot import STYLE, figure
+from daq.base.output.lengths import shown_length
+from daq.base.output.plot import STYLE, figure
 from processing.record.kinematics import Kinematics
 from processing.record.plot import BELT, MOTION, draw_motion
 from processing.statistics import FEWEST_SLIPS, StickSlipStatistics, from_kinematics

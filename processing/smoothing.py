@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.errors import InputError, nearest
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError, nearest
 from daq.runfile import store
 from daq.runfile.nexus import EVERY
 from processing import belt_motion, blocks, stage

@@ -31,8 +31,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.errors import InputError
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
 from daq.runfile import nexus, store, trust
 from daq.runfile.recording import Recording
 from processing.record import series

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.output.lengths import shown_length
+from daq.base.compute.arrays import Array
+from daq.base.output.lengths import shown_length
 from processing.record.kinematics import Kinematics, SmoothingHeader
 
 FEWEST_SLIPS = 3  # with fewer there is no scatter to speak of

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.output.lengths import shown_range, shown_speed
+from daq.base.output.lengths import shown_range, shown_speed
 from processing.record.kinematics import Kinematics, SmoothingSummary
 
 METHOD_NAMES = {

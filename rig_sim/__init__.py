@@ -17,7 +17,7 @@ _HOME = {"scene": "rig_sim.scenes.scene", "events": "rig_sim.motion.play", "cycl
 def __getattr__(name: str) -> Any:
     """Import what is asked for when it is first asked for: ``import rig_sim`` alone loads nothing."""
     if name == "__version__":
-        from daq.version import VERSION
+        from daq.base.version import VERSION
 
         return VERSION
     if name in _HOME:

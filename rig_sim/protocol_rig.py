@@ -15,7 +15,7 @@ from urllib.parse import unquote
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.board.board import SimulatedBoard
 from rig_sim.scenes.scene import parse_changes, scene
 

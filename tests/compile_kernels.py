@@ -15,9 +15,9 @@ import numpy as np
 import daq
 import fitting
 import processing
+from daq.base.console import application
+from daq.base.errors import EXIT_DONE
 from daq.calibration import ring_down
-from daq.console import application
-from daq.errors import EXIT_DONE
 from rig_sim.cli.app import app
 from rig_sim.flow.flow import Flow
 from rig_sim.integrate.events import list_events

@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.console import application
+from daq.base.console import application
 
 COMMANDS = {
     "daq": "daq.cli.app",

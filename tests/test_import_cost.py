@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.version import VERSION
+from daq.base.version import VERSION
 
 ROOT = str(Path(__file__).resolve().parent.parent)
 MODULES = {
@@ -86,5 +86,5 @@ def test_importing_a_package_or_asking_its_version_loads_nothing_else(package):
         {name for name in json.loads(loaded) if name.split(".")[0] in ("daq", "processing", "fitting", "rig_sim")}
         for loaded in (first, last)
     ]
-    assert ours == [{package}, {package, "daq", "daq.version"}]
+    assert ours == [{package}, {package, "daq", "daq.base", "daq.base.version"}]
     assert not names & {"numpy", "h5py", "scipy", "numba", "pydantic", "serial", "cyclopts"}

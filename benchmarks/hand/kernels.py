@@ -29,7 +29,7 @@ from hand.polynomial import (
 from numba import njit
 from numba.extending import register_jitable
 
-from daq.compute.compile import register
+from daq.base.compute.compile import register
 from rig_sim.integrate.buffer import EXIT, EXIT_E, EXIT_S, LATE
 from rig_sim.integrate.compiled import JIT_OPTIONS, KERNEL_MODULES
 from rig_sim.integrate.linear import FreeMotion, change, fundamental, linear_exit, stick_lateness

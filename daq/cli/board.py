@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cyclopts
 from cyclopts import Parameter
 
+from daq.base.console import application, flags
+from daq.base.console.application import Answer, Json
+from daq.base.console.flags import Force
+from daq.base.console.settings import NO_FLAGS, BoardFlags, board_toml, resolve
+from daq.base.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
+from daq.base.measured import QUANTITIES, Measured
 from daq.cli import sentences
 from daq.cli.record import rig_port
-from daq.console import application, flags
-from daq.console.application import Answer, Json
-from daq.console.flags import Force
-from daq.console.settings import NO_FLAGS, BoardFlags, board_toml, resolve
-from daq.errors import EXIT_DATA, EXIT_DONE, DataError, InputError
-from daq.runfile.rig import QUANTITIES, Measured, Rig
+from daq.runfile.rig import Rig
 
 if TYPE_CHECKING:
     from daq.calibration.ring_down import RingDown
@@ -137,8 +138,8 @@ def calibrate(
 
     Example: daq calibrate --mass "300 g +- 1 g"
     """
+    from daq.base.output import atomic, suffix
     from daq.calibration import rig_constants as measure
-    from daq.output import atomic, suffix
     from daq.protocols.request import RecordRequest
 
     if not ring_down and distance is None:
@@ -213,7 +214,7 @@ def _take(
     request: "RecordRequest", progress: Callable[[float], None] = lambda seconds: None
 ) -> "tuple[RecordingQuality, Recording]":
     """Record into a temporary folder, and return the quality and the run."""
-    from daq.output import disk
+    from daq.base.output import disk
     from daq.recorder.record import RecordingInterruptedError, record
     from daq.runfile import store
 

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import cyclopts
 from cyclopts import Parameter
 
+from daq.base.console import application
+from daq.base.console.application import Answer, Json
+from daq.base.console.flags import Force
+from daq.base.console.notes import NO_NOTES, NoteFlags
+from daq.base.errors import InputError
 from daq.cli import sentences
-from daq.console import application
-from daq.console.application import Answer, Json
-from daq.console.flags import Force
-from daq.console.notes import NO_NOTES, NoteFlags
-from daq.errors import InputError
 from daq.imports.options import NO_CAPTURE, NO_OPTIONS, NO_PROBES, CaptureOptions, ImportOptions, ProbeOptions
 
 if TYPE_CHECKING:
@@ -55,8 +55,8 @@ def import_table(
     """
     from dataclasses import replace
 
+    from daq.base.output import atomic, names, suffix
     from daq.imports import track
-    from daq.output import atomic, names, suffix
     from daq.runfile import store
 
     given = notes.given()
@@ -86,8 +86,8 @@ def replay(
 
     Example: daq replay capture.sr --channels A=XA,B=XB -o run.h5
     """
+    from daq.base.output import atomic, suffix
     from daq.imports import replay as again
-    from daq.output import atomic, suffix
     from daq.runfile import store
 
     kind = again.kind_of(source)
@@ -166,7 +166,7 @@ def export(
 
     Example: daq export run.h5 -o run.csv
     """
-    from daq.output import atomic, suffix, tables
+    from daq.base.output import atomic, suffix, tables
     from daq.runfile import store
 
     forms = {"csv": suffix.CSV, "parquet": suffix.PARQUET}

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import cyclopts
 
-from daq.console.application import Answer, Json
+from daq.base.console.application import Answer, Json
 
 DEFAULT_FOLDER = Path("stickslip-firmware")
 SOME_PORT = "COM3" if os.name == "nt" else "/dev/ttyACM0"

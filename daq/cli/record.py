@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import cyclopts
 
+from daq.base.console import application, flags
+from daq.base.console.application import Answer, Json, SetChanges
+from daq.base.console.flags import Force
+from daq.base.console.notes import NO_NOTES, NoteFlags
+from daq.base.console.settings import NO_FLAGS, BoardFlags, resolve
+from daq.base.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, InputError
 from daq.cli import sentences
 from daq.cli.live import NoBrowser, viewer
-from daq.console import application, flags
-from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force
-from daq.console.notes import NO_NOTES, NoteFlags
-from daq.console.settings import NO_FLAGS, BoardFlags, resolve
-from daq.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, InputError
 
 if TYPE_CHECKING:
     from daq.recorder.record import StopRequest
@@ -80,7 +80,7 @@ def record(
 
     Example: daq record -o 'run-{n:03}.h5' --sample "brass on steel" --operator Ada --tag humidity=45
     """
-    from daq.output import names
+    from daq.base.output import names
     from daq.protocols.request import RecordRequest
     from daq.recorder.record import record as take
 
@@ -128,8 +128,8 @@ def recover(
 
     Example: daq recover run.h5.part
     """
+    from daq.base.output import suffix
     from daq.finalise.run import finalise
-    from daq.output import suffix
 
     if journal.suffix != ".part":
         raise InputError("is not a journal", str(journal), "give the RUN.h5.part that the recording left")

@@ -10,8 +10,8 @@ from typing import Self, TextIO
 
 import cyclopts
 
-from daq.console.application import Answer, Json
-from daq.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
+from daq.base.console.application import Answer, Json
+from daq.base.errors import EXIT_DEVICE, EXIT_DONE, EXIT_UNDECIDED, StickslipError
 
 PACKAGES = ("daq", "processing", "fitting", "rig_sim")
 DEMO_FOLDER = "stickslip-demo"

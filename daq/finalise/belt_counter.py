@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.output.spill import BLOCK
+from daq.base.output.spill import BLOCK
 from daq.runfile.rig import Rig
 from daq.wire import counters
 
@@ -104,7 +104,7 @@ def velocity_pieces(
     rate_hz: float,
     metres_per_count: float,
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the same piece by piece; count and time may be columns (`daq.output.spill.Column`)."""
+    """Yield the same piece by piece; count and time may be columns (`daq.base.output.spill.Column`)."""
     half = max(1, round(SPAN_S * rate_hz / 2))
     for first, last in pairwise([*starts.tolist(), len(count)]):
         if last - first < 2:

@@ -1,4 +1,4 @@
-"""Who may finish or remove a journal: one process at a time, which holds its lock (`daq.output.lock`)."""
+"""Who may finish or remove a journal: one process at a time, which holds its lock (`daq.base.output.lock`)."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,8 +6,8 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from daq.errors import InputError
-from daq.output.lock import FileLock
+from daq.base.errors import InputError
+from daq.base.output.lock import FileLock
 from daq.runfile import journal, journal_records
 
 

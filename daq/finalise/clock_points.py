@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import joined, rows
+from daq.base.compute.arrays import joined, rows
+from daq.base.output.spill import Spill
 from daq.finalise.clock_sync import ClockPoints, ClockSync, Points
 from daq.finalise.timeline import Piece, parts_of
-from daq.output.spill import Spill
 from daq.protocols.link_budget import BITS_PER_BYTE
 
 

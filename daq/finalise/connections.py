@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq import protocols
-from daq.errors import InputError
-from daq.output.spill import Shelf, Spill
+from daq.base.errors import InputError
+from daq.base.measured import Measured
+from daq.base.output.spill import Shelf, Spill
 from daq.runfile import journal
 from daq.runfile.recording import SentAs
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from daq.wire import clock_leaps, decode
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT

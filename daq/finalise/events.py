@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.compute.arrays import runs
+from daq.base.compute.arrays import runs
 from daq.finalise.integrity import CheckedCounts
 from daq.finalise.timeline import Piece
 from daq.runfile.recording import EVENTS

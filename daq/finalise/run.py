@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from daq import toml
-from daq.errors import DataError, InputError
+from daq.base import toml
+from daq.base.errors import DataError, InputError
+from daq.base.output import atomic
+from daq.base.output.spill import Spill
+from daq.base.text import storable
 from daq.finalise import claim, connections, quality
 from daq.finalise.clock_points import PartClock
 from daq.finalise.columns import RunColumns
@@ -22,12 +25,9 @@ from daq.finalise.events import RunEvents
 from daq.finalise.integrity import CountCheck
 from daq.finalise.quality import DataTotals, RecordingQuality
 from daq.finalise.timeline import Samples, Timeline, parts_of
-from daq.output import atomic
-from daq.output.spill import Spill
 from daq.runfile import journal, journal_header, store
 from daq.runfile.recording import EVENT_NAMES, Recording, positions
 from daq.runfile.rig import Rig
-from daq.text import storable
 from daq.wire import decode, frames
 
 logger = logging.getLogger(__name__)
@@ -87,7 +87,7 @@ def run_data(
     """Return the run in a journal, and its quality.
 
     The samples are worked on piece by piece, in memory that does not grow with their number; where they are many, the
-    columns of the run are in a file (`daq.output.spill.Column`) beside ``output``.
+    columns of the run are in a file (`daq.base.output.spill.Column`) beside ``output``.
 
     Raises
     ------

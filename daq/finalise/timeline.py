@@ -19,8 +19,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute import arrays
-from daq.output.spill import Shelf, Spill
+from daq.base.compute import arrays
+from daq.base.output.spill import Shelf, Spill
 from daq.wire import counters, decode, frames
 
 # Seconds on either side of a gap in which the least delay is searched.  Half finds fewer undelayed reads; double lets

@@ -2,8 +2,8 @@
 
 import re
 
-from daq.console import units
-from daq.errors import InputError, nearest
+from daq.base import units
+from daq.base.errors import InputError, nearest
 from daq.imports.table import Table, short
 
 TIME_NAMES = ("t", "time", "times", "timestamp", "seconds", "zeit", "temps", "tiempo", "tempo")

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.isolation import BrokenOffError, isolated
-from daq.errors import InputError
+from daq.base.compute.arrays import Array
+from daq.base.compute.isolation import BrokenOffError, isolated
+from daq.base.errors import InputError
 from daq.imports.table import Table
 
 SAVE = "save it again in MATLAB: save('FILE.mat', '-v7')"

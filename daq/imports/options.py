@@ -5,8 +5,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from daq.console import flags
-from daq.runfile.rig import Measured
+from daq.base.console import flags
+from daq.base.measured import Measured
 
 
 @Parameter(name="*")

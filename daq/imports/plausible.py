@@ -5,8 +5,8 @@ Asked only of columns whose unit nobody stated, and only of tables long enough t
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.errors import InputError
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
 from daq.imports.table import Table
 
 # No mass on a spring in a laboratory is as fast, or moves as far.  The thesis's rig reaches 0.6 m/s and 0.3 m, so that

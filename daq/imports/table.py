@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.stages import Stages, silent
-from daq.errors import InputError
+from daq.base.compute.arrays import Array
+from daq.base.compute.stages import Stages, silent
+from daq.base.errors import InputError
 from daq.imports import layout
 
 DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar", "": "MATLAB"}

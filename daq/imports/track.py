@@ -15,16 +15,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.stages import Stages, silent
-from daq.errors import InputError
+from daq.base.compute.stages import Stages, silent
+from daq.base.errors import InputError
+from daq.base.output import provenance
+from daq.base.toml import quoted
 from daq.imports import layout, plausible, table
 from daq.imports.columns import find, is_stated, unit
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
-from daq.output import provenance
 from daq.runfile.recording import FASTEST_HZ, LONGEST_S, Recording, impossible_motion
 from daq.runfile.rest_position import question
-from daq.runfile.rig import Rig, quoted
+from daq.runfile.rig import Rig
 
 # Ratio of the times' rate to --frame-rate beyond which the times are corrected.  An error of 1 % in time
 # is 1 % in velocity: double leaves 2 % uncorrected, half corrects what rounded times cause.  Not swept.

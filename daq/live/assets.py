@@ -6,7 +6,7 @@ That package is found but not imported: its own modules need IPython.
 from importlib.util import find_spec
 from pathlib import Path
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 
 PAGE = Path(__file__).parent / "page"
 KINDS = {

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from daq.live.tail import NewSamples
 from daq.runfile.rig import Rig
 

@@ -28,7 +28,7 @@ from starlette.responses import PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Mount, Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from daq.finalise import claim
 from daq.live import assets
 from daq.live.motion import LiveFilter, LiveMotion

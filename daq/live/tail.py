@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from daq import protocols
-from daq.compute.arrays import Array
-from daq.errors import InputError
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
 from daq.finalise import connections, timeline
 from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.run import calibration

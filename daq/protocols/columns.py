@@ -10,7 +10,7 @@ from functools import lru_cache, reduce
 from itertools import islice
 from operator import xor
 
-from daq.errors import InputError, check_known
+from daq.base.errors import InputError, check_known
 from daq.protocols.lines import Other, Row
 from daq.wire import frames
 from daq.wire.splitter import Splitter

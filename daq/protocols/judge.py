@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute import arrays
-from daq.compute.arrays import Array
+from daq.base.compute import arrays
+from daq.base.compute.arrays import Array
 from daq.protocols.neighbours import LOOK_AHEAD, leaps, off_course, periods_between, running, spread, time_ahead
 from daq.wire.arrival import LeastDelay
 from daq.wire.counters import LATE_FRAMES, moves

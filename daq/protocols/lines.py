@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute import arrays
+from daq.base.compute import arrays
 from daq.protocols.judge import Between, Judge, Lines
 from daq.protocols.neighbours import LOOK_AHEAD, time_ahead
 from daq.protocols.session import Tally

@@ -3,7 +3,7 @@
 Line: 8N1, so 10 bits a byte.  A frame of n samples is 15 + 7 n bytes on the line, 2 n more for each optional column.
 """
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.protocols.session import Plan
 from daq.runfile.rig import Rig
 from daq.wire import frames

@@ -32,7 +32,7 @@ from itertools import pairwise
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from daq.errors import DeviceError, InputError, check_known
+from daq.base.errors import DeviceError, InputError, check_known
 from daq.protocols import lines
 from daq.protocols import session as sessions
 from daq.protocols.columns import LONGEST_LINE, Columns, ColumnVote, columns, lacking

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import cast
 from urllib.parse import quote, unquote
 
-from daq.errors import DeviceError, InputError
+from daq.base.errors import DeviceError, InputError
 from daq.protocols.session import Port
 
 SIMULATED_RIG = "rig://rig"

@@ -15,7 +15,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from daq.errors import StickslipError
+from daq.base.errors import StickslipError
 from daq.protocols.session import Session
 from daq.recorder import ports
 from daq.runfile import journal

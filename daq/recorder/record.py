@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq import protocols
-from daq.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from daq.base.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from daq.base.output import disk, provenance
 from daq.finalise import claim
-from daq.output import disk, provenance
 from daq.protocols import link_budget
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Session
@@ -71,8 +71,8 @@ class StopRequest(threading.Event):
 
 def check_request(request: RecordRequest) -> None:
     """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
-    from daq.output.atomic import refuse_existing
-    from daq.output.suffix import check_run
+    from daq.base.output.atomic import refuse_existing
+    from daq.base.output.suffix import check_run
 
     if request.rate_hz is not None and request.rate_hz < 1:
         raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")

@@ -13,9 +13,9 @@ that is cut short is a crash's mark.
     C  configuration TOML text that replaces the board's CONFIG
     E  end           JSON: how the recording ended
 
-While a recording runs it holds the journal's lock (`daq.output.lock`): whoever wants to finish the journal asks for it
-first, whoever only reads does not.  A marker comes from another process: one line ``<monotonic ns> <text>`` appended
-to ``RUN.h5.markers``.
+While a recording runs it holds the journal's lock (`daq.base.output.lock`): whoever wants to finish the journal asks
+for it first, whoever only reads does not.  A marker comes from another process: one line ``<monotonic ns> <text>``
+appended to ``RUN.h5.markers``.
 """
 
 import errno
@@ -29,9 +29,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from daq.errors import InputError
-from daq.output import disk
-from daq.output.lock import FileLock
+from daq.base.errors import InputError
+from daq.base.output import disk
+from daq.base.output.lock import FileLock
+from daq.base.text import storable
 from daq.runfile import journal_header, journal_records
 from daq.runfile.journal_records import (
     CONFIGURATION,
@@ -46,7 +47,6 @@ from daq.runfile.journal_records import (
     Place,
     Record,
 )
-from daq.text import storable
 
 __all__ = ["CONFIGURATION", "DROPPED", "END", "HEADER", "LOST", "MAGIC", "RECEIVED", "REOPENED", "Content", "Record"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.runfile import joint, nexus, schema, store, trust
 from daq.runfile.recording import lost_samples
 

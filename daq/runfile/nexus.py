@@ -17,10 +17,10 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from daq.errors import InputError
-from daq.output.spill import BLOCK, Column
-from daq.text import storable
-from daq.version import VERSION
+from daq.base.errors import InputError
+from daq.base.output.spill import BLOCK, Column
+from daq.base.text import storable
+from daq.base.version import VERSION
 
 CHUNK = 16384
 # With shuffle, higher levels of gzip cost time and gain little.
@@ -58,7 +58,7 @@ def field(parent: h5py.Group, name: str, data: Any, units: str | None = None, **
     name : str
         Its name.
     data : array, Column, number, str or sequence of str
-        What HDF5 cannot hold of a text is escaped (`daq.text.storable`).
+        What HDF5 cannot hold of a text is escaped (`daq.base.text.storable`).
         Arrays are stored in their own type, chunked by 16384, with gzip, shuffle and a checksum per chunk.
     units : str, optional
         Stored as ``@units``; a float without units is refused; "" means dimensionless.

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.output.lengths import shown_length, shown_range
-from daq.output.spill import BLOCK, blocks
+from daq.base.output.lengths import shown_length, shown_range
+from daq.base.output.spill import BLOCK, blocks
+from daq.base.text import storable
 from daq.runfile.rig import Rig
-from daq.text import storable
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from daq.output.plot import PngFigure
+    from daq.base.output.plot import PngFigure
 
 # What can happen to a run, with the code its event is stored under.
 EVENTS = {
@@ -252,8 +252,8 @@ class Recording:
         matplotlib Figure
             ``figure.savefig(path)`` writes it, a notebook shows it.
         """
-        from daq.compute.arrays import pieces
-        from daq.output.plot import lines_over_time
+        from daq.base.compute.arrays import pieces
+        from daq.base.output.plot import lines_over_time
 
         factor, unit = shown_length(self.unit)
         whole = pieces(self.time, self.segment, 1 / self.rate_hz) if self.time.size > 1 else (slice(None),)
@@ -290,7 +290,7 @@ class Recording:
         )
 
     def _repr_html_(self) -> str:
-        from daq.output import notebook
+        from daq.base.output import notebook
 
         return notebook.table(f"Recording {self.name}: {self.title}", self.facts().items())
 

@@ -17,23 +17,16 @@ The text form is TOML, the same in a board's CONFIG frame and in a lab's ``rig.t
 A quantity that nobody measured is absent, never zero.  SI throughout; ``*_sd`` is one standard deviation.
 """
 
-import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-from daq import toml
-from daq.errors import InputError, nearest
+from daq.base import toml
+from daq.base.errors import InputError, nearest
+from daq.base.measured import QUANTITIES, Measured, checked
+from daq.base.toml import check_keys, quoted
 
 DECODERS = ("x4", "x1", "jk", "jk-latched", "two-counter")
 COUNTER_BITS = (8, 16, 24, 32)
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A measured quantity and its standard deviation (0 when it is exact or was not stated)."""
-
-    value: float
-    sd: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -114,7 +107,7 @@ class Rig:
         found: dict[str, Any] = {}
         for section, content in toml.parsed(text, where).items():
             if section == "board":
-                continue  # how to reach the board: `daq.console.settings`
+                continue  # how to reach the board: `daq.base.console.settings`
             if section not in SECTIONS:
                 raise InputError(f"unknown section [{section}]", where, nearest(section, list(SECTIONS)))
             found |= _section(section, content, where)
@@ -140,17 +133,6 @@ class Rig:
         return "\n".join(lines) + "\n"
 
 
-# The rule that each value must obey; None where every finite number will do.
-QUANTITIES: dict[str, str | None] = {
-    "mass": "positive",
-    "stiffness": "positive",
-    "damping": "not negative",
-    "belt_speed": None,
-    "metres_per_count": "not zero",
-    "datum": None,
-    "belt_metres_per_count": "not zero",
-    "x0": None,
-}
 SECTIONS: dict[str, tuple[str, ...]] = {
     "rig": ("name", "mass", "stiffness", "damping", "belt_speed", "x0"),
     "encoder": (
@@ -162,7 +144,6 @@ SECTIONS: dict[str, tuple[str, ...]] = {
         "belt_metres_per_count",
     ),
 }
-_RULES = {"positive": lambda x: x > 0, "not negative": lambda x: x >= 0, "not zero": lambda x: x != 0}
 
 
 def _section(section: str, content: Any, where: str) -> dict[str, Any]:
@@ -190,26 +171,6 @@ def _section(section: str, content: Any, where: str) -> dict[str, Any]:
     return found
 
 
-def check_keys(section: str, content: Any, known: list[str], where: str) -> dict[str, Any]:
-    """Return the content of a TOML section; InputError when it is no section or has an unknown key (nearest named)."""
-    if not isinstance(content, dict):
-        raise InputError(f"{section} is a value, not a section", where, f"write [{section}] above its keys")
-    for key in content:
-        if key not in known:
-            raise InputError(f"unknown key {section}.{key}", where, nearest(key, known))
-    return content
-
-
-def checked(key: str, value: float, sd: float, where: str) -> Measured:
-    """Return the measured quantity ``key``, or raise InputError when its value or error is impossible."""
-    rule = QUANTITIES[key]
-    if not math.isfinite(value) or (rule is not None and not _RULES[rule](value)):
-        raise InputError(f"{key} is {value:g}", where, f"it must be {rule or 'a finite number'}")
-    if not (math.isfinite(sd) and sd >= 0):
-        raise InputError(f"{key}_sd is {sd:g}", where, "a standard deviation is a finite number, not negative")
-    return Measured(value, sd)
-
-
 def _number(value: Any, key: str, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{key} is {value!r}", where, "write a bare number in SI units")
@@ -228,9 +189,3 @@ def _setting(key: str, value: Any, section: str, where: str) -> Any:
     elif key == "counter_bits" and value not in COUNTER_BITS:
         raise InputError(f"{section}.{key} is {value}", where, f"known: {', '.join(map(str, COUNTER_BITS))}")
     return value
-
-
-def quoted(text: str) -> str:
-    """Return a text as TOML's basic string: quotes, backslashes and control characters (DEL too) escaped."""
-    out = "".join(f"\\u{ord(c):04x}" if ord(c) < 32 or ord(c) == 127 else f"\\{c}" if c in '"\\' else c for c in text)
-    return f'"{out}"'

@@ -22,12 +22,12 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.output.spill import Column, blocks
+from daq.base.measured import Measured
+from daq.base.output.spill import Column, blocks
+from daq.base.text import storable
+from daq.base.version import VERSION
 from daq.runfile import nexus
 from daq.runfile.recording import EVENT_NAMES, EVENTS, Recording, first_disorder
-from daq.runfile.rig import Measured
-from daq.text import storable
-from daq.version import VERSION
 
 SCHEMA = 1
 KIND = h5py.enum_dtype(EVENTS, basetype="u1")

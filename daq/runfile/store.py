@@ -18,9 +18,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.errors import InputError
-from daq.output import atomic, disk
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
+from daq.base.output import atomic, disk
 from daq.runfile import nexus, schema, trust
 from daq.runfile.recording import Raw, Recording, SentAs, Truth, impossible_motion
 from daq.runfile.rig import Rig

@@ -15,8 +15,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq.compute.isolation import BrokenOffError, isolated
-from daq.errors import InputError
+from daq.base.compute.isolation import BrokenOffError, isolated
+from daq.base.errors import InputError
 
 DO = "do not trust this file; ask who made it"
 AGAIN = "copy it again from its source, or daq recover its journal"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.text import printable, storable
+from daq.base.text import printable, storable
 from daq.wire import frames as wire
 from daq.wire.splitter import Splitter
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.adequacy.goodness import GoodnessOfFit, RunSlips, goodness_of_fit, judge
 from fitting.adequacy.result import ADEQUATE, NONE_FITTED, NONE_OF_SIX, NOT_OF_SPEED, Adequacy
 from fitting.adequacy.struck import left_out

@@ -15,8 +15,8 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
-from daq.compute.distributions import gamma_tail, gamma_upper_quantile
+from daq.base.compute.arrays import Array, Mask
+from daq.base.compute.distributions import gamma_tail, gamma_upper_quantile
 from fitting.adequacy.noise import PositionNoise, estimate_noise
 from fitting.adequacy.statistics import CycleSquares, SlipBins, SlipStatistics, cycle_squares
 from fitting.data.frame import MeasuredMotion

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
+from daq.base.compute.arrays import Array, Mask
 from fitting.data.frame import MeasuredMotion
 from fitting.model.windows import ShootingWindows
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.model.windows import ShootingWindows
 
 MOST_BINS = 60  # of a slip, with 8 to 20 samples each at 1 kHz

@@ -7,7 +7,7 @@ the mass again within milliseconds, and a step of the position is left.
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.linearised import LinearisedFit
 from fitting.model.windows import SPOILT

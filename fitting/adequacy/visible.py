@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.adequacy.goodness import REJECTED, RunSlips, least
 from fitting.adequacy.statistics import cycle_squares
 from fitting.estimation.fit import Fit

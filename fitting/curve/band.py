@@ -8,7 +8,7 @@ each speed: with few cycles the sandwich comes out too small, with residuals tha
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.least_squares.normal_equations import eigen

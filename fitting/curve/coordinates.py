@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 # Of the middle coefficient: standard deviation of a second difference.  Twice or half of it moves curves of the rig
 # scene by less than a tenth of their band.

@@ -25,8 +25,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.distributions import chi_square_quantile, normal_quantile
+from daq.base.compute.arrays import Array
+from daq.base.compute.distributions import chi_square_quantile, normal_quantile
 from fitting.curve.result import FormFit
 from fitting.curve.spline_fit import SplineFit
 from fitting.curve.starts import project

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
-from daq.compute.distributions import student_quantile
-from daq.errors import InputError
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.compute.distributions import student_quantile
+from daq.base.errors import InputError
+from daq.base.measured import Measured
 from fitting.curve.band import covariances
 from fitting.curve.spline_fit import FINAL, SplineFit
 from fitting.data.cycles import Cycle

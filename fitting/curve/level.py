@@ -15,9 +15,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
-from daq.compute.compile import compiled
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array, Mask
+from daq.base.compute.compile import compiled
+from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
 from fitting.least_squares import elimination
 from fitting.least_squares.levenberg_marquardt import Solution

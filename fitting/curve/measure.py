@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.distributions import normal_quantile, student_quantile
+from daq.base.compute.arrays import Array
+from daq.base.compute.distributions import normal_quantile, student_quantile
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
 from fitting.curve.forms import fit_forms
 from fitting.curve.result import BandExit, FormFit, MeasuredCurve

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import Parameter

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array, Mask
+from daq.base.measured import Measured
 from fitting.curve.coordinates import CurveCoordinates
 from fitting.curve.level import (
     REST_SD,

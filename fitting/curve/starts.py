@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.curve.weak_form import LOWEST_LEVEL, weak_form
 from fitting.estimation.covariance import scaled_inverse
 from fitting.estimation.fit import Fit

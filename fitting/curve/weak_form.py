@@ -12,7 +12,7 @@ Source: D. Messenger, D. Bortz, Weak SINDy, Multiscale Model. Simul. 19 (2021) 1
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.estimation.covariance import scaled_inverse
 from fitting.model.parameters import PER_RUN, Global
 from fitting.model.problem import EstimationProblem, Run

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
-from daq.compute.least_squares import least_squares
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.compute.least_squares import least_squares
+from daq.base.measured import Measured
 from processing.record.kinematics import Kinematics
 
 SURE = 3.0  # standard errors: a belt that gives by less is taken as stiff

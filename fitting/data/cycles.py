@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array, runs
+from daq.base.compute.arrays import Array, runs
 from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
 
 # Times below are in slips (`MeasuredMotion.slip_s`).

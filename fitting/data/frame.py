@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import HOLE, Array, runs
-from daq.errors import DataError, InputError
-from daq.runfile.rig import Measured, Rig
+from daq.base.compute.arrays import HOLE, Array, runs
+from daq.base.errors import DataError, InputError
+from daq.base.measured import Measured
+from daq.runfile.rig import Rig
 from fitting.data import belt_line
 from fitting.data.belt_line import BeltLine
 from fitting.data.slip_duration import slip_duration

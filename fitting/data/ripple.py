@@ -19,8 +19,8 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
-from daq.compute.least_squares import least_squares
+from daq.base.compute.arrays import Array
+from daq.base.compute.least_squares import least_squares
 from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.measured import Measured
 from fitting.data.cycles import CycleSegmentation
 from fitting.departures.result import FoundDeparture
 from fitting.estimation.result import BreakAway

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.definition.departure import Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
+from daq.base.compute.arrays import Array, Mask
 from fitting.curve.coordinates import CurveCoordinates
 from fitting.curve.spline_fit import SplineFit
 from fitting.estimation.fit import Fit

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from daq.runfile.rig import Measured
+from daq.base.measured import Measured
 
 
 @dataclass(frozen=True)

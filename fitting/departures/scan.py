@@ -5,7 +5,7 @@ Every gain here is that of one linear step (`fitting.departures.scores`).
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.departures.base import Base
 from fitting.departures.definition.departure import Departure
 from fitting.departures.scores import LEAST_KEPT, RIDGE

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.distributions import fisher_log_tail, normal_quantile
+from daq.base.compute.arrays import Array
+from daq.base.compute.distributions import fisher_log_tail, normal_quantile
 from fitting.estimation.linearised import LinearisedFit, Scores
 
 # Of a column's curvature: where no more is left of it after the projection, the fit already adjusts it.  Derivatives

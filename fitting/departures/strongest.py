@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.measured import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.base import Base
 from fitting.departures.definition.departure import Departure

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
 from fitting.model.parameters import PerCycle

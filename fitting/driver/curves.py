@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.curve.coordinates import CurveCoordinates
 from fitting.curve.starts import project
 from fitting.model import parameters

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.driver.model import Model
 from fitting.driver.noise import PassNoise
 from fitting.driver.task import FitStart, Task

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from fitting.departures.definition.departure import Forcing
 from fitting.departures.definition.fitted_motion import FittedMotion
 from fitting.driver.task import Task

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from fitting.model.windows import ShootingWindows
 
 

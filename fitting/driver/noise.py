@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
+from daq.base.compute.arrays import Array, Mask
 from fitting.driver.task import Task
 from fitting.estimation import wear
 from fitting.estimation.fit import (

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.driver.fit import TaskFit
 from fitting.driver.model import Model
 from fitting.driver.nodes import SampleNodes

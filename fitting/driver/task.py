@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.least_squares import least_squares
+from daq.base.compute.arrays import Array
+from daq.base.compute.least_squares import least_squares
 from fitting.curve.spline_fit import FASTEST, KNOT_POWER, PIECES
 from fitting.departures.definition.departure import Departure
 from fitting.driver.curves import FreeCurve, FrictionCurve, LawCurve

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.data.cycles import BEFORE_BREAK_AWAY, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple

@@ -17,8 +17,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, autocorrelation_time
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array, autocorrelation_time
+from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
 from fitting.least_squares.normal_equations import SchurComplement, eigen, normal_equations
 from fitting.least_squares.problem import LeastSquaresProblem

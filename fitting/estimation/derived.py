@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.distributions import student_quantile
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.compute.distributions import student_quantile
+from daq.base.measured import Measured
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import covariances, levels_differ, upper_bound
 from fitting.estimation.fit import Fit

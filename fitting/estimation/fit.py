@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, autocorrelation_time
+from daq.base.compute.arrays import Array, autocorrelation_time
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import wear

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array, Integers, Mask
+from daq.base.compute.compile import compiled
 from fitting.estimation.covariance import scaled_inverse
 from fitting.estimation.fit import Fit
 from fitting.estimation.objective import fit_objective

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit, PassState
 from fitting.least_squares.problem import Evaluate, LeastSquaresProblem

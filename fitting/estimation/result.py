@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 
 @dataclass(frozen=True)

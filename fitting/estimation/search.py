@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from daq.compute.workers import workers
+from daq.base.compute.workers import workers
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation import trajectory
 from fitting.estimation.covariance import without_level_errors

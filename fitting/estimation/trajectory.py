@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.estimation.fit import INLIER_WEIGHT, Fit, PassState, without_outliers
 from fitting.estimation.objective import active_unknowns, fitted_windows, pass_objective, priors
 from fitting.least_squares import levenberg_marquardt

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.measured import Measured
 
 FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.least_squares import elimination
 from fitting.least_squares.normal_equations import (
     HOLD,

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array, Mask
+from daq.base.compute.compile import compiled
 from fitting.least_squares import elimination
 from fitting.least_squares.problem import LeastSquaresProblem
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from rig_sim.friction.law import LAWS
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.model import fading, parameters
 from fitting.model.fading import remaining
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle, Values

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.least_squares import least_squares
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.compute.least_squares import least_squares
+from daq.base.measured import Measured
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, end_to_end
+from daq.base.compute.arrays import Array, end_to_end
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.model import parameters

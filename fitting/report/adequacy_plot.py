@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.output.lengths import format_length
+from daq.base.compute.arrays import Array
+from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.data.cycles import Cycle
 from fitting.drawing import curves

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.report.cloud import along, dots, png
 from fitting.report.scale import AxisScale
 

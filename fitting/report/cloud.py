@@ -5,7 +5,7 @@ import zlib
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 LEVELS = 16  # of the opacity of an image
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from daq.errors import InputError
-from daq.output import atomic
-from daq.text import storable
-from daq.version import VERSION
+from daq.base.errors import InputError
+from daq.base.output import atomic
+from daq.base.text import storable
+from daq.base.version import VERSION
 from fitting.drawing.palette import COLOURS, WIDE
 from fitting.estimation.result import Parameter
 from fitting.report import page, symbols

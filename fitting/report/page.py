@@ -8,12 +8,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.errors import InputError
-from daq.output import atomic
-from daq.output.lengths import format_length
+from daq.base.errors import InputError
+from daq.base.output import atomic
+from daq.base.output.lengths import format_length
+from daq.base.text import storable
+from daq.base.version import VERSION
 from daq.runfile import store
-from daq.text import storable
-from daq.version import VERSION
 from fitting.adequacy.result import Adequacy
 from fitting.drawing.palette import COLOURS, run_colour
 from fitting.estimation.result import Parameter

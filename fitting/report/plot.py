@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.output.lengths import shown_length
+from daq.base.compute.arrays import Array
+from daq.base.output.lengths import shown_length
 from fitting.drawing import curves
 from fitting.drawing.palette import COLOURS, DASH, INK, MEASURED, NARROW, WIDE, run_colour
 from fitting.report import adequacy_plot

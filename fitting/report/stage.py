@@ -23,7 +23,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.runfile import joint, nexus, store
 from fitting.drawing.curves import curve, speeds_of_all, unit
 from fitting.estimation.derived import RUNS_OWN

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from daq.errors import InputError
-from daq.output import atomic
+from daq.base.errors import InputError
+from daq.base.output import atomic
 from fitting.curve.result import MeasuredCurve
 
 EVIDENCE = ("law", "name", "score", "weight", "in_set", "rms_m", "cycles", "orbit_distance", "cpu_s")

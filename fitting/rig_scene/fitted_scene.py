@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.errors import DataError
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.errors import DataError
+from daq.base.measured import Measured
 from fitting.curve.band import covariances
 from fitting.curve.result import MeasuredCurve
 from fitting.curve.spline_fit import SplineFit

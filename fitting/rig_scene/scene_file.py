@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from daq.output import atomic
+from daq.base.output import atomic
 from fitting.rig_scene.fitted_scene import FittedScene
 from fitting.selection.result import Ranking
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from daq.errors import DataError, InputError
+from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
 from fitting.data import cycles, ripple
 from fitting.data.frame import MeasuredMotion

@@ -7,7 +7,8 @@ therefore compared with what the record alone shows, by the best law (`fitting.e
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from daq.runfile.rig import Measured, Rig
+from daq.base.measured import Measured
+from daq.runfile.rig import Rig
 from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import without_prior

@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.measured import Measured
 from fitting.estimation import derived, trajectory
 from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit

@@ -21,8 +21,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, autocorrelation_time
-from daq.compute.distributions import student_quantile
+from daq.base.compute.arrays import Array, autocorrelation_time
+from daq.base.compute.distributions import student_quantile
 from fitting.data.cycles import Cycle
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit

@@ -16,8 +16,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array, Integers
+from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
 from processing.record.kinematics import Kinematics
 

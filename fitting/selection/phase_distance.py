@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array
+from daq.base.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.fit import Fit
 

@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.errors import InputError
-from daq.runfile.rig import Measured, Rig
+from daq.base.errors import InputError
+from daq.base.measured import Measured
+from daq.runfile.rig import Rig
 from fitting.adequacy.assess import Assessment, assess
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.data import frame

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from daq.errors import DataError
+from daq.base.errors import DataError
 from fitting.adequacy.result import Adequacy
 from fitting.curve.result import BandExit
 from fitting.data.cycles import CycleSegmentation
@@ -17,7 +17,7 @@ from processing.record.finding import Finding
 if TYPE_CHECKING:
     import pandas as pd
 
-    from daq.output.plot import PngFigure
+    from daq.base.output.plot import PngFigure
 
 CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
@@ -243,7 +243,7 @@ class Ranking:
         return f"<Ranking: {self.verdict}\n law {best.law}: {', '.join(shown)}>"
 
     def _repr_html_(self) -> str:
-        from daq.output import notebook
+        from daq.base.output import notebook
 
         about = [("verdict", self.verdict), *(("warning", text) for text in self.warnings)]
         parts = [notebook.table("Ranking", about)]

@@ -11,9 +11,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from daq.compute.least_squares import least_squares
-from daq.errors import DataError, InputError
+from daq.base.compute.arrays import Array, Integers
+from daq.base.compute.least_squares import least_squares
+from daq.base.errors import DataError, InputError
 from daq.runfile.rest_position import impossible
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion

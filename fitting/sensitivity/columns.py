@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.model import parameters
 from fitting.model.fading import relative_change
 from fitting.model.parameters import PER_CYCLE, PER_RUN, Global, PerCycle

@@ -6,12 +6,12 @@ every sample and every change of mode.  It is short enough for the fastest rate 
 next to no inertia (`CREEP`), in steps as long as those of a stick, once its transient has died out, or where that moves
 the mass by less than `NO_TRANSIENT` of the spring's stretch.
 
-Every function runs as written or compiled (`daq.compute.compile`).
+Every function runs as written or compiled (`daq.base.compute.compile`).
 """
 
 import math
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from fitting.model.parameters import PerCycle
 from fitting.sensitivity.friction import Contact, edge_speed, friction, normal_curve
 from fitting.sensitivity.rates import (

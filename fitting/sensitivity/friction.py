@@ -12,7 +12,7 @@ the unloaded belt (`rig_sim.flow.modes`, droop).  Where a touch of the belt ends
 
 from typing import NamedTuple
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.flow.modes import NEGATIVE, RAMP
 from rig_sim.friction.curve import MEASURED, magnitude, slope
 from rig_sim.friction.spline import piece_of

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array, Integers, Mask
+from daq.base.compute.compile import compiled
 from fitting.model.parameters import PER_RUN
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity import flow, rates

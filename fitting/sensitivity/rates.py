@@ -6,7 +6,7 @@
 import math
 from typing import NamedTuple
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from fitting.model.fading import remaining
 from fitting.model.parameters import Global
 from fitting.sensitivity.friction import Contact, friction

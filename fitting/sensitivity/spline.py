@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array
+from daq.base.compute.compile import compiled
 from rig_sim.friction.spline import piece_of
 
 DEGREE = 3

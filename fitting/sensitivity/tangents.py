@@ -16,8 +16,8 @@ Source: R. Leine, H. Nijmeijer, Dynamics and Bifurcations of Non-smooth Mechanic
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array, Integers
+from daq.base.compute.compile import compiled
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.path import KERNELS, Path
 from fitting.sensitivity.rates import CREEP

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array, Integers
+from daq.base.compute.compile import compiled
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity import rates
 from fitting.sensitivity.flow import (

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 ROUNDED = 1 / 12  # counts^2: the mean square of rounding to whole counts; no model explains more
 TINY = 1e-300  # a determinant of two changes outside the samples, whose coefficients are then 0

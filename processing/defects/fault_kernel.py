@@ -1,10 +1,10 @@
 """Kernels: one pass over the positions for readings out of line, for values that are held, and for odd steps.
 
-Every function runs as written or compiled (`daq.compute.compile`).  Each writes as many places as ``found`` has rows
-and returns how many there are.
+Every function runs as written or compiled (`daq.base.compute.compile`).  Each writes as many places as ``found`` has
+rows and returns how many there are.
 """
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 
 REACH = 4  # readings that `find_outliers` looks at on either side of one
 # Times the third difference of readings on a parabola: how far the next one may lie off it.  Chosen: towards a landing

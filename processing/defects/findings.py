@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.measured import Measured
 from processing.defects.frames import FrameCount
 from processing.record.finding import Finding
 from processing.record.motion import Fault

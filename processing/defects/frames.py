@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array, runs
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array, runs
+from daq.base.compute.compile import compiled
 from processing.defects import fault_kernel
 from processing.polynomial.even_grid import is_even
 from processing.record.noise import smallest_step

@@ -21,7 +21,7 @@ from itertools import combinations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from processing.defects.change_point import ROUNDED, ChangeModels, change_models, jump_weights
 from processing.polynomial.even_grid import even_grid
 from processing.record.position_steps import PositionStep, step_offsets, step_profile

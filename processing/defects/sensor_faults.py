@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from daq.compute.arrays import HOLE, Array, Integers, Mask, runs
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import HOLE, Array, Integers, Mask, runs
+from daq.base.compute.compile import compiled
 from processing.defects import fault_kernel
 from processing.record.motion import Fault, mask_of
 from processing.record.noise import position_noise, reading_step

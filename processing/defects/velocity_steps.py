@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from processing.defects.change_point import ChangeModels, change_models, jump_weights
 from processing.record.motion import VelocityStep
 from processing.record.series import Series

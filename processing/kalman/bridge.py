@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
+from daq.base.compute.arrays import Array, Mask
 from processing.record.motion import Motion
 
 UNKNOWN = 1e6  # standard deviations, in units of the smallest known one, of a derivative that is not known

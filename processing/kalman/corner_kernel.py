@@ -1,6 +1,6 @@
 """Kernels: corners of a motion of white snap: the labels they give the samples, and their most likely times.
 
-Every function runs as written or compiled (`daq.compute.compile`).
+Every function runs as written or compiled (`daq.base.compute.compile`).
 """
 
 import math
@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, Integers
-from daq.compute.compile import stack, stack_square
+from daq.base.compute.arrays import Array, Integers
+from daq.base.compute.compile import stack, stack_square
 from processing.kalman.motion_kernel import LINE, Order, Process, predict, turn, unpack, update
 from processing.kalman.stick_slip import (
     CUT,

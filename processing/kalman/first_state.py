@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 
 def first_state(time: Array, position: Array, variance: float, derivatives: int) -> Array:

@@ -1,13 +1,13 @@
 """Kernel: how the mean snap before a landing moves what is expected of the samples around it.
 
-Runs as written or compiled (`daq.compute.compile`).
+Runs as written or compiled (`daq.base.compute.compile`).
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
-from daq.compute.compile import stack, stack_square
+from daq.base.compute.arrays import Array
+from daq.base.compute.compile import stack, stack_square
 from processing.kalman.motion_kernel import LINE, Order, Process, predict, turn, unpack, update
 
 Labels = NDArray[np.uint8]

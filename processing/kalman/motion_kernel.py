@@ -16,7 +16,7 @@ ratio comes closer to it.
 ``order`` is a tuple of n numbers, whatever they are, and ``part`` one of as many as are alive: lengths of tuples are
 constants of the compiled code, so that the loops unroll, and the state lives in arrays of n and n n numbers on the
 stack.  Of p the upper triangle is kept, of m the lower one: each is carried in place.  Every function runs as written
-or compiled (`daq.compute.compile`).
+or compiled (`daq.base.compute.compile`).
 
 Source: G. J. Bierman, Automatica 9 (1973) 503 (the modified Bryson-Frazier smoother); Q of the integrated Wiener
 process: Wahba, J. R. Stat. Soc. B 40 (1978) 364; the fixed point: J. Burridge, Commun. Stat. 16 (1987); D. MacKay,
@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, Integers
-from daq.compute.compile import stack, stack_square
+from daq.base.compute.arrays import Array, Integers
+from daq.base.compute.compile import stack, stack_square
 
 Labels = NDArray[np.uint8]
 Order = tuple[float, ...]

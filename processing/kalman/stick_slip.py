@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from processing.kalman.motion_kernel import Process, stored_size
 
 Labels = NDArray[np.uint8]

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array
+from daq.base.compute.compile import compiled
 from processing.kalman import motion_kernel
 from processing.kalman.first_state import first_state
 from processing.polynomial import uneven

@@ -13,7 +13,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from daq.errors import InputError, nearest
+from daq.base.errors import InputError, nearest
 from processing.methods.method_model import MethodModel
 from processing.record.motion import Motion
 from processing.record.noise import position_noise

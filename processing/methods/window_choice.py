@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from processing.kalman import white_jerk
 from processing.methods import registry
 from processing.polynomial.even_fit import coefficients, convolved

@@ -6,7 +6,7 @@ Where times scatter about the grid by less than half an interval, a reading move
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from processing.polynomial.even_fit import coefficients, convolved
 
 ROUGH = 31, 4  # window and order of the rough velocity

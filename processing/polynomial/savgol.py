@@ -15,7 +15,7 @@ window.
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from processing.polynomial import even_fit, uneven
 from processing.polynomial.even_grid import is_even
 

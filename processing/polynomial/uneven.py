@@ -14,8 +14,8 @@ Source: G. E. Forsythe, J. SIAM 5 (1957) 74.
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array, Integers
+from daq.base.compute.compile import compiled
 from processing.polynomial import local_kernel
 
 KERNELS = ("processing.polynomial.local_kernel",)

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from daq.runfile.store import RunReader
 from processing.record.series import interval_numbers
 

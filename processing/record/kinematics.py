@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
-from daq.output.lengths import format_length, shown_speed
-from daq.text import printable
+from daq.base.compute.arrays import Array, Mask
+from daq.base.output.lengths import format_length, shown_speed
+from daq.base.text import printable
 from processing.polynomial.even_grid import is_even
 from processing.record.finding import Finding
 from processing.record.motion import Fault, Phase, VelocityStep, mask_of
@@ -24,7 +24,7 @@ from processing.record.position_steps import PositionStep, step_offsets
 if TYPE_CHECKING:
     import pandas as pd
 
-    from daq.output.plot import PngFigure
+    from daq.base.output.plot import PngFigure
     from daq.runfile.recording import Recording
     from processing.record.plot import DrawnMotion
 
@@ -327,6 +327,6 @@ class Kinematics(SmoothingHeader):
         )
 
     def _repr_html_(self) -> str:
-        from daq.output import notebook
+        from daq.base.output import notebook
 
         return notebook.table(f"Kinematics of {self.recording.name}", self.facts().items())

@@ -7,7 +7,7 @@ from typing import Literal, Protocol, Self
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask
+from daq.base.compute.arrays import Array, Mask
 from processing.record.series import Series
 
 ROWS = ("position", "velocity", "acceleration", "position_errors", "velocity_errors", "acceleration_errors")

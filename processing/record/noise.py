@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from processing.record.series import Series, computed_once
 
 ORDER = 4  # of the differences: the third leave motion of 30 samples a second, the fifth gain nothing

@@ -7,9 +7,9 @@ import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, pieces
-from daq.output.lengths import shown_length, shown_speed
-from daq.output.plot import STYLE, PngFigure, draw_markers, figure
+from daq.base.compute.arrays import Array, pieces
+from daq.base.output.lengths import shown_length, shown_speed
+from daq.base.output.plot import STYLE, PngFigure, draw_markers, figure
 from processing.record.motion import Phase
 
 if TYPE_CHECKING:

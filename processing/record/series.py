@@ -1,8 +1,8 @@
 """A record made ready for smoothing: positions from the first sample on, the time axis asked for, cut at its gaps.
 
 Rules: counts are subtracted as whole numbers before they become metres, so an offset of 2^60 costs no digit; a hole
-of more than `HOLE` (`daq.compute.arrays`) sample intervals ends a piece, and so does a new segment; nothing is ever
-smoothed across a cut.
+of more than `HOLE` (`daq.base.compute.arrays`) sample intervals ends a piece, and so does a new segment; nothing is
+ever smoothed across a cut.
 A shorter hole (a lost sample or two) stays inside its piece: the recorded times say where the neighbours lie.
 """
 
@@ -15,8 +15,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask, pieces
-from daq.errors import InputError
+from daq.base.compute.arrays import Array, Integers, Mask, pieces
+from daq.base.errors import InputError
 from processing.polynomial.even_grid import even_grid
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ import math
 import re
 from dataclasses import dataclass
 
-from daq.errors import InputError
-from daq.runfile.rig import Measured
+from daq.base.errors import InputError
+from daq.base.measured import Measured
 from processing.record.series import Series
 
 HIGHEST_ORDER = 20  # of a window given by a person; coefficients are tested to this degree (`polynomial.even_fit`)

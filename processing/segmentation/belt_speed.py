@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array
+from daq.base.measured import Measured
 from processing.record.motion import Motion
 from processing.record.setting import is_possible_speed
 

@@ -10,7 +10,7 @@ The time of each landing is left open by what it is uncertain by: it shifts the 
 
 import numpy as np
 
-from daq.compute.compile import compiled
+from daq.base.compute.compile import compiled
 from processing.kalman import mean_snap_kernel
 from processing.kalman.first_state import first_state
 from processing.kalman.stick_slip import LAND, LANDING, NEAR_LANDING, OVERTAKE, SLIP, SNAP, STICK, NoiseLevels, process

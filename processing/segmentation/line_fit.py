@@ -5,10 +5,10 @@ belt that wanders by 0.02 mm/s, too little to be seen as uneven, its standard er
 instead of 95 %.  So a line spans at most a third of a slip's length, and by how much the lines of neighbouring windows
 differ scales the errors.
 
-The kernel runs as written or compiled (`daq.compute.compile`).
+The kernel runs as written or compiled (`daq.base.compute.compile`).
 """
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 
 def fit_lines(time: Array, position: Array, begin: int, end: int, window: int, variance: float, motion: Array) -> float:

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from processing.kalman.stick_slip import LAND, LEAVE, OVERTAKE, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED

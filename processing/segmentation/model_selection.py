@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
 from processing.kalman.stick_slip import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.series import Series

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array
+from daq.base.compute.compile import compiled
 from processing.kalman import corner_kernel, motion_kernel, white_jerk
 from processing.kalman.first_state import first_state
 from processing.kalman.stick_slip import (

@@ -11,8 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask, runs
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array, Mask, runs
+from daq.base.measured import Measured
 from processing.record.motion import Corner, Motion, Phase, PhaseSegmentation
 from processing.record.series import Series
 from processing.segmentation.belt_speed import SAME_SPEED, reported_speed, speed_before_creep

@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask, runs
-from daq.runfile.rig import Measured
+from daq.base.compute.arrays import Array, Mask, runs
+from daq.base.measured import Measured
 from processing.kalman import white_jerk
 from processing.record.motion import BeltMotion, Motion, Phase, PhaseSegmentation
 from processing.record.noise import position_noise

@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.compute.arrays import Array, Mask, runs
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array, Mask, runs
+from daq.base.compute.compile import compiled
 from processing.kalman import white_jerk
 from processing.kalman.stick_slip import (
     KICK,

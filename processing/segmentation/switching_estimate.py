@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.compute.compile import compiled
+from daq.base.compute.compile import compiled
 from processing.kalman import corner_kernel
 from processing.kalman.stick_slip import (
     LAND,

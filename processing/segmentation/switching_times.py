@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
 from processing.kalman.stick_slip import LAND, LEAVE, MEET, REST, RIDE, SLIP, START, STICK, STOP
 from processing.record.motion import Phase

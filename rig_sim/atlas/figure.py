@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 Style = Literal["line", "thick", "thin", "dashed", "points", "dots", "filled", "open", "cross"]
 

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.errors import InputError, nearest
-from daq.output import atomic
+from daq.base.errors import InputError, nearest
+from daq.base.output import atomic
 from rig_sim.atlas.figure import Drawing, Entry
 from rig_sim.atlas.page import page
 from rig_sim.atlas.registry import ENTRIES, NOT_REDRAWN

@@ -20,7 +20,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.flow.flow import Flow
 from rig_sim.motion.trajectory import Trajectory
 from rig_sim.scenes.model import Scene

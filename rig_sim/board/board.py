@@ -22,7 +22,7 @@ from itertools import groupby, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.wire import frames as wire
 from daq.wire.quadrature import EDGES_PER_COUNT
 from rig_sim.board.encoder import QuadratureEncoder

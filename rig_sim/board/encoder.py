@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array, Integers
-from daq.errors import InputError
+from daq.base.compute.arrays import Array, Integers
+from daq.base.errors import InputError
 from daq.wire.quadrature import Decoder, levels_of
 from rig_sim.motion.trajectory import Nodes
 from rig_sim.scenes.sections import Encoder

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import Parameter
 
-from daq.console import application, flags
-from daq.console.application import Answer, Json, SetChanges
+from daq.base.console import application, flags
+from daq.base.console.application import Answer, Json, SetChanges
 from rig_sim.cli import continuation, control, forced, maps, sweep
 from rig_sim.cli.atlas import atlas
 

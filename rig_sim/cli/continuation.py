@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from daq.console import application
-from daq.console.application import Answer, Json, SetChanges
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.console.application import Answer, Json, SetChanges
+from daq.base.errors import InputError
 from rig_sim.cli import maps
 
 if TYPE_CHECKING:

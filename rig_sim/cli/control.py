@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from daq.console import application, flags
-from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force, Plot, check_plot
-from daq.errors import InputError
+from daq.base.console import application, flags
+from daq.base.console.application import Answer, Json, SetChanges
+from daq.base.console.flags import Force, Plot, check_plot
+from daq.base.errors import InputError
 from rig_sim.flow.flow import LARGEST, SMALLEST
 
 if TYPE_CHECKING:
-    from daq.compute.arrays import Array
+    from daq.base.compute.arrays import Array
     from rig_sim.dynamics.control.landing_map import LandingMap
     from rig_sim.dynamics.control.locking import Locking
     from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit
@@ -85,7 +85,7 @@ def shaker(
         f"stable amplifications at phi = {phi:g}: {_intervals(data['stable_amplifications'])}",
     ]
     if plot is not None:
-        from daq.output.plot import save
+        from daq.base.output.plot import save
         from rig_sim.dynamics.control.shaker_plot import shaker_figure
 
         save(shaker_figure(plane, a, phi), plot, force=force)
@@ -164,7 +164,7 @@ def lock(
             found = find_and_lock(f, first.state, period, budget, events, show.stage)
         data |= _locked(f, found)
         if plot is not None and found.lock is not None:
-            from daq.output.plot import save
+            from daq.base.output.plot import save
             from rig_sim.dynamics.control.lock_plot import lock_figure
 
             save(lock_figure(f, found.lock, period, budget), plot, force=force)
@@ -268,7 +268,7 @@ def _band(text: str) -> tuple[float, float]:
     InputError
         Another form, or not 0 <= LOW < HIGH.
     """
-    from daq.console import units
+    from daq.base import units
 
     ends = text.split(":")
     if len(ends) != 2:

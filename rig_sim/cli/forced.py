@@ -3,10 +3,10 @@
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
-from daq.console import application
-from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force, Plot, check_plot
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.console.application import Answer, Json, SetChanges
+from daq.base.console.flags import Force, Plot, check_plot
+from daq.base.errors import InputError
 from rig_sim.cli.numbers import with_error
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def quench(
     if found.linear_ripple is not None:
         lines.append(f"of spring and mass alone under the drive {found.linear_ripple:.4g}")
     if plot is not None:
-        from daq.output.plot import save
+        from daq.base.output.plot import save
         from rig_sim.dynamics.forced.plot import quench_figure
 
         save(quench_figure(flow, x, v), plot, force=force)

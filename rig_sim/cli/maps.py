@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from daq.console import application
-from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force, Plot, check_plot
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.console.application import Answer, Json, SetChanges
+from daq.base.console.flags import Force, Plot, check_plot
+from daq.base.errors import InputError
 from rig_sim.cli import forced
 from rig_sim.cli.numbers import with_error
 
@@ -95,7 +95,7 @@ def map_(
             for orbit in orbits
         ] or [f"no orbit of period {iterate}"]
     if plot is not None:
-        from daq.output.plot import save
+        from daq.base.output.plot import save
         from rig_sim.dynamics.maps.plot import map_figure
 
         save(map_figure(found, iterate), plot, force=force)
@@ -185,7 +185,7 @@ def basins(
     if found.nowhere or not found.attractors:
         lines.append(f"no global stick: {100.0 * found.nowhere:.3f} %")
     if plot is not None:
-        from daq.output.plot import save
+        from daq.base.output.plot import save
         from rig_sim.dynamics.maps.plot import basins_figure
 
         save(basins_figure(found), plot, force=force)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 
 FORM = "write section.key=START:STOP, or section.key=START:STOP:N, as in damper.c=0.3:0.6:31"
 NUMBER = 41  # of values where none is given

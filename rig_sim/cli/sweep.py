@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from daq.console import application
-from daq.console.application import Answer, Json, SetChanges
-from daq.console.flags import Force, Plot, check_plot
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.console.application import Answer, Json, SetChanges
+from daq.base.console.flags import Force, Plot, check_plot
+from daq.base.errors import InputError
 from rig_sim.cli import forced
 from rig_sim.cli.maps import checked
 
 if TYPE_CHECKING:
-    from daq.output.resume import ResumeFile
+    from daq.base.output.resume import ResumeFile
     from rig_sim.cli.parameter_range import ParameterRange
     from rig_sim.dynamics.maps.sweep import AttractorAt
     from rig_sim.scenes.model import Scene
@@ -100,7 +100,7 @@ def sweep(
     if resume is None:
         rows = _swept(find, span, jobs, scheduler, None)
     else:
-        from daq.output.resume import resuming
+        from daq.base.output.resume import resuming
 
         with resuming(resume, _header(first, span, section)) as file, _kept(file, span.number):
             rows = _swept(find, span, jobs, scheduler, file)
@@ -129,7 +129,7 @@ def sweep(
         lines.append(f"{row.value:14.8g}  {row.attractor:9}  {share:>5}  {period:>6}  {shown}")
     lines += [] if rows else ["no attractor at any value: the motion comes to rest, or never sticks as a whole"]
     if plot is not None:
-        from daq.output.plot import save
+        from daq.base.output.plot import save
         from rig_sim.dynamics.maps.plot import sweep_figure
 
         save(sweep_figure(rows, span.key, section, driven=not coupled), plot, force=force)
@@ -146,7 +146,7 @@ def _swept(
     file: "ResumeFile | None",
 ) -> "list[AttractorAt]":
     """Return the attractors at every value, those taken from the file that are there; the others go there."""
-    from daq.compute.workers import workers
+    from daq.base.compute.workers import workers
     from rig_sim.dynamics.maps.sweep import sweep as follow
 
     values = span.values().tolist()
@@ -164,7 +164,7 @@ def _swept(
 
 def _header(scene: "Scene", span: "ParameterRange", section: str) -> dict[str, Any]:
     """Return what the attractors depend on, for the first line of the file of ``--resume``."""
-    from daq.version import VERSION
+    from daq.base.version import VERSION
 
     over = {"key": span.key, "start": span.start, "stop": span.stop, "number": span.number}
     content = application.plain(scene.model_dump(exclude={"name", "title"}, exclude_unset=True))

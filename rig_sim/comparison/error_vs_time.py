@@ -12,7 +12,7 @@ from functools import partial
 from itertools import pairwise
 from typing import Any
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.comparison import reference
 from rig_sim.comparison.rk4_henon import by_steps
 from rig_sim.comparison.solve_ivp import by_solver

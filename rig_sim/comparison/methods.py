@@ -3,7 +3,7 @@
 import math
 from functools import partial
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.motion.play import SamplePhase
 from rig_sim.scenes.model import Scene

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.dynamics.fixed_point import FixedPoint, fixed_point, friction_at_rest
 from rig_sim.dynamics.floquet import FloquetOrbit, floquet
 from rig_sim.dynamics.limit_cycle import cycle

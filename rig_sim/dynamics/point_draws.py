@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.dynamics.continuation import FlowAt, SpecialPoint, bisected
 from rig_sim.dynamics.fixed_point import fixed_point
 from rig_sim.dynamics.limit_cycle import sticks

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 
 
 class StepLimitError(InputError):

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.friction.curve import CONSTANT, LINEAR, MEASURED
 from rig_sim.friction.formula import Formula
 from rig_sim.friction.spline import NO_TABLE, Table, table_of
@@ -22,7 +22,7 @@ from rig_sim.friction.spline import NO_TABLE, Table, table_of
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from daq.compute.arrays import Array
+    from daq.base.compute.arrays import Array
 
 # Of the largest value.  Event times of laws 3 and 5 written as formulas are then those of the laws to 5e-9 of the time;
 # they err in proportion.  At half of it there are a fifth more pieces to step over.

@@ -6,7 +6,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from daq.compute import compile as kernels
+from daq.base.compute import compile as kernels
 from rig_sim.flow.flow import Flow
 
 KERNEL_MODULES = (

@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from daq.compute.arrays import Array
-from daq.compute.compile import pointer
+from daq.base.compute.arrays import Array
+from daq.base.compute.compile import pointer
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import COMPLETED, LIST_FULL, OUTCOMES, STEP_LIMIT
 from rig_sim.flow.two_mass import TwoMassFlow, validate_two_masses

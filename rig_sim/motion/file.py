@@ -17,9 +17,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import InputError
-from daq.output import atomic, disk, suffix
-from daq.version import VERSION
+from daq.base.errors import InputError
+from daq.base.output import atomic, disk, suffix
+from daq.base.version import VERSION
 from rig_sim.flow.modes import Outcome
 from rig_sim.integrate.phases import sample_phase
 from rig_sim.motion.play import DEFAULT_MAX_STEPS, SamplePhase, ScenePlayer

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, steepest_fall

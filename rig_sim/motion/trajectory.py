@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from daq.compute.arrays import Array, Integers
+from daq.base.compute.arrays import Array, Integers
 from rig_sim.flow.flow import Flow
 
 

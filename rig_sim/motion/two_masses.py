@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.errors import InputError
+from daq.base.compute.arrays import Array
+from daq.base.errors import InputError
 from rig_sim.flow.contact_state import force
 from rig_sim.flow.frame import mirrored
 from rig_sim.flow.modes import EVENT_LIMIT, LETTERS, OUTCOMES, STICK

@@ -2,7 +2,7 @@
 
 import math
 
-from daq.errors import InputError, nearest
+from daq.base.errors import InputError, nearest
 from rig_sim.flow.flow import LARGEST, SMALLEST, steepest_fall, validate
 from rig_sim.friction.spline import refused
 from rig_sim.scenes.model import STARTS, Scene

@@ -2,12 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.scenes.model import Scene
 from rig_sim.scenes.sections import FitSection
 
 if TYPE_CHECKING:
-    from daq.compute.arrays import Array
+    from daq.base.compute.arrays import Array
 
 # Lower limits that are values themselves: what a draw puts below is at the limit.  A draw that breaks another limit is
 # no rig, and refused by the scene.

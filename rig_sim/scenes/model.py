@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.flow.two_mass import TwoMassFlow

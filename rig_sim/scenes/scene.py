@@ -50,7 +50,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from daq.errors import InputError, nearest
+from daq.base.errors import InputError, nearest
 from rig_sim.friction.formula import Formula
 from rig_sim.scenes.checks import check_magnitudes, check_together
 from rig_sim.scenes.model import STARTS, Scene
@@ -124,7 +124,7 @@ def parse_changes(settings: Iterable[str] | None) -> dict[str, object]:
 def _value(text: str) -> object:
     import tomllib
 
-    from daq import toml
+    from daq.base import toml
 
     try:
         found = tomllib.loads(f"value = {text}")["value"]
@@ -169,7 +169,7 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
 
 @lru_cache(maxsize=4)  # an analysis reads a scene again for each value of a parameter, and each draw
 def _parsed(held: bytes, where: str) -> dict[str, Any]:
-    from daq import toml
+    from daq.base import toml
 
     return toml.parsed(held.decode(), where)
 

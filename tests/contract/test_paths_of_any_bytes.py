@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import daq
+from daq.base.console import application
 from daq.cli.app import app
-from daq.console import application
 from fitting.cli import app as fit_friction
 from processing.cli import app as process
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from daq import firmware_files
+from daq.base.console import application
+from daq.base.errors import InputError
 from daq.cli.app import app
-from daq.console import application
-from daq.errors import InputError
 
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware"
 

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.base.measured import Measured
 from daq.imports import track
 from daq.imports.options import ImportOptions
 from daq.runfile import store
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 
 STICK, SLIP, RAMP = 0, 1, 2
 

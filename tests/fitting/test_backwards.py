@@ -5,8 +5,8 @@ import math
 
 import pytest
 
+from daq.base.console import application
 from daq.cli import app as daq_cli
-from daq.console import application
 from daq.runfile import store
 from fitting import cli
 from fitting.selection.ranking import rank

@@ -10,11 +10,11 @@ import sys
 import h5py
 import pytest
 
-from daq.console import application
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.errors import InputError
+from daq.base.measured import Measured
 from daq.runfile import listing, store
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Measured
 from fitting import cli, job
 from fitting.report import table
 from processing import stage
@@ -178,7 +178,7 @@ def test_a_part_of_a_run_is_fitted_without_a_report_or_anything_that_draws_one(r
     path = tmp_path / "part.h5"
     shutil.copy(run, path)
     source = (
-        "import sys\nfrom daq.console import application\nfrom fitting.cli import app\n"
+        "import sys\nfrom daq.base.console import application\nfrom fitting.cli import app\n"
         f"code = application.run(app, [{str(path)!r}, *'--laws 5 --from 1 --to 9500ms --no-report --json'.split()])\n"
         "drawing = {'matplotlib', 'PIL', 'pandas', 'jinja2', 'scipy.stats', 'scipy.optimize'} & set(sys.modules)\n"
         "sys.exit(f'{code} {drawing}' if code or drawing else 0)\n"
@@ -209,7 +209,7 @@ def test_parts_and_reports_that_cannot_be_are_refused(run, flags, what):
 
 def test_help_loads_nothing_numerical():
     source = (
-        "import sys\nfrom daq.console import application\nfrom fitting.cli import app\n"
+        "import sys\nfrom daq.base.console import application\nfrom fitting.cli import app\n"
         "code = application.run(app, ['--help'])\n"
         "heavy = {'numpy', 'h5py', 'scipy', 'numba', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
         "sys.exit(code or (1 if heavy else 0))\n"

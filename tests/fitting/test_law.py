@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from fitting.law import PUBLISHED, Law
 
 

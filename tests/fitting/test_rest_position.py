@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from daq.base.console import application
+from daq.base.measured import Measured
 from daq.cli.app import app as daq
-from daq.console import application
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from fitting import cli
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth

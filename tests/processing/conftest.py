@@ -11,8 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from daq.base.measured import Measured
 from daq.runfile.recording import Recording, Truth
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import pytest
 
 import daq
 import processing
-from daq.console import application
+from daq.base.console import application
 from daq.protocols.request import RecordRequest
 from daq.recorder import ports
 from daq.recorder.record import record

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from daq.console import application
-from daq.output.plot import figure
+from daq.base.console import application
+from daq.base.output.plot import figure
 from daq.runfile import store
 from processing import plot
 from processing.cli import app

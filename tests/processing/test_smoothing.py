@@ -168,7 +168,7 @@ print(json.dumps([summary.samples, int(peak.split()[1]) / 1024]))
         started="2026-01-01T00:00:00+00:00",
         ended="2026-01-01T00:50:00+00:00",
         rate_hz=1000.0,
-        rig=daq.runfile.rig.Rig(metres_per_count=daq.runfile.rig.Measured(7.67e-6)),
+        rig=daq.runfile.rig.Rig(metres_per_count=daq.base.measured.Measured(7.67e-6)),
         time=time,
         position=count * 7.67e-6,
         count=count,

@@ -11,7 +11,7 @@ import pytest
 import xarray
 
 import daq
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.runfile import store
 from processing import cli, stage
 from processing.record.finding import Finding

@@ -86,7 +86,7 @@ def test_what_an_end_of_the_record_cuts_off_has_no_duration(motion):
 def test_the_commands_print_and_draw_the_statistics(tmp_path, capsys):
     import json
 
-    from daq.console import application
+    from daq.base.console import application
     from daq.runfile import store
     from processing import cli
 

@@ -64,7 +64,7 @@ def _run_here(name: str, size: str, rows: Path) -> int:
 
 def _run_beside(name: str, size: str) -> page.Rows:
     """Run a campaign in a process of its own; one that breaks off is a fault."""
-    from daq.version import VERSION
+    from daq.base.version import VERSION
 
     _say(f"{name}: begins")
     began = time.monotonic()

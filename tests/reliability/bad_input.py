@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.output import provenance
+from daq.base.output import provenance
 
 from . import campaign
 from .campaign import Result, Size

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 import daq
-from daq.errors import EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, InputError
+from daq.base.errors import EXIT_DEVICE, EXIT_DONE, EXIT_INPUT, InputError
 from processing import stage
 
 from ..contract.conftest import FakeFrames, motion

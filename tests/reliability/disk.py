@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import daq
-from daq.errors import EXIT_DEVICE, EXIT_INPUT
+from daq.base.errors import EXIT_DEVICE, EXIT_INPUT
 
 from . import campaign, forked, tasks
 from .campaign import Result, Size

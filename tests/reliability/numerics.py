@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.errors import EXIT_DONE
+from daq.base.errors import EXIT_DONE
 from rig_sim.scenes import scene
 
 from . import campaign

@@ -34,7 +34,7 @@ FORBIDDEN_METHODS = {
 }
 FORBIDDEN_KEYWORDS = {"shell", "allow_pickle"}
 # The work that a user sends to a dask scheduler of his own is pickled, here and by dask; nothing read from a file is.
-ALLOWED = {("daq/compute/cluster.py", "pickle")}
+ALLOWED = {("daq/base/compute/cluster.py", "pickle")}
 
 # What a title, a note or a marker may hold.  Executed, each would set window.hacked.
 PAYLOADS = (
@@ -128,7 +128,7 @@ def _dependencies() -> Result:
 
 def _cache(folder: Path) -> Result:
     """Let a folder of machine code be one into which others may write."""
-    script = "from daq.compute.compile import cache_folder; print(cache_folder(('daq.errors',)))"
+    script = "from daq.base.compute.compile import cache_folder; print(cache_folder(('daq.base.errors',)))"
     faults, said = [], []
     for name, mode, own in (("private", 0o700, True), ("shared", 0o777, False), ("sticky", 0o1777, True)):
         place = folder / f"cache-{name}"
@@ -148,7 +148,7 @@ def _cache(folder: Path) -> Result:
         "machine code is kept only where no other user can write",
         "the folder of machine code open to all, in a private, a shared and a sticky folder",
         ", ".join(said),
-        "tests/daq/compute/test_compile.py",
+        "tests/daq/base/compute/test_compile.py",
         tuple(faults),
     )
 

@@ -15,7 +15,7 @@ from itertools import combinations
 from pathlib import Path
 
 import daq
-from daq.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, EXIT_INTERRUPTED
+from daq.base.errors import EXIT_DATA, EXIT_DEVICE, EXIT_DONE, EXIT_INTERRUPTED
 
 from . import campaign, tasks
 from .campaign import Result, Size
@@ -72,7 +72,7 @@ def signals(size: Size, folder: Path) -> list[Result]:
 
 def _line(line: Sequence[str]) -> list[str]:
     """Return a command line as the installed command begins, with its entry point."""
-    return [sys.executable, "-c", f"from daq.console.start import {ENTRIES[line[0]]} as run; run()", *line[1:]]
+    return [sys.executable, "-c", f"from daq.base.console.start import {ENTRIES[line[0]]} as run; run()", *line[1:]]
 
 
 def _heed_signals() -> None:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers, Mask
+from daq.base.compute.arrays import Array, Integers, Mask
 from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.departures.definition.departure import Departure, Forcing, harmonic
 from fitting.departures.definition.fitted_motion import FittedMotion
 

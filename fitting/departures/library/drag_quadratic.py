@@ -7,7 +7,7 @@ another form, show it.  Source: L. D. Landau, E. M. Lifshitz, Fluid Mechanics, 1
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.departures.definition.departure import Departure, by_velocity
 
 

@@ -8,7 +8,7 @@ else it is scanned.  Source: encoder makers' notes on eccentricity error; the fi
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.departures.definition.fitted_motion import FittedMotion
 

@@ -4,7 +4,7 @@ a is relative, L the length of the belt, scanned: from a fraction of a slip to t
 What changes from one slip to the next only is a scatter of the friction level; what changes within a slip is seen here.
 """
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.departures.definition.fitted_motion import FittedMotion
 

@@ -4,7 +4,7 @@ a is relative.  The wavelength L is scanned up to the travel: longer ones look l
 tracks, as in E. Rabinowicz, Friction and Wear of Materials, 1995, ch. 4.
 """
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.departures.definition.departure import Departure, Forcing, harmonic, spaced, speed_of_wave
 from fitting.departures.definition.fitted_motion import FittedMotion
 

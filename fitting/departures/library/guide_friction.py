@@ -7,7 +7,7 @@ modelled.  Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automati
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from fitting.departures.definition.departure import Departure, by_velocity
 
 

@@ -12,8 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.compile import compiled
+from daq.base.compute.arrays import Array
+from daq.base.compute.compile import compiled
 from fitting.data.frame import MeasuredMotion
 from fitting.departures.definition import oscillator
 from fitting.departures.definition.departure import Departure, Forcing

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.motion.play import ScenePlayer
 from rig_sim.scenes.scene import scene
 

@@ -5,7 +5,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import F, T, V, X, motion
 from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
 from rig_sim.dynamics.limit_cycle import Orbit, cycle

@@ -15,8 +15,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
-from daq.errors import StickslipError
+from daq.base.compute.arrays import Array
+from daq.base.errors import StickslipError
 from daq.wire.quadrature import Decoder, levels_of
 from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
 from rig_sim.motion.play import ScenePlayer

@@ -5,7 +5,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.atlas.figure import Drawing, Entry, Label, Panel, StatementCheck, Trace, compare, state
 from rig_sim.dynamics.fixed_point import two_mass_fixed_point
 from rig_sim.dynamics.maps.lyapunov import Exponent, lyapunov

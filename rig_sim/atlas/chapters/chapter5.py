@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import V, X, motion
 from rig_sim.atlas.figure import Drawing, Entry, Panel, Trace, state
 from rig_sim.dynamics.continuation import continuation

@@ -6,7 +6,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import T, V, X
 from rig_sim.atlas.chapters.chapter6 import U0, UNPRINTED, flow_at
 from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state

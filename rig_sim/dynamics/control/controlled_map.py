@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 # Step of the difference quotients, relative to the scales.  Rounding of the driven mass's map, some 1e-15, over the
 # step, and the remainder of fourth order are both below 1e-9 of a derivative; 1e-4 loses orbits next to grazing.

@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.dynamics.step_budget import StepBudget
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import initial_mode

@@ -3,7 +3,7 @@
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from daq.output.plot import STYLE, figure
+from daq.base.output.plot import STYLE, figure
 from rig_sim.dynamics.control.landing_map import LandingMap
 from rig_sim.dynamics.control.ogy import Lock
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.stages import Stages, parts, silent
+from daq.base.compute.arrays import Array
+from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
 from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
 from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit, periodic_orbits

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.stages import Stages, silent
+from daq.base.compute.arrays import Array
+from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
 from rig_sim.dynamics.period import period_of
 

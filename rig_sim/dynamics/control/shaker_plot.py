@@ -6,8 +6,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from daq.compute.arrays import Array
-from daq.output.plot import STYLE, figure
+from daq.base.compute.arrays import Array
+from daq.base.output.plot import STYLE, figure
 from rig_sim.dynamics.control.stability import ShakerPlane
 
 GROWTHS = (0.0, -0.1, -0.2)  # of sqrt(k/m), and

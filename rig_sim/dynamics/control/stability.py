@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.dynamics.control.phasor import phasor, shaker_for
 
 Band = tuple[float, float]  # lowest and highest frequency that the filter passes, rad/s

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.compute.arrays import Array
-from daq.compute.stages import Stages, parts, silent
+from daq.base.compute.arrays import Array
+from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.control.controlled_map import ControlledMap, derivatives, difference, slope_at
 
 # Of the closest returns, from which Newton's method starts.  200 find up to a quarter more orbits of the thesis's

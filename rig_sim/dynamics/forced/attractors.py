@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.stages import parts, silent
+from daq.base.compute.arrays import Array
+from daq.base.compute.stages import parts, silent
 from rig_sim.dynamics.forced.system import System
 from rig_sim.dynamics.maps.sweep import SAME_POINT, AttractorAt, distinct
 from rig_sim.dynamics.period import LONGEST_PERIOD, REPEATS, period_of

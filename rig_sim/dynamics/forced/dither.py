@@ -21,8 +21,8 @@ from functools import cache
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.stages import Stages, silent
+from daq.base.compute.arrays import Array
+from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.forced.attractors import TRANSIENTS, Settled, settled
 from rig_sim.dynamics.forced.driven_mass import DrivenMass
 from rig_sim.dynamics.step_budget import StepBudget

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.dynamics.forced.passage import (
     COLUMNS,
     DP,

@@ -6,8 +6,8 @@ variational equation.  The rotation number is the mean time between passages: in
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.stages import Stages, parts, silent
+from daq.base.compute.arrays import Array
+from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.forced.attractors import GROWING, SAME, is_growing
 from rig_sim.dynamics.forced.system import Passages, System
 from rig_sim.dynamics.maps.lyapunov import BLOCKS, Exponent, mean_growth

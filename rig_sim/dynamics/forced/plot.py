@@ -6,7 +6,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from daq.output.plot import STYLE, figure
+from daq.base.output.plot import STYLE, figure
 from rig_sim.dynamics.forced.attractors import settled
 from rig_sim.dynamics.forced.dither import (
     DECAY,

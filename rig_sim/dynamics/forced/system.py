@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.flow.modes import Outcome
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array, Integers
-from daq.compute.stages import Stages, parts, silent
+from daq.base.compute.arrays import Array, Integers
+from daq.base.compute.stages import Stages, parts, silent
 from rig_sim.dynamics.maps.interval_map import IntervalMap
 from rig_sim.dynamics.period import period_of
 

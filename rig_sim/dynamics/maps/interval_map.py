@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 
 # Step of the difference quotient, relative to the interval.  Slopes of the thesis's map come out to 1e-8 and better:
 # its rounding, 1e-15 of f over the step, and its fourth-order remainder are both below that; not swept.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.dynamics.maps.interval_map import IntervalMap, slope, survey
 
 # Places at which f^n(x) - x is compared with 0.  Two periodic points between neighbouring places are not seen: twice as

@@ -6,8 +6,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from daq.compute.arrays import Array, Integers
-from daq.output.plot import STYLE, figure
+from daq.base.compute.arrays import Array, Integers
+from daq.base.output.plot import STYLE, figure
 from rig_sim.dynamics.maps.basins import Basins
 from rig_sim.dynamics.maps.interval_map import IntervalMap
 from rig_sim.dynamics.maps.periodic_points import periodic_points

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.integrate.pair_motion import CROSSINGS, PairMotion
 

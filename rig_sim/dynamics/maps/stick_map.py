@@ -12,8 +12,8 @@ from functools import cache
 
 import numpy as np
 
-from daq.compute.arrays import Array
-from daq.compute.compile import pointer
+from daq.base.compute.arrays import Array
+from daq.base.compute.compile import pointer
 from rig_sim.dynamics.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 import daq
+from daq.base.console import application
+from daq.base.errors import DataError
+from daq.base.measured import Measured
 from daq.calibration import board_test, rig_constants
 from daq.cli import sentences
 from daq.cli.app import app
-from daq.console import application
-from daq.errors import DataError
 from daq.protocols.request import RecordRequest
 from daq.recorder import record
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 
 REST = ["belt.speed=0.0", "scatter.Fs=0"]
 OMEGA0 = math.sqrt(35.184)

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import daq
-from daq.errors import InputError
+from daq.base.errors import InputError
+from daq.base.measured import Measured
 from daq.finalise import belt_counter
 from daq.finalise.integrity import check
 from daq.finalise.timeline import Samples
@@ -20,7 +21,7 @@ from daq.protocols.session import Plan
 from daq.recorder import ports
 from daq.recorder.record import record
 from daq.runfile import store
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.frames import Capability, Ident
 

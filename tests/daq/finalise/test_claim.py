@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.finalise import claim
 from daq.runfile import journal, journal_records
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.base.output import spill
 from daq.finalise.run import run_data
-from daq.output import spill
 from daq.protocols import session
 from daq.runfile import journal, store
 

@@ -15,11 +15,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.imports import columns, layout, table, track
 from daq.imports.options import ImportOptions
 
-MODULES = ("daq.imports.columns", "daq.imports.layout", "daq.imports.sigrok", "daq.console.units")
+MODULES = ("daq.imports.columns", "daq.imports.layout", "daq.imports.sigrok", "daq.base.units")
 # Used by search or split, which begin anew at every place; all others by fullmatch or match.
 SEARCHED = {"_IN_WORD", "_DATE_END", "_WIDE_GAP", "_GAP", "_PLUS_MINUS"}
 EXPRESSIONS = {
@@ -198,7 +198,7 @@ def loose_repeats(nodes: list[Any]) -> int:
     "module", [*MODULES, "daq.protocols.columns", "daq.protocols.line_parser", "daq.protocols.qsb"]
 )
 def test_a_possessive_repeat_repeats_one_part(module):
-    """Python 3.11.0 to 3.11.4 match ``(?:ab)?+`` to "a" (gh-106052): "1.5e" was a number. ``(?>ab)?+`` is right there."""
+    """Python 3.11.0 to 3.11.4 match ``(?:ab)?+`` to "a" (gh-106052), not ``(?>ab)?+``: "1.5e" was a number."""
     patterns = [own for own in vars(importlib.import_module(module)).values() if isinstance(own, re.Pattern)]
     assert all(loose_repeats(list(parser.parse(own.pattern, own.flags & ~re.UNICODE))) == 0 for own in patterns)
     assert loose_repeats(list(parser.parse(r"(x(?:ab)?+)"))) == 1

@@ -6,8 +6,8 @@ from scipy.io import savemat
 
 import daq
 import processing
+from daq.base.errors import InputError
 from daq.cli import sentences
-from daq.errors import InputError
 from daq.imports import track
 from daq.imports.options import ImportOptions
 

@@ -11,14 +11,15 @@ import h5py
 import numpy as np
 import pytest
 
+from daq.base.console import application
+from daq.base.errors import InputError
+from daq.base.measured import Measured
 from daq.cli import files
-from daq.console import application
-from daq.errors import InputError
 from daq.imports import capture, replay, sigrok
 from daq.imports.options import ProbeOptions
 from daq.runfile import journal, store
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from daq.wire import frames
 from daq.wire.quadrature import GRAY, PHASE
 

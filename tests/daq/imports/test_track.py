@@ -12,13 +12,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from daq.base import units
+from daq.base.console import application
+from daq.base.errors import InputError
+from daq.base.measured import Measured
 from daq.cli import files
-from daq.console import application, units
-from daq.errors import InputError
 from daq.imports import frame_rate, layout, table, track
 from daq.imports.options import ImportOptions
 from daq.runfile import store
-from daq.runfile.rig import Measured
 
 MASS, STIFFNESS = 0.3, 10.5552  # pi sqrt(m/k) = 0.52963 s
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from daq.base.measured import Measured
 from daq.live.motion import LiveFilter, parabolas
 from daq.live.tail import NewSamples
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 
 K_OVER_M, BELT = 35.0, 0.22
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.finalise.run import run_data
 from daq.live.tail import JournalTail
 from daq.runfile import journal, journal_records

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq import protocols
-from daq.errors import DeviceError, InputError
+from daq.base.errors import DeviceError, InputError
 from daq.protocols import neighbours, qsb, text
 from daq.protocols import session as session_module
 from daq.protocols.line_parser import LineParser

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import pytest
 
-from daq.errors import DeviceError, InputError
+from daq.base.errors import DeviceError, InputError
+from daq.base.measured import Measured
 from daq.protocols import link_budget
 from daq.protocols.frames import Frames
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan
 from daq.recorder import ports
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Ident
 
 BOARD = Ident((1, 0, 0), "x4", Capability.BLOCKS | Capability.LEVELS, 16, 1000, 8, 5000, 125_000, "uno")

@@ -16,7 +16,7 @@ import pytest
 from serial import SerialException
 
 import daq
-from daq.errors import DataError, DeviceError, InputError
+from daq.base.errors import DataError, DeviceError, InputError
 from daq.finalise import run as finalise
 from daq.imports import replay
 from daq.protocols import session
@@ -704,8 +704,8 @@ def test_the_first_ctrl_c_keeps_the_data_and_exits_0(tmp_path):
     ],
 )
 def test_bad_requests_end_in_one_line_and_touch_nothing(tmp_path, monkeypatch, capsys, arguments, code, said):
+    from daq.base.console import application
     from daq.cli.app import app
-    from daq.console import application
 
     monkeypatch.chdir(tmp_path)
     assert application.run(app, ["record", *arguments]) == code

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.runfile import journal
 
 HEADER = {"protocol": "frames", "rate_hz": 1000}

@@ -9,10 +9,10 @@ import h5py
 import numpy as np
 import pytest
 
+from daq.base.console import application
+from daq.base.errors import InputError
+from daq.base.output import names
 from daq.cli.app import app
-from daq.console import application
-from daq.errors import InputError
-from daq.output import names
 from daq.runfile import listing, schema, store
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig

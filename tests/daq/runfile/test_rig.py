@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.errors import InputError
-from daq.runfile.rig import DECODERS, Measured, Rig
+from daq.base.errors import InputError
+from daq.base.measured import Measured
+from daq.runfile.rig import DECODERS, Rig
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=1e-300, max_value=1e300)

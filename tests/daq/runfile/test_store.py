@@ -16,11 +16,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daq.errors import InputError
-from daq.output.lock import FileLock
+from daq.base.errors import InputError
+from daq.base.measured import Measured
+from daq.base.output.lock import FileLock
 from daq.runfile import nexus, schema, store
 from daq.runfile.recording import EVENTS, Raw, Recording, Truth, positions
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 
 from ...conftest import need
 

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.compute import isolation
-from daq.errors import InputError
+from daq.base.compute import isolation
+from daq.base.errors import InputError
 from daq.runfile import listing, store, trust
 from daq.runfile.recording import Recording
 from daq.runfile.rig import Rig

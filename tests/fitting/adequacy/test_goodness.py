@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.console import application
+from daq.base.console import application
 from fitting import cli, job
 from fitting.adequacy import visible
 from fitting.adequacy.goodness import REJECTED, GoodnessOfFit, RunSlips, limit, probability, tail

@@ -10,8 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from daq.base.measured import Measured
 from daq.runfile.recording import Recording
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from fitting.curve.measure import measure_curve
 from fitting.data import cycles, frame
 from fitting.estimation import search

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.runfile.rig import Measured
+from daq.base.measured import Measured
 from fitting.curve.level import moved_to, unseen
 from fitting.model.parameters import PER_RUN, Global
 from fitting.sensitivity.columns import shared_tangents, spline_tangents

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from fitting.data import belt_line
 from fitting.drawing.curves import points
 from fitting.model.parameters import Global

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from daq.runfile.rig import Measured, Rig
+from daq.base.measured import Measured
+from daq.runfile.rig import Rig
 from fitting.data import cycles, frame
 from fitting.estimation import search
 from fitting.estimation.covariance import covariance

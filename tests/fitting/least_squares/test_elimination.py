@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.compute.compile import compiled
+from daq.base.compute.compile import compiled
 from fitting.least_squares import elimination
 
 CYCLES, SAMPLES, SHARED, LOCAL = 3, 8, 4, 2

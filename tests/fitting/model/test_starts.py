@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.runfile.rig import Measured
+from daq.base.measured import Measured
 from fitting.data import cycles
 from fitting.model import starts
 from fitting.model.parameters import PerCycle, Values, to_array

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from fitting.report import comparison
 from fitting.report.comparison import ComparedRun
 from fitting.report.symbols import pretty

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.runfile import store
 from fitting.estimation.result import Parameter
 from fitting.report import page as report

@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
-from daq.errors import InputError
-from daq.runfile.rig import Measured
+from daq.base.errors import InputError
+from daq.base.measured import Measured
 from fitting import cli
 from rig_sim.cli.continuation import continue_
 from rig_sim.dynamics.limit_cycle import cycle

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from daq.errors import DataError
+from daq.base.errors import DataError
 from fitting.data import frame
 from fitting.selection import candidates
 from fitting.selection.ranking import rank

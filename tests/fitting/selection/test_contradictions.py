@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from daq.runfile.rig import Measured
+from daq.base.measured import Measured
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
 

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.errors import DataError, InputError
+from daq.base.errors import DataError, InputError
 from daq.runfile import joint, listing, store
 from fitting import cli
 from fitting.model import parameters

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.errors import DataError, InputError
+from daq.base.errors import DataError, InputError
 from fitting.selection.evidence import Evidence, model_confidence_set
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth

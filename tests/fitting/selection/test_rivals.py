@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.runfile.rig import Measured
+from daq.base.measured import Measured
 from fitting import job
 from fitting.curve.formula_fit import fit_formula
 from fitting.law import Law

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.base.console import application
+from daq.base.errors import DataError
+from daq.base.measured import Measured
 from daq.cli import app as daq_cli
-from daq.console import application
-from daq.errors import DataError
 from daq.runfile import store
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from fitting import cli
 from fitting.data.cycles import Cycle, CycleSegmentation
 from fitting.data.frame import from_kinematics

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import processing
-from daq.compute.compile import compiled
-from daq.errors import InputError
+from daq.base.compute.compile import compiled
+from daq.base.errors import InputError
 from processing.kalman import corner_kernel, mean_snap_kernel, motion_kernel, stick_slip, white_jerk
 from processing.kalman.first_state import first_state
 from processing.methods import registry

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from processing.methods import registry
 from processing.methods.registry import METHODS
 from processing.record import series

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from processing.methods import registry
 from processing.methods import window_choice as windows
 from processing.record import series

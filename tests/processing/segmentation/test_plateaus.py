@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import processing
-from daq.errors import InputError
-from daq.runfile.rig import Measured, Rig
+from daq.base.errors import InputError
+from daq.base.measured import Measured
+from daq.runfile.rig import Rig
 from processing.kalman import white_jerk
 from processing.record import series
 from processing.segmentation import plateaus

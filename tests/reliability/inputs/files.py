@@ -13,12 +13,13 @@ import h5py
 import numpy as np
 from scipy.io import savemat
 
-from daq.console import settings
+from daq.base.console import settings
+from daq.base.measured import Measured
 from daq.imports import capture, replay, sigrok, track
 from daq.imports.options import ImportOptions, ProbeOptions
 from daq.runfile import listing, store
 from daq.runfile.recording import Raw, Recording
-from daq.runfile.rig import Measured, Rig
+from daq.runfile.rig import Rig
 from processing import smoothing, stage
 from rig_sim.scenes.scene import BUILTIN_FOLDER, parse_changes, scene
 

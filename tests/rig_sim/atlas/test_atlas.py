@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from daq.console import application
+from daq.base.console import application
 from rig_sim.atlas.chapters.chapter4_motion import fixed_point_table
 from rig_sim.atlas.chapters.chapter5_branches import special_rows
 from rig_sim.atlas.figure import compare

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import serial
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.runfile.rig import Rig
 from daq.wire.frames import Capability, Config, FrameReader, Ident, Notice, SampleBlock, TruthFrame
 from daq.wire.quadrature import PHASE

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from daq.wire.quadrature import PHASE, Decoder, levels_of
 from rig_sim.board.encoder import QuadratureEncoder
 from rig_sim.motion.trajectory import Nodes

@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from daq.console import application
+from daq.base.console import application
 from rig_sim.cli import app as cli
 
 PAIRS = {

@@ -8,8 +8,8 @@ from functools import partial
 import mpmath
 import pytest
 
-from daq.console import application
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.errors import InputError
 from rig_sim.cli.app import app
 from rig_sim.comparison import error_vs_time
 from rig_sim.comparison.error_vs_time import compare, difference, doubted, tightest

@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.console import application
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.errors import InputError
 from rig_sim.cli.app import app
 from rig_sim.comparison.methods import METHODS, phases_by
 from rig_sim.motion.play import ScenePlayer

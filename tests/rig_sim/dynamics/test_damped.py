@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.console import application
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.errors import InputError
 from rig_sim.cli import app as cli
 from rig_sim.cli.parameter_range import ParameterRange, parse
 from rig_sim.dynamics.continuation import continuation

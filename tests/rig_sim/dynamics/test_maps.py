@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.console import application
+from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.maps.basins import basins, merged
 from rig_sim.dynamics.maps.lyapunov import lyapunov

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from daq.console import application
+from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.maps import sweep as sweeps
 from rig_sim.dynamics.maps.sweep import AttractorAt

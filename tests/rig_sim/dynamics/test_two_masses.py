@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.console import application
-from daq.errors import InputError
+from daq.base.console import application
+from daq.base.errors import InputError
 from rig_sim.cli import app as cli
 from rig_sim.cli import maps
 from rig_sim.comparison.two_masses import next_stick

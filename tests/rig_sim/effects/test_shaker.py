@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.fixed_point import friction_at_rest
 from rig_sim.dynamics.limit_cycle import cycle

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.friction.formula import DEEPEST, LONGEST, Formula
 
 STRIBECK = "Fc + (Fs - Fc)*exp(-(s/v_s)**2) + b*s"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.friction.curve import CONSTANT, LINEAR, MEASURED
 from rig_sim.friction.formula import Formula
 from rig_sim.friction.formula_curve import MOST_PIECES, TOLERANCE, WIDEST, FormulaCurve, formula_curve

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from daq.compute.compile import ANNOUNCEMENT
+from daq.base.compute.compile import ANNOUNCEMENT
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.law import LAWS
 from rig_sim.integrate.events import list_events

@@ -9,7 +9,7 @@ import math
 import mpmath
 import pytest
 
-from daq.console import application
+from daq.base.console import application
 from rig_sim.comparison.error_vs_time import difference
 from rig_sim.dynamics.limit_cycle import cycle
 from rig_sim.flow.contact_state import initial_mode

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.comparison import reference
 from rig_sim.dynamics.continuation import continuation
 from rig_sim.dynamics.control.landing_map import LandingMap

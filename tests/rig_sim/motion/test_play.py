@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.motion.play import LEAST_FACTOR, Event, ScenePlayer, events
 from rig_sim.scenes.scene import parse_changes, scene
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.cli.parameter_range import ParameterRange
 from rig_sim.dynamics.continuation import continuation
 from rig_sim.dynamics.fixed_point import fixed_point

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import InputError
+from daq.base.errors import InputError
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.scenes.model import SECTIONS, Scene

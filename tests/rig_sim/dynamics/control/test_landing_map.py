@@ -10,8 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from daq.compute.arrays import Array
-from daq.console import application
+from daq.base.compute.arrays import Array
+from daq.base.console import application
 from rig_sim.cli import control
 from rig_sim.cli.app import app
 from rig_sim.dynamics.control.controlled_map import difference, orbit

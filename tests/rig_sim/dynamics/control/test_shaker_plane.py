@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.console import application
+from daq.base.console import application
 from rig_sim.cli.app import app
 from rig_sim.dynamics.control.phasor import phasor, phasor_roots, shaker_for
 from rig_sim.dynamics.control.stability import ShakerPlane

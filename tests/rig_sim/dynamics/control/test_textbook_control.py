@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from daq.compute.arrays import Array
+from daq.base.compute.arrays import Array
 from rig_sim.dynamics.control.controlled_map import derivatives, difference, orbit
 from rig_sim.dynamics.control.locking import Locking, find_and_lock
 from rig_sim.dynamics.control.ogy import lock

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from daq.console import application
+from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.forced import dither, driven_mass
 from rig_sim.dynamics.forced.attractors import attractors
