@@ -3,6 +3,7 @@
 That package is found but not imported: its own modules need IPython.
 """
 
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,6 +14,8 @@ KINDS = {
     "index.html": "text/html",
     "live.css": "text/css",
     "live.js": "text/javascript",
+    "plots.js": "text/javascript",
+    "record.js": "text/javascript",
     "uPlot.iife.js": "text/javascript",
     "uPlot.min.css": "text/css",
 }
@@ -29,11 +32,15 @@ def check_installed() -> None:
 def content(name: str) -> bytes:
     """Return a file of the page, one of `KINDS`."""
     own = PAGE / name
-    return own.read_bytes() if own.exists() else (_uplot() / name).read_bytes()
+    return own.read_bytes() if own.exists() else _library(name)
 
 
-def _uplot() -> Path:
+@cache
+def _library(name: str) -> bytes:
+    """Return a file of uPlot, without the indentation and the lines of comment that are a fifth of it."""
     spec = find_spec("uplot")
     if spec is None or not spec.submodule_search_locations:
         raise FileNotFoundError("uplot-python is not installed")
-    return Path(spec.submodule_search_locations[0]) / "static"
+    text = (Path(spec.submodule_search_locations[0]) / "static" / name).read_text(encoding="utf-8")
+    lines = (line.strip() for line in text.splitlines())
+    return "\n".join(line for line in lines if line and not line.startswith("//")).encode()
