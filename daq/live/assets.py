@@ -29,18 +29,17 @@ def check_installed() -> None:
         raise InputError(what, "command line", "install them with: pip install 'stickslip[live]'")
 
 
-def content(name: str) -> bytes:
-    """Return a file of the page, one of `KINDS`."""
-    own = PAGE / name
-    return own.read_bytes() if own.exists() else _library(name)
-
-
 @cache
-def _library(name: str) -> bytes:
-    """Return a file of uPlot, without the indentation and the lines of comment that are a fifth of it."""
+def content(name: str) -> bytes:
+    """Return a file of the page, one of `KINDS`, without the indentation and the lines of comment: a fifth of it."""
+    own = PAGE / name
+    text = (own if own.exists() else _uplot() / name).read_text(encoding="utf-8")
+    lines = (line.strip() for line in text.splitlines())
+    return "\n".join(line for line in lines if line and not line.startswith("//")).encode()
+
+
+def _uplot() -> Path:
     spec = find_spec("uplot")
     if spec is None or not spec.submodule_search_locations:
         raise FileNotFoundError("uplot-python is not installed")
-    text = (Path(spec.submodule_search_locations[0]) / "static" / name).read_text(encoding="utf-8")
-    lines = (line.strip() for line in text.splitlines())
-    return "\n".join(line for line in lines if line and not line.startswith("//")).encode()
+    return Path(spec.submodule_search_locations[0]) / "static"

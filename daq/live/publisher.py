@@ -323,6 +323,7 @@ class LiveRun(Publisher):
         if motion is not None:
             kept = motion[:, self._skip :: self._stride]
             self._skip = (self._skip - motion.shape[1]) % self._stride
+            kept = kept[:, kept[0] > self._now - HISTORY_S]  # of a viewer that catches up
             texts = _texts(np.concatenate((self._before, kept), axis=1), self._before.shape[1])
             self._before = kept[:, -1:] if kept.size else self._before
         data = {"counts": vars(self.tail.counts), "unit": self.tail.unit, "state": self.analysis.state}

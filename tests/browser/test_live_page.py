@@ -29,7 +29,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "data_samples"
 DURATION_S = 14
 # What the browser itself says of a connection that a test cuts, and of a page that is not there.
 EXPECTED = "ERR_INTERNET_DISCONNECTED|ERR_CONNECTION_REFUSED|ERR_INCOMPLETE_CHUNKED_ENCODING|404"
-SIZES = ((1400, 900), (390, 844))
+SIZES = ((1400, 900), (1200, 860), (768, 1024), (390, 844))
 
 
 @pytest.fixture(scope="module")

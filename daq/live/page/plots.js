@@ -21,7 +21,7 @@ function beside(u, splits) {
   const step = splits.length > 1 ? Math.abs(splits[1] - splits[0]) : 1, decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   return splits.map((value) => value.toFixed(/[1-9]/.test((step * 10 ** decimals).toFixed(1).split(".")[1]) ? decimals + 1 : decimals));
 }
-const roomFor = (u, texts) => 14 + 8 * Math.ceil(Math.max(3, ...(texts || []).map((text) => text.length)) * 0.9);
+const roomFor = (u, texts) => 20 + 8 * Math.ceil(Math.max(3, ...(texts || []).map((text) => text.length)) * 0.9);
 
 const axis = (label, colour, more) => ({
   label, labelSize: 20, labelGap: 0, values: beside, stroke: () => colours[colour],
@@ -220,10 +220,10 @@ const friction = makeXY("friction", ["relative velocity", "friction"], (u) => {
     ctx.strokeStyle = ctx.fillStyle = colours.v;
     ctx.beginPath(); ctx.moveTo(at, y - half); ctx.lineTo(at, y + half); ctx.stroke();
     ctx.beginPath(); ctx.moveTo(at, y - 6 * one); ctx.lineTo(at + 6 * one, y); ctx.lineTo(at, y + 6 * one); ctx.lineTo(at - 6 * one, y); ctx.fill();
-    font(ctx); ctx.textBaseline = "middle";
-    const right = summary.belt.value < 0; // slips are on the right then
-    ctx.textAlign = right ? "left" : "right";
-    write(ctx, "break-away", at + (right ? 12 : -12) * one, y);
+    font(ctx);
+    const back = summary.belt.value < 0; // the curve is on the right, below zero
+    ctx.textBaseline = back ? "top" : "bottom"; ctx.textAlign = back ? "left" : "right";
+    write(ctx, "break-away", at, y + (back ? 9 : -9) * one);
   }
   ctx.restore();
 });
@@ -320,9 +320,9 @@ function drawAll(part, from, to, origin, earlier, withFriction) {
 
 function drawFriction(part) {
   const title = element("friction-title");
-  if (!hasFriction()) { title.textContent = "friction against relative velocity: waits for three slips between sticks"; return; }
+  if (!hasFriction()) { title.textContent = "friction curve: waits for three slips between sticks"; return; }
   const { mass, level_known } = summary.balance, { w, F, sd, slips } = summary.friction;
-  title.textContent = `friction against relative velocity: mean ± sd of ${slips} slip${slips === 1 ? "" : "s"}`;
+  title.textContent = `friction curve: mean ± sd of ${slips} slip${slips === 1 ? "" : "s"}`;
   label(friction, 0, `relative velocity: mass minus belt (${scale.speed})`);
   const quantity = mass !== null ? "friction" : "friction / mass", unit = mass !== null ? "N" : scale.unit === "mm" ? "m/s²" : "counts/s²";
   label(friction, 1, level_known ? `${quantity} (${unit})` : `${quantity} + constant (${unit})`);
@@ -331,7 +331,8 @@ function drawFriction(part) {
   const tops = F.map((f, i) => f + (sd[i] ?? 0)), bottoms = F.map((f, i) => f - (sd[i] ?? 0));
   const ba = summary.friction.break_away, spread = summary.friction.break_away_sd ?? 0;
   const [low, high] = extent([...tops, ...bottoms, ...(level_known ? [0] : []), ...(ba === null ? [] : [ba - spread, ba + spread])]);
-  friction.batch(() => { setRange(friction, "x", wLow - side, wHigh + side); setRange(friction, "y", low, high); friction.redraw(false); });
+  const room = 0.08 * (high - low); // for the word at the break-away
+  friction.batch(() => { setRange(friction, "x", wLow - side, wHigh + side); setRange(friction, "y", low - room, high + room); friction.redraw(false); });
 }
 
 // ---- the cursor --------------------------------------------------------------------------------------------------
