@@ -135,13 +135,13 @@ function showPanel() {
   set("cycles", `${cycles} cycle${cycles === 1 ? "" : "s"}`);
   element("cycles").dataset.enough = summary.enough;
   set("advice", advice);
-  let words = belt.value === null ? "not known yet" : `${digits(belt.value)} ${scale.speed}, ${SOURCES[belt.source] || ""}`;
+  let words = belt.value === null ? "not known" : `${digits(belt.value)} ${scale.speed}, ${SOURCES[belt.source] || ""}`;
   if (belt.calibrated !== null && belt.source !== "calibration") words += ` (calibration ${digits(belt.calibrated)})`;
   set("belt", words);
-  words = k_over_m.value === null ? "not known yet" : `${digits(k_over_m.value)} ± ${digits(k_over_m.stderr, 2)} s⁻², from the slips`;
+  words = k_over_m.value === null ? "not known" : `${digits(k_over_m.value)} ± ${digits(k_over_m.stderr, 2)} s⁻², from the slips`;
   if (balance.k_over_m !== null && balance.k_over_m !== k_over_m.value) words += ` (calibration ${digits(balance.k_over_m)})`;
   set("k_over_m", words);
-  element("x0").hidden = balance.level_known;
+  element("x0").hidden = balance.level_known || !summary.friction;
   const body = element("statistics");
   if (!body.rows.length) for (const [name] of ROWS) body.appendChild(statisticsRow(name));
   for (const [name, title, unit] of ROWS) {
@@ -171,13 +171,12 @@ function draw() {
     origin = breakAways[at][0];
     const width = view.span || 5;
     from = origin - width / 4; to = origin + 3 * width / 4;
-    const oldest = Math.max(0, at - EARLIER), begin = breakAways[oldest][0] - width / 4;
-    if ((to - begin) * facts.rate <= MOST_ROWS) {
-      const all = rows(begin, to); // asked for at once
-      for (let k = oldest; k < at && all.exact; k++) {
-        const [own] = breakAways[k];
-        earlier.push([within(all, own - width / 4, own + 3 * width / 4), own]);
-      }
+    let oldest = Math.max(0, at - EARLIER); // as many as the server gives at once
+    while (oldest < at && (to - breakAways[oldest][0] + width / 4) * facts.rate > MOST_ROWS) oldest++;
+    const all = rows(breakAways[oldest][0] - width / 4, to);
+    for (let k = oldest; k < at && all.exact; k++) {
+      const [own] = breakAways[k];
+      earlier.push([within(all, own - width / 4, own + 3 * width / 4), own]);
     }
     element("trace-title").textContent = `position and velocity about break-away ${at + 1} of ${breakAways.length}, at ${origin.toFixed(3)} s` + (earlier.length ? ", over those before" : "");
   } else {
@@ -276,7 +275,7 @@ function moveCursor(steps) {
   if (!part || part.last <= part.first) return;
   const { left } = trace.cursor, middle = (trace.scales.x.min + trace.scales.x.max) / 2 + shown.origin;
   const from = held ?? (left >= 0 ? trace.posToVal(left, "x") + shown.origin : middle);
-  const i = Math.min(part.last - 1, Math.max(part.first, place(part.t, from - 1e-9) + steps));
+  const i = Math.min(part.last - 1, Math.max(part.first, nearest(part, from) + steps));
   held = part.t[i];
   trace.setCursor({ left: trace.valToPos(held - shown.origin, "x"), top: trace.bbox.height / devicePixelRatio / 2 });
 }

@@ -187,8 +187,9 @@ function level(u, at, words) {
   const { ctx } = u;
   font(ctx); ctx.setLineDash([6, 4].map((one) => one * devicePixelRatio)); ctx.strokeStyle = ctx.fillStyle = colours.quiet; ctx.lineWidth = devicePixelRatio;
   ctx.beginPath(); ctx.moveTo(u.bbox.left, at); ctx.lineTo(u.bbox.left + u.bbox.width, at); ctx.stroke();
-  ctx.textAlign = "center"; ctx.textBaseline = "top";
-  write(ctx, words, u.bbox.left + u.bbox.width / 2, at + 5 * devicePixelRatio); // within the orbit, not on its edge
+  const under = at < u.bbox.top + u.bbox.height / 2; // within the orbit, not on its edge
+  ctx.textAlign = "center"; ctx.textBaseline = under ? "top" : "bottom";
+  write(ctx, words, u.bbox.left + u.bbox.width / 2, at + (under ? 5 : -5) * devicePixelRatio);
 }
 
 // Relative velocity is that of the mass less that of the belt; friction is the belt's force on the mass.
@@ -320,7 +321,7 @@ function drawAll(part, from, to, origin, earlier, withFriction) {
 
 function drawFriction(part) {
   const title = element("friction-title");
-  if (!hasFriction()) { title.textContent = "friction curve: waits for three slips between sticks"; return; }
+  if (!hasFriction()) { title.textContent = "friction curve: needs three slips between sticks"; return; }
   const { mass, level_known } = summary.balance, { w, F, sd, slips } = summary.friction;
   title.textContent = `friction curve: mean ± sd of ${slips} slip${slips === 1 ? "" : "s"}`;
   label(friction, 0, `relative velocity: mass minus belt (${scale.speed})`);
@@ -355,10 +356,9 @@ function showCursor(u) {
   const inside = left >= 0 && part && part.last > part.first;
   if (!inside) { hideCursor(); return; }
   const time = u.posToVal(left, "x") + shown.origin;
-  let i = Math.min(part.last - 1, Math.max(part.first, place(part.t, time)));
-  if (i > part.first && time - part.t[i - 1] < part.t[i] - time) i--;
+  const i = nearest(part, time);
   const [t, x, v, a] = [part.t[i], part.x[i], part.v[i], part.a[i]];
-  if (isFar(u, t - time)) { hideCursor(); return; }
+  if (isFar(u, t - time) || x !== x) { hideCursor(); return; }
   let words = `t ${onAxis(trace, "x", t - shown.origin)} s, x ${onAxis(trace, "y", x * scale.length)} ${scale.unit}, v ${onAxis(trace, "w", v)} ${scale.speed}`;
   put("portrait", portrait, x * scale.length, v);
   if (hasFriction()) {

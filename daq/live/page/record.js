@@ -33,6 +33,12 @@ function place(t, time) {
   return low;
 }
 
+// The row of a stretch that is nearest to a time.
+function nearest(part, time) {
+  const i = Math.min(part.last - 1, Math.max(part.first, place(part.t, time)));
+  return i > part.first && time - part.t[i - 1] < part.t[i] - time ? i - 1 : i;
+}
+
 // A stretch of rows: arrays, and their first and last row within the asked times.  A row without a position separates.
 function within(rows, from, to, base = 0) {
   const first = Math.max(0, place(rows.t, from) - 1), last = Math.min(rows.t.length, place(rows.t, to) + 1);
