@@ -18,7 +18,7 @@ from daq.runfile.rig import Rig
 FEWEST_CYCLES = 4  # of a fit: `fitting.selection.evidence`
 FEW_CYCLES = 8  # of so few every one must agree: `fitting.selection.screening`
 ESTIMATE_EVERY_S = 2.0  # of the record: half takes 1 % of a core more, double shows a new belt speed as much later
-MEMORY_S = 20.0  # of motion from which the belt's speed is read before a stick has been seen,
+MEMORY_S = 20.0  # of motion from which the belt's speed is read before a stick has been seen
 MOST_RECENT = 20_000  # readings of these
 BELT_SPAN_S = 1.0  # of the counts of the belt's own encoder: 7.7 um counts then read to 8 um/s
 FEWEST_SLIPS = 2  # from which the window of the motion is chosen
@@ -99,7 +99,7 @@ class LiveAnalysis:
         self._cycles: deque[tuple[float, float, float]] = deque(maxlen=USUAL_CYCLES)  # duration, drop, stick before
         self._began = False
         self._gap = False
-        self._piece = 0
+        self._piece, self._told = 0, -math.inf
 
     def feed(self, new: NewSamples) -> Array:
         """Take samples; return the motion at the times that a window now surrounds, as `columns` does."""
@@ -121,30 +121,31 @@ class LiveAnalysis:
         ):
             self._estimated, self._new = float(motion.time[-1]), 0
             self._estimate()
-        if self._began:
+        if not self._began and math.isfinite(self.belt.value):
+            motion = self._begin()
+        elif self._began:
             self._follow(motion)
-        elif math.isfinite(self.belt.value):
-            motion = self._begin(motion)
-        self._gap = not math.isfinite(motion.v[-1])
+        # With a longer window, motion that has been returned is made once more.
+        motion = rows(motion, motion.time > self._told)
         made = columns(motion, self._piece)
-        self._piece = int(made[4, -1])
+        if motion.time.size:
+            self._gap = not math.isfinite(motion.v[-1])
+            self._told, self._piece = float(motion.time[-1]), int(made[4, -1])
         self.overview.take(made)
         return made
 
-    def _begin(self, motion: LiveMotion) -> LiveMotion:
+    def _begin(self) -> LiveMotion:
         """Look for sticks and slips from the first sample on that is remembered, now that the belt's speed is known.
 
-        The motion is made anew, with a window that suits; returned is as much as follows what was returned before.
+        Returned is their motion, made anew with a window that suits.
         """
         self._began = True
-        told = self._recent[-2].time[-1] if len(self._recent) > 1 else -math.inf
         window = self.filter.quiet_window(joined(list(self._recent)), self._density, SLIP_SHARE / NOISE)
         self.filter = LiveFilter(self._rate_hz, window)
         anew = joined([self.filter.feed(piece) for piece in self._waiting])
         self._waiting.clear()
         self._follow(anew)
-        rest = rows(anew, anew.time > told)
-        return rest if rest.time.size else motion
+        return anew
 
     def _belt_moved(self, new: NewSamples) -> None:
         if new.belt is None or new.fresh.any():

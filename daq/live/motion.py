@@ -22,7 +22,9 @@ MOST = 401  # samples of a parabola: twice as many take twice the time of a look
 # Of a slip, and of a stick: a longer window hardly lies within one, and short sticks are then missed.  Half leaves more
 # noise in the acceleration; with double, missed sticks make the slips, and so the window, longer and longer.
 MOST_SHARE = 0.25
-QUIET_SHARE = 0.125  # of the mean speed of slips: the noise of the velocity at most; half and twice change nothing yet
+# Of the mean speed of slips: the noise of the velocity at most.  In a noisy, slow record half makes slips a tenth
+# longer, and with double a twentieth of them is missed.
+QUIET_SHARE = 0.05
 MOST_TRIED = 5000  # samples, the last ones, of which a window is tried that is longer than the noise
 CHANGED = 1.25  # a better window takes the place of one that differs by so much; a smaller step gives the same to 5 %
 

@@ -3,7 +3,7 @@
 In a stick the mass moves near the belt's speed and hardly accelerates; under a ramp law it creeps, some per cent slower
 as the load grows.  A slip begins where its velocity has left the belt's by half, and ends where the acceleration stays
 small for `SETTLED` windows of the motion.  Break-away and landing are then read from the positions, by how they leave
-the parabola through the stick beside.  `process smooth` finds them by models of both kinds of motion.
+the curve through the stick beside.  `process smooth` finds them by models of both kinds of motion.
 """
 
 import math
@@ -210,7 +210,8 @@ class StickSlip:
         last = max(3, kept.time.size - self._leaving - window // 2)
         beside = slice(max(0, last - round(BESIDE * window)), last)
         off = _about_stick(kept, beside, slice(beside.start, None))
-        on_it = int(np.flatnonzero(off <= NOISE)[-1])
+        within = np.flatnonzero(off <= NOISE)
+        on_it = int(within[-1]) if within.size else 0
         off_it = np.flatnonzero(off[on_it:] >= LATER * NOISE)
         later = int(off_it[0]) if off_it.size else 0
         at = beside.start + max(0, on_it - round(later / (LATER ** (1 / BREAKS) - 1)))
@@ -257,7 +258,8 @@ def _about_stick(motion: LiveMotion, beside: slice, span: slice) -> Array:
     scale = max(float(np.ptp(motion.time[beside])), np.finfo(float).tiny)
     level = motion.x[beside][0]
     x = motion.x[beside] - level
-    rounding = 1e-12 * float(np.max(np.abs(motion.x)))  # readings without noise lie on the curve to this
+    # Readings without noise lie on the curve to this.
+    rounding = max(1e-12 * float(np.max(np.abs(motion.x))), np.finfo(float).tiny)
     for degree in (2, 1):
         inside, wanted = (np.vander((motion.time[own] - middle) / scale, degree + 1) for own in (beside, span))
         inverse = np.linalg.pinv(inside)
