@@ -14,8 +14,10 @@ from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
+from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
+COARSE = 62.5  # samples a slip: residuals are correlated over many samples, and the search runs on a thinned record
 DEFAULT_DAMPING_SD = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
 LEAST_LINEAR_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
 RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
@@ -160,6 +162,15 @@ class EstimationProblem:
             start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
         return start
 
+    def windows(self, *, thinned: bool) -> ShootingWindows:
+        """Return the windows of all runs, of every sample or thinned to `COARSE` a slip."""
+        return ShootingWindows.join(
+            [
+                ShootingWindows.from_cycles(run.motion, run.cut.used, coarse_stride(run.motion) if thinned else 1)
+                for run in self.runs
+            ]
+        )
+
     @property
     def curve(self) -> int:
         """Code of the law's curve, as the flow wants it."""
@@ -200,6 +211,11 @@ def _regressed(
     ]
     contact = {name: float(np.median([getattr(own, name) for own, _ in found])) for name in ("K", "F", "shape", "d")}
     return [own._replace(**contact) for own, _ in found], float(np.median([size for _, size in found]))
+
+
+def coarse_stride(motion: MeasuredMotion) -> int:
+    """Return every how many samples one is left of a record thinned to `COARSE` a slip."""
+    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE))
 
 
 def level_prior(motions: Sequence[MeasuredMotion]) -> float:

@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.departures.definition.departure import Departure, Forcing, harmonic
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.forces.departure import Departure, Forcing, harmonic
+from fitting.forces.fitted_motion import FittedMotion
 
 # Periods in a slip (`MeasuredMotion.slip_s`): slower, it may be wear or a drift; faster, smoothing has taken it away.
 SLOWEST, FASTEST = 0.1, 12.5
