@@ -1,4 +1,4 @@
-"""What stays the same while one law is fitted: starting values, scales, bounds, and the calibrations as priors."""
+"""What stays the same while one law is fitted: starting values, bounds, and the calibrations as priors."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -49,12 +49,10 @@ class EstimationProblem:
     runs: tuple[Run, ...]
     active: tuple[int, ...]
     start: Array
-    scale: Array
     lower: Array
     upper: Array
     prior: Array
     precision: Array
-    local_scale: Array  # (6,)
 
     @classmethod
     def build(cls, law: int, runs: Sequence[Run]) -> "EstimationProblem":
@@ -69,11 +67,10 @@ class EstimationProblem:
         omega = math.sqrt(K)
         damping = damping_calibration(motions[0], K)
         speed = min(motion.belt_speed for motion in motions)
-        travel = max(motion.travel for motion in motions)
-        shape, steepest = max(abs(first_shape), 1e-3 / speed), np.inf
+        steepest = np.inf
         if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
             steepest = LEAST_LINEAR_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
-        start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), PER_RUN))
+        start, lower, upper, prior, precision = np.zeros((5, len(runs), PER_RUN))
         lower[:], upper[:] = -np.inf, np.inf
         upper[:, Global.SHAPE] = steepest
         for r, (run, own) in enumerate(zip(runs, first, strict=True)):
@@ -102,13 +99,11 @@ class EstimationProblem:
             for slot, (value, weight) in known.items():
                 prior[r, slot], precision[r, slot] = value, weight
             start[r] = parameters.to_array(begin)
-            scale[r] = K, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel, v, v, begin.omega, 1.0
             lowest = start[r, Global.LOG_F] - LARGEST_LOG_DROP
             lower[r, : Global.DATUM] = 1e-6 * K, lowest, 0.05 * v, 0, NARROWEST_RAMP * speed
             lower[r, [Global.DAMPING, Global.OMEGA]] = 0.0
             lower[r, Global.STATIC], upper[r, Global.STATIC] = 1.0, LARGEST_STATIC
             lower[r, Global.COMPLIANCE] = NARROWEST_RAMP * v / motion.travel
-        fastest = max(motion.belt_speed for motion in motions)
         return cls(
             law=law,
             runs=tuple(runs),
@@ -116,12 +111,10 @@ class EstimationProblem:
                 law, [motion.compliance is not None for motion in motions], [run.ripple is not None for run in runs]
             ),
             start=start.ravel(),
-            scale=scale.ravel(),
             lower=lower.ravel(),
             upper=upper.ravel(),
             prior=prior.ravel(),
             precision=precision.ravel(),
-            local_scale=np.array([travel, fastest, 1.0, 1.0, travel, fastest]),
         )
 
     def with_overtaking(self, overtaking: NDArray[np.bool_]) -> "EstimationProblem":
