@@ -23,6 +23,7 @@ from daq.imports import layout, plausible, table
 from daq.imports.columns import find, is_stated, unit
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
+from daq.runfile.in_memory import sample_rate
 from daq.runfile.recording import FASTEST_HZ, LONGEST_S, Recording, impossible_motion
 from daq.runfile.rest_position import question
 from daq.runfile.rig import Rig
@@ -110,7 +111,7 @@ def read(path: Path, options: ImportOptions, progress: Stages = silent) -> Impor
     if not is_stated(cells, x_column, options.force_unit if forces else options.x_unit):
         plausible.ask_for_length_unit(time, position, cells, x_column, forces)
     step = np.diff(time)
-    rate = _rate(time)
+    rate = sample_rate(time)
     rig = _rig(options)
     stated = options.x0
     if options.datum is not None:
@@ -223,15 +224,9 @@ def _times(cells: table.Table, column: int) -> table.ColumnReader:
     return column, cells.number, "a number"
 
 
-def _rate(time: NDArray[np.float64]) -> float:
-    # The mean of the steps in which no frame was dropped: the median alone carries the rounding of printed times.
-    step = np.diff(time)
-    return float(1 / step[step < 1.5 * np.median(step)].mean())
-
-
 def _retimed(time: NDArray[np.float64], rate_hz: float, warnings: list[str]) -> NDArray[np.float64]:
     # The flag is the camera's true rate; the column of times uses the rate that the tracking program assumed.
-    assumed = _rate(time)
+    assumed = sample_rate(time)
     ratio = assumed / rate_hz
     if 1 / FRAME_RATE_TOLERANCE <= ratio <= FRAME_RATE_TOLERANCE:
         return time

@@ -14,9 +14,14 @@ from daq.base.text import storable
 from daq.runfile.rig import Rig
 
 if TYPE_CHECKING:
-    import pandas as pd
+    import os
 
-    from daq.base.output.plot import PngFigure
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
+
+    from daq.base.units import Stated
 
 # What can happen to a run, with the code its event is stored under.
 EVENTS = {
@@ -110,11 +115,12 @@ def _none(dtype: type[np.generic]) -> Callable[[], NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Recording:
-    """A run: what a recorder, an import or a replay hands to `daq.runfile.store.write`, and `store.load` returns.
+    """A run: times and positions, the samples as sent, and what is known of the rig.
+
+    `daq.load` reads one from a file, `from_arrays` makes one of arrays, `save` writes one.
 
     Attributes
     ----------
-    title, started, ended : str
     title : str
     started, ended : str
         Time of the first and of the last sample, ISO 8601 with zone.
@@ -143,7 +149,7 @@ class Recording:
     event_sample, event_kind, event_note
         Index into the run, (e,) u4; name of the kind (a key of `EVENTS`); words where there are any.
     belt_velocity : (n,) f8 or None
-        m/s, signed, only with a belt channel: differences of its counts (`daq.finalise.belt_counter`), not smoothed.
+        m/s, signed, only with a belt channel: differences of its counts (`daq.runfile.belt_counter`), not smoothed.
     belt_count : (n,) i8 or None
         Unwrapped count of the belt's encoder, only with a belt channel; metres of it are in `rig`.
     truth : Truth or None
@@ -200,6 +206,112 @@ class Recording:
         if not self.event_note:
             object.__setattr__(self, "event_note", ("",) * self.event_sample.size)
 
+    @classmethod
+    def from_arrays(
+        cls,
+        time: "ArrayLike",
+        position: "ArrayLike",
+        *,
+        mass: "Stated | None" = None,
+        stiffness: "Stated | None" = None,
+        belt_speed: "Stated | None" = None,
+        x0: "Stated | None" = None,
+        damping: "Stated | None" = None,
+        metres_per_count: "Stated | None" = None,
+        belt_position: "ArrayLike | None" = None,
+        title: str = "",
+    ) -> "Recording":
+        """Make a run of arrays.
+
+        A quantity is a number in SI, ``(value, sd)``, or text with a unit: ``"5 cm/s"``, ``"500 g +- 1 g"``.  What is
+        not known is left out.
+
+        Parameters
+        ----------
+        time : array_like of shape (n,)
+            Times of the samples, s, increasing; they need not be even.  Those of the run begin with 0.
+        position : array_like of shape (n,)
+            Positions, m, positive towards +x.  Integers are counts: in metres with ``metres_per_count``, else the run
+            is in counts.
+        mass, stiffness, damping : quantity, optional
+            Moving mass, kg; stiffness of the spring, N/m; viscous damping, N s/m.
+        belt_speed : quantity, optional
+            Speed of the belt, m/s, positive towards +x.
+        x0 : quantity, optional
+            Reading at the spring's rest, m, with the sign of the positions.
+        metres_per_count : quantity, optional
+            Travel in a count, m; negative where counting up means towards -x.
+        belt_position : array_like of shape (n,), optional
+            Positions of the belt at the same times, m, positive towards +x, where they were measured.
+        title : str
+            Title of the run.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        InputError
+            For arrays that are no columns of numbers of one length, a value that is not finite, times that do not
+            increase (naming the sample), and a quantity that cannot be.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import daq
+        >>> t = np.arange(2000) / 1000
+        >>> run = daq.Recording.from_arrays(t, 0.01 * np.sin(6 * t), mass="500 g +- 1 g", x0=(0, 1e-4))
+        >>> run
+        <Recording a run in memory: 'arrays'
+         2000 samples, 1.999 s at 1000 Hz>
+        >>> run.rig.mass
+        Measured(value=0.5, sd=0.001)
+        """
+        from daq.runfile.in_memory import from_arrays
+
+        return from_arrays(
+            time,
+            position,
+            mass=mass,
+            stiffness=stiffness,
+            belt_speed=belt_speed,
+            x0=x0,
+            damping=damping,
+            metres_per_count=metres_per_count,
+            belt_position=belt_position,
+            title=title,
+        )
+
+    def save(self, path: "str | os.PathLike[str]", *, force: bool = False) -> Path:
+        """Write the run into a run file (.h5), which `daq.load` and every command read.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        force : bool
+            Replace an existing file.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        InputError
+            The file exists and ``force`` is not given, its folder does not exist, or its name has the suffix of
+            another format.
+        """
+        from daq.base.output import suffix
+        from daq.runfile import store
+
+        target = Path(path)
+        suffix.check_run(target)
+        store.write(target, self, force=force)
+        return target
+
     @property
     def unit(self) -> str:
         """Of `position`: "m", or "count" for counts of a rig whose metres per count nobody measured."""
@@ -244,8 +356,13 @@ class Recording:
         own = ((int(at), words) for at, kind, words in events if kind == "marker")
         return tuple((float(self.time[at]), words) for at, words in own if at < self.time.size)
 
-    def plot(self) -> "PngFigure":
+    def plot(self, ax: "Axes | None" = None) -> "Figure":
         """Draw position against time, with the markers that a person set.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw; by default a new figure.
 
         Returns
         -------
@@ -262,6 +379,7 @@ class Recording:
             f"position ({unit})",
             self.markers,
             f"{self.name}: {self.title}",
+            ax,
         )
 
     def facts(self) -> dict[str, str]:
