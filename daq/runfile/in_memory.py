@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 # Decimals of a position in m.  A coarser power of ten of which all readings are multiples is taken in their place; half
 # as many are 30 um, more than most encoders resolve, and at 18 a belt of 9 m no longer fits into a whole number.
 FINEST_DECIMALS = 9
-# Of a decimal: how far a reading may be off, by the rounding of binary numbers.  Readings of any digits are as near a
-# whole decimal once in 500 times, and a hundred of them never.
-NEAR_WHOLE = 1e-3
+# Of the largest reading: by how much a decimal may be off where binary numbers hold it, after a change of units or two.
+ULPS = 4.0
 
 
 def from_arrays(
@@ -131,7 +130,7 @@ def last_decimal(values: Array) -> float:
     """Return the largest power of ten of which all values are multiples, 1e-9 (`FINEST_DECIMALS`) at least."""
     for decimals in range(FINEST_DECIMALS):
         number = values * 10.0**decimals
-        if np.all(np.abs(number - np.rint(number)) <= NEAR_WHOLE):
+        if np.all(np.abs(number - np.rint(number)) <= ULPS * np.spacing(np.abs(number).max())):
             return float(10.0**-decimals)
     return float(10.0**-FINEST_DECIMALS)
 
