@@ -21,9 +21,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from daq import protocols
 from daq.base.errors import EXIT_INTERRUPTED, DataError, DeviceError, InputError, StickslipError
+from daq.base.measured import Measured
 from daq.base.output import disk, provenance
 from daq.finalise import claim
 from daq.protocols import link_budget
+from daq.protocols.columns import FORCE
 from daq.protocols.request import RecordRequest
 from daq.protocols.session import Identity, Plan, Session
 from daq.recorder import ports
@@ -272,10 +274,31 @@ def _connect(request: RecordRequest) -> _Connected:
 
 
 def _calibration(request: RecordRequest, identity: Identity) -> str | None:
-    """Return the calibration that replaces the one sent by the board; None where nothing replaces it."""
-    if not request.stated:
+    """Return the calibration that replaces the one sent by the board; None where nothing replaces it.
+
+    Where the board sends measured numbers, a count is metres by their unit, of a force by the spring's stiffness.
+
+    Raises
+    ------
+    InputError
+        For forces of a spring of unknown stiffness, and metres per count beside numbers with a unit.
+    """
+    of, size = identity.measured or ("", 0.0)
+    if not request.stated and not of:
         return request.calibration
-    return _known(request.calibration or identity.config or "", identity).stating(request.stated).to_toml()
+    rig = _known(request.calibration or identity.config or "", identity).stating(request.stated)
+    if not of:
+        return rig.to_toml()
+    if "metres_per_count" in request.stated:
+        what = "the columns give positions with a unit, and metres per count are given"
+        raise InputError(what, "--metres-per-count", "leave it out: it is for counts")
+    pitch = Measured(size)
+    if of == FORCE:
+        if rig.stiffness is None:
+            what = "the columns give a force, and the stiffness of its spring is not known"
+            raise InputError(what, "--columns", "give --stiffness '10.5 N/m', or stiffness in the rig.toml")
+        pitch = Measured(size / rig.stiffness.value, size * rig.stiffness.sd / rig.stiffness.value**2)
+    return replace(rig, metres_per_count=pitch, counts_per_revolution=None).to_toml()
 
 
 def _known(calibration: str, identity: Identity) -> Rig:
