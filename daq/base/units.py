@@ -110,18 +110,21 @@ def stated(value: Stated | None, key: str) -> Measured | None:
     """
     if value is None:
         return None
-    if isinstance(value, Measured):
-        found = value
-    elif isinstance(value, str):
-        found = measured(value, OF_QUANTITY[key], key)
-    else:
-        parts: tuple[Any, ...] = tuple(value) if isinstance(value, Sequence) and len(value) == 2 else (value,)
-        if not all(isinstance(part, Real) and not isinstance(part, bool) for part in parts):
-            example = EXAMPLES[OF_QUANTITY[key]]
-            do = f"give a number in {si_unit(OF_QUANTITY[key])}, (value, sd), or text such as {example!r}"
-            raise InputError(f"{key} is {value!r:.60}", key, do)
-        found = Measured(*map(float, parts))
+    found = in_si(value, OF_QUANTITY[key], key)
     return checked(key, found.value, found.sd, key)
+
+
+def in_si(value: Stated, dimension: str, key: str) -> Measured:
+    """Return a quantity as Python code states it (`stated`), of any dimension; ``key`` is its name."""
+    if isinstance(value, Measured):
+        return value
+    if isinstance(value, str):
+        return measured(value, dimension, key)
+    parts: tuple[Any, ...] = tuple(value) if isinstance(value, Sequence) and len(value) == 2 else (value,)
+    if not all(isinstance(part, Real) and not isinstance(part, bool) for part in parts):
+        do = f"give a number in {si_unit(dimension)}, (value, sd), or text such as {EXAMPLES[dimension]!r}"
+        raise InputError(f"{key} is {value!r:.60}", key, do)
+    return Measured(*map(float, parts))
 
 
 def unit_size(text: str, dimension: str, where: str) -> float:

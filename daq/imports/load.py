@@ -5,7 +5,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from daq.base.errors import InputError, nearest
+from daq.base.errors import InputError, in_python, nearest
 
 if TYPE_CHECKING:
     from daq.imports.options import ImportOptions
@@ -70,7 +70,7 @@ def load(path: str | os.PathLike[str], **import_options: Any) -> "Recording":
 
     found = track.read(place, _options(import_options))
     for text in found.warnings:
-        warnings.warn(f"{place.name}: {text}", UserWarning, stacklevel=2)
+        warnings.warn(f"{place.name}: {in_python(text)}", UserWarning, stacklevel=2)
     return found.run
 
 
@@ -105,6 +105,8 @@ def _options(given: dict[str, Any]) -> "ImportOptions":
             raise InputError(f"no option {keyword!r} of a table", "daq.load", nearest(keyword, names))
         if name in units.OF_QUANTITY:
             value = units.stated(value, name)
+        elif name == "circumference":
+            value = units.in_si(value, "length", name)
         elif name == "frame_rate_hz" and isinstance(value, str):
             value = units.quantity(value, "rate", keyword)
         elif name in ("time", "position", "spring_force", "belt_column") and isinstance(value, int):
