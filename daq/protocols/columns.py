@@ -8,7 +8,6 @@ import re
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import lru_cache, reduce
-from itertools import islice
 from operator import xor
 
 from daq.base.errors import InputError, check_known
@@ -73,6 +72,7 @@ _KINDS = {
 }
 _NAME, _IS, _VALUE = r"[A-Za-z_][\w.()\[\]/%-]*+", r"[ \t]*+[=:][ \t]*+", r"[^,;:=\s]++"
 _LABELLED = re.compile(rf"(?:\A|[,;\s])[ \t]*+({_NAME}){_IS}(?>({_VALUE}))?+".encode())
+_STATED = re.compile(rb"#[ \t]*+columns[ \t:=]++([\w:,-]++)[ \t\r]*+")
 _MOST_FORMS = 64  # kept compiled; only damaged lines make more of them
 ENOUGH_LINES = 20  # labelled lines that define the columns when none are declared
 LONGEST_LINE = 256
@@ -297,22 +297,40 @@ def _measured_as(label: str, value: str) -> str:
 
 
 class ColumnVote:
-    """Find the columns of labelled lines when none are declared: those that most of the first lines have."""
+    """Find the columns of lines when none are declared.
+
+    They are those that a comment states (``# columns t_us,count``), else those of labelled lines that most of the first
+    lines have.
+    """
 
     def __init__(self) -> None:
         self._splitter = Splitter(b"\n", LONGEST_LINE)
         self._found: list[str] = []
+        self._stated: str | None = None
 
     @property
     def columns(self) -> str | None:
         """The columns, as they are declared; None if no line has a time and a position."""
-        return max(self._found, key=self._found.count, default=None)
+        return self._stated or max(self._found, key=self._found.count, default=None)
 
     def feed(self, data: bytes) -> bool:
         """Take bytes as they came; return whether they are enough."""
-        found = filter(None, map(labelled_columns, self._splitter.feed(data)))
-        self._found += islice(found, ENOUGH_LINES - len(self._found))
-        return len(self._found) == ENOUGH_LINES
+        for line in self._splitter.feed(data):
+            self._stated = self._stated or _stated_columns(line)
+            if self._stated is None and len(self._found) < ENOUGH_LINES and (found := labelled_columns(line)):
+                self._found.append(found)
+        return self._stated is not None or len(self._found) == ENOUGH_LINES
+
+
+def _stated_columns(line: bytes) -> str | None:
+    """Return the columns that a comment states, None of another line."""
+    found = _STATED.fullmatch(line)
+    if found is None:
+        return None
+    try:
+        return columns(found[1].decode()).declared
+    except InputError:
+        return None
 
 
 def with_decimals(declared: str, data: bytes) -> Columns:

@@ -24,6 +24,8 @@ Labelled lines (``t=12,pos=34``, ``us: 12; count: 34``) need no columns: micros,
 position, counts and encoder are counts; x, distance and laser are positions, and force is one; a unit may follow, as in
 pos_mm.  Other labels are ignored.  The unit of t and time is that of the declared column, us without.
 
+A sketch may state its columns itself, in a comment that it repeats: ``# columns seq,t_us,count,xor``.
+
 A measured number counts its last decimal, so that all behind this module is the same as for counts: ``x_mm:2`` has two.
 The decimals that are not declared are those of the first lines.
 
