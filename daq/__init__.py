@@ -11,17 +11,19 @@ if TYPE_CHECKING:
     from daq.finalise.quality import RecordingQuality as RecordingQuality
     from daq.imports.load import load as load
     from daq.recorder.source import record as record
+    from daq.recorder.source import recover as recover
     from daq.runfile.recording import Recording as Recording
 
     __version__: str
 
-__all__ = ["Recording", "RecordingQuality", "__version__", "load", "record"]
+__all__ = ["Recording", "RecordingQuality", "__version__", "load", "record", "recover"]
 
 _HOME = {
     "Recording": "daq.runfile.recording",
     "RecordingQuality": "daq.finalise.quality",
     "load": "daq.imports.load",
     "record": "daq.recorder.source",
+    "recover": "daq.recorder.source",
 }
 
 

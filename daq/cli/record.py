@@ -136,14 +136,9 @@ def recover(
 
     Example: daq recover run.h5.part
     """
-    from daq.base.output import suffix
-    from daq.finalise.run import finalise
+    from daq.recorder import source
 
-    if journal.suffix != ".part":
-        raise InputError("is not a journal", str(journal), "give the RUN.h5.part that the recording left")
-    if output is not None:
-        suffix.check_run(output)
-    found = finalise(journal, output or journal.with_suffix(""), finished_by="daq recover", force=force)
+    found = source.recover(journal, output, force=force)
     return Answer(found.as_json(), sentences.recorded("recovered", found))
 
 

@@ -90,7 +90,7 @@ def find(
             places = [i for i in free if plain[i] in POSITION_NAMES and i != t_column]
             if len(places) > 1 and plain[places[0]] == plain[places[1]]:
                 both = " and ".join(f"{short(cells.names[i])} (column {i + 1})" for i in places[:2])
-                raise InputError(f"which column is the position: {both}?", str(cells.path), "give --position NUMBER")
+                raise InputError(f"which column is the position: {both}?", str(cells.path), "give --position=NUMBER")
             x_column = places[0] if places else None
             x_column = _only(cells, free, "length", t_column) if x_column is None else x_column
         frames = t_column is not None and plain[t_column] in FRAME_NAMES
@@ -241,7 +241,7 @@ def check_length(cells: Table, column: int) -> None:
         what = f"{cells.label(column)} {is_of}, no position"
         raise InputError(what, where, do.format(how, flags), python=in_python(do.format(how, keywords)))
     if (stated or plain).lower() in COUNT_UNITS:
-        do = "give --metres-per-count '7.67 um', or --counts-per-rev 16384 --circumference '125.66 mm'"
+        do = "give --metres-per-count '7.67 um', or --counts-per-rev=16384 and --circumference '125.66 mm'"
         raise InputError(f"{cells.label(column)} holds counts", where, do)
 
 
@@ -261,7 +261,7 @@ def belt_unit(cells: Table, column: int, flag_value: str | None) -> tuple[str, f
             except InputError:
                 continue
     what = f"{cells.label(column)} states no unit" if stated is None else f"{stated!r} is a unit of neither"
-    do = "give --belt-unit mm for a position of the belt, or mm/s for its speed"
+    do = "give --belt-unit=mm for a position of the belt, --belt-unit=mm/s for its speed"
     raise InputError(
         f"{what}: is it the position or the speed of the belt?", cells.place(cells.header_line, column), do
     )

@@ -54,6 +54,7 @@ def ask_for_time_unit(time: Array, cells: Table, column: int) -> None:
             f"the unit of the times is not stated; in s there would be a sample every {step:.3g} s",
             cells.place(cells.header_line, column),
             f"give the unit: --t-unit {unit}? (--t-unit s if they are seconds)",
+            python=f"give the unit: t_unit={unit!r}? (t_unit='s' if they are seconds)",
         )
 
 
@@ -81,7 +82,9 @@ def ask_for_length_unit(time: Array, position: Array, cells: Table, column: int,
     if force:
         what = f"the unit of the forces is not known: none is stated, and in N {moved}"
         do = "give it: --force-unit mN? --force-unit kgf? (--force-unit N if they are newtons)"
+        python = "give it: force_unit='mN'? force_unit='kgf'? (force_unit='N' if they are newtons)"
     else:
         what = f"the unit of the positions is not known: none is stated, and in m {moved}"
         do = "give it: --x-unit mm? --x-unit cm? --x-unit '0.25 mm', a pixel? (--x-unit m if they are metres)"
-    raise InputError(what, cells.place(cells.header_line, column), do)
+        python = "give it: x_unit='mm'? x_unit='cm'? x_unit='0.25 mm', a pixel? (x_unit='m' if they are metres)"
+    raise InputError(what, cells.place(cells.header_line, column), do, python=python)

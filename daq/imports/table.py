@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, silent
-from daq.base.errors import InputError
+from daq.base.errors import InputError, in_python
 from daq.imports import layout
 
 DELIMITER_NAMES = {"\t": "tab", ";": "semicolon", ",": "comma", " ": "spaces", "|": "bar"}
@@ -159,7 +159,8 @@ class Table:
                         bad.append(Skipped(self.lines[index], what))
             values.append(np.array(found, np.float64).reshape(-1, len(readers)).T)
         if bad and not skip:
-            raise InputError(_bad_lines(bad), self.place(bad[0].line, first), _advice(self, bad, kept))
+            do, python = _advice(self, bad, kept)
+            raise InputError(_bad_lines(bad), self.place(bad[0].line, first), do, python=python)
         good = self
         if bad:
             good = replace(self, rows=[self.rows[index] for index in kept], lines=[self.lines[index] for index in kept])
@@ -186,11 +187,13 @@ def _bad_lines(bad: Sequence[Skipped]) -> str:
     return bad[0].what + (f"; {len(bad)} lines cannot be read: {listed(bad)}" if len(bad) > 1 else "")
 
 
-def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> str:
+def _advice(cells: Table, bad: Sequence[Skipped], kept: Sequence[int]) -> tuple[str, str]:
+    """Return what to do, for a terminal and in Python."""
     what = "those lines" if len(bad) > 1 else "that line"
-    do = f"correct or delete {what}, or leave such lines out with --skip-bad: times need not be even"
-    above = kept and len(bad) == kept[0] and not cells.names
-    return f"{do}; if the table begins below, give --preamble {bad[-1].line}" if above else do
+    do = f"correct or delete {what}, or leave such lines out with {{}}: times need not be even"
+    if kept and len(bad) == kept[0] and not cells.names:
+        do += f"; if the table begins below, give --preamble {bad[-1].line}"
+    return do.format("--skip-bad"), in_python(do.format("skip_bad=True"))
 
 
 def short(cell: str) -> str:

@@ -286,7 +286,9 @@ def _times(cells: table.Table, column: int) -> table.ColumnReader:
     row = next((row for row in cells.rows if len(row) == cells.width), None)
     if row is not None and cells.number(row[column]) is None and layout.clock(row[column]) is not None:
         what = f"{cells.label(column)} holds times of day such as {row[column].strip()}"
-        raise InputError(what, cells.place(cells.lines[cells.rows.index(row)], column), "give --clock")
+        raise InputError(
+            what, cells.place(cells.lines[cells.rows.index(row)], column), "give --clock", python="give clock=True"
+        )
     return column, cells.number, "a number"
 
 

@@ -53,7 +53,7 @@ def read(path: Path, sheet: str | None, preamble: int = 0, progress: Stages = si
     if sheet is None:
         if len(tables) != 1:
             what = f"which sheet is the table? {', '.join(map(repr, tables))}" if tables else "no sheet holds a table"
-            raise InputError(what, where, "give --sheet NAME" if tables else "give a sheet with times and positions")
+            raise InputError(what, where, "give --sheet=NAME" if tables else "give a sheet with times and positions")
         sheet = tables[0]
     elif sheet not in sheets:
         raise InputError(f"no sheet {sheet!r}", where, f"the sheets are: {', '.join(map(repr, sheets))}")

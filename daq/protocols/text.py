@@ -202,7 +202,9 @@ class Text(Session):
         if requested is not None:
             if abs(rate_hz / requested - 1) > RATE_WITHIN:
                 what = f"the lines arrive at {rate_hz:.4g} Hz, not at {requested} Hz"
-                raise InputError(what, "--rate", f"leave --rate out, or give {round(rate_hz)}, or change the sketch")
+                do = f"leave --rate out, or give {round(rate_hz)}, or change the sketch"
+                python = f"give rate_hz=None, or {round(rate_hz)}, or change the sketch"
+                raise InputError(what, "--rate", do, python=python)
             rate_hz = float(requested) if abs(rate_hz / requested - 1) < 0.01 else rate_hz
         else:
             rate_hz = float(f"{rate_hz:.3g}") if abs(float(f"{rate_hz:.3g}") / rate_hz - 1) < 0.005 else rate_hz

@@ -75,7 +75,12 @@ class StopRequest(threading.Event):
 def check_request(request: RecordRequest) -> None:
     """Raise InputError for a request that cannot be carried out; nothing has been touched then."""
     if request.rate_hz is not None and request.rate_hz < 1:
-        raise InputError(f"the rate is {request.rate_hz} Hz", "--rate", "give 1 or more samples per second")
+        raise InputError(
+            f"the rate is {request.rate_hz} Hz",
+            "--rate",
+            "give 1 or more samples per second",
+            python="give rate_hz=1 or more",
+        )
     samples_wanted(request.duration_s, request.rate_hz or 1000)
     protocols.load(request.protocol).check(request)
     if request.calibration is not None:
@@ -98,11 +103,12 @@ def journal_exists(part: Path) -> InputError:
     """Return the error of a journal that is there already: another recorder's, or one that was left."""
     if claim.is_locked(part):
         what, do = claim.in_use(part)
-        return InputError(what, str(part), f"give another -o, or {do}")
+        return InputError(what, str(part), f"give another -o, or {do}", python="give another output, or wait for it")
     return InputError(
         "an earlier recording was not finished: its journal still exists",
         str(part),
         f"run 'daq recover {part}' to get its data, or delete it, or give another -o",
+        python=f"run 'daq recover {part}', or call daq.recover, to get its data; or delete it, or give another output",
     )
 
 
@@ -110,7 +116,7 @@ def samples_wanted(duration_s: float, rate_hz: float) -> int:
     """Return the samples wanted of a duration at a rate."""
     if not 1 <= duration_s * rate_hz <= MOST_SAMPLES:  # neither is NaN
         what = f"the duration is {duration_s:g} s, {duration_s * rate_hz:g} samples at {rate_hz:g} Hz"
-        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples")
+        raise InputError(what, "--duration", f"give a time of 1 to {MOST_SAMPLES} samples", python="give seconds of it")
     return round(duration_s * rate_hz)
 
 
@@ -210,7 +216,11 @@ def keeping(writer: journal.Writer) -> Iterator[None]:
         yield
     except KeyboardInterrupt as error:
         do = f"get its data with 'daq recover {writer.path}'"
-        raise RecordingInterruptedError("interrupted; the journal was kept", str(writer.path), do) from error
+        what, python = (
+            "interrupted; the journal was kept",
+            f"get its data with 'daq recover {writer.path}', or call daq.recover",
+        )
+        raise RecordingInterruptedError(what, str(writer.path), do, python=python) from error
     except OSError as error:
         raise disk_error(writer.path, error) from error
     except disk.RefusedError as error:

@@ -160,6 +160,47 @@ def record(
         return record_blocks(source, request, float(rate_hz), seconds, progress=progress, stop=stop)
 
 
+def recover(
+    journal: str | os.PathLike[str], output: str | os.PathLike[str] | None = None, *, force: bool = False
+) -> "RecordingQuality":
+    """Build the run file of a recording that was killed, out of its journal; ``daq recover`` does the same.
+
+    Parameters
+    ----------
+    journal : path
+        The ``RUN.h5.part`` that the recording left.
+    output : path, optional
+        The run file; by default the journal's name without ``.part``.
+    force : bool
+        Replace an existing file.
+
+    Returns
+    -------
+    RecordingQuality
+
+    Raises
+    ------
+    InputError
+        The journal is missing, not a journal, or still being written; or the run file exists.
+    DataError
+        The journal holds no samples.
+
+    Examples
+    --------
+    >>> import daq
+    >>> found = daq.recover("run.h5.part")  # doctest: +SKIP
+    """
+    from daq.base.output import suffix
+    from daq.finalise.run import finalise
+
+    part = Path(journal)
+    if part.suffix != ".part":
+        raise InputError("is not a journal", str(part), "give the RUN.h5.part that the recording left")
+    target = part.with_suffix("") if output is None else Path(output)
+    suffix.check_run(target)
+    return finalise(part, target, finished_by="daq recover", force=force)
+
+
 def _whole(rate_hz: float | None) -> int | None:
     if rate_hz is not None and float(rate_hz) != int(rate_hz):
         raise InputError(f"rate_hz is {rate_hz}", "daq.record", "a port takes whole Hz, such as rate_hz=1000")

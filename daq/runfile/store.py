@@ -362,10 +362,20 @@ def _unopened(path: Path, error: OSError) -> InputError:
     with path.open("rb") as stream:
         head = stream.read(32)
     if head.startswith(b"stickslip journal"):
-        return InputError("is a journal, not a finished run", str(path), f"run: daq recover {path.name}")
+        return InputError(
+            "is a journal, not a finished run",
+            str(path),
+            f"run: daq recover {path.name}",
+            python=f"run: daq recover {path.name}, or call daq.recover",
+        )
     if not head.startswith(b"\x89HDF\r\n\x1a\n"):
         what = "is empty" if not head else "is not an HDF5 file"
-        return InputError(what, str(path), "give a run file; a CSV is read by daq import, a capture by daq replay")
+        return InputError(
+            what,
+            str(path),
+            "give a run file; a CSV is read by daq import, a capture by daq replay",
+            python="give a run file or a table",
+        )
     detail = "is cut short" if "truncated" in str(error) else f"is damaged HDF5 ({str(error).splitlines()[0]})"
     return InputError(detail, str(path), trust.AGAIN)
 
