@@ -25,7 +25,7 @@ from daq.imports.columns import belt_unit, called, find, is_length, is_stated, n
 from daq.imports.frame_rate import check_half_period
 from daq.imports.options import ImportOptions
 from daq.runfile.in_memory import counts, sample_rate, with_belt
-from daq.runfile.recording import FASTEST_HZ, LONGEST_S, Recording, impossible_motion, positions
+from daq.runfile.recording import FASTEST_HZ, LONGEST_S, OF_FILE, Recording, impossible_motion, positions
 from daq.runfile.rest_position import question
 from daq.runfile.rig import Rig
 
@@ -333,7 +333,7 @@ def _run(
     if skipped:
         lines.append(f"skipped_lines = {[one.line for one in skipped]}")
     end = start + timedelta(seconds=float(run.time[-1]))
-    origin = "file's time of modification" if options.started is None else "--start"
+    origin = OF_FILE if options.started is None else "--start"
     return replace(
         run,
         title=f"{path.name}, imported",

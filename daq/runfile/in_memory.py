@@ -1,8 +1,9 @@
 """A run made of arrays: the positions or counts that a program already has in memory, and what is known of the rig."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -11,12 +12,13 @@ from daq.base.errors import InputError
 from daq.base.measured import Measured
 from daq.base.units import Stated, stated
 from daq.runfile import belt_counter
-from daq.runfile.recording import FARTHEST, Recording, impossible_motion, positions
 from daq.runfile.rig import Rig
+from daq.runfile.run_data import FARTHEST, RunData, impossible_motion, positions
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+Made = TypeVar("Made", bound=RunData)
 # Decimals of a position in m.  A coarser power of ten of which all readings are multiples is taken in their place; half
 # as many are 30 um, more than most encoders resolve, and at 18 a belt of 9 m no longer fits into a whole number.
 FINEST_DECIMALS = 9
@@ -25,6 +27,7 @@ ULPS = 4.0
 
 
 def from_arrays(
+    make: Callable[..., Made],
     time: "ArrayLike",
     position: "ArrayLike",
     *,
@@ -36,8 +39,8 @@ def from_arrays(
     metres_per_count: Stated | None = None,
     belt_position: "ArrayLike | None" = None,
     title: str = "",
-) -> Recording:
-    """Return a run made of arrays; see `Recording.from_arrays`."""
+) -> Made:
+    """Return a run made of arrays by ``make``, its class; see `daq.runfile.recording.Recording.from_arrays`."""
     from daq.base.output import provenance
 
     times, values = _column(time, "time"), _column(position, "position")
@@ -63,7 +66,7 @@ def from_arrays(
         damping=stated(damping, "damping"),
     )
     begun = datetime.now(UTC)
-    run = Recording(
+    run = make(
         title=title or "arrays",
         started=begun.isoformat(),
         ended=(begun + timedelta(seconds=float(seconds[-1]))).isoformat(),
@@ -106,7 +109,7 @@ def counts(values: "np.ndarray[Any, Any]", pitch: Measured | None, name: str) ->
     return np.asarray(whole, np.int64)
 
 
-def with_belt(run: Recording, belt: Array) -> Recording:
+def with_belt(run: Made, belt: Array) -> Made:
     """Return a run with the positions of its belt as counts.
 
     The count is the last decimal of the positions, `FINEST_DECIMALS` at most, so that rounded readings are counts of
@@ -114,7 +117,7 @@ def with_belt(run: Recording, belt: Array) -> Recording:
 
     Parameters
     ----------
-    run : Recording
+    run : RunData
         Of n samples.
     belt : (n,) float64
         Positions of the belt, m, positive towards +x.
