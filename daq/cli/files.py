@@ -77,7 +77,7 @@ def import_table(
         found = track.read(file, options, show.stage)
     store.write(target, replace(found.run, **given), force=force)
     data = sentences.run_data(found.run, target, found.warnings) | {
-        key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even", "skipped")
+        key: getattr(found, key) for key in ("columns", "delimiter", "decimal", "even", "skipped", "assumed")
     }
     return Answer(data, sentences.run_text("imported", found.run, data, sentences.columns(found)))
 

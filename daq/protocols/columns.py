@@ -361,6 +361,8 @@ def lacking(line: bytes) -> tuple[str, str] | None:
         return None
     kinds = [_KINDS.get(label.lower()) for label in labels]
     seen = f"the lines have the labels {', '.join(labels)}"[:200]
+    if "time" in kinds and "position" not in kinds and kinds.count(LENGTH) == 1:
+        return f"{seen}: the unit of the position is not stated", "give it by --columns t_us,x_mm, or x_m, x_cm, x_um"
     positions, times = f"{', '.join(_COUNT_LABELS)}, or up and down", ", ".join(_TIME_OF_LABEL)
     if not ("position" in kinds or {"up", "down"} <= set(kinds)):
         return f"{seen}: none is a position", f"label the position as one of {positions}"

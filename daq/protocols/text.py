@@ -259,7 +259,8 @@ class Text(Session):
                 return labels[0], self.url, labels[1]
             seen = example.rstrip(b"\r")[:60].decode("ascii", "backslashreplace")
             if self.request.columns is None:
-                do = "declare the columns, as in --columns t_us,up,down, or print labels, as in t=1,pos=2; check --baud"
+                form = "t_us,x_mm" if "." in seen else "t_us,up,down"
+                do = f"declare the columns, as in --columns {form}, or print labels, as in t=1,pos=2; check --baud"
                 return f"the lines have no labels, and no columns are declared; one is {seen!r}", self.url, do
             what = f"the lines are not of the columns {self.request.columns}; one is {seen!r}"
             return what, self.url, "declare the actual columns by --columns, and check --baud"

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.base.errors import InputError
+from daq.base.errors import DeviceError, InputError
 from daq.base.measured import Measured
+from daq.protocols import session as session_module
 from daq.protocols import text
 from daq.protocols.columns import columns, with_decimals
 from daq.protocols.line_parser import LineParser
@@ -191,6 +192,21 @@ def test_decimals_without_a_unit_are_counts_and_said_to_be(tmp_path, monkeypatch
         "the positions have no unit, and are recorded as counts of 0.01 of it" in text for text in found.warnings
     )
     assert any("--columns t_us,x_mm:2" in text for text in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("t={t} x={x:.2f} y=3\n", "the unit of the position is not stated; give it by --columns t_us,x_mm"),
+        ("({t}, {x:.2f})\n", "no columns are declared; one is .* as in --columns t_us,x_mm"),
+    ],
+)
+def test_a_position_without_a_declared_unit_is_asked_about(monkeypatch, line, said):
+    monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
+    sketch = Sketch(lambda k: line.format(t=2000 * k, x=x_mm(k)).encode())
+    with pytest.raises(DeviceError) as caught:
+        text.session(sketch, "fake", RecordRequest()).identify()
+    assert re.search(said, caught.value.as_line())
 
 
 def test_metres_per_count_beside_a_unit_are_refused(tmp_path, monkeypatch):
