@@ -70,23 +70,16 @@ def smooth(
     from processing import smoothing, stage, summary
 
     speed = belt_speed if belt_speed == "auto" else quantity(belt_speed, "speed", "--belt-speed")
-    asked: dict[str, Any] = {
-        "method": method,
-        "window": window,
-        "order": order,
-        "times": times,
-        "belt_speed": speed,
-        "repair_counts": repair_counts,
-    }
+    asked = (method, window, order, times, speed, repair_counts)
     motion: Kinematics | SmoothingSummary
     own = store.between(file, time_or_none(begin, "--from"), time_or_none(end, "--to"))
     with store.reading(file, own) as run:
         n = run.samples
     if n > smoothing.LARGE:
         with application.progress("smoothing", n, "samples") as progress:
-            motion = smoothing.smooth_file(file, **asked, progress=progress, own=own)
+            motion = smoothing.smooth_file(file, *asked, progress=progress, own=own)
     else:
-        made = smoothing.smooth(store.load(file, own), **asked)
+        made = smoothing.smooth(store.load(file, own), *asked)
         stage.save(made, file, own)
         motion = made
     counted = stage.load_statistics(file)

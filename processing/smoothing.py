@@ -6,7 +6,6 @@ are never looked at here.
 """
 
 import logging
-import os
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -16,12 +15,10 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-import daq
 from daq.base.compute.arrays import Array
 from daq.base.errors import InputError, nearest
 from daq.runfile import store
 from daq.runfile.nexus import EVERY
-from daq.runfile.recording import Recording
 from processing import belt_motion, blocks, stage
 from processing.blocks import BlockFindings, MotionModel, Stretches
 from processing.methods import registry
@@ -33,7 +30,7 @@ from processing.record.setting import Setting, parse_belt_speed, parse_window
 from processing.record.stretches import survey
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    from daq.runfile.recording import Recording
 
 logger = logging.getLogger(__name__)
 REPAIRS = ("off", "flag", "fix")
@@ -44,9 +41,7 @@ LARGE = 2**19  # samples: the command smooths longer records block by block; one
 
 
 def smooth(
-    run_or_time: "Recording | str | os.PathLike[str] | ArrayLike",
-    position: "ArrayLike | None" = None,
-    *,
+    recording: "Recording",
     method: str = "auto",
     window: int | str = "auto",
     order: int | None = None,
@@ -55,15 +50,12 @@ def smooth(
     repair_counts: str = "flag",
     model: Mapping[str, Any] | None = None,
 ) -> Kinematics:
-    """Rebuild position, velocity and acceleration from a recording, a file or arrays.
+    """Rebuild position, velocity and acceleration from a recording.
 
     Parameters
     ----------
-    run_or_time : Recording, path or array_like of shape (n,)
-        A run, a file that `daq.load` reads, or times, s, of the ``position``.
-    position : array_like of shape (n,), optional
-        Positions, m (integers: counts), beside times; see `daq.Recording.from_arrays`, which also takes what is known
-        of the rig.
+    recording : Recording
+        Positions in metres (or counts) at times in seconds.
     method : {"auto", "segment", "rts", "sg", "fd"}
         "segment" smooths sticks and slips apart, with fitted corners; "rts" smooths all alike; "auto" takes "segment"
         where its sticks are beyond doubt, else "rts" ("sg" where a window or an order is asked for); "sg" is
@@ -95,22 +87,12 @@ def smooth(
     InputError
         For an unknown method or repair, an even window, an order that the window cannot carry, a record with a number
         that is not finite or with times that do not increase (naming the sample), fewer than 5 samples, or a belt
-        speed beside positions in counts; times without positions, or positions beside a run.
+        speed beside positions in counts.
 
     Notes
     -----
     Gaps and segments are never smoothed across: each piece ends in one-sided fits, with their larger errors.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import processing
-    >>> t = np.arange(2000) / 1000
-    >>> motion = processing.smooth(t, 0.01 * np.sin(6 * t), method="rts")
-    >>> float(motion.velocity[1000].round(4))
-    0.0576
     """
-    recording = _recording(run_or_time, position)
     begun = clock.process_time()
     _check(method, repair_counts)
     data = series.from_recording(recording, times)
@@ -212,25 +194,6 @@ def smooth_file(
     return made[0]
 
 
-def _recording(
-    run_or_time: "Recording | str | os.PathLike[str] | ArrayLike", position: "ArrayLike | None"
-) -> Recording:
-    """Return the run that a caller gives as one, as a file, or as two arrays."""
-    if isinstance(run_or_time, Recording | str | os.PathLike):
-        if isinstance(position, str):
-            do = f"name it: processing.smooth(run, method={position!r})"
-            raise InputError(f"{position!r} stands in the place of positions", "processing.smooth", do)
-        if position is not None:
-            what = "a position beside a run, which has its own"
-            raise InputError(what, "processing.smooth", "give the run alone: processing.smooth(run, method=...)")
-        return run_or_time if isinstance(run_or_time, Recording) else daq.load(run_or_time)
-    if position is None:
-        what = f"a {type(run_or_time).__name__} and no position"
-        do = "give a run, a file or two arrays: processing.smooth(time, position)"
-        raise InputError(what, "processing.smooth", do)
-    return Recording.from_arrays(run_or_time, position)
-
-
 def _check(method: str, repair_counts: str) -> None:
     registry.check(method)
     if repair_counts not in REPAIRS:
@@ -246,7 +209,7 @@ def _learn(
     order: int | None,
     belt_speed: float | str,
     repair_counts: str,
-) -> tuple[MotionModel, Recording]:
+) -> "tuple[MotionModel, Recording]":
     """Return the model of a record of n samples, and the stretches that it was learned from.
 
     ``read`` returns some of the samples, ``positions`` their positions alone, m.
@@ -275,7 +238,7 @@ def _setting(window: int | str, order: int | None, belt_speed: float | str, data
     return replace(parse_window(window, order, data), belt_speed=speed)
 
 
-def _read(run: store.RunReader, own: slice, times: str) -> tuple[Recording, Series]:
+def _read(run: store.RunReader, own: slice, times: str) -> "tuple[Recording, Series]":
     recording = run.load(own)
     return recording, series.from_recording(recording, times)
 

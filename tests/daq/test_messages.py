@@ -87,7 +87,7 @@ MISTAKES = [
     (lambda: daq.record("rig://rig", "new.h5", rate_hz=0), "give rate_hz=1 or more"),
     (lambda: daq.recover("run.h5"), "is not a journal; give the RUN.h5.part"),
     (lambda: processing.smooth(TIME), "processing.smooth(time, position)"),
-    (lambda: processing.smooth(daq.load("run.h5"), "sg"), "processing.smooth(run, method='sg')"),
+    (lambda: processing.smooth(daq.load("run.h5"), X), "processing.smooth(run, method=...)"),
 ]
 
 

@@ -145,7 +145,6 @@ def test_a_wrong_array_or_quantity_is_named_with_what_to_do(columns, changes, wo
     [
         ((TIME,), {}, "a ndarray and no position; give a run, a file or two arrays: processing.smooth(time, position)"),
         ((run(), X), {}, "a position beside a run, which has its own; give the run alone"),
-        ((run(), "sg"), {}, "'sg' stands in the place of positions; name it: processing.smooth(run, method='sg')"),
         (("no.h5",), {}, "no.h5: no such file"),
     ],
 )
