@@ -74,6 +74,19 @@ def test_a_wrong_keyword_or_value_is_named(table, name, options, words):
         daq.load(table.parent / name, **options)
 
 
+def test_the_date_of_an_imported_file_is_said_to_be_that(table, tmp_path, capsys):
+    found = daq.load(table, x_unit="cm")
+    assert found.facts()["started"] == f"file of {found.started}"
+    stated = daq.load(table, x_unit="cm", start="2024-05-01T12:00:00+02:00")
+    assert stated.when == "2024-05-01T12:00:00+02:00"
+    found.save(tmp_path / "one.h5")
+    stated.save(tmp_path / "two.h5")
+    assert application.run(app, ["list", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert f"file of {found.started[:10]}" in said
+    assert "  2024-05-01 12:00" in said
+
+
 def test_a_run_file_takes_no_options_of_tables():
     with pytest.raises(InputError, match=r"mass= is for tables, and this is a run file; .* fitting.rank"):
         daq.load(SAMPLES / "law5.h5", mass=0.3)
