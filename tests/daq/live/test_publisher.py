@@ -1,6 +1,7 @@
 """What pages are told: losses, silence and a lost port; all of the past, in memory that does not grow."""
 
 import json
+import shutil
 import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,10 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import daq
 from daq.finalise.run import run_data
 from daq.live import publisher
 from daq.live.publisher import LiveRun
 from daq.runfile import journal
+
+from .motions import stick_slip
 
 HEADER = {
     "protocol": "text",
@@ -157,3 +161,28 @@ def test_what_nothing_connects_is_told_with_a_row_without_a_position(writer: jou
     np.testing.assert_array_equal(np.isnan(np.array(again["x"], float)), np.isnan(x[(t >= 1.0) & (t <= 3.0)]))
     everything = json.loads(run.stretch(0.0, 1e6))
     assert everything["x"].count(None) == 1
+
+
+def test_blocks_of_a_program_are_analysed_and_can_be_looked_at_again(tmp_path: Path) -> None:
+    motion = stick_slip(8, 1000.0, 2e-6)
+    kept = tmp_path / "kept.h5.part"
+    finish = journal.Writer.remove
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(journal.Writer, "remove", lambda self: (shutil.copy(self.path, kept), finish(self))[1])
+        cuts = range(0, motion.time.size, 250)
+        daq.record(
+            ((motion.time[k : k + 250], motion.x[k : k + 250]) for k in cuts),
+            tmp_path / "run.h5",
+            rate_hz=1000,
+            mass=0.5,
+        )
+    run = LiveRun(kept)
+    run.look()
+    assert run.ended == "the recording has ended: complete"
+    told = [json.loads(event.data) for event in run._events]
+    assert told[0]["unit"] == "m"
+    assert told[0]["summary"]["cycles"] >= 5
+    assert told[0]["summary"]["balance"]["mass"] == 0.5
+    found = json.loads(run.stretch(2.0, 3.0))
+    own = (motion.time >= 2.0 - 1e-9) & (motion.time <= 3.0)
+    np.testing.assert_allclose(found["x"], motion.x[own], rtol=1e-6)

@@ -2,8 +2,12 @@
 
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
+import daq
 from daq.cli.record import rig_port
 from daq.protocols.request import RecordRequest
 from daq.recorder.record import record
@@ -39,3 +43,22 @@ def test_a_request_to_stop_is_removed_with_its_journal(tmp_path: Path) -> None:
         == journal.stop_path(tmp_path / "run.h5")
         == tmp_path / "run.h5.stop"
     )
+
+
+def test_the_file_ends_a_recording_of_a_programs_blocks_too(tmp_path: Path) -> None:
+    run = tmp_path / "run.h5"
+
+    def blocks() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for k in range(10_000):
+            t = (100 * k + np.arange(100)) / 1000
+            if k == 5:
+                journal.stop_path(run).touch()
+            if k >= 5:
+                time.sleep(0.05)
+            yield t, 0.01 * np.sin(6 * t)
+
+    found = daq.record(blocks(), run, rate_hz=1000)
+    assert found.ended == journal.STOPPED
+    assert 500 <= found.samples < 5000
+    assert store.load(run).time.size == found.samples
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run.h5"]
