@@ -15,6 +15,7 @@ import cyclopts
 
 from daq.base.console import application, flags
 from daq.base.console.application import Answer, Json
+from daq.base.errors import InputError
 
 NICE = 5  # the viewer gives way to the recorder on a busy computer
 APPEARS_S = 30.0  # how long the viewer of `daq record --live` waits for the journal: a board may take 5 s to answer
@@ -56,6 +57,9 @@ def watch(
         run = running
     if run.suffix == ".part":
         _wait_for(run, wait)
+    elif not run.exists():
+        do = f"check the path; a recording that runs is {running.name}"
+        raise InputError("no such file, and no recording of it runs", str(run), do)
     with contextlib.suppress(AttributeError, OSError):  # no such call on Windows
         os.nice(NICE)
     from daq.live.server import serve
