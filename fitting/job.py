@@ -18,7 +18,8 @@ from daq.runfile.rig import Rig
 from fitting.adequacy.result import ADEQUATE
 from fitting.report import page as report
 from fitting.report import stage as store
-from fitting.selection.ranking import ALL_LAWS, rank
+from fitting.selection.asked import ALL_LAWS
+from fitting.selection.ranking import rank
 from fitting.selection.result import Ranking
 from processing import stage
 from processing.record.kinematics import Kinematics

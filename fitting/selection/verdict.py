@@ -1,27 +1,19 @@
-"""The verdict and its warnings in words."""
+"""The verdict in words."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 from daq.base.output.lengths import format_length
-from daq.runfile.rest_position import question
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
 from fitting.curve.result import FormFit
-from fitting.data.cycles import CycleSegmentation
-from fitting.data.frame import MeasuredMotion
 from fitting.departures.result import FoundDeparture
 from fitting.model.parameters import Global
-from fitting.model.problem import NARROWEST_RAMP
 from fitting.selection.result import LawResult
 from fitting.selection.rivals import Competition, RivalResult
-from processing.record.finding import Finding
-from processing.record.kinematics import Kinematics
 from rig_sim.friction.law import LAWS
 
 OTHER_SPEEDS = " or runs at other belt speeds"
-POOR_FIT = 0.003  # of the motion's range: five times what 12 % scatter, ripple and jitter leave over
 # Chi of a published form.  The true one is outside the 95 % band in one record of twenty, at 1.3 to 2.0, other forms at
 # 4 and more.
 NEAR_FORM = 2.5
@@ -193,125 +185,6 @@ def refused_sentence(reason: str, laws: Sequence[int]) -> str:
     """Return the verdict on stick-slip that was refused before, or after, its laws were fitted."""
     which = "none of the six laws" if len(laws) == len(LAWS) else "none of the laws fitted"
     return f"stick-slip, but {which}: {reason}"
-
-
-def warnings(
-    rows: Sequence[LawResult],
-    members: Sequence[int],
-    motion: MeasuredMotion,
-    cut: CycleSegmentation,
-    kinematics: Kinematics,
-    findings: Sequence[Finding],
-    *,
-    sustained: bool,
-) -> tuple[str, ...]:
-    """Return the warnings that belong to a verdict."""
-    best = rows[0]
-    warned = []
-    if best.fit.misfit > POOR_FIT * motion.travel:
-        share = 100 * best.fit.misfit / motion.travel
-        warned.append(
-            f"no law fits well: the typical error of the best one is {share:.2g} % of the motion, "
-            "so the friction may follow none of the six"
-        )
-    if not sustained:
-        warned.append(
-            "no sustained stick: Fs is the friction level of the one drag at the start-up; its interval leaves out how "
-            "far levels differ from one break-away to the next, and that of v_dr how the belt's speed varies"
-        )
-    if not sustained and not cut.shows_belt:
-        warned.append(
-            "the drag at the start-up is too short to show the belt's speed or a ramp: without a calibration v_dr is "
-            "the highest sustained velocity, with an error of 100 %"
-        )
-    if any(LAWS[law].ramp for law in members) and not motion.belt_measured:
-        warned.append(
-            "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
-            "may be laws 1, 3, 5 on such a belt"
-        )
-    if motion.compliance is not None:
-        droop = best.parameters["droop"]
-        share = 100 * droop.value / motion.belt_speed
-        warned.append(f"the belt slows under load, by {share:.2g} % at Fs: measured by its encoder, part of every law")
-    if "ripple" in best.parameters:
-        share, hertz = 100 * best.parameters["ripple"].value / motion.belt_speed, best.parameters["ripple_hz"].value
-        warned.append(
-            f"the belt's speed varies by {share:.2g} % at {hertz:.3g} Hz: detected in the sticks, included in every law"
-        )
-    elif motion.speed_variation > 0:
-        share = 100 * motion.speed_variation / motion.belt_speed
-        warned.append(f"the measured belt speed varies by {share:.2g} % rms apart from load: the fit assumes it steady")
-    if motion.datum_prior is None:
-        warned.append(
-            "no x0: the spring's rest position was also fitted; laws 1 and 3 then determine only x0 + Fs/k "
-            '(give --x0, as in --x0 "60 mm +- 0.1 mm")'
-        )
-    else:
-        rest, place = motion.datum_prior, motion.sign * motion.measured
-        asked = question(replace(rest, value=motion.sign * rest.value), float(place.min()), float(place.max()))
-        warned += [asked] if asked else []
-    if motion.damping_prior is None or motion.per_mass:
-        warned.append(
-            "no damping calibration: c assumed 0 +- 1 % of critical; laws 3 and 4 then determine only G_slip - c "
-            "(give --damping and --damping-sd with --mass)"
-        )
-    if motion.per_mass:
-        warned.append("no mass: forces are given per kilogram (give --mass or --stiffness for newtons)")
-    warned += [finding.text for finding in findings]
-    left = [cycle for cycle in cut.cycles if cycle.flag and cycle.flag != "excluded"]
-    if left:
-        reasons = ", ".join(f"{cycle.number} ({cycle.flag})" for cycle in left)
-        warned.append(f"cycles left out: {reasons}")
-    if kinematics.lost_counts:
-        warned.append(f"counts seem to be lost at {kinematics.lost_counts} sample(s): the fit has them put back")
-    stuck = [row.law for row in rows if row.fit.outcome not in ("converged", "step limit")]
-    if stuck:
-        warned.append(f"the fit of law {', '.join(map(str, stuck))} did not converge: its error is an upper bound")
-    row = next((row for row in rows if row.law == best.law + 1), None)
-    if sustained and not LAWS[best.law].ramp and row is not None and row.in_set is False and "d" in row.parameters:
-        width = row.parameters["d"]
-        if row.rms_m < 1.05 * best.rms_m and row.fit.u[Global.D] > 10 * NARROWEST_RAMP * motion.belt_speed:
-            warned.append(f"a ramp narrower than {width.hi:.2g} m/s cannot be excluded")
-    return tuple(warned)
-
-
-def not_judged(adequacy: Adequacy) -> tuple[str, ...]:
-    """Return the warnings of what the goodness of fit does not judge: some cycles, or the whole record."""
-    found = adequacy.goodness
-    if found is None:
-        return ()
-    if not found.judged:
-        return (
-            "goodness of fit not judged: too few slips, or noise leaves the same in every repetition of the record",
-        )
-    if not found.left_out:
-        return ()
-    listed = ", ".join(map(str, found.left_out))
-    return (f"cycles not judged: {listed} (a velocity step, as of the belt's joint, or another single disturbance)",)
-
-
-def level_of_curve(adequacy: Adequacy) -> tuple[str, ...]:
-    """Return the warning that the record does not determine the level of the measured curve; none where it does."""
-    curve = adequacy.curve
-    if curve is None or curve.level_known:
-        return ()
-    if curve.level_assumed:
-        return (
-            "no x0, and friction levels that do not scatter: the record determines differences of friction alone. "
-            "The measured curve assumes that the spring is relaxed where the record begins at rest, or at the lowest "
-            "position; its band contains every level (give --x0 with its error)",
-        )
-    return (
-        "the record hardly determines the level of the measured curve, only differences of friction (give --x0 with "
-        "its error)",
-    )
-
-
-def merge_warnings(warned: Sequence[Sequence[str]], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the warnings of several runs: what holds for all of them once, the rest with the file's name before it."""
-    common = [text for text in warned[0] if all(text in own for own in warned)]
-    apart = ((name, text) for name, own in zip(names, warned, strict=True) for text in own if text not in common)
-    return (*common, *(f"{name}: {text}" for name, text in apart))
 
 
 def format_probability(p: float | None) -> str:
