@@ -231,7 +231,8 @@ def _minimise(
 ) -> PassState | None:
     """Minimise once with the noise assumed so far; ``fastest`` are upper bounds of the cycles' own unknowns."""
     index = list(active_unknowns(problem, state))
-    if problem.level_prior > 1 and Global.COMPLIANCE not in [place % PER_RUN for place in index]:
+    movable = Global.COMPLIANCE not in [place % PER_RUN for place in index] and not problem.held[Global.LOG_F]
+    if problem.level_prior > 1 and movable:
         state = state.centred()
     task = replace(pass_objective(problem, windows, state, index), local_upper=fastest)
     solution = levenberg_marquardt.minimise(task, state.u[index], state.local, max_steps=max_steps, tolerance=tolerance)
@@ -331,7 +332,8 @@ def _with_static(
     where there is no ramp of a width to speak of, or where nothing is gained.
     """
     narrow = state.u[Global.D] < NARROW_RAMP * min(motion.belt_speed for motion in problem.motions)
-    if Global.STATIC not in problem.active or narrow or state.solution is None:
+    settled = Global.STATIC not in problem.active or problem.held[Global.STATIC]
+    if settled or narrow or state.solution is None:
         return state, 0.0
     best, cost = state, state.solution.cost
     for level in levels:

@@ -1,8 +1,9 @@
 """What stays the same while one law is fitted: starting values, scales, bounds, and the calibrations as priors."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +31,29 @@ FIRST_RAMP = 1e-4  # of the belt's speed: where a ramp law starts from its jump 
 NARROWEST_RAMP = 1e-6  # of the belt's speed: no fit makes a ramp narrower
 
 
+EXACT = 1e-6  # of an unknown's scale: standard deviation of one that is held
+
+
+class GivenUnknown(NamedTuple):
+    """What the user gives of a shared unknown, in its units: bounds, equal where it is held, and a first value."""
+
+    slot: Global
+    low: float
+    high: float
+    start: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any."""
+    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any.
+
+    ``given`` is what the user gives of the shared unknowns of each law.
+    """
 
     motion: MeasuredMotion
     cut: CycleSegmentation
     ripple: Ripple | None = None
+    given: Mapping[int | str, tuple[GivenUnknown, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +137,30 @@ class EstimationProblem:
             prior=prior.ravel(),
             precision=precision.ravel(),
             local_scale=np.array([travel, fastest, 1.0, 1.0, travel, fastest]),
+        ).with_given(law)
+
+    def with_given(self, law: int | str) -> "EstimationProblem":
+        """Return the problem with what the user gives of a law's shared unknowns."""
+        if not any(run.given.get(law) for run in self.runs):
+            return self
+        start, lower, upper, prior, precision = (
+            own.copy() for own in (self.start, self.lower, self.upper, self.prior, self.precision)
         )
+        for run, own in enumerate(self.runs):
+            for given in own.given.get(law, ()):
+                at = PER_RUN * run + given.slot
+                lower[at], upper[at] = max(lower[at], given.low), min(upper[at], given.high)
+                first = start[at] if given.start is None else given.start
+                if given.low == given.high:
+                    lower[at] = upper[at] = first = prior[at] = given.low
+                    precision[at] = (EXACT * self.scale[at]) ** -2.0
+                start[at] = min(max(first, lower[at]), upper[at])
+        return replace(self, start=start, lower=lower, upper=upper, prior=prior, precision=precision)
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Which unknowns of all runs have one value."""
+        return np.asarray(self.lower == self.upper)
 
     def with_overtaking(self, overtaking: NDArray[np.bool_]) -> "EstimationProblem":
         """Return the problem with these cycles (cycles,) as ones in which the mass overtakes the belt after landing."""
@@ -158,7 +198,7 @@ class EstimationProblem:
             p = parameters.values(u[:PER_RUN])
             F, shape = starts.matched_curve(own.curve_code, near.curve_code, p.F, p.shape, fastest)
             start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
-        return start
+        return np.where(self.held, self.start, start)
 
     @property
     def curve(self) -> int:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 from daq.base.errors import DataError, InputError
@@ -48,7 +49,7 @@ def _with_ripple(run: Run) -> Run:
 
 def _rippled(run: Run, found: ripple.Ripple) -> Run:
     """Return a run with a ripple, cut as the mass would move on a steady belt."""
-    return Run(run.motion, cycles.segment_cycles(found.removed(run.motion), _excluded(run)), found)
+    return replace(run, cut=cycles.segment_cycles(found.removed(run.motion), _excluded(run)), ripple=found)
 
 
 def _excluded(run: Run) -> frozenset[int]:
