@@ -129,7 +129,8 @@ def text(rows: Sequence[BatchRow], compared: Path | None) -> list[Any]:
     common = Path(os.path.commonpath([row.file.absolute().parent for row in rows]))
     for row in rows:
         failed = row.failure
-        members = "-" if failed else ", ".join(map(str, row.document["set"])) or "none"
+        named = () if failed else (*row.document["set"], *row.document.get("rivals", ()))
+        members = "-" if failed else ", ".join(map(str, named)) or "none"
         verdict = f"error: {failed.what}; {failed.do}" if failed else row.document["verdict"]
         table.add_row(str(row.file.absolute().relative_to(common)), members, verdict)
     lines: list[Any] = [table]

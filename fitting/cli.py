@@ -89,7 +89,7 @@ def _fit_each(request: "FitRequest") -> Answer:
             request.files, request.places, request.options, work.jobs, work.scheduler, progress, force=force
         )
     if outputs.csv is not None:
-        table.write(outputs.csv, [(row.file, row.document) for row in rows])
+        table.write(outputs.csv, [(row.file, row.document.get("ranking", ())) for row in rows])
     if request.comparison is not None:
         batch.compare(rows, request.comparison, request.options.alpha, force=force)
     data = {"runs": [row.as_json() for row in rows], "comparison": request.comparison}
@@ -110,11 +110,12 @@ def _fit_together(request: "FitRequest") -> Answer:
         page.refuse_foreign_file(place, [run.recording.digest for run in runs], files=files, force=force)
     if request.joint_file is not None:
         joint.refuse_foreign_file(request.joint_file, [run.named for run in runs], force=force)
-    with application.progress("fitting", float(len(options.laws)), "laws") as show:
+    searched = len(options.competitors.searched)
+    with application.progress("fitting", float(searched), "laws") as show:
 
         def count(laws: float) -> None:
             show(laws)
-            show.status("then goodness of fit" if laws >= len(options.laws) else "")
+            show.status("then goodness of fit" if laws >= searched else "")
 
         done = job.fit_runs(runs, options, request.work.jobs, request.work.scheduler, count)
     done.save(place, force=force)
@@ -137,12 +138,13 @@ def _write_tables(done: "FitOutput", request: "FitRequest") -> None:
 
     outputs, files, ranking = request.outputs, request.files, done.ranking
     if outputs.csv is not None:
-        table.write(outputs.csv, [(path, side.as_json()) for path, side in zip(files, ranking.sides, strict=True)])
+        sides = zip(files, ranking.sides, strict=True)
+        table.write(outputs.csv, [(path, [row.as_json() for row in side.rows]) for path, side in sides])
     if outputs.curve_csv is not None:
         curve = ranking.adequacy.curve
         if curve is None:
             raise DataError("no friction curve could be measured", str(files[0]), "leave out --curve-csv")
-        table.write_curve(outputs.curve_csv, curve, ranking.adequacy.unit)
+        table.write_curve(outputs.curve_csv, ranking, curve)
     if outputs.save_scene is not None:
         rig = fitted_scene.of_ranking(ranking, done.statistics[0])
         scene_file.write(outputs.save_scene, scene_file.text(rig, ranking, files[0]))

@@ -10,12 +10,33 @@ from daq.base.console import flags
 from daq.base.measured import Measured
 
 
+def _repeated(text: str) -> Parameter:
+    """Return a flag that may be given several times."""
+    return Parameter(negative=(), consume_multiple=False, help=f"{text.removesuffix('.')}; repeatable.")
+
+
 @Parameter(name="*")
 @dataclass(frozen=True)
 class LawFlags:
-    """Which laws compete."""
+    """Which laws compete, and what is given of their parameters."""
 
-    laws: Annotated[str, Parameter(help="Laws to fit: 1-6, or a list such as 3,5,6.")] = "1-6"
+    laws: Annotated[
+        str, Parameter(help="Laws to fit: 1-6, or a list such as 3,5,6; published ones by name: 1-6,stribeck.")
+    ] = "1-6"
+    law: Annotated[
+        list[str] | None,
+        _repeated(
+            "One more law: a published one (stribeck, stribeck-gaussian, either with -viscous, logarithmic, power), or "
+            "'NAME: FORMULA', friction per unit mass at slip speed s."
+        ),
+    ] = None
+    ramp: Annotated[list[str] | None, _repeated("Put the law of this name behind a ramp.")] = None
+    fix: Annotated[
+        list[str] | None,
+        _repeated("A parameter that is known, NAME=VALUE as the results name it: gamma=9.6, mine.v_s=0.05."),
+    ] = None
+    bound: Annotated[list[str] | None, _repeated("Bounds of a parameter: NAME=LO:HI, LO: or :HI.")] = None
+    start: Annotated[list[str] | None, _repeated("First value of a parameter, NAME=VALUE.")] = None
 
 
 @Parameter(name="*")

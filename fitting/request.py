@@ -11,6 +11,7 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from daq.base.output import atomic, suffix
 from daq.runfile import joint
+from fitting.competitors import Competitors, numbers
 from fitting.flags import (
     DEFAULT_LAWS,
     DEFAULT_OUTPUTS,
@@ -27,8 +28,6 @@ from fitting.job import FitOptions
 from fitting.report import comparison, table
 from fitting.report import page as pages
 from fitting.rig_scene import scene_file
-
-LAST = 100_000  # number of a cycle: no record holds as many
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,9 @@ class FitRequest:
         _refuse_together(runs, rig, outputs, work)
         options = FitOptions(
             **vars(rig),
-            laws=tuple(numbers(laws.laws, "--laws")),
+            competitors=Competitors.typed(
+                laws.laws, laws.law or (), laws.ramp or (), laws.fix or (), laws.bound or (), laws.start or ()
+            ),
             excluded=tuple(numbers(part.exclude_cycles, "--exclude-cycles")),
             alpha=part.alpha,
             begin=part.begin,
@@ -160,25 +161,3 @@ def _refuse_same(outputs: Sequence[Path | None]) -> None:
             raise InputError("is the name of two outputs", str(output), "give each output a name of its own")
         if output is not None:
             seen.add(output.resolve())
-
-
-def numbers(text: str, flag: str) -> list[int]:
-    """Return the whole numbers that a list such as ``1-3,6`` names; an empty text names none.
-
-    Raises
-    ------
-    InputError
-        For anything else.
-    """
-    found: list[int] = []
-    for part in filter(None, (piece.strip() for piece in text.split(","))):
-        first, dash, last = part.partition("-")
-        try:
-            low = int(first)
-            high = int(last) if dash else low
-        except ValueError:
-            raise InputError(f"{part!r} is not a number or range", flag, "write for example 1-3,6") from None
-        if not 1 <= low <= high <= LAST:
-            raise InputError(f"{part!r} is not an increasing range from 1", flag, "write for example 1-3,6")
-        found.extend(range(low, high + 1))
-    return found

@@ -1,5 +1,7 @@
 """A law given as a formula, fitted to the positions of every window from the end of the measured curve's fit.
 
+Where nothing is known of the parameters they start from the measured curve itself (`fitting.curve.formula_start`).
+
 The motion is followed along a spline through the formula, whose knots are set closer until it errs by less than
 `TOLERANCE` of the friction; its derivatives by the parameters are the formula's own.  Everything else (windows, noise,
 weights of the cycles, calibrations) is that of the measured curve, so that the fit differs from it in the curve alone.
@@ -22,7 +24,9 @@ from daq.base.compute.arrays import Array
 from daq.base.compute.distributions import student_quantile
 from daq.base.errors import InputError
 from daq.base.measured import Measured
-from fitting.curve.band import covariances
+from fitting.curve.band import covariances, curve_columns, seen_speeds
+from fitting.curve.formula_start import Target, find_start
+from fitting.curve.level import REST_SD, rest_prior
 from fitting.curve.spline_fit import FINAL, SplineFit
 from fitting.data.cycles import Cycle
 from fitting.estimation.linearised import LinearisedFit
@@ -50,6 +54,8 @@ STEPS: dict[str, Any] = FINAL | {"max_steps": 40, "damping": 1e-6}  # a form lea
 DOUBLED = 2.0  # of a parameter: whether the derivative by it changes then shows whether it bends the curve
 LEAST_SHOWN = 1e-6  # of a prior's precision: a record that adds less shows nothing of the unknown
 SAME = 1e-9  # of a derivative: less is rounding
+LEVEL = 1e-6  # of a constant: what is left of it beside the derivatives of a formula that has one
+FREE_LEVEL_STEPS = 80  # most steps where the level of a formula without a constant determines the rest position
 
 
 class FormulaFriction:
@@ -164,6 +170,17 @@ class FormulaFit:
     cpu_s: float
 
     @property
+    def places(self) -> tuple[int, ...]:
+        """The shared unknowns beside the formula's own."""
+        return self.host.places
+
+    @property
+    def level_held(self) -> bool:
+        """Whether the rest position is assumed, since the formula has a constant that stands for it."""
+        place = self.places.index(Global.DATUM)
+        return self.host.rest is not None and bool(self.task.lower[place] == self.task.upper[place])
+
+    @property
     def law(self) -> str:
         """The law's name."""
         return self.formula.name
@@ -224,8 +241,10 @@ class FormulaFit:
 
         Where the rest position is assumed, a constant of the formula stands for it, and no law pays for that.
         """
-        own = len(self.formula.free) - (self.host.rest is not None)
-        return sum(place % PER_RUN not in NUISANCE for place in self.host.places) + own
+        own = len(self.formula.free) - self.level_held
+        free = self.task.lower < self.task.upper
+        shared = (place % PER_RUN not in NUISANCE and own for place, own in zip(self.places, free, strict=False))
+        return int(sum(shared) + own)
 
     @property
     def calibration_deviations(self) -> Array:
@@ -247,10 +266,9 @@ class FormulaFit:
             tuple(self.cycles[k] for k in own),
         )
 
-    @cached_property
-    def variances(self) -> Array:
-        """Variances (p,) of the shared unknowns: the larger of those by the noise and by the scatter of the cycles."""
-        linear = LinearisedFit(
+    def linearised(self) -> LinearisedFit:
+        """Return the problem made linear at the solution; the formula's unknowns are the last of the shared ones."""
+        return LinearisedFit(
             shared=np.ascontiguousarray(self.jacobian[:, : self.solution.u.size]),
             local=np.ascontiguousarray(self.jacobian[:, self.solution.u.size :]),
             residual=self.residual,
@@ -261,7 +279,16 @@ class FormulaFit:
             local_precision=self.task.local_precision,
             local_gradient=self.task.local_precision * (self.solution.local - self.task.local_prior),
         )
-        return np.asarray(np.maximum(np.max([np.diag(found) for found in covariances(linear)], axis=0), 0.0))
+
+    @cached_property
+    def covariances(self) -> Array:
+        """Covariances (2, p, p) of the shared unknowns, by the noise and by the scatter of the cycles."""
+        return np.array(covariances(self.linearised()))
+
+    @cached_property
+    def variances(self) -> Array:
+        """Variances (p,) of the shared unknowns: the larger of the two."""
+        return np.asarray(np.maximum(np.einsum("spp->sp", self.covariances).max(axis=0), 0.0))
 
     def without_prior(self, slot: Global, run: int = 0) -> Measured | None:
         """Return what the record alone shows of an unknown with a prior; None where there is none, or nothing shown."""
@@ -318,7 +345,7 @@ def _interval(
     return Parameter(value, error, lo, hi, unit)
 
 
-def fit_formula(law: Law, host: SplineFit, start: dict[str, float]) -> FormulaFit | None:
+def fit_formula(law: Law, host: SplineFit, start: dict[str, float] | None = None) -> FormulaFit | None:
     """Fit a law from the measured curve's end; None where its motion cannot be followed.
 
     Parameters
@@ -326,14 +353,26 @@ def fit_formula(law: Law, host: SplineFit, start: dict[str, float]) -> FormulaFi
     law : Law
         On the contact of the measured curve: a jump or a ramp.
     host : SplineFit
-    start : dict of str to float
-        A value of each free parameter, per unit mass.
+    start : dict of str to float, optional
+        A value of each free parameter, per unit mass; found on the measured curve without.
+
+    Raises
+    ------
+    InputError
+        The formula is no friction curve with any of the values tried.
     """
     begun = clock.process_time()
     ramp = bool(host.path.curve.ramp)
-    friction = FormulaFriction(law, BEYOND * float(host.spline.knots[-1]), start, ramp=ramp)
     p = len(host.places)
-    task = host.task
+    begin = host.solution.u[:p].copy()
+    if start is None:
+        found = find_start(law, measured_target(host), BEYOND / float(seen_speeds(host)[-1]) * host.spline.knots[-1])
+        start = found.values
+        begin += [found.offset / host.u[Global.K] if _guessed(host, place) else 0.0 for place in host.places]
+    friction = FormulaFriction(law, BEYOND * float(host.spline.knots[-1]), start, ramp=ramp)
+    task = _with_given(host, law)
+    if host.rest is not None and not _has_constant(friction):
+        task = _with_free_rest(host, task)
 
     def path(q: Array, local: Array) -> Path | None:
         spline = friction.spline(q[p:])
@@ -367,14 +406,69 @@ def fit_formula(law: Law, host: SplineFit, start: dict[str, float]) -> FormulaFi
         prior=np.concatenate((task.prior[:p], none)),
         precision=np.concatenate((task.precision[:p], none)),
     )
-    begin = np.concatenate((host.solution.u[:p], friction.start))
-    solution = levenberg_marquardt.minimise(own, begin, host.solution.local, **STEPS)
+    steps = STEPS if task.lower is host.task.lower else STEPS | {"max_steps": FREE_LEVEL_STEPS}
+    first = np.concatenate((begin, friction.start))
+    solution = levenberg_marquardt.minimise(own, first, host.solution.local, **steps)
     if solution is None:
         return None
-    last, found = path(solution.u, solution.local), own.evaluate(solution.u, solution.local, True)
-    if last is None or found is None:
+    last, there = path(solution.u, solution.local), own.evaluate(solution.u, solution.local, True)
+    if last is None or there is None:
         return None
-    return FormulaFit(law, host, friction, solution, last, found[1], own, clock.process_time() - begun)
+    return FormulaFit(law, host, friction, solution, last, there[1], own, clock.process_time() - begun)
+
+
+def measured_target(host: SplineFit) -> Target:
+    """Return the measured curve as what a formula starts near: its shape, and how well its level is known."""
+    speeds = seen_speeds(host)
+    columns = curve_columns(host, speeds)
+    level = columns.mean(axis=0)
+    both = covariances(host.linearised())
+    shape = [np.einsum("kp,pq,kq->k", columns - level, one, columns - level) for one in both]
+    of_level = max(float(np.einsum("p,pq,q->", level, one, level)) for one in both)
+    friction = host.spline(speeds)
+    sd = np.sqrt(np.maximum(np.max(shape, axis=0), (TOLERANCE * float(np.max(np.abs(friction)))) ** 2))
+    return Target(speeds, friction, sd, math.sqrt(max(of_level, 0.0)))
+
+
+def _guessed(host: SplineFit, place: int) -> bool:
+    """Return whether a shared unknown is a rest position that no calibration gives."""
+    run, slot = divmod(place, PER_RUN)
+    return slot == Global.DATUM and host.fit.problem.motions[run].datum_prior is None
+
+
+def _has_constant(friction: FormulaFriction) -> bool:
+    """Return whether a constant can be added to the formula by its parameters: it then hides the rest position."""
+    speeds = np.linspace(0.0, friction.fastest, 41)
+    slopes = friction.slopes(friction.start, speeds)
+    slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    one = np.ones(speeds.size)
+    left = one - np.einsum("kp,p->k", slopes, np.linalg.lstsq(slopes, one, rcond=None)[0])
+    return bool(np.max(np.abs(left)) < LEVEL)
+
+
+def _with_free_rest(host: SplineFit, task: LeastSquaresProblem) -> LeastSquaresProblem:
+    """Return the host's task with the rest position of its first run free again, about as well known as nothing."""
+    place = host.places.index(Global.DATUM)
+    lower, upper, precision, prior = (own.copy() for own in (task.lower, task.upper, task.precision, task.prior))
+    known = rest_prior(host.fit.problem.runs[0], REST_SD)
+    lower[place], upper[place] = -np.inf, np.inf
+    prior[place], precision[place] = known.value, known.sd**-2.0
+    return replace(task, lower=lower, upper=upper, prior=prior, precision=precision)
+
+
+def _with_given(host: SplineFit, law: Law) -> LeastSquaresProblem:
+    """Return the host's task with what the user gives of a formula's law beside its own parameters."""
+    problem = host.fit.problem.with_given(law.name)
+    if problem is host.fit.problem:
+        return host.task
+    index, p = list(host.places), len(host.places)
+    given = (problem.lower != host.fit.problem.lower) | (problem.upper != host.fit.problem.upper)
+    changed = {}
+    for name in ("lower", "upper", "prior", "precision"):
+        own = getattr(host.task, name).copy()
+        own[:p] = np.where(given[index], getattr(problem, name)[index], own[:p])
+        changed[name] = own
+    return replace(host.task, **changed)
 
 
 def _formula_tangents(path: Path, friction: FormulaFriction, theta: Array) -> Array:

@@ -13,10 +13,13 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation import wear
 from fitting.least_squares import levenberg_marquardt
 from fitting.model import parameters
-from fitting.model.parameters import NUISANCE, PER_RUN, Global, PerCycle
+from fitting.model.parameters import NUISANCE, PER_CYCLE, PER_RUN, Global, PerCycle
 from fitting.model.problem import EstimationProblem
+from fitting.model.shooting import evaluator
 from fitting.model.windows import ShootingWindows
 from fitting.sensitivity.path import Path, follow, law_curve
+from rig_sim.friction.contact import force
+from rig_sim.friction.law import LAWS
 
 DEFAULT_FADE_SD = 0.005  # a slip: what a friction level may fade by where a run has too few cycles to show wear
 INLIER_WEIGHT = 0.2  # least weight 2/(1 + e^2) of an inlier: its error e is three times the median one
@@ -216,8 +219,9 @@ class Fit:
 
     @property
     def law_parameters(self) -> int:
-        """Number of the law's own shared unknowns; what every law has besides (datum, damping, fade, belt) not."""
-        return sum(place % PER_RUN not in NUISANCE for place in self.active)
+        """Number of the law's own free unknowns; what every law has besides (datum, damping, fade, belt) not."""
+        held = self.problem.held
+        return sum(place % PER_RUN not in NUISANCE and not held[place] for place in self.active)
 
     @property
     def runs(self) -> int:
@@ -228,11 +232,23 @@ class Fit:
         """Follow the fitted motion along the windows, for tangents; None where it cannot be followed."""
         return follow(self.windows, law_curve(self.problem.curve, self.problem.ramp), self.u, self.local)
 
+    def force(self, w: Array, mass: float = 1.0) -> Array:
+        """Return friction on a mass (kg), N, positive along the belt, at relative velocities w (n,), m/s."""
+        p = self.values
+        Fs = p.F * mass
+        numbers = {"Fs": Fs, "G_slip": p.shape * Fs, "gamma": p.shape, "d": p.d or 1.0, "static": p.static}
+        return np.asarray(force(LAWS[self.law], w, **numbers))
+
+    def residual_in(self, windows: ShootingWindows, local: Array) -> Array | None:
+        """Return what the law would leave of other windows of this run (N,), m; None where it cannot be followed."""
+        scales = np.ones(self.u.size), np.ones(PER_CYCLE)
+        evaluate = evaluator(self.problem.curve, self.problem.ramp, windows, self.u, [Global.K], *scales)
+        found = evaluate(self.u[[Global.K]], local, False)
+        return None if found is None else found[0]
+
     def level_trend(self, run: int = 0) -> wear.Wear | None:
         """Return the line through the friction levels of one run's inlier cycles (`fitting.estimation.wear`)."""
-        table = self.windows.table
-        own = (table[:, 1] == 0) & (table[:, 5] == run) & self.inlier_cycles[table[:, 0]]
-        return wear.level_trend(self.windows.level_epoch[own], np.exp(self.local[table[own, 0], PerCycle.LEVEL]))
+        return wear.of_cycles(self.windows, self.inlier_cycles, self.local, run)
 
     @property
     def fade_sd(self) -> tuple[float, ...]:

@@ -8,9 +8,8 @@ from daq.base.console import application
 from daq.base.output.lengths import format_length
 from fitting.adequacy.result import Adequacy
 from fitting.report import page
-from fitting.report.symbols import MOTION, formula
-from fitting.selection.result import LawResult, Ranking
-from fitting.selection.rivals import RivalResult
+from fitting.report.symbols import MOTION, formula_of
+from fitting.selection.result import Ranking
 from fitting.selection.verdict import format_probability
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ def of_ranking(ranking: Ranking, statistics: Sequence[str], written: Sequence[Pa
     # The last line is the verdict too: it is what a long output ends on, and what scripts read.
     lines: list[Any] = [f"verdict: {ranking.verdict}"]
     if ranking.rows:
-        law = f"law {ranking.best.law}: {formula(ranking.best.law)}; {MOTION}"
+        law = f"{ranking.best.label}: {formula_of(ranking.best)}; {MOTION}"
         lines += [_laws(ranking), _parameters(ranking, alpha), law, *_adequacy(ranking.adequacy)]
     lines += [f"warning: {warning}" for warning in ranking.warnings]
     lines += statistics
@@ -50,17 +49,13 @@ def of_ranking(ranking: Ranking, statistics: Sequence[str], written: Sequence[Pa
 def _laws(ranking: Ranking) -> "Table":
     """Return the ranking; ``behind`` is the mean log error behind the best law's, with its standard error."""
     table = application.table("friction laws, best first", ("law", "rms error", "behind", "weight", "in set"))
-    for row in ranking.candidates:
+    for row in ranking.rows:
         behind = "best" if row.score == 0 else f"{row.behind[0]:.2f} ± {row.behind[1]:.2f}"
         weight = f"{row.weight:.2f}" if row.weight >= 0.005 else "<0.01"
         style = "bold" if row.in_set else None
         member = "yes" if row.in_set else "-"
-        table.add_row(_title(row), format_length(row.rms_m), behind, weight, member, style=style)
+        table.add_row(row.title, format_length(row.rms_m), behind, weight, member, style=style)
     return table
-
-
-def _title(row: LawResult | RivalResult) -> str:
-    return f"{row.law} {row.name}" if isinstance(row.law, int) else f"{row.name}: {row.formula}"
 
 
 def _adequacy(adequacy: Adequacy) -> list[Any]:
@@ -97,7 +92,7 @@ def _adequacy(adequacy: Adequacy) -> list[Any]:
 def _parameters(ranking: Ranking, alpha: float) -> "Table":
     """Return the best law's parameters."""
     headings = ("parameter", "value", "std. error", f"{100 * (1 - alpha):g} % interval", "unit")
-    table = application.table(f"law {ranking.best.law}", headings)
+    table = application.table(ranking.best.label, headings)
     rows = [(name, *page.format_interval(item)[:3], item.unit) for name, item in ranking.best.parameters.items()]
     for row in rows:
         table.add_row(*row)

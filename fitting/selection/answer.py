@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fitting.adequacy.assess import Assessment
+from fitting.adequacy.assess import Assessment, known_mass
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
+from fitting.competitors import ALL_LAWS
+from fitting.curve.measure import furthest_exit
+from fitting.curve.result import BandExit
 from fitting.departures.ageing import find_ageing
 from fitting.estimation import break_aways, derived
 from fitting.estimation.fit import Fit
+from fitting.estimation.result import Parameter
 from fitting.model.problem import Run
 from fitting.selection import rig_intervals, verdict, verdict_warnings
 from fitting.selection.asked import Asked
@@ -20,7 +24,7 @@ from fitting.selection.contradictions import (
     name_contradictions,
     without_those_of_the_law,
 )
-from fitting.selection.evidence import ModelSet
+from fitting.selection.fitted_formula import FittedFormula
 from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult, Ranking
 from fitting.selection.rivals import Competition
@@ -41,52 +45,49 @@ class Decision:
     asked : Asked
     records, runs : sequence
         As smoothed, and in the fit's frame.
-    fits : sequence of Fit
+    fits : sequence of Fit or FittedFormula
         Best first.
-    chosen : ModelSet
+    competition : Competition
     assessed : Assessment
-    competition : Competition or None
-        With the published forms that the measured curve prefers.
+    described : frozenset of int or str
+        The laws given as formulas that leave no more than noise.
     sustained : bool
         Whether the mass sticks in the long run.
-    beaten : bool
-        Whether rivals describe the runs better than each of the laws, which noise may not rule out.
+    said : tuple of str
+        What is to be said of formulas that could not be fitted, or not in all.
     """
 
     asked: Asked
     records: Sequence[Kinematics]
     runs: Sequence[Run]
-    fits: Sequence[Fit]
-    chosen: ModelSet
+    fits: Sequence[Fit | FittedFormula]
+    competition: Competition
     assessed: Assessment
-    competition: Competition | None
+    described: frozenset[int | str]
     sustained: bool
-    beaten: bool
-
-    @classmethod
-    def of(
-        cls,
-        asked: Asked,
-        records: Sequence[Kinematics],
-        runs: Sequence[Run],
-        fits: Sequence[Fit],
-        chosen: ModelSet,
-        assessed: Assessment,
-        competition: Competition | None,
-        *,
-        sustained: bool,
-    ) -> "Decision":
-        """Return the decision: where rivals describe the record and beat every law, none of these is adequate."""
-        chosen = chosen if competition is None else competition.chosen
-        beaten = competition is not None and competition.beaten and not assessed.together.rejected
-        assessed = assessed.beaten(len(asked.laws)) if beaten else assessed
-        ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
-        return cls(asked, records, runs, ordered, chosen, assessed, competition, sustained, beaten)
+    said: tuple[str, ...] = ()
 
     @property
     def rejected(self) -> bool:
-        """Whether no law describes the runs."""
+        """Whether none of the laws that were asked for describes the runs."""
         return self.assessed.together.rejected
+
+    @property
+    def beaten(self) -> bool:
+        """Whether rivals describe the runs better than each law that was asked for, which noise may not rule out."""
+        return self.competition.beaten and self.assessed.beaten
+
+    @property
+    def best(self) -> Fit | FittedFormula:
+        """The best of the laws that were asked for: of the six where some are in the set, which the verdict names."""
+        law = self.competition.best
+        return next(fit for fit in self.fits if fit.law == law)
+
+    def trusts(self, fit: Fit | FittedFormula) -> bool:
+        """Return whether a law's intervals hold: it, or a law of its kind, describes the runs."""
+        if isinstance(fit, FittedFormula) and fit.law in self.competition.members:
+            return fit.law in self.described
+        return not self.rejected
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +120,8 @@ def ranking(decision: Decision, begun: float) -> Ranking:
 
 def without_law(reason: str, asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics], begun: float) -> Ranking:
     """Return the verdict on stick-slip that no law comes near: no rows, and what is known without any law."""
-    words = verdict.refused_sentence(reason, asked.laws)
-    outcome = NONE_OF_SIX if len(asked.laws) == len(LAWS) else NONE_FITTED
+    words = verdict.refused_sentence(reason, asked.competitors)
+    outcome = NONE_OF_SIX if asked.competitors.laws == ALL_LAWS else NONE_FITTED
     sides = []
     for run, record in zip(runs, records, strict=True):
         adequacy = Adequacy(outcome, run.motion.resolution)
@@ -142,17 +143,14 @@ def _rows(decision: Decision) -> Rows:
     return Rows(tuple(found[: len(decision.runs)]), found[-1], tuple(depends[: len(decision.runs)]))
 
 
-def _rows_of(fit: Fit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
+def _rows_of(fit: Fit | FittedFormula, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
     """Return a law's row for each run, and last the row for all of them together; one row for a single run.
 
     Where no law describes the runs, no interval is given.
     """
-    runs, chosen, outside = decision.runs, decision.chosen, decision.assessed.together.outside_band
+    runs, found = decision.runs, decision.competition
     parts = [fit.for_run(number) for number in range(len(runs))]
-    parameters = [
-        derived.derived_parameters(fit, run.motion, decision.asked.alpha, number, sustained=decision.sustained)
-        for number, run in enumerate(runs)
-    ]
+    parameters = [_parameters(fit, decision, number) for number in range(len(runs))]
     distances = [orbit.distance(part) for part, orbit in zip(parts, orbits, strict=True)]
     if len(runs) > 1:
         together = {name: item for name, item in parameters[0].items() if name not in derived.RUNS_OWN}
@@ -160,74 +158,112 @@ def _rows_of(fit: Fit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> l
             together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
         parts, parameters = [*parts, fit], [*parameters, together]
         distances.append(math.sqrt(float(np.mean(np.square(distances)))))
+    formula = None if isinstance(fit, Fit) or fit.number is not None else fit.formula
     return [
         LawResult(
             law=fit.law,
-            name=LAWS[fit.law].name,
-            score=chosen.score[fit.law],
-            weight=chosen.weight[fit.law],
-            in_set=fit.law in chosen.members,
+            name=LAWS[fit.law].name if isinstance(fit.law, int) else fit.law.replace("-", " "),
+            score=found.score[fit.law],
+            weight=found.weight[fit.law],
+            in_set=fit.law in found.members,
             rms_m=part.rms,
             cycles=len(part.rows),
-            parameters={name: replace(item, trusted=not decision.rejected) for name, item in own.items()},
+            parameters=own,
             cpu_s=fit.cpu_s,
-            behind=chosen.behind[fit.law],
+            behind=found.behind[fit.law],
             orbit=distance,
             fit=part,
-            outside_band=outside.get(fit.law),
+            outside_band=_outside_band(fit, decision),
+            formula=formula,
+            asked=fit.law in found.asked,
         )
         for part, own, distance in zip(parts, parameters, distances, strict=True)
     ]
 
 
+def _parameters(fit: Fit | FittedFormula, decision: Decision, run: int) -> dict[str, Parameter]:
+    """Return a law's parameters of a run; those that were given as they were given."""
+    motion, alpha = decision.runs[run].motion, decision.asked.alpha
+    own: dict[str, Parameter]
+    if isinstance(fit, Fit):
+        own = derived.derived_parameters(fit, motion, alpha, run, sustained=decision.sustained)
+    else:
+        own = fit.parameters(motion, alpha, run, sustained=decision.sustained)
+    trusted = decision.trusts(fit)
+    found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
+    for name, value in decision.asked.fixed(fit.law).items():
+        shown = name if name in found or f"{name}/m" not in found else f"{name}/m"
+        unit = found[shown].unit if shown in found else ""  # that of a ramp's break-away level, which has none
+        found[shown] = Parameter(value, 0.0, value, value, unit, fixed=True)
+    return found
+
+
+def _outside_band(fit: Fit | FittedFormula, decision: Decision) -> BandExit | None:
+    """Return where a law leaves the band of the measured curve the furthest."""
+    adequacy = decision.assessed.together
+    if isinstance(fit, Fit):
+        return adequacy.outside_band.get(fit.law)
+    if adequacy.curve is None:
+        return None
+    mass = known_mass(decision.runs[0].motion, adequacy.curve)
+    return furthest_exit(adequacy.curve, np.abs(fit.force(-adequacy.curve.speed, mass or 1.0)))
+
+
 def _contradicted(decision: Decision, rows: Rows) -> Contradictions:
-    """Return what of each run's calibration its record contradicts."""
-    best = [own[0] for own in rows.runs]
-    found = find_contradictions(decision.fits[0], [run.motion for run in decision.runs], best, decision.records)
-    if decision.competition is None:
-        return found
-    return without_those_of_the_law(found, decision.competition.inside_band(decision.assessed.together.curve))
+    """Return what of each run's calibration its record contradicts, by the best of the laws that were asked for."""
+    best = [next(row for row in own if row.law == decision.best.law) for own in rows.runs]
+    motions = [run.motion for run in decision.runs]
+    found = find_contradictions(decision.best, motions, best, decision.records)
+    others = [
+        fit
+        for fit in decision.fits
+        if isinstance(fit, FittedFormula) and fit is not decision.best and fit.law in decision.competition.members
+    ]
+    return without_those_of_the_law(found, [fit for fit in others if fit.law in decision.described])
 
 
 def _words(decision: Decision, rows: Rows, contradicted: Contradictions) -> str:
     """Return the verdict."""
-    if decision.competition is not None and decision.beaten:
+    if decision.beaten:
         return verdict.rival_sentence(rows.together, decision.competition)
     if decision.rejected:
         return verdict.no_law_sentence(rows.together, decision.assessed.together)
     measured = all(run.motion.belt_measured for run in decision.runs)
     words = verdict.verdict_sentence(
         rows.together,
-        decision.chosen.members,
+        decision.competition,
         sustained=decision.sustained,
         measured=measured,
         runs=len(decision.runs),
     )
-    return name_contradictions(verdict.with_rivals(words, decision.competition), contradicted)
+    return name_contradictions(words, contradicted)
 
 
 def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted: Sequence[Finding]) -> Ranking:
     """Return one run's side: its rows, break-aways, findings and warnings."""
     run, record, own = decision.runs[number], decision.records[number], rows.runs[number]
-    events = break_aways.find_break_aways(own[0].fit, run.motion, run.cut)
+    best = next(row for row in own if row.law == decision.best.law)
+    events = break_aways.find_break_aways(best.fit, run.motion, run.cut)
     # The fitted belt speed is compared with the stated one more exactly than the sticks that smoothing found.
     findings = (*(finding for finding in record.findings if finding.code != "belt-speed"), *contradicted)
-    judged = JudgedRun(own, decision.chosen.members, run.motion, run.cut, record, findings, decision.sustained)
+    given = decision.asked.given(best.law)
+    members = decision.competition.members
+    judged = JudgedRun(own, best, members, run.motion, run.cut, record, findings, decision.sustained, given)
     together, adequacy = decision.assessed.together, decision.assessed.runs[number]
     warnings = (
         *verdict_warnings.warnings(judged),
+        *decision.said,
         *rows.depends[number],
         *verdict_warnings.not_judged(adequacy),
         *verdict_warnings.level_of_curve(together),
     )
     if decision.sustained and not decision.rejected:  # a mass that merely grazes the belt does not break away from rest
-        error = derived.break_away_level_error(decision.fits[0], run.motion, number)
-        aged = find_ageing(events, run.cut, error)
+        aged = find_ageing(events, run.cut, _level_error(decision.best, run, number))
         if aged is not None:
             adequacy = replace(adequacy, departures=(*adequacy.departures, aged))
     return Ranking(
         verdict=words,
-        laws_in_set=decision.chosen.members,
+        members=members,
         rows=own,
         events=events,
         warnings=warnings,
@@ -235,8 +271,14 @@ def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted:
         cut=run.cut,
         adequacy=adequacy,
         findings=findings,
-        rivals=() if decision.competition is None else decision.competition.rivals,
     )
+
+
+def _level_error(fit: Fit | FittedFormula, run: Run, number: int) -> float:
+    """Return the standard error of a run's break-away level by what all cycles share."""
+    if isinstance(fit, Fit):
+        return derived.break_away_level_error(fit, run.motion, number)
+    return fit.level_error(number)
 
 
 def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Ranking], cpu_s: float) -> Ranking:
@@ -246,7 +288,7 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Rankin
     warnings, findings = _merged(sides, decision.records)
     return Ranking(
         verdict=words,
-        laws_in_set=decision.chosen.members,
+        members=decision.competition.members,
         rows=rows.together,
         events=tuple(event for side in sides for event in side.events),
         warnings=warnings,
@@ -256,7 +298,6 @@ def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Rankin
         cpu_s=cpu_s,
         findings=findings,
         runs=tuple(replace(side, warnings=warnings, cpu_s=cpu_s) for side in sides),
-        rivals=sides[0].rivals,
     )
 
 

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 from daq.base.errors import InputError
 from daq.base.measured import Measured
+from fitting.competitors import Competitors, Given
 from processing.record.kinematics import Kinematics
-from rig_sim.friction.law import LAWS
 
-ALL_LAWS = (1, 2, 3, 4, 5, 6)
 LEAST_ALPHA = 1e-9  # surer is no interval
 
 
@@ -19,10 +18,10 @@ class Asked:
     Raises
     ------
     InputError
-        For no or unknown laws, alpha outside (0, 1), fewer than one job.
+        For alpha outside (0, 1), fewer than one job.
     """
 
-    laws: tuple[int, ...]
+    competitors: Competitors
     belt_speed: Measured | float | str | None
     excluded: tuple[int, ...]
     alpha: float
@@ -32,15 +31,20 @@ class Asked:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        unknown = [law for law in self.laws if law not in LAWS]
-        if not self.laws or unknown:
-            what = f"unknown law {unknown[0]}" if unknown else "no law to fit"
-            raise InputError(what, "--laws", "choose 1 to 6, such as 1-6 or 3,5")
         if not LEAST_ALPHA <= self.alpha < 1:
             do = f"give a number from {LEAST_ALPHA:g} to 1, such as 0.05"
             raise InputError(f"alpha is {self.alpha}", "--alpha", do)
         if self.jobs < 1:
             raise InputError(f"jobs is {self.jobs}", "--jobs", "give 1 or more")
+
+    def given(self, law: int | str) -> dict[str, Given]:
+        """Return what is given of a law's parameters; nothing of a rival that was not asked for."""
+        own = next((one for one in self.competitors.every if law in (one, getattr(one, "name", None))), None)
+        return {} if own is None else self.competitors.of_law(own)
+
+    def fixed(self, law: int | str) -> dict[str, float]:
+        """Return the parameters of a law that are fixed, with their values."""
+        return {name: given.low for name, given in self.given(law).items() if given.fixed}
 
     def check_together(self, records: Sequence[Kinematics]) -> None:
         """Raise InputError for what means nothing beside several runs."""

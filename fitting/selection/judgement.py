@@ -10,8 +10,27 @@ from fitting.selection import equivalence, evidence
 from fitting.selection.evidence import Evidence, ModelSet
 
 
-def judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], ModelSet]:
-    """Compare the laws; a jump law on a compliant belt that is equivalent to the best ramp law takes its place."""
+def judge(
+    fits: Sequence[Fit], laws: Sequence[int], runs: Sequence[Run], alpha: float, *, sustained: bool
+) -> tuple[list[Fit], ModelSet]:
+    """Compare those of the fits whose ``laws`` compete, by their evidence; return all fits, best first, and the set.
+
+    A jump law on a compliant belt that is equivalent to the best ramp law takes its place.  Where none competes, since
+    formulas alone were asked for, the fit that errs least is the set: other fits start from it.
+    """
+    competing = [fit for fit in fits if fit.law in laws]
+    others = sorted((fit for fit in fits if fit.law not in laws), key=lambda fit: fit.geometric_mean_rms)
+    if not competing:
+        order = tuple(fit.law for fit in others)
+        none = dict.fromkeys(order, 0.0)
+        return others, ModelSet(order, order[:1], none, none, dict.fromkeys(order, (0.0, 0.0)))
+    competing, chosen = _compared(competing, runs, alpha, sustained=sustained)
+    by_law = {fit.law: fit for fit in competing}
+    return [*(by_law[law] for law in chosen.order), *others], chosen
+
+
+def _compared(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: bool) -> tuple[list[Fit], ModelSet]:
+    """Return the fits and their set."""
     units = evidence.common_units(fits, runs, sustained=sustained)
     errors = {fit.law: evidence.unit_errors(fit, runs, units) for fit in fits}
     for jump, ramp in equivalence.closed_ramps(fits):

@@ -5,20 +5,26 @@ What is evidence and who is in the set: `fitting.selection.evidence`.
 
 import logging
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
+from daq.base.errors import DataError
 from daq.base.measured import Measured
 from daq.runfile.rig import Rig
-from fitting.adequacy.assess import Assessment, assess
+from fitting.adequacy.assess import Measurement, assess, describes_all, measure
+from fitting.competitors import ALL_LAWS, Competitors
 from fitting.data import frame
 from fitting.estimation.fit import Fit
+from fitting.law import Bound, Law
 from fitting.model.problem import Run
-from fitting.selection import answer, candidates, rivals, screening
+from fitting.selection import answer, candidates, screening
 from fitting.selection.answer import Decision
-from fitting.selection.asked import ALL_LAWS, Asked
+from fitting.selection.asked import Asked
 from fitting.selection.evidence import ModelSet
+from fitting.selection.fitted_formula import FittedFormula
+from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import judge
 from fitting.selection.result import Ranking as Ranking
+from fitting.selection.rivals import Competition, Formulas, compete, fit_formulas
 from processing.record.kinematics import Kinematics
 
 logger = logging.getLogger(__name__)
@@ -27,8 +33,11 @@ logger = logging.getLogger(__name__)
 def rank(
     kinematics: Kinematics | Sequence[Kinematics],
     rig: Rig | Sequence[Rig] | None = None,
-    laws: Sequence[int] = ALL_LAWS,
+    laws: int | str | Law | Sequence[int | str | Law] | Competitors = ALL_LAWS,
     *,
+    fix: Mapping[str, float] | None = None,
+    bounds: Mapping[str, Bound] | None = None,
+    start: Mapping[str, float] | None = None,
     belt_speed: Measured | float | str | None = None,
     excluded: Sequence[int] = (),
     alpha: float = 0.05,
@@ -46,8 +55,13 @@ def rank(
         all; belt speed, rest position, wear and the belt's compliance are each run's own.
     rig : Rig or sequence of Rig, optional
         Calibration; the recording's own by default, one for all, or one for each run.
-    laws : sequence of int
-        Which of the laws 1 to 6 compete.
+    laws : int, str, Law, or sequence of them
+        Which laws compete: of the six by number or range ("1-6"), published ones by name ("stribeck"), and laws of
+        one's own (`fitting.Law`).
+    fix, bounds, start : mapping, optional
+        Values of parameters that are known, bounds as (low, high), and first values, by the names that the results
+        give them and in their units: ``{"gamma": 9.6}``, of one law ``{"mine.v_s": 0.05}``
+        (`fitting.competitors`).
     belt_speed : Measured, float or "channel", optional
         m/s, signed, if known better than from the calibration.  By default belt counts are used if the run contains
         them; "channel" requires them.
@@ -69,9 +83,9 @@ def rank(
     Raises
     ------
     InputError
-        For no or unknown laws, alpha outside (0, 1), fewer than one job, a scheduler that cannot be used,
-        a record in counts, a belt speed of zero, belt
-        counts asked for that are not there, or a speed or cycles to exclude beside several runs.
+        For no or unknown laws, parameters that no law has, a formula that is no friction with any values, alpha
+        outside (0, 1), fewer than one job, a scheduler that cannot be used, a record in counts, a belt speed of zero,
+        belt counts asked for that are not there, or a speed or cycles to exclude beside several runs.
     DataError
         When a record shows no stick-slip, when a slip has fewer than eight samples, when there are fewer than four
         complete cycles, when some of the runs stick and others do not, or when frames were lost or doubled among even
@@ -89,18 +103,21 @@ def rank(
     Not modelled: a ripple of several frequencies, friction that remembers, a mass or spring that changes between runs.
     """
     begun = clock.process_time()
-    asked = Asked(tuple(dict.fromkeys(laws)), belt_speed, tuple(excluded), alpha, jobs, progress, scheduler)
+    competitors = laws if isinstance(laws, Competitors) else Competitors.of(laws, fix, bounds, start)
+    asked = Asked(competitors, belt_speed, tuple(excluded), alpha, jobs, progress, scheduler)
     records = [_smoothed(one) for one in ([kinematics] if isinstance(kinematics, Kinematics) else kinematics)]
     asked.check_together(records)
     runs = _cut(records, rig, asked)
     try:
-        fits, runs, sustained = candidates.fit_runs(asked.laws, runs, records, jobs, progress, scheduler)
+        fits, runs, sustained = candidates.fit_runs(competitors.searched, runs, records, jobs, progress, scheduler)
     except candidates.NoLawError as refused:
         return answer.without_law(refused.reason, asked, runs, records, begun)
-    fits, chosen = judge(fits, runs, alpha, sustained=sustained)
-    assessed = _assessed(fits, chosen, asked, runs, records)
-    competition = _with_rivals(fits, chosen, assessed, runs, alpha) if sustained else None
-    decision = Decision.of(asked, records, runs, fits, chosen, assessed, competition, sustained=sustained)
+    fits, chosen = judge(fits, competitors.direct, runs, alpha, sustained=sustained)
+    motions = [run.motion for run in runs]
+    measured = measure(fits, chosen.members, motions, alpha)
+    formulas = fit_formulas(competitors, measured.curve, fits, measured.noise, rivals=sustained)
+    competition = _compete(fits, chosen, formulas.fits, asked, runs, sustained=sustained)
+    decision = _decided(asked, records, runs, fits, formulas, measured, competition, sustained=sustained)
     _log(decision)
     return answer.ranking(decision, begun)
 
@@ -121,32 +138,62 @@ def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: 
     rigs = [None] * len(records) if rig is None else [rig] * len(records) if isinstance(rig, Rig) else rig
     runs = []
     for record, known in zip(records, rigs, strict=True):
-        motion = frame.from_kinematics(record, record.recording.rig if known is None else known, asked.belt_speed)
+        calibration = known_rest(record.recording.rig if known is None else known, asked.competitors)
+        motion = frame.from_kinematics(record, calibration, asked.belt_speed)
         screening.refuse_few_samples(motion, record)
         runs.append(candidates.cut_run(motion, frozenset(asked.excluded)))
         found = runs[-1].cut
         logger.info("%s: %d cycles, %d to fit", record.recording.name, len(found.cycles), len(found.used))
-    return runs
+    return with_given(runs, asked.competitors)
 
 
-def _assessed(
-    fits: Sequence[Fit], chosen: ModelSet, asked: Asked, runs: Sequence[Run], records: Sequence[Kinematics]
-) -> Assessment:
-    """Return whether a law of the set describes the runs, and the friction curve without a law."""
-    ordered = [next(fit for fit in fits if fit.law == law) for law in chosen.order]
+def _compete(
+    fits: Sequence[Fit],
+    chosen: ModelSet,
+    formulas: Sequence[FittedFormula],
+    asked: Asked,
+    runs: Sequence[Run],
+    *,
+    sustained: bool,
+) -> Competition:
+    """Return who is in the set: of the six alone, or of all laws together."""
+    six = [fit for fit in fits if fit.law in asked.competitors.direct]
+    if not formulas and six:
+        return Competition.of_six(chosen)
+    if not formulas:
+        raise DataError(
+            "none of the laws that were named can be fitted", "record", "add laws of the six, as --laws 1-6"
+        )
+    named: frozenset[int | str] = frozenset((*asked.competitors.laws, *asked.competitors.names))
+    return compete(six, chosen if six else None, formulas, runs, asked.alpha, named, sustained=sustained)
+
+
+def _decided(
+    asked: Asked,
+    records: Sequence[Kinematics],
+    runs: Sequence[Run],
+    fits: Sequence[Fit],
+    formulas: Formulas,
+    measured: Measurement,
+    competition: Competition,
+    *,
+    sustained: bool,
+) -> Decision:
+    """Return what is decided: which laws describe the runs, and what is said of those that do not."""
     motions = [run.motion for run in runs]
-    return assess(ordered, chosen.members, motions, len(asked.laws), asked.alpha, _revolution(records))
-
-
-def _with_rivals(
-    fits: Sequence[Fit], chosen: ModelSet, assessed: Assessment, runs: Sequence[Run], alpha: float
-) -> rivals.Competition | None:
-    """Judge the laws beside the published forms that the measured curve prefers; None where it prefers none."""
-    curve = assessed.together.curve
-    found = [] if curve is None else rivals.fit_rivals(curve)
-    for fit in found:
-        logger.info("%s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.solution.outcome, fit.cpu_s)
-    return rivals.compete(fits, chosen, found, runs, runs[0].motion, alpha) if found else None
+    by_law: dict[int | str, Fit | FittedFormula] = {fit.law: fit for fit in fits}
+    by_law |= {fit.law: fit for fit in formulas.fits}
+    ordered = [by_law[law] for law in competition.order]
+    members = [by_law[law] for law in competition.members if law in competition.asked]
+    # where rivals leave none of them, those that were asked for are judged as if they were alone
+    alone = [fit for fit in ordered if fit.law in competition.asked]
+    judged = members or [fit for fit in alone if fit.law in measured.members] or alone[:1]
+    count = len(asked.competitors.laws)
+    assessed = assess(measured, judged, motions, count, _revolution(records))
+    if competition.beaten and not assessed.together.rejected:
+        assessed = assessed.by_others(count)
+    described = describes_all([fit for fit in formulas.fits if fit.law in competition.members], motions)
+    return Decision(asked, records, runs, ordered, competition, assessed, described, sustained, formulas.warnings)
 
 
 def _revolution(records: Sequence[Kinematics]) -> float | None:
@@ -160,6 +207,6 @@ def _revolution(records: Sequence[Kinematics]) -> float | None:
 
 def _log(decision: Decision) -> None:
     for fit in decision.fits:
-        member = "in the set" if fit.law in decision.chosen.members else "not in the set"
-        logger.info("law %d: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
+        member = "in the set" if fit.law in decision.competition.members else "not in the set"
+        logger.info("law %s: %.4g um rms, %s, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, member, fit.cpu_s)
     logger.info("goodness of fit: %s", decision.assessed.together.said)

@@ -6,17 +6,19 @@ from collections.abc import Sequence
 from daq.base.output.lengths import format_length
 from fitting.adequacy.goodness import REJECTED
 from fitting.adequacy.result import NONE_FITTED, NOT_JUDGED, Adequacy
+from fitting.competitors import ALL_LAWS, Competitors
 from fitting.curve.result import FormFit
 from fitting.departures.result import FoundDeparture
+from fitting.estimation.fit import Fit
 from fitting.model.parameters import Global
 from fitting.selection.result import LawResult
-from fitting.selection.rivals import Competition, RivalResult
-from rig_sim.friction.law import LAWS
+from fitting.selection.rivals import Competition
 
 OTHER_SPEEDS = " or runs at other belt speeds"
 # Chi of a published form.  The true one is outside the 95 % band in one record of twenty, at 1.3 to 2.0, other forms at
 # 4 and more.
 NEAR_FORM = 2.5
+SIX = len(ALL_LAWS)
 CLEARLY_ABOVE_NOISE = 1.1  # times the noise: a smaller excess is seen in what the residuals repeat, not in their size
 SPLITS = {
     frozenset((1, 2)): "a start-up recorded from rest",
@@ -28,7 +30,12 @@ SPLITS = {
 
 
 def verdict_sentence(
-    rows: Sequence[LawResult], members: Sequence[int], *, sustained: bool, measured: bool = False, runs: int = 1
+    rows: Sequence[LawResult],
+    competition: Competition,
+    *,
+    sustained: bool,
+    measured: bool = False,
+    runs: int = 1,
 ) -> str:
     """Return the verdict: the law, or the laws that the record cannot distinguish, and why.
 
@@ -36,8 +43,7 @@ def verdict_sentence(
     ----------
     rows : sequence of LawResult
         Best first.
-    members : sequence of int
-        The set, best first.
+    competition : Competition
     sustained : bool
         Whether the record has sustained sticks; without them friction is constant.
     measured : bool
@@ -45,45 +51,97 @@ def verdict_sentence(
     runs : int
         How many were fitted together.
     """
-    best = rows[0]
-    cycles = f"{best.cycles} cycles" if runs == 1 else f"{best.cycles} cycles of {runs} runs"
-    named = f"law {best.law} ({best.name})"
-    if not sustained:
-        head = "no sustained stick: constant friction, "
-        if len(members) == 1:
-            return head + f"{named} by the start-up drag"
-        if len(rows) == 1:
-            return head + f"{named}, the only law fitted"
-        if Global.COMPLIANCE in best.fit.active and not measured:
-            return head + f"{named} on a belt that slows under load, or law 2: a belt tachometer would distinguish"
-        return head + "law 1 or law 2: the start-up drag does not distinguish a jump from a ramp"
+    members = [row for row in rows if row.in_set]
+    six = [row for row in members if isinstance(row.law, int)]
+    others = [row for row in members if not isinstance(row.law, int)]
+    cycles = f"{rows[0].cycles} cycles" if runs == 1 else f"{rows[0].cycles} cycles of {runs} runs"
+    if not six:
+        return _named_sentence(rows, others, competition, cycles)
+    asked = [row for row in rows if isinstance(row.law, int)]
+    if sustained:
+        words = _of_six(asked, six, cycles, measured=measured, runs=runs)
+    else:
+        words = _constant_friction(asked, six, measured=measured)
+    return f"{words}{_as_well(others)}"
+
+
+def _of_six(rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str, *, measured: bool, runs: int) -> str:
+    """Return the verdict on the six, of which some are in the set."""
+    best, fit = rows[0], f"{cycles} fit to {format_length(rows[0].rms_m)} rms"
     if len(members) > 1:
-        others = " or ".join(f"law {law} ({LAWS[law].name})" for law in members[1:])
-        split = SPLITS.get(frozenset(members[:2]), f"more cycles{OTHER_SPEEDS}")
+        others = " or ".join(row.called for row in members[1:])
+        split = SPLITS.get(frozenset(int(row.law) for row in members[:2]), f"more cycles{OTHER_SPEEDS}")
         if runs > 1:
             split = split.removesuffix(OTHER_SPEEDS)
-        if Global.COMPLIANCE in best.fit.active and not measured:
+        if _is_compliant(best) and not measured:
             return (
-                f"{named} on a belt that slows under load, or {others}: equivalent, the record cannot "
-                f"distinguish them ({cycles} fit to {format_length(best.rms_m)} rms); {split} would"
+                f"{best.called} on a belt that slows under load, or {others}: equivalent, the record cannot "
+                f"distinguish them ({fit}); {split} would"
             )
-        row = next(row for row in rows if row.law == members[1])
-        gap = abs(row.behind[0] - best.behind[0])
+        gap = abs(members[1].behind[0] - best.behind[0])
         return (
-            f"{named} or {others}: {cycles} cannot distinguish them (their errors differ by "
+            f"{best.called} or {others}: {cycles} cannot distinguish them (their errors differ by "
             f"{100 * math.expm1(gap):.0f} %, within the scatter between cycles); {split} would"
         )
-    fit = f"{cycles} fit to {format_length(best.rms_m)} rms"
-    rest = [row for row in rows if row.law not in members]
+    rest = [row for row in rows if not row.in_set]
     if not rest:
-        return f"{named}, the only law fitted: {fit}"
+        return f"{best.called}, the only law fitted: {fit}"
     rival = min(rest, key=lambda row: row.score)
-    ratio = rival.rms_m / best.rms_m
+    return f"{best.called}: {fit}; {_behind(best, rival)}"
+
+
+def _behind(best: LawResult, other: LawResult) -> str:
+    """Return how far the next best law is behind."""
+    ratio = other.rms_m / best.rms_m
     if ratio > 1.2:
-        return f"{named}: {fit}; the next best, law {rival.law}, has {ratio:.3g} times the error"
-    more = rival.fit.law_parameters > best.fit.law_parameters
+        return f"the next best, {other.label}, has {ratio:.3g} times the error"
+    more = other.fit.law_parameters > best.fit.law_parameters
     lag = "does not fit better despite its extra parameter" if more else "fits slightly worse"
-    return f"{named}: {fit}; law {rival.law} {lag}"
+    return f"{other.label} {lag}"
+
+
+def _constant_friction(rows: Sequence[LawResult], members: Sequence[LawResult], *, measured: bool) -> str:
+    """Return the verdict without a sustained stick."""
+    best = rows[0]
+    head = "no sustained stick: constant friction, "
+    if len(members) == 1:
+        return head + f"{best.called} by the start-up drag"
+    if len(rows) == 1:
+        return head + f"{best.called}, the only law fitted"
+    if _is_compliant(best) and not measured:
+        return head + f"{best.called} on a belt that slows under load, or law 2: a belt tachometer would distinguish"
+    return head + "law 1 or law 2: the start-up drag does not distinguish a jump from a ramp"
+
+
+def _is_compliant(row: LawResult) -> bool:
+    """Return whether a law of the six was fitted on a belt that slows under load."""
+    return isinstance(row.fit, Fit) and Global.COMPLIANCE in row.fit.active
+
+
+def _named_sentence(
+    rows: Sequence[LawResult], members: Sequence[LawResult], competition: Competition, cycles: str
+) -> str:
+    """Return the verdict where laws that were named leave none of the six in the set."""
+    best = members[0]
+    head = f"{best.called}: {cycles} fit to {format_length(best.rms_m)} rms, {best.shown}"
+    if len(members) > 1:
+        others = " or ".join(f"{row.called} ({row.shown})" for row in members[1:])
+        head = f"{head}; or {others}: the record cannot distinguish them"
+    six = next((row for row in rows if isinstance(row.law, int)), None)
+    if six is None:
+        rest = [row for row in rows if not row.in_set]
+        return f"{head}; {_behind(best, min(rest, key=lambda row: row.score))}" if rest else head
+    lead = competition.lead(best.law, six.law)
+    which = "best of the six" if len([row for row in rows if isinstance(row.law, int)]) == SIX else "best of the others"
+    return f"{head}; {six.called}, the {which}, is behind by {lead:.3g} in log evidence"
+
+
+def _as_well(others: Sequence[LawResult]) -> str:
+    """Return what is said of formulas beside laws of the six in the set."""
+    if not others:
+        return ""
+    named = " or ".join(f"{row.called} ({row.shown})" for row in others)
+    return f"; {named} describes the record as well"
 
 
 def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
@@ -95,41 +153,28 @@ def no_law_sentence(rows: Sequence[LawResult], adequacy: Adequacy) -> str:
         Best first.
     adequacy : Adequacy
     """
-    best = rows[0]
-    named = f"law {best.law} ({best.name})"
-    if len(rows) == 1:
-        head = f"{named} does not describe this record"
+    asked = [row for row in rows if row.asked]
+    best = asked[0]
+    if len(asked) == 1:
+        head = f"{best.called} does not describe this record"
     else:
-        which = "six laws" if adequacy.verdict != NONE_FITTED else "laws fitted"
+        which = "laws fitted" if adequacy.verdict == NONE_FITTED or best.formula is not None else "six laws"
         head = f"none of the {which} describes this record"
-    parts = [part for part in (_instead(adequacy), _left_over(best, adequacy, len(rows))) if part]
+    parts = [part for part in (_instead(adequacy), _left_over(best, adequacy, len(asked))) if part]
     return f"{head}: {'; '.join(parts)}"
 
 
 def rival_sentence(rows: Sequence[LawResult], competition: Competition) -> str:
     """Return the verdict where rivals describe a record better than each of the laws, which noise may not rule out."""
-    best, rival = rows[0], competition.rivals[0]
-    which = "of the six" if len(rows) == len(LAWS) else "of the laws fitted"
-    others = [f"a {own.name} curve" for own in competition.rivals[1:] if own.in_set]
-    equal = f"; {' and '.join(others)} cannot be distinguished from it" if others else ""
+    best = next(row for row in rows if row.asked)
+    rival, *others = [row for row in rows if row.in_set]
+    six = [row for row in rows if isinstance(row.law, int)]
+    which = "of the six" if len(six) == SIX and best in six else "of the laws fitted"
+    equal = f"; {' and '.join(row.called for row in others)} cannot be distinguished from it" if others else ""
     return (
-        f"law {best.law} ({best.name}) is the best {which}; a {rival.name} curve describes the record better "
-        f"(by {competition.lead:.3g} in log evidence): {_values(rival)}{equal}"
+        f"{best.called} is the best {which}; {rival.called} describes the record better "
+        f"(by {competition.lead(rival.law, best.law):.3g} in log evidence): {rival.shown}{equal}"
     )
-
-
-def with_rivals(words: str, competition: Competition | None) -> str:
-    """Return a verdict on the laws of a set that also names the rivals in it."""
-    found = [] if competition is None else [row for row in competition.rivals if row.in_set]
-    if not found:
-        return words
-    named = " or ".join(f"a {row.name} curve ({_values(row)})" for row in found)
-    return f"{words}; {named} describes the record as well"
-
-
-def _values(rival: RivalResult) -> str:
-    found = ((name, rival.parameters[name]) for name in rival.fit.formula.free)
-    return ", ".join(f"{name} = {item.value:.3g} {item.unit}".rstrip() for name, item in found)
 
 
 def _instead(adequacy: Adequacy) -> str:
@@ -169,7 +214,7 @@ def _size(departure: FoundDeparture) -> str:
 
 def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
     """Return how far the best law is from the record."""
-    named = f"law {best.law} ({best.name}), the closest," if laws > 1 else "it"
+    named = f"{best.called}, the closest," if laws > 1 else "it"
     left = f"{named} leaves residuals of {format_length(best.rms_m)} rms"
     found, outside = adequacy.goodness, best.outside_band
     if found is None:
@@ -181,9 +226,9 @@ def _left_over(best: LawResult, adequacy: Adequacy, laws: int) -> str:
     return f"{left}{times}{band} (p {format_probability(found.p_value)})"
 
 
-def refused_sentence(reason: str, laws: Sequence[int]) -> str:
+def refused_sentence(reason: str, competitors: Competitors) -> str:
     """Return the verdict on stick-slip that was refused before, or after, its laws were fitted."""
-    which = "none of the six laws" if len(laws) == len(LAWS) else "none of the laws fitted"
+    which = "none of the six laws" if competitors.laws == ALL_LAWS else "none of the laws fitted"
     return f"stick-slip, but {which}: {reason}"
 
 

@@ -1,11 +1,12 @@
 """Warnings beside a verdict: a table of conditions, each with its sentence."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from daq.runfile.rest_position import question
 from fitting.adequacy.result import Adequacy
+from fitting.competitors import Given
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
 from fitting.model.parameters import Global
@@ -26,27 +27,37 @@ class JudgedRun:
     ----------
     rows : sequence of LawResult
         Best first.
-    members : sequence of int
+    best : LawResult
+        The best of those that were asked for.
+    members : sequence of int or str
         The set, best first.
     motion, cut : MeasuredMotion, CycleSegmentation
     record : Kinematics
     findings : sequence of Finding
     sustained : bool
         Whether the mass sticks in the long run.
+    given : mapping of str to Given
+        What was given of the best law's parameters.
     """
 
     rows: Sequence[LawResult]
-    members: Sequence[int]
+    best: LawResult
+    members: Sequence[int | str]
     motion: MeasuredMotion
     cut: CycleSegmentation
     record: Kinematics
     findings: Sequence[Finding]
     sustained: bool
+    given: Mapping[str, Given] = field(default_factory=dict)
 
     @property
-    def best(self) -> LawResult:
-        """The best law's row."""
-        return self.rows[0]
+    def ramps(self) -> bool:
+        """Whether a law of the set has a ramp."""
+        return any(row.fit.problem.ramp for row in self.rows if row.in_set)
+
+    def fixed(self, name: str) -> bool:
+        """Return whether the value of a parameter was given."""
+        return name in self.given and self.given[name].fixed
 
     @property
     def ripples(self) -> bool:
@@ -80,15 +91,17 @@ class JudgedRun:
     @property
     def unfinished(self) -> str:
         """The laws whose fits did not converge."""
-        stuck = (row.law for row in self.rows if row.fit.outcome not in ("converged", "step limit"))
+        stuck = (row.law for row in self.rows if row.asked and row.fit.outcome not in ("converged", "step limit"))
         return ", ".join(map(str, stuck))
 
     @property
     def hidden_ramp(self) -> float | None:
         """The width (m/s) below which the best law may have a ramp unseen; None where that is not asked."""
-        row = next((row for row in self.rows if row.law == self.best.law + 1), None)
-        jump = self.sustained and not LAWS[self.best.law].ramp
-        if not jump or row is None or row.in_set or "d" not in row.parameters:
+        jump = self.best.law
+        if not isinstance(jump, int) or not self.sustained or LAWS[jump].ramp:
+            return None
+        row = next((row for row in self.rows if row.law == jump + 1), None)
+        if row is None or row.in_set or "d" not in row.parameters or row.parameters["d"].fixed:
             return None
         near = row.rms_m < 1.05 * self.best.rms_m
         seen = row.fit.u[Global.D] > 10 * NARROWEST_RAMP * self.motion.belt_speed
@@ -125,7 +138,7 @@ OF_THE_FIT = (
         ),
     ),
     Warned(
-        lambda run: any(LAWS[law].ramp for law in run.members) and not run.motion.belt_measured,
+        lambda run: run.ramps and not run.motion.belt_measured,
         lambda _: (
             "a ramp and a belt that slows under load look the same: without a belt-speed channel laws 2, 4, 6 "
             "may be laws 1, 3, 5 on such a belt"
@@ -161,7 +174,7 @@ OF_THE_FIT = (
     ),
     Warned(lambda run: run.odd_rest, lambda run: run.odd_rest),
     Warned(
-        lambda run: run.motion.damping_prior is None or run.motion.per_mass,
+        lambda run: (run.motion.damping_prior is None or run.motion.per_mass) and not run.fixed("c/m"),
         lambda _: (
             "no damping calibration: c assumed 0 +- 1 % of critical; laws 3 and 4 then determine only G_slip - c "
             "(give --damping and --damping-sd with --mass)"

@@ -15,7 +15,8 @@ from daq.base.errors import InputError
 from daq.base.measured import Measured
 from daq.runfile import listing, store
 from daq.runfile.recording import Recording
-from fitting import cli, job, request
+from fitting import cli, job
+from fitting.competitors import Competitors, numbers
 from fitting.report import table
 from processing import stage
 from processing.smoothing import smooth
@@ -40,14 +41,14 @@ def fitted(run):
 
 
 def test_numbers_and_ranges_are_read():
-    assert request.numbers("1-3,6", "--laws") == [1, 2, 3, 6]
-    assert request.numbers("", "--exclude-cycles") == []
+    assert numbers("1-3,6", "--laws") == [1, 2, 3, 6]
+    assert numbers("", "--exclude-cycles") == []
 
 
 @pytest.mark.parametrize("text", ["a", "3-1", "0", "1-", "-3"])
 def test_what_is_no_range_is_refused(text):
     with pytest.raises(InputError):
-        request.numbers(text, "--laws")
+        numbers(text, "--laws")
 
 
 def test_the_document_has_the_promised_keys(fitted):
@@ -107,7 +108,9 @@ def test_a_run_that_was_changed_while_it_was_fitted_gets_no_fit(run, fitted, tmp
     # A fit used to stand beside a smoothed motion, or even a recording, that it was not made from.
     path = tmp_path / "run.h5"
     shutil.copy(run, path)
-    done = job.fit_runs([job.load_run(path, job.FitOptions())], job.FitOptions(laws=(5,), report=False))
+    done = job.fit_runs(
+        [job.load_run(path, job.FitOptions())], job.FitOptions(competitors=Competitors((5,)), report=False)
+    )
     done.save(None)
     if meanwhile == "smoothed":
         stage.save(smooth(store.load(path), method="sg"), path)
@@ -249,7 +252,7 @@ def test_a_strangers_table_and_the_run_itself_are_not_replaced(run, tmp_path):
 def test_the_ranking_of_another_run_is_replaced_by_force_alone(tmp_path):
     """It used to be replaced by any run's."""
     out = tmp_path / "ranking.csv"
-    table.write(out, [(tmp_path / "one.h5", {"ranking": [dict.fromkeys(table.EVIDENCE, 1) | {"parameters": {}}]})])
+    table.write(out, [(tmp_path / "one.h5", [dict.fromkeys(table.EVIDENCE, 1) | {"parameters": {}}])])
     table.refuse_foreign_file(out, [tmp_path / "one.h5", tmp_path / "two.h5"])
     with pytest.raises(InputError, match=r"another run, one\.h5"):
         table.refuse_foreign_file(out, [tmp_path / "two.h5"])
