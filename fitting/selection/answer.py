@@ -195,6 +195,8 @@ def _parameters(fit: Fit | FittedFormula, decision: Decision, run: int) -> dict[
         shown = name if name in found or f"{name}/m" not in found else f"{name}/m"
         unit = found[shown].unit if shown in found else ""  # that of a ramp's break-away level, which has none
         found[shown] = Parameter(value, 0.0, value, value, unit, fixed=True)
+        if shown.endswith("/m") and motion.per_mass and shown.removesuffix("/m") in found:  # the same again
+            found[shown.removesuffix("/m")] = found[shown]
     return found
 
 

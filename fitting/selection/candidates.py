@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
@@ -28,6 +29,19 @@ class NoLawError(Exception):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
+
+
+class FittedSix(NamedTuple):
+    """The fits of the six, and what they were fitted to.
+
+    ``sustained`` is whether the mass sticks often; ``doubt`` why the record would be refused, if no other law comes
+    near it.
+    """
+
+    fits: list[Fit]
+    runs: list[Run]
+    sustained: bool
+    doubt: str
 
 
 def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
@@ -63,11 +77,18 @@ def fit_runs(
     jobs: int,
     progress: Callable[[float], None] | None,
     scheduler: str | None,
-) -> tuple[list[Fit], list[Run], bool]:
-    """Fit the laws to what may be described by them; also return what was fitted and whether the mass sticks often."""
+    *,
+    formulas: bool = False,
+) -> FittedSix:
+    """Fit the laws to what may be described by them.
+
+    Where ``formulas`` are fitted too, a record that none of the six comes near is not refused yet: one of these may.
+    """
     sustained = _check(runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
-    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
+    doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
+    if not formulas or doubt == screening.SINE_ALONE:
+        refuse(doubt, records)
     fit_to = partial(search.fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
         fits = fit_to(laws, runs)
@@ -83,13 +104,16 @@ def fit_runs(
             "add --laws 1,2",
         )
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
-    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
-    screening.refuse_missing_frames(fits, records)
+    doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
+    if not formulas or not fits or doubt == screening.SINE_ALONE:
+        refuse(doubt, records)
+    if not doubt:
+        screening.refuse_missing_frames(fits, records)
     if not seen and not any(record.sticks for record in records) and not _is_described(fits, runs):
-        _refuse(screening.NOT_DESCRIBED, records)
+        refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
-        _refuse(screening.SINE_ALONE, records)
-    return fits, list(runs), sustained
+        refuse(screening.SINE_ALONE, records)
+    return FittedSix(fits, list(runs), sustained, doubt)
 
 
 def _fit_other_ripples(
@@ -165,7 +189,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
-        _refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
+        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
     sources = [str(record.recording.source) for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
@@ -175,7 +199,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
-            _refuse(screening.swings_alone(count), records)
+            refuse(screening.swings_alone(count), records)
         left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(
@@ -189,7 +213,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     return sustained
 
 
-def _refuse(why: str, records: Sequence[Kinematics]) -> None:
+def refuse(why: str, records: Sequence[Kinematics]) -> None:
     """Raise where ``why`` says why the laws cannot be ranked: `NoLawError` for stick-slip, else DataError."""
     if not why:
         return

@@ -109,13 +109,16 @@ def rank(
     asked.check_together(records)
     runs = _cut(records, rig, asked)
     try:
-        fits, runs, sustained = candidates.fit_runs(competitors.searched, runs, records, jobs, progress, scheduler)
+        fits, runs, sustained, doubt = candidates.fit_runs(
+            competitors.searched, runs, records, jobs, progress, scheduler, formulas=bool(competitors.formulas)
+        )
+        fits, chosen = judge(fits, competitors.direct, runs, alpha, sustained=sustained)
+        measured = measure(fits, chosen.members, [run.motion for run in runs], alpha)
+        formulas = fit_formulas(competitors, measured.curve, fits, measured.noise, rivals=sustained)
+        if doubt and not screening.comes_near(formulas.fits, runs):
+            candidates.refuse(doubt, records)
     except candidates.NoLawError as refused:
         return answer.without_law(refused.reason, asked, runs, records, begun)
-    fits, chosen = judge(fits, competitors.direct, runs, alpha, sustained=sustained)
-    motions = [run.motion for run in runs]
-    measured = measure(fits, chosen.members, motions, alpha)
-    formulas = fit_formulas(competitors, measured.curve, fits, measured.noise, rivals=sustained)
     competition = _compete(fits, chosen, formulas.fits, asked, runs, sustained=sustained)
     decision = _decided(asked, records, runs, fits, formulas, measured, competition, sustained=sustained)
     _log(decision)
@@ -187,7 +190,8 @@ def _decided(
     members = [by_law[law] for law in competition.members if law in competition.asked]
     # where rivals leave none of them, those that were asked for are judged as if they were alone
     alone = [fit for fit in ordered if fit.law in competition.asked]
-    judged = members or [fit for fit in alone if fit.law in measured.members] or alone[:1]
+    named = [fit for fit in alone[:1] if isinstance(fit, FittedFormula)]
+    judged = members or [*named, *(fit for fit in alone if fit.law in measured.members)] or alone[:1]
     count = len(asked.competitors.laws)
     assessed = assess(measured, judged, motions, count, _revolution(records))
     if competition.beaten and not assessed.together.rejected:

@@ -148,10 +148,11 @@ def fit_formulas(
             continue
         found.append(one)
         warned += [_said(law, str(group), group.names) for group in one.together]
-    named = {law.name for law in competitors.formulas}
+    # a law that was named contains its limits: these are no rivals of it
+    contained = {name for law in competitors.formulas for name in (law.name, *evidence.nested(law.name))}
     for law in preferred_forms(curve.forms) if rivals else ():
         rival = replace(law, ramp=bool(curve.spline_fit.path.curve.ramp))
-        one = None if law.name in named else _fitted(rival, curve.spline_fit)
+        one = None if law.name in contained else _fitted(rival, curve.spline_fit)
         found += [] if one is None else [one]
     for fit in found:
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)

@@ -59,13 +59,16 @@ def verdict_sentence(
         return _named_sentence(rows, others, competition, cycles)
     asked = [row for row in rows if isinstance(row.law, int)]
     if sustained:
-        words = _of_six(asked, six, cycles, measured=measured, runs=runs)
+        alone = len([row for row in rows if row.asked]) == 1
+        words = _of_six(asked, six, cycles, measured=measured, runs=runs, alone=alone)
     else:
         words = _constant_friction(asked, six, measured=measured)
     return f"{words}{_as_well(others)}"
 
 
-def _of_six(rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str, *, measured: bool, runs: int) -> str:
+def _of_six(
+    rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str, *, measured: bool, runs: int, alone: bool
+) -> str:
     """Return the verdict on the six, of which some are in the set."""
     best, fit = rows[0], f"{cycles} fit to {format_length(rows[0].rms_m)} rms"
     if len(members) > 1:
@@ -85,7 +88,7 @@ def _of_six(rows: Sequence[LawResult], members: Sequence[LawResult], cycles: str
         )
     rest = [row for row in rows if not row.in_set]
     if not rest:
-        return f"{best.called}, the only law fitted: {fit}"
+        return f"{best.called}{', the only law fitted' if alone else ''}: {fit}"
     rival = min(rest, key=lambda row: row.score)
     return f"{best.called}: {fit}; {_behind(best, rival)}"
 
@@ -132,8 +135,8 @@ def _named_sentence(
         rest = [row for row in rows if not row.in_set]
         return f"{head}; {_behind(best, min(rest, key=lambda row: row.score))}" if rest else head
     lead = competition.lead(best.law, six.law)
-    which = "best of the six" if len([row for row in rows if isinstance(row.law, int)]) == SIX else "best of the others"
-    return f"{head}; {six.called}, the {which}, is behind by {lead:.3g} in log evidence"
+    whole = len([row for row in rows if isinstance(row.law, int)]) == SIX
+    return f"{head}; {six.called}{', the best of the six,' if whole else ''} is behind by {lead:.3g} in log evidence"
 
 
 def _as_well(others: Sequence[LawResult]) -> str:
