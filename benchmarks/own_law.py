@@ -1,8 +1,8 @@
 """Laws given as formulas: how often their intervals contain the truth, and whether the six as formulas give the six.
 
-``python benchmarks/own_law.py [NUMBER]``: the six laws typed as formulas, on a record of each; then NUMBER contacts (100
-by default) with a Stribeck curve, exponential and Gaussian in turn, drawn at random and read by an encoder of 50 um
-counts, each fitted with its formula and no starting values.  Nothing of rig_sim makes the records.
+``python benchmarks/own_law.py [NUMBER]``: the six laws typed as formulas, on a record of each; then NUMBER contacts,
+by default 100, with a Stribeck curve, exponential and Gaussian in turn, drawn at random and read by an encoder of 50 um
+counts.  Each is fitted with its formula and no starting values.  Nothing of rig_sim makes the records.
 """
 
 import importlib.util

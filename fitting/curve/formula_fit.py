@@ -25,7 +25,7 @@ from daq.base.compute.distributions import student_quantile
 from daq.base.errors import InputError
 from daq.base.measured import Measured
 from fitting.curve.band import covariances, curve_columns, seen_speeds
-from fitting.curve.formula_start import Target, find_start
+from fitting.curve.formula_start import FormulaStart, Target, find_starts
 from fitting.curve.level import REST_SD, rest_prior
 from fitting.curve.spline_fit import FINAL, SplineFit
 from fitting.data.cycles import Cycle
@@ -345,7 +345,7 @@ def _interval(
     return Parameter(value, error, lo, hi, unit)
 
 
-def fit_formula(law: Law, host: SplineFit, start: dict[str, float] | None = None) -> FormulaFit | None:
+def fit_formula(law: Law, host: SplineFit, start: FormulaStart | None = None) -> FormulaFit | None:
     """Fit a law from the measured curve's end; None where its motion cannot be followed.
 
     Parameters
@@ -353,8 +353,8 @@ def fit_formula(law: Law, host: SplineFit, start: dict[str, float] | None = None
     law : Law
         On the contact of the measured curve: a jump or a ramp.
     host : SplineFit
-    start : dict of str to float, optional
-        A value of each free parameter, per unit mass; found on the measured curve without.
+    start : FormulaStart, optional
+        Where its parameters start, per unit mass; without, nearest to the measured curve.
 
     Raises
     ------
@@ -365,11 +365,9 @@ def fit_formula(law: Law, host: SplineFit, start: dict[str, float] | None = None
     ramp = bool(host.path.curve.ramp)
     p = len(host.places)
     begin = host.solution.u[:p].copy()
-    if start is None:
-        found = find_start(law, measured_target(host), BEYOND / float(seen_speeds(host)[-1]) * host.spline.knots[-1])
-        start = found.values
-        begin += [found.offset / host.u[Global.K] if _guessed(host, place) else 0.0 for place in host.places]
-    friction = FormulaFriction(law, BEYOND * float(host.spline.knots[-1]), start, ramp=ramp)
+    start = starts_near(law, host)[0] if start is None else start
+    begin += [start.offset / host.u[Global.K] if _guessed(host, place) else 0.0 for place in host.places]
+    friction = FormulaFriction(law, BEYOND * float(host.spline.knots[-1]), start.values, ramp=ramp)
     task = _with_given(host, law)
     if host.rest is not None and not _has_constant(friction):
         task = _with_free_rest(host, task)
@@ -415,6 +413,18 @@ def fit_formula(law: Law, host: SplineFit, start: dict[str, float] | None = None
     if last is None or there is None:
         return None
     return FormulaFit(law, host, friction, solution, last, there[1], own, clock.process_time() - begun)
+
+
+def starts_near(law: Law, host: SplineFit) -> list[FormulaStart]:
+    """Return where a law's parameters may start, nearest to the measured curve first.
+
+    Raises
+    ------
+    InputError
+        The formula is no friction curve with any of the values tried.
+    """
+    target = measured_target(host)
+    return find_starts(law, target, BEYOND * float(host.spline.knots[-1]) / target.fastest)
 
 
 def measured_target(host: SplineFit) -> Target:

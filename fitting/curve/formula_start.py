@@ -66,15 +66,28 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class FormulaStart:
-    """Values of the free parameters, what is added to the formula to be the measured curve, m/s^2, and chi square."""
+    """Where a formula's parameters start.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        Of the free parameters.
+    offset : float
+        What is added to the formula to be the measured curve, m/s^2.
+    misfit : float
+        Chi square, its speeds taken as independent.
+    points : int
+        How many speeds these are.
+    """
 
     values: dict[str, float]
     offset: float
     misfit: float
+    points: int
 
 
-def find_start(law: Law, target: Target, beyond: float = 1.0) -> FormulaStart:
-    """Return values with which a formula is nearest to a measured curve.
+def find_starts(law: Law, target: Target, beyond: float = 1.0) -> list[FormulaStart]:
+    """Return values with which a formula is near a measured curve, nearest first: a local minimum each.
 
     Parameters
     ----------
@@ -89,7 +102,7 @@ def find_start(law: Law, target: Target, beyond: float = 1.0) -> FormulaStart:
     InputError
         With none of the values tried is the formula a friction curve; the reason is that of the first of them.
     """
-    return _Search(law, target, beyond).best()
+    return _Search(law, target, beyond).minima()
 
 
 class _Search:
@@ -105,13 +118,14 @@ class _Search:
         self.few = Target(target.speed[few], target.friction[few], target.sd[few], target.level_sd)
         self.refused: InputError | None = None
 
-    def best(self) -> FormulaStart:
-        """Return the best of all."""
+    def minima(self) -> list[FormulaStart]:
+        """Return the best local minima."""
         tried = [found for point in self._points() if (found := self._completed(point)) is not None]
         if not tried:
             raise self._reason()
         tried.sort(key=lambda start: start.misfit)
-        return min((self._improved(start) for start in self._valleys(tried)), key=lambda start: start.misfit)
+        improved = sorted((self._improved(start) for start in self._valleys(tried)), key=lambda start: start.misfit)
+        return self._valleys(improved)
 
     def _named(self, values: Array) -> dict[str, float]:
         """Return values (k,) of the free parameters by name."""
@@ -192,7 +206,8 @@ class _Search:
             self.refused = self.refused or InputError(what, "formula", "give bounds, or a form that stays above 0")
             return None
         offset = self.target.offset(own)
-        return FormulaStart(values, offset, float(np.sum(self.target.away(own, offset) ** 2)))
+        away = self.target.away(own, offset)
+        return FormulaStart(values, offset, float(np.sum(away**2)), self.target.speed.size)
 
     def _valleys(self, starts: list[FormulaStart]) -> list[FormulaStart]:
         """Return the best of the starts in each of the best valleys."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from fitting.competitors import Competitors
-from fitting.curve.formula_fit import FormulaFit, fit_formula
+from fitting.curve.formula_fit import FormulaFit, fit_formula, starts_near
 from fitting.curve.result import FormFit, MeasuredCurve
 from fitting.curve.spline_fit import SplineFit, fit_spline
 from fitting.estimation.fit import Fit
@@ -28,6 +28,11 @@ from fitting.selection.given import formula_given
 from fitting.undetermined import natural_size, undetermined
 
 logger = logging.getLogger(__name__)
+# Other minima on the measured curve are starts too, where the nearest one leads to more than this many times the noise:
+# those that are off it by less than its errors, or by less than so many times the nearest one's chi square.  A fall
+# over which the record has few samples has two such minima; at twice a wrong formula is fitted once or twice more.
+REACHED = 1.03
+AS_NEAR = 4.0
 OF_THE_SIX = ("constant", "linear", "hyperbolic")
 FORM = {  # of the measured curve, of each published law
     "stribeck": "stribeck-exponential",
@@ -140,7 +145,7 @@ def fit_formulas(
     warned: list[str] = []
     for law, number in _named(competitors, curve):
         own = host(law.ramp)
-        one = None if own is None else _fitted(law, own, number)
+        one = None if own is None else _fitted(law, own, noise, number)
         if one is None:
             warned.append(
                 f"law {law.name if number is None else number}: its motion cannot be followed; it was not fitted"
@@ -152,7 +157,7 @@ def fit_formulas(
     contained = {name for law in competitors.formulas for name in (law.name, *evidence.nested(law.name))}
     for law in preferred_forms(curve.forms) if rivals else ():
         rival = replace(law, ramp=bool(curve.spline_fit.path.curve.ramp))
-        one = None if law.name in contained else _fitted(rival, curve.spline_fit)
+        one = None if law.name in contained else _fitted(rival, curve.spline_fit, noise)
         found += [] if one is None else [one]
     for fit in found:
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
@@ -168,15 +173,29 @@ def _named(competitors: Competitors, curve: MeasuredCurve) -> Iterator[tuple[Law
         yield formula_given(law, competitors.of_law(number), motion), number
 
 
-def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FittedFormula | None:
+def _fitted(law: Law, host: SplineFit, noise: Array, number: int | None = None) -> FittedFormula | None:
     """Fit one formula; of parameters that it has only together all but as many as it needs are held."""
     friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
     together = undetermined(law, friction, fastest)
     held = [name for group in together for name in group.names[len(group.names) - group.free :]]
     start = law.start or {}
     free = law.given(fix={name: start.get(name, natural_size(law, name, friction, fastest)) for name in held})
-    found: FormulaFit | None = fit_formula(free, host)
+    found = _best_fit(free, host, noise)
     return None if found is None else FittedFormula.of(found, law, number, together)
+
+
+def _best_fit(law: Law, host: SplineFit, noise: Array) -> FormulaFit | None:
+    """Fit one formula from the minimum nearest to the measured curve, and from others where that leaves too much."""
+    first, *others = starts_near(law, host)
+    best = fit_formula(law, host, first)
+    for start in others:
+        if best is not None and best.geometric_mean_rms < REACHED * float(np.max(noise)):
+            break
+        if start.misfit < max(AS_NEAR * first.misfit, start.points):
+            found = fit_formula(law, host, start)
+            if found is not None and (best is None or found.geometric_mean_rms < best.geometric_mean_rms):
+                best = found
+    return best
 
 
 def _said(law: Law, how: str, names: Sequence[str]) -> str:
