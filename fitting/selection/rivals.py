@@ -15,7 +15,9 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from fitting.competitors import Competitors
+from fitting.curve.band import seen_speeds
 from fitting.curve.formula_fit import FormulaFit, fit_formula, starts_near
+from fitting.curve.formula_start import Target, find_starts
 from fitting.curve.result import FormFit, MeasuredCurve
 from fitting.curve.spline_fit import SplineFit, fit_spline
 from fitting.estimation.fit import Fit
@@ -33,6 +35,9 @@ logger = logging.getLogger(__name__)
 # over which the record has few samples has two such minima; at twice a wrong formula is fitted once or twice more.
 REACHED = 1.03
 AS_NEAR = 4.0
+# Of the friction: curves that differ by less are one.  Half or twice decides the same for formulas written in another
+# way, which agree to rounding, and for other families, which are off by more than a hundredth.
+SAME_CURVE = 1e-3
 OF_THE_SIX = ("constant", "linear", "hyperbolic")
 FORM = {  # of the measured curve, of each published law
     "stribeck": "stribeck-exponential",
@@ -153,12 +158,12 @@ def fit_formulas(
             continue
         found.append(one)
         warned += [_said(law, str(group), group.names) for group in one.together]
-    # a law that was named contains its limits: these are no rivals of it
-    contained = {name for law in competitors.formulas for name in (law.name, *evidence.nested(law.name))}
+    named = [fit.asked_for for fit in found if fit.number is None]
     for law in preferred_forms(curve.forms) if rivals else ():
-        rival = replace(law, ramp=bool(curve.spline_fit.path.curve.ramp))
-        one = None if law.name in contained else _fitted(rival, curve.spline_fit, noise)
-        found += [] if one is None else [one]
+        if law.name in {own.name for own in competitors.formulas}:
+            continue  # it was named, perhaps with parameters given
+        one = _fitted(replace(law, ramp=bool(curve.spline_fit.path.curve.ramp)), curve.spline_fit, noise)
+        found += [] if one is None or any(_draws(own, one) for own in named) else [one]
     for fit in found:
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
     return Formulas(tuple(found), tuple(warned))
@@ -196,6 +201,18 @@ def _best_fit(law: Law, host: SplineFit, noise: Array) -> FormulaFit | None:
             if found is not None and (best is None or found.geometric_mean_rms < best.geometric_mean_rms):
                 best = found
     return best
+
+
+def _draws(law: Law, rival: FittedFormula) -> bool:
+    """Return whether a law that was named can be the curve of another one, which is then no rival of it."""
+    at = rival.at
+    if law.ramp != at.friction.ramp:
+        return False
+    speeds = seen_speeds(at.host)
+    friction = at.friction.friction(at.theta, speeds)
+    target = Target(speeds, friction, np.full(speeds.size, SAME_CURVE * float(np.max(friction))))
+    nearest = find_starts(law, target)[0]
+    return nearest.misfit < nearest.points
 
 
 def _said(law: Law, how: str, names: Sequence[str]) -> str:
