@@ -5,7 +5,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -54,18 +53,11 @@ class Assessment:
         return replace(self, together=replace(self.together, verdict=outcome), runs=runs, beaten=True)
 
 
-class Describing(FittedLaw, Protocol):
-    """A law given as a formula, fitted to the runs (`fitting.selection.fitted_formula`)."""
-
-    def linearised(self) -> LinearisedFit:
-        """Return the fit made linear at its solution."""
-
-
 @dataclass(frozen=True, eq=False)
 class Judged:
     """A law's goodness of fit, of all runs and of each; its fit made linear, with all cycles and the usual ones."""
 
-    fit: Fit | Describing
+    fit: FittedLaw
     linearised: LinearisedFit | None
     usual: LinearisedFit | None
     slips: tuple[RunSlips, ...]
@@ -122,7 +114,7 @@ def measure(
 
 def assess(
     measured: Measurement,
-    members: Sequence[Fit | Describing],
+    members: Sequence[FittedLaw],
     motions: Sequence[MeasuredMotion],
     laws: int,
     revolution: float | None = None,
@@ -132,7 +124,7 @@ def assess(
     Parameters
     ----------
     measured : Measurement
-    members : sequence of Fit or Describing
+    members : sequence of FittedLaw
         The laws of the set, best first, formulas among them.
     motions : sequence of MeasuredMotion
         Of each run.
@@ -191,7 +183,7 @@ def assess(
     return Assessment(chosen.fit.law, together, tuple(each))
 
 
-def describes_all(fits: Sequence[Describing], motions: Sequence[MeasuredMotion]) -> frozenset[int | str]:
+def describes_all(fits: Sequence[FittedLaw], motions: Sequence[MeasuredMotion]) -> frozenset[int | str]:
     """Return which of some formulas leave no more than noise, as far as that can be judged."""
     return frozenset(fit.law for fit in fits if not _judged(fit, motions).together.rejected)
 
@@ -227,7 +219,7 @@ def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> Mea
 
 
 def _first_not_rejected(
-    members: Sequence[Fit | Describing],
+    members: Sequence[FittedLaw],
     motions: Sequence[MeasuredMotion],
     known: Mapping[int | str, Judged] | None = None,
 ) -> Judged:
@@ -242,8 +234,8 @@ def _first_not_rejected(
     return first
 
 
-def _judged(fit: Fit | Describing, motions: Sequence[MeasuredMotion]) -> Judged:
-    linearised = LinearisedFit.at(fit) if isinstance(fit, Fit) else fit.linearised()
+def _judged(fit: FittedLaw, motions: Sequence[MeasuredMotion]) -> Judged:
+    linearised = LinearisedFit.at(fit.at)
     if linearised is None:
         # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
         usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)

@@ -17,9 +17,9 @@ from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import covariances, levels_differ, upper_bound
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Correlations, Parameter
-from fitting.estimation.wear import Wear
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
+from fitting.model.wear import Wear
 from rig_sim.friction.law import LAWS
 
 # Of a default's variance: where more is left of it after the fit, the default still decides, and what depends on it is
@@ -82,7 +82,7 @@ def derived_parameters(
 
     ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
     sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
-    second, both by the line through the cycles' friction levels (`fitting.estimation.wear`).  ``static`` is a ramp's
+    second, both by the line through the cycles' friction levels (`fitting.model.wear`).  ``static`` is a ramp's
     break-away level over Fs, given where the record shows that they differ.  ``droop`` is how much
     slower the belt runs under the load Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of its speed.
 
@@ -107,12 +107,7 @@ def derived_parameters(
     quantile = student_quantile(1 - alpha / 2, max(len(fit.rows) - 1, 1))
     found: dict[str, Parameter] = {}
     for row, scale in given_rows(LAWS[fit.law].curve, motion, known):
-        value, variance = propagated(row, known, motion)
-        if scale is not None:
-            variance = variance * scale.value**2 + (value * scale.sd) ** 2
-            value *= scale.value
-        error = math.sqrt(max(variance, 0.0))
-        found[row.name] = as_parameter(value, error, quantile, row.unit, signed=row.name in SIGNED)
+        found[row.name] = scaled(row, scale, known, motion, quantile)
         if row.name == "c/m" and sustained:
             found |= wear_of(fit.level_trend(run), found["Fs/m"], alpha)
     return {name: item for name, item in found.items() if name not in hidden(known)}
@@ -269,12 +264,17 @@ def sign_of(row: Derived, motion: MeasuredMotion) -> float:
     return motion.sign if row.name in MIRRORED else 1.0
 
 
-def propagated(row: Derived, known: Known, motion: MeasuredMotion) -> tuple[float, float]:
-    """Return a derived quantity per unit mass and its variance."""
+def scaled(row: Derived, scale: Measured | None, known: Known, motion: MeasuredMotion, quantile: float) -> Parameter:
+    """Return a derived quantity with its interval, multiplied by the calibration that its row names."""
     value = sign_of(row, motion) * float(row.formula(values(known.own)))
     slope = np.array(list(_slopes(row.formula, known.own, known.active)))
     variance = float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max())
-    return value, variance + (row.length * value * motion.length_error) ** 2
+    variance += (row.length * value * motion.length_error) ** 2
+    if scale is not None:
+        variance = variance * scale.value**2 + (value * scale.sd) ** 2
+        value *= scale.value
+    error = math.sqrt(max(variance, 0.0))
+    return as_parameter(value, error, quantile, row.unit, signed=row.name in SIGNED)
 
 
 def _slopes(formula: Callable[[Values], float], u: Array, active: list[Global]) -> Iterator[float]:

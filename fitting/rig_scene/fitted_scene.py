@@ -24,6 +24,7 @@ from daq.base.compute.arrays import Array
 from daq.base.errors import DataError
 from daq.base.measured import Measured
 from fitting.curve.band import covariances
+from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.result import MeasuredCurve
 from fitting.curve.spline_fit import SplineFit
 from fitting.data.frame import MeasuredMotion
@@ -33,7 +34,6 @@ from fitting.law import Law
 from fitting.least_squares.normal_equations import eigen
 from fitting.model.parameters import PER_RUN, Global, PerCycle, Values, columns, values
 from fitting.model.problem import datum_calibration
-from fitting.selection.fitted_formula import FittedFormula
 from fitting.selection.result import Ranking
 from processing.statistics import StickSlipStatistics
 from rig_sim.friction.law import LAWS
@@ -104,7 +104,7 @@ def of_ranking(ranking: Ranking, statistics: StickSlipStatistics) -> FittedScene
     adequacy = ranking.adequacy
     if not adequacy.rejected and ranking.rows:
         fit = ranking.best.fit
-        return of_formula(ranking, fit) if isinstance(fit, FittedFormula) else of_law(ranking, fit)
+        return of_formula(ranking, fit) if isinstance(fit, FormulaFit) else of_law(ranking, fit)
     if adequacy.curve is None or not adequacy.of_speed or not ranking.rows:
         raise DataError(
             f"no scene: {adequacy.verdict}, and no friction curve describes the record",
@@ -149,7 +149,7 @@ def of_law(ranking: Ranking, fit: Fit) -> FittedScene:
     return _built(ranking, fit.law, found, static, np.empty(0), ramp=False)
 
 
-def of_formula(ranking: Ranking, fit: FittedFormula) -> FittedScene:
+def of_formula(ranking: Ranking, fit: FormulaFit) -> FittedScene:
     """Return the scene of the best law, given as a formula.
 
     Raises
@@ -158,19 +158,19 @@ def of_formula(ranking: Ranking, fit: FittedFormula) -> FittedScene:
         Its belt slows under load, which a scene does not have beside a formula.
     """
     motion, law, at = ranking.motion, fit.asked_for, fit.at
-    places = [place % PER_RUN for place in at.places if place < PER_RUN]
+    places = [place % PER_RUN for place in fit.places if place < PER_RUN]
     if Global.COMPLIANCE in places:
         what = "no scene: a belt that slows under load is not modelled beside a formula"
         raise DataError(what, "--save-scene", "leave it out")
-    index = [*(k for k, place in enumerate(at.places) if place < PER_RUN), *range(len(at.places), at.solution.u.size)]
+    index = [*(k for k, place in enumerate(fit.places) if place < PER_RUN), *range(len(fit.places), at.q.size)]
     spread = upper_bound(*fit.spreads)[np.ix_(index, index)]
-    if motion.datum_prior is None and at.level_held:
+    if motion.datum_prior is None and fit.level_held:
         spread = _held(spread, places.index(Global.DATUM))
     taken = _scene_names(law)
     sized = bool(law.dimensions) or ranking.motion.per_mass
     static = None if fit.problem.ramp else _static(ranking)
     names = ["spring.k", "spring.x0", "belt.speed", "damper.c"]
-    names += [f"friction.{taken[name]}" for name in at.formula.free]
+    names += [f"friction.{taken[name]}" for name in fit.curve.law.free]
     names += ["friction.d"] if fit.problem.ramp else []
     names += ["friction.static"] if static else []
 
@@ -181,15 +181,15 @@ def of_formula(ranking: Ranking, fit: FittedFormula) -> FittedScene:
         m = calibration.mass_for(p.K, factor)
         found = _rig_of(p, m, motion.sign, length)
         found |= {"friction.d": p.d * length, "friction.static": static.value if static else 1.0}
-        for name, value in at.friction.values(unknowns[len(places) :]).items():
+        for name, value in fit.curve.values(unknowns[len(places) :]).items():
             force, speed = law.dimensions.get(name, (0, 0))
             found[f"friction.{taken[name]}"] = value * (m**force if sized else 1.0) * length ** (force + speed)
         return found
 
-    found = _propagated(scene_of, at.solution.u[index], spread, motion, names)
+    found = _propagated(scene_of, at.q[index], spread, motion, names)
     calibration = Calibration(motion.mass, motion.stiffness, motion.length_error)
-    at_fit = scene_of(at.solution.u[index], calibration, 1.0, 1.0)
-    keys = [f"friction.{taken[name]}" for name in law.curve.parameters if name not in at.formula.free]
+    at_fit = scene_of(at.q[index], calibration, 1.0, 1.0)
+    keys = [f"friction.{taken[name]}" for name in law.curve.parameters if name not in fit.curve.law.free]
     text = law.curve.renamed({name: key for name, key in taken.items() if name != key}).text
     built = _built(ranking, 0, found, static, np.empty(0), ramp=fit.problem.ramp)
     return replace(
@@ -399,7 +399,7 @@ def _break_away_position(statistics: StickSlipStatistics, motion: MeasuredMotion
     return Measured(float(np.median(seen)) + rest, math.hypot(error, BLUR * motion.half_window * motion.belt_speed))
 
 
-def _scatter(fit: Fit | FittedFormula) -> float:
+def _scatter(fit: Fit | FormulaFit) -> float:
     """Return the standard deviation of the cycles' levels about their trend, of Fs, less what noise makes of it.
 
     0 where no more than noise is seen.

@@ -10,6 +10,8 @@ import numpy as np
 from fitting.adequacy.assess import Assessment, known_mass
 from fitting.adequacy.result import NONE_FITTED, NONE_OF_SIX, Adequacy
 from fitting.competitors import ALL_LAWS
+from fitting.curve.formula_fit import FormulaFit
+from fitting.curve.formula_parameters import formula_level_error, formula_parameters
 from fitting.curve.measure import furthest_exit
 from fitting.curve.result import BandExit
 from fitting.departures.ageing import find_ageing
@@ -24,7 +26,6 @@ from fitting.selection.contradictions import (
     name_contradictions,
     without_those_of_the_law,
 )
-from fitting.selection.fitted_formula import FittedFormula
 from fitting.selection.phase_distance import MeasuredOrbit
 from fitting.selection.result import LawResult, Ranking
 from fitting.selection.rivals import Competition
@@ -45,7 +46,7 @@ class Decision:
     asked : Asked
     records, runs : sequence
         As smoothed, and in the fit's frame.
-    fits : sequence of Fit or FittedFormula
+    fits : sequence of Fit or FormulaFit
         Best first.
     competition : Competition
     assessed : Assessment
@@ -60,7 +61,7 @@ class Decision:
     asked: Asked
     records: Sequence[Kinematics]
     runs: Sequence[Run]
-    fits: Sequence[Fit | FittedFormula]
+    fits: Sequence[Fit | FormulaFit]
     competition: Competition
     assessed: Assessment
     described: frozenset[int | str]
@@ -78,14 +79,14 @@ class Decision:
         return self.competition.beaten and self.assessed.beaten
 
     @property
-    def best(self) -> Fit | FittedFormula:
+    def best(self) -> Fit | FormulaFit:
         """The best of the laws that were asked for: of the six where some are in the set, which the verdict names."""
         law = self.competition.best
         return next(fit for fit in self.fits if fit.law == law)
 
-    def trusts(self, fit: Fit | FittedFormula) -> bool:
+    def trusts(self, fit: Fit | FormulaFit) -> bool:
         """Return whether a law's intervals hold: it, or a law of its kind, describes the runs."""
-        if isinstance(fit, FittedFormula) and fit.law in self.competition.members:
+        if isinstance(fit, FormulaFit) and fit.law in self.competition.members:
             return fit.law in self.described
         return not self.rejected
 
@@ -143,7 +144,7 @@ def _rows(decision: Decision) -> Rows:
     return Rows(tuple(found[: len(decision.runs)]), found[-1], tuple(depends[: len(decision.runs)]))
 
 
-def _rows_of(fit: Fit | FittedFormula, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
+def _rows_of(fit: Fit | FormulaFit, decision: Decision, orbits: Sequence[MeasuredOrbit]) -> list[LawResult]:
     """Return a law's row for each run, and last the row for all of them together; one row for a single run.
 
     Where no law describes the runs, no interval is given.
@@ -158,7 +159,7 @@ def _rows_of(fit: Fit | FittedFormula, decision: Decision, orbits: Sequence[Meas
             together |= {f"{name} ({number})": own[name] for name in derived.RUNS_OWN if name in own}
         parts, parameters = [*parts, fit], [*parameters, together]
         distances.append(math.sqrt(float(np.mean(np.square(distances)))))
-    formula = None if isinstance(fit, Fit) or fit.number is not None else fit.formula
+    formula = None if isinstance(fit, Fit) or fit.number is not None else fit.asked_for.formula
     return [
         LawResult(
             law=fit.law,
@@ -181,14 +182,14 @@ def _rows_of(fit: Fit | FittedFormula, decision: Decision, orbits: Sequence[Meas
     ]
 
 
-def _parameters(fit: Fit | FittedFormula, decision: Decision, run: int) -> dict[str, Parameter]:
+def _parameters(fit: Fit | FormulaFit, decision: Decision, run: int) -> dict[str, Parameter]:
     """Return a law's parameters of a run; those that were given as they were given."""
     motion, alpha = decision.runs[run].motion, decision.asked.alpha
     own: dict[str, Parameter]
     if isinstance(fit, Fit):
         own = derived.derived_parameters(fit, motion, alpha, run, sustained=decision.sustained)
     else:
-        own = fit.parameters(motion, alpha, run, sustained=decision.sustained)
+        own = formula_parameters(fit, motion, alpha, run, sustained=decision.sustained)
     trusted = decision.trusts(fit)
     found = {name: replace(item, trusted=trusted and item.trusted) for name, item in own.items()}
     for name, value in decision.asked.fixed(fit.law).items():
@@ -200,7 +201,7 @@ def _parameters(fit: Fit | FittedFormula, decision: Decision, run: int) -> dict[
     return found
 
 
-def _outside_band(fit: Fit | FittedFormula, decision: Decision) -> BandExit | None:
+def _outside_band(fit: Fit | FormulaFit, decision: Decision) -> BandExit | None:
     """Return where a law leaves the band of the measured curve the furthest."""
     adequacy = decision.assessed.together
     if isinstance(fit, Fit):
@@ -219,7 +220,7 @@ def _contradicted(decision: Decision, rows: Rows) -> Contradictions:
     others = [
         fit
         for fit in decision.fits
-        if isinstance(fit, FittedFormula) and fit is not decision.best and fit.law in decision.competition.members
+        if isinstance(fit, FormulaFit) and fit is not decision.best and fit.law in decision.competition.members
     ]
     return without_those_of_the_law(found, [fit for fit in others if fit.law in decision.described])
 
@@ -276,11 +277,11 @@ def _side(decision: Decision, number: int, rows: Rows, words: str, contradicted:
     )
 
 
-def _level_error(fit: Fit | FittedFormula, run: Run, number: int) -> float:
+def _level_error(fit: Fit | FormulaFit, run: Run, number: int) -> float:
     """Return the standard error of a run's break-away level by what all cycles share."""
     if isinstance(fit, Fit):
         return derived.break_away_level_error(fit, run.motion, number)
-    return fit.level_error(number)
+    return formula_level_error(fit, number)
 
 
 def _together(decision: Decision, rows: Rows, words: str, sides: Sequence[Ranking], cpu_s: float) -> Ranking:

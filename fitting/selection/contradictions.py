@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from daq.base.measured import Measured
 from daq.runfile.rig import Rig
+from fitting.curve.formula_fit import FormulaFit
 from fitting.data.frame import MeasuredMotion
 from fitting.estimation.covariance import without_prior
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import PER_RUN, Global
-from fitting.selection.fitted_formula import FittedFormula
 from fitting.selection.result import LawResult
 from processing.record.finding import Finding
 from processing.record.kinematics import Kinematics
@@ -28,7 +28,7 @@ UNITS = {"belt-speed": "m/s", "datum": "m", "x0": "m", "damping": "N s/m", "stif
 
 
 def find_contradictions(
-    fit: Fit | FittedFormula,
+    fit: Fit | FormulaFit,
     motions: Sequence[MeasuredMotion],
     rows: Sequence[LawResult],
     records: Sequence[Kinematics],
@@ -37,7 +37,7 @@ def find_contradictions(
 
     Parameters
     ----------
-    fit : Fit or FittedFormula
+    fit : Fit or FormulaFit
         Of the best law, all runs together.
     motions : sequence of MeasuredMotion
         Of each run.
@@ -58,7 +58,7 @@ def find_contradictions(
 
 
 def _of_run(
-    fit: Fit | FittedFormula, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
+    fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
 ) -> list[Finding]:
     found = []
     for code, value, expected, used in _compared(fit, motion, parameters, recorded, run):
@@ -75,7 +75,7 @@ def _of_run(
 
 
 def without_those_of_the_law(
-    contradicted: Sequence[Sequence[Finding]], rivals: Sequence[FittedFormula]
+    contradicted: Sequence[Sequence[Finding]], rivals: Sequence[FormulaFit]
 ) -> list[list[Finding]]:
     """Return the contradictions of each run without those of rest position or damping that a rival does not have.
 
@@ -88,7 +88,7 @@ def without_those_of_the_law(
     ]
 
 
-def _agrees(fit: FittedFormula, code: str, run: int) -> bool:
+def _agrees(fit: FormulaFit, code: str, run: int) -> bool:
     """Return whether a curve fits the record with a stated rest position or damping."""
     slot = {"datum": Global.DATUM, "x0": Global.DATUM, "damping": Global.DAMPING}.get(code)
     if slot is None:
@@ -96,7 +96,7 @@ def _agrees(fit: FittedFormula, code: str, run: int) -> bool:
     seen = fit.without_prior(slot, run)
     if seen is None:
         return True
-    place, places, task = PER_RUN * run + slot, fit.at.places, fit.at.task
+    place, places, task = PER_RUN * run + slot, fit.places, fit.at.problem
     index = places.index(place if place in places else slot)
     spread = math.hypot(seen.sd, 1 / math.sqrt(float(task.precision[index])))
     return abs(seen.value - float(task.prior[index])) <= SURE * spread
@@ -113,7 +113,7 @@ def name_contradictions(verdict: str, contradicted: Sequence[Sequence[Finding]])
 
 
 def _compared(
-    fit: Fit | FittedFormula, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
+    fit: Fit | FormulaFit, motion: MeasuredMotion, parameters: Mapping[str, Parameter], recorded: Rig, run: int
 ) -> Iterator[tuple[str, Measured, Measured, str]]:
     """Yield code, what the record shows, what was stated, and which of both the fit used."""
     speed = None if motion.stated_speed is None else _seen(fit, Global.V_DR, run)
@@ -149,13 +149,13 @@ def _used(prior: Measured | None) -> str:
     return "both" if prior is not None and prior.sd > 0 else "the record's"
 
 
-def _seen(fit: Fit | FittedFormula, slot: Global, run: int) -> Measured | None:
+def _seen(fit: Fit | FormulaFit, slot: Global, run: int) -> Measured | None:
     """Return what the record alone shows of a parameter of a run, of those that runs share there is one.
 
     None where a value was given, and where the record shows nothing of it.
     """
     place = PER_RUN * run + slot
-    if isinstance(fit, FittedFormula):
+    if isinstance(fit, FormulaFit):
         return fit.without_prior(slot, run)
     return (
         None
@@ -164,6 +164,6 @@ def _seen(fit: Fit | FittedFormula, slot: Global, run: int) -> Measured | None:
     )
 
 
-def _is_constant(fit: Fit | FittedFormula) -> bool:
+def _is_constant(fit: Fit | FormulaFit) -> bool:
     """Return whether friction does not depend on speed."""
     return isinstance(fit, Fit) and LAWS[fit.law].curve == "constant"

@@ -12,6 +12,7 @@ from daq.base.measured import Measured
 from daq.runfile.rig import Rig
 from fitting.adequacy.assess import Measurement, assess, describes_all, measure
 from fitting.competitors import ALL_LAWS, Competitors
+from fitting.curve.formula_fit import FormulaFit
 from fitting.data import frame
 from fitting.estimation.fit import Fit
 from fitting.law import Bound, Law
@@ -20,7 +21,6 @@ from fitting.selection import answer, candidates, screening
 from fitting.selection.answer import Decision
 from fitting.selection.asked import Asked
 from fitting.selection.evidence import ModelSet
-from fitting.selection.fitted_formula import FittedFormula
 from fitting.selection.given import known_rest, with_given
 from fitting.selection.judgement import judge
 from fitting.selection.result import Ranking as Ranking
@@ -114,7 +114,7 @@ def rank(
         )
         fits, chosen = judge(fits, competitors.direct, runs, alpha, sustained=sustained)
         measured = measure(fits, chosen.members, [run.motion for run in runs], alpha)
-        formulas = fit_formulas(competitors, measured.curve, fits, measured.noise, rivals=sustained)
+        formulas = fit_formulas(competitors, measured.curve, rivals=sustained)
         if doubt and not screening.comes_near(formulas.fits, runs):
             candidates.refuse(doubt, records)
     except candidates.NoLawError as refused:
@@ -153,7 +153,7 @@ def _cut(records: Sequence[Kinematics], rig: Rig | Sequence[Rig] | None, asked: 
 def _compete(
     fits: Sequence[Fit],
     chosen: ModelSet,
-    formulas: Sequence[FittedFormula],
+    formulas: Sequence[FormulaFit],
     asked: Asked,
     runs: Sequence[Run],
     *,
@@ -184,13 +184,13 @@ def _decided(
 ) -> Decision:
     """Return what is decided: which laws describe the runs, and what is said of those that do not."""
     motions = [run.motion for run in runs]
-    by_law: dict[int | str, Fit | FittedFormula] = {fit.law: fit for fit in fits}
+    by_law: dict[int | str, Fit | FormulaFit] = {fit.law: fit for fit in fits}
     by_law |= {fit.law: fit for fit in formulas.fits}
     ordered = [by_law[law] for law in competition.order]
     members = [by_law[law] for law in competition.members if law in competition.asked]
     # where rivals leave none of them, those that were asked for are judged as if they were alone
     alone = [fit for fit in ordered if fit.law in competition.asked]
-    named = [fit for fit in alone[:1] if isinstance(fit, FittedFormula)]
+    named = [fit for fit in alone[:1] if isinstance(fit, FormulaFit)]
     judged = members or [*named, *(fit for fit in alone if fit.law in measured.members)] or alone[:1]
     count = len(asked.competitors.laws)
     assessed = assess(measured, judged, motions, count, _revolution(records))

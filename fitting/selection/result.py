@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 from daq.base.errors import DataError
 from fitting.adequacy.result import Adequacy
+from fitting.curve.formula_fit import FormulaFit
+from fitting.curve.formula_parameters import formula_correlations
 from fitting.curve.result import BandExit
 from fitting.data.cycles import CycleSegmentation
 from fitting.data.frame import MeasuredMotion
@@ -12,7 +14,6 @@ from fitting.estimation.derived import RUNS_OWN, correlations
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway, Correlations, Parameter
 from fitting.law import TITLES
-from fitting.selection.fitted_formula import FittedFormula
 from processing.record.finding import Finding
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class LawResult:
         Mean paired difference of log error to the best law, penalty included, and its standard error.
     orbit : float
         Distance of the law's orbit to the measured one, of the orbit's size (`fitting.selection.phase_distance`).
-    fit : Fit or FittedFormula
+    fit : Fit or FormulaFit
         The fit itself, for pictures.
     outside_band : BandExit or None
         Where its curve leaves the band of the measured one the furthest.
@@ -72,7 +73,7 @@ class LawResult:
     cpu_s: float
     behind: tuple[float, float]
     orbit: float
-    fit: Fit | FittedFormula = field(repr=False, compare=False)
+    fit: Fit | FormulaFit = field(repr=False, compare=False)
     outside_band: BandExit | None = None
     formula: str | None = None
     asked: bool = True
@@ -106,7 +107,7 @@ class LawResult:
 
     def is_own(self, name: str) -> bool:
         """Return whether a parameter is the curve's, and not the same one in other units."""
-        if not isinstance(self.fit, FittedFormula):
+        if not isinstance(self.fit, FormulaFit):
             return name in CURVE and name not in ("k/m", "v_dr")
         own = name.removesuffix("/m")
         return name.startswith("(") or (own in self.fit.asked_for.free and f"{name}/m" not in self.parameters)
@@ -234,7 +235,7 @@ class Ranking:
         if not self.rows or not all(item.trusted for item in self.best.parameters.values()):
             return None
         fit, motion = self.best.fit, self.sides[0].motion
-        found = fit.correlations(motion) if isinstance(fit, FittedFormula) else correlations(fit, motion)
+        found = formula_correlations(fit, motion) if isinstance(fit, FormulaFit) else correlations(fit, motion)
         if not self.runs:
             return found
         return replace(found, names=tuple(f"{name} (1)" if name in RUNS_OWN else name for name in found.names))

@@ -9,32 +9,24 @@ import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
 from fitting.competitors import Competitors
 from fitting.curve.band import seen_speeds
-from fitting.curve.formula_fit import FormulaFit, fit_formula, starts_near
-from fitting.curve.formula_start import Target, find_starts
+from fitting.curve.formula_fit import FormulaFit, fit_formula
 from fitting.curve.result import FormFit, MeasuredCurve
-from fitting.curve.spline_fit import SplineFit, fit_spline
+from fitting.curve.spline_fit import SplineFit
+from fitting.driver.formula import Target, find_starts
 from fitting.estimation.fit import Fit
 from fitting.law import PUBLISHED, Law
 from fitting.model.problem import Run
 from fitting.selection import evidence
 from fitting.selection.evidence import OPEN, Candidate, Evidence, ModelSet
-from fitting.selection.fitted_formula import FittedFormula
 from fitting.selection.given import formula_given
 from fitting.undetermined import natural_size, undetermined
 
 logger = logging.getLogger(__name__)
-# Other minima on the measured curve are starts too, where the nearest one leads to more than this many times the noise:
-# those that are off it by less than its errors, or by less than so many times the nearest one's chi square.  A fall
-# over which the record has few samples has two such minima; at twice a wrong formula is fitted once or twice more.
-REACHED = 1.03
-AS_NEAR = 4.0
 # Of the friction: curves that differ by less are one.  Half or twice decides the same for formulas written in another
 # way, which agree to rounding, and for other families, which are off by more than a hundredth.
 SAME_CURVE = 1e-3
@@ -53,7 +45,7 @@ FORM = {  # of the measured curve, of each published law
 class Formulas:
     """The formulas that were fitted, and what is said of those that were named and could not be, or not in all."""
 
-    fits: tuple[FittedFormula, ...]
+    fits: tuple[FormulaFit, ...]
     warnings: tuple[str, ...] = ()
 
 
@@ -113,9 +105,7 @@ def preferred_forms(forms: Sequence[FormFit]) -> list[Law]:
     return [law for law, form in sorted(found, key=lambda one: one[1].bic) if form.bic < least + OPEN]
 
 
-def fit_formulas(
-    competitors: Competitors, curve: MeasuredCurve | None, fits: Sequence[Fit], noise: Array, *, rivals: bool
-) -> Formulas:
+def fit_formulas(competitors: Competitors, curve: MeasuredCurve | None, *, rivals: bool) -> Formulas:
     """Fit the laws that were named and, where ``rivals``, those whose forms the measured curve prefers.
 
     Parameters
@@ -123,10 +113,6 @@ def fit_formulas(
     competitors : Competitors
     curve : MeasuredCurve or None
         From which each fit starts.
-    fits : sequence of Fit
-        Of the six, best first: a contact that the measured curve does not have starts from the best of that contact.
-    noise : (runs,) f8
-        Standard deviation of one position of each run, m.
     rivals : bool
 
     Raises
@@ -137,24 +123,14 @@ def fit_formulas(
     if curve is None:
         lost = "the motion cannot be followed with a curve of its own"
         return Formulas((), tuple(f"law {law.name} was not fitted: {lost}" for law in competitors.formulas))
-
-    @cache
-    def host(ramp: bool) -> SplineFit | None:
-        """Return the measured curve behind a ramp, or without one."""
-        if bool(curve.spline_fit.path.curve.ramp) == ramp:
-            return curve.spline_fit
-        nearest = next((fit for fit in fits if fit.problem.ramp == ramp), None)
-        return None if nearest is None else fit_spline(nearest, noise)
-
-    found: list[FittedFormula] = []
+    host = curve.spline_fit
+    found: list[FormulaFit] = []
     warned: list[str] = []
-    for law, number in _named(competitors, curve):
-        own = host(law.ramp)
-        one = None if own is None else _fitted(law, own, noise, number)
+    for law, number in _named(competitors, host):
+        one = _fitted(law, host, number)
         if one is None:
-            warned.append(
-                f"law {law.name if number is None else number}: its motion cannot be followed; it was not fitted"
-            )
+            lost = "its motion cannot be followed; it was not fitted"
+            warned.append(f"law {law.name if number is None else number}: {lost}")
             continue
         found.append(one)
         warned += [_said(law, str(group), group.names) for group in one.together]
@@ -162,57 +138,41 @@ def fit_formulas(
     for law in preferred_forms(curve.forms) if rivals else ():
         if law.name in {own.name for own in competitors.formulas}:
             continue  # it was named, perhaps with parameters given
-        one = _fitted(replace(law, ramp=bool(curve.spline_fit.path.curve.ramp)), curve.spline_fit, noise)
-        found += [] if one is None or any(_draws(own, one) for own in named) else [one]
+        one = _fitted(replace(law, ramp=bool(host.path.curve.ramp)), host)
+        found += [] if one is None or any(_draws(own, one, host) for own in named) else [one]
     for fit in found:
         logger.info("law %s: %.4g um rms, %s, %.2f s", fit.law, 1e6 * fit.rms, fit.outcome, fit.cpu_s)
     return Formulas(tuple(found), tuple(warned))
 
 
-def _named(competitors: Competitors, curve: MeasuredCurve) -> Iterator[tuple[Law, int | None]]:
+def _named(competitors: Competitors, host: SplineFit) -> Iterator[tuple[Law, int | None]]:
     """Yield the formulas that were named, with what is given of them, and the six that are fitted as formulas."""
-    motion = curve.spline_fit.fit.problem.motions[0]
+    motion = host.fit.problem.motions[0]
     for law in competitors.formulas:
         yield formula_given(law, competitors.of_law(law), motion), None
     for number, law in competitors.restated.items():
         yield formula_given(law, competitors.of_law(number), motion), number
 
 
-def _fitted(law: Law, host: SplineFit, noise: Array, number: int | None = None) -> FittedFormula | None:
+def _fitted(law: Law, host: SplineFit, number: int | None = None) -> FormulaFit | None:
     """Fit one formula; of parameters that it has only together all but as many as it needs are held."""
     friction, fastest = float(np.median(host.spline.coefficients)), float(host.spline.knots[-1])
     together = undetermined(law, friction, fastest)
     held = [name for group in together for name in group.names[len(group.names) - group.free :]]
     start = law.start or {}
     free = law.given(fix={name: start.get(name, natural_size(law, name, friction, fastest)) for name in held})
-    found = _best_fit(free, host, noise)
-    return None if found is None else FittedFormula.of(found, law, number, together)
+    return fit_formula(free, host, asked_for=law, number=number, together=together)
 
 
-def _best_fit(law: Law, host: SplineFit, noise: Array) -> FormulaFit | None:
-    """Fit one formula from the minimum nearest to the measured curve, and from others where that leaves too much."""
-    first, *others = starts_near(law, host)
-    best = fit_formula(law, host, first)
-    for start in others:
-        if best is not None and best.geometric_mean_rms < REACHED * float(np.max(noise)):
-            break
-        if start.misfit < max(AS_NEAR * first.misfit, start.points):
-            found = fit_formula(law, host, start)
-            if found is not None and (best is None or found.geometric_mean_rms < best.geometric_mean_rms):
-                best = found
-    return best
-
-
-def _draws(law: Law, rival: FittedFormula) -> bool:
+def _draws(law: Law, rival: FormulaFit, host: SplineFit) -> bool:
     """Return whether a law that was named can be the curve of another one, which is then no rival of it."""
-    at = rival.at
-    if law.ramp != at.friction.ramp:
+    if law.ramp != rival.problem.ramp:
         return False
-    speeds = seen_speeds(at.host)
-    friction = at.friction.friction(at.theta, speeds)
-    target = Target(speeds, friction, np.full(speeds.size, SAME_CURVE * float(np.max(friction))))
-    nearest = find_starts(law, target)[0]
-    return nearest.misfit < nearest.points
+    speeds = seen_speeds(host)
+    friction = rival.curve.at_speeds(rival.theta, speeds)
+    size = float(np.max(friction))
+    nearest = find_starts(law, Target(speeds, np.eye(speeds.size) / size, friction / size, size))[0]
+    return nearest.misfit < SAME_CURVE**2 * speeds.size
 
 
 def _said(law: Law, how: str, names: Sequence[str]) -> str:
@@ -227,7 +187,7 @@ def _said(law: Law, how: str, names: Sequence[str]) -> str:
 def compete(
     fits: Sequence[Fit],
     chosen: ModelSet | None,
-    formulas: Sequence[FittedFormula],
+    formulas: Sequence[FormulaFit],
     runs: Sequence[Run],
     alpha: float,
     asked: frozenset[int | str],
@@ -242,7 +202,7 @@ def compete(
         Of the six that compete.
     chosen : ModelSet or None
         Of these alone: between themselves they are judged without others, which beat all of their set or none.
-    formulas : sequence of FittedFormula
+    formulas : sequence of FormulaFit
     runs : sequence of Run
     alpha : float
     asked : frozenset of int or str
