@@ -107,11 +107,16 @@ def _measured(fit: SplineFit, alpha: float, begun: float) -> MeasuredCurve:
 
 
 def band_exit(curve: MeasuredCurve, fit: Fit) -> BandExit:
-    """Return where a law's fitted curve leaves the measured band the furthest."""
+    """Return where a law's fitted curve leaves the measured band, which is per unit mass, the furthest."""
     p = fit.values
     friction = np.asarray(  # of a mass slower than the belt: along x
         force(LAWS[fit.law], -curve.speed, Fs=p.F, G_slip=p.shape * p.F, gamma=p.shape, d=p.d, static=p.static)
     )
+    return furthest_exit(curve, friction)
+
+
+def furthest_exit(curve: MeasuredCurve, friction: Array) -> BandExit:
+    """Return where a friction (k,) at the curve's speeds and in its unit leaves the measured band the furthest."""
     off, half = friction - curve.friction, curve.hi - curve.friction
     if not curve.level_known:
         off, half = off - off.mean(), curve.shape_half

@@ -10,6 +10,7 @@ linear follow from least squares beside trials of the others, and the best of th
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import pairwise, product
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from fitting.sensitivity.columns import shared_tangents
 from fitting.sensitivity.path import Curve, Path, spline_curve
 from fitting.sensitivity.spline import FrictionSpline
 from fitting.sensitivity.tangents import tangents
+from fitting.undetermined import natural_size
 from rig_sim.flow.modes import STICK
 
 TOLERANCE = 1e-6  # of the largest friction: how far the spline may be from the formula
@@ -39,7 +41,10 @@ SAME = 1e-9  # of a derivative: less is rounding
 # Trials of a parameter that bends the curve, over its natural size: half as many a decade still start Stribeck curves.
 TRIALS = 10.0 ** np.arange(-2.5, 2.1, 0.5)
 MOST_TRIALS, SEED = 300, 7  # of all such parameters together; more than that are drawn
-IMPROVED = 4  # of the best trials
+IMPROVED = 4  # of the best trials, each in a valley of its own
+SAME_VALLEY = 0.25  # of what is left of a start: curves that differ by less are in one valley
+ROUNDING = 1e-12  # of a misfit: less is rounding
+CHECKED = 400  # slip speeds at which a formula must be friction
 FAR = 1e9  # a residual of no number: the step is refused
 
 
@@ -62,12 +67,31 @@ class Target(NamedTuple):
         size = float(np.median(target))
         return cls(s, np.eye(SPEEDS) / size, target / size, size)
 
+    def off_by_a_constant(self, sd: float) -> "Target":
+        """Return the same where all of it may be off by one constant of standard deviation ``sd``, m/s^2."""
+        along = sd * self.root.sum(axis=1)
+        square = float(np.sum(along**2))
+        if not square > 0:
+            return self
+        narrow = (1 - 1 / math.sqrt(1 + square)) / square  # (I + along along')^-1/2 = I - narrow along along'
+        root = self.root - narrow * np.outer(along, np.einsum("m,mk->k", along, self.root))
+        return self._replace(root=root, aim=self.aim - narrow * along * float(np.sum(along * self.aim)))
 
-class StartValues(NamedTuple):
-    """The free parameters by name, and whether each bends the curve."""
+    def constant_beside(self, friction: Array, sd: float) -> float:
+        """Return the constant, of standard deviation ``sd``, that brings friction (k,) nearest, m/s^2."""
+        along = sd * self.root.sum(axis=1)
+        return -sd * float(np.sum(along * self.away(friction))) / (1 + float(np.sum(along**2)))
+
+    def away(self, friction: Array) -> Array:
+        """Return how far friction (k,) at the speeds is from the target, (m,)."""
+        return np.asarray(np.einsum("mk,k->m", self.root, friction) - self.aim)
+
+
+class Start(NamedTuple):
+    """Values of the free parameters by name, and the square of what they leave of the target."""
 
     values: dict[str, float]
-    bends: dict[str, bool]
+    misfit: float
 
 
 class FormulaCurve(FrictionCurve):
@@ -83,17 +107,23 @@ class FormulaCurve(FrictionCurve):
     near : Target
         What the formula starts near.
 
+    Attributes
+    ----------
+    starts : list of Start
+        Minima on that target, nearest first.
+
     Raises
     ------
     InputError
-        Where no trial of the parameters is a friction.
+        Where no trial of the parameters is a friction; the reason is that of the first of them.
     """
 
-    def __init__(self, law: Law, fastest: float, near: "Target") -> None:
+    def __init__(self, law: Law, fastest: float, near: Target) -> None:
         self.law, self.fastest, self.ramp, self.size = law, fastest, law.ramp, len(law.free)
-        start = start_values(law, near)
-        self.by_log = np.array([start.bends[name] and law.limits(name)[0] >= 0.0 for name in law.free], np.bool_)
-        self.start = self.theta(start.values)
+        search = StartSearch(law, near, fastest)
+        self.starts = search.minima()
+        self.by_log = np.array([search.bends[name] and law.limits(name)[0] >= 0.0 for name in law.free], np.bool_)
+        self.start = self.theta(self.starts[0].values)
         self.prior = self.precision = np.zeros(self.size)
         self.lower, self.upper = self.bounds
         self._through(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
@@ -108,12 +138,15 @@ class FormulaCurve(FrictionCurve):
         return np.hstack([shared_tangents(path, places), self._tangents(path, theta)])
 
     def friction(self, u: Array, theta: Array, beside: Array, s: Array) -> Array:
-        """See `FrictionCurve`."""
-        return self.at_speeds(theta, s)
+        """See `FrictionCurve`; beyond `fastest`, where the formula may be none, friction is then that at `fastest`."""
+        try:
+            return self.at_speeds(theta, s)
+        except InputError:
+            return self.at_speeds(theta, np.minimum(s, self.fastest))
 
     def near(self, friction: Friction, beside: Array) -> Array:
         """See `FrictionCurve`."""
-        return self.theta(start_values(self.law, Target.of(friction, self.fastest)).values)
+        return self.theta(find_starts(self.law, Target.of(friction, self.fastest))[0].values)
 
     def values(self, theta: Array) -> dict[str, float]:
         """Return the parameters by name."""
@@ -200,131 +233,200 @@ class FormulaCurve(FrictionCurve):
         return tangents(path, forces, edge=edge)
 
 
-def start_values(law: Law, near: Target) -> StartValues:
-    """Return values of a law's free parameters near another friction.
+def find_starts(law: Law, near: Target, fastest: float = 0.0) -> list[Start]:
+    """Return values of a law's free parameters near another friction, nearest first: a local minimum each.
 
-    A start that the law gives is kept for the first trial.
+    Parameters
+    ----------
+    law : Law
+        Its first values are where these parameters are tried; its bounds hold.
+    near : Target
+    fastest : float
+        Slip speed up to which it must be friction, m/s; at least the target's fastest.
 
     Raises
     ------
     InputError
-        Where no trial is finite at all speeds.
+        With none of the values tried is the formula a friction curve; the reason is that of the first of them.
     """
-    s = near.speeds
-    sizes = {name: _size(law, name, near.size, float(s[-1])) for name in law.free}
-    begin = sizes | dict(law.start or {})
-    begin = {name: _inside(law, name, begin[name]) for name in law.free}
-    bends = {name: _bends(law, name, begin, s) for name in law.free}
-    linear = [name for name in law.free if not bends[name] and name not in (law.start or {})]
-    tried = [name for name in law.free if bends[name] and name not in (law.start or {})]
-    found = []
-    for trial in [begin, *_trials(law, tried, begin, sizes)]:
-        values = _with_linear(law, linear, trial, near)
-        left = None if values is None else _left(law, values, near)
-        if values is not None and left is not None:
-            found.append((float(np.sum(left**2)), values))
-    if not found:
-        law.curve.value(s, dict(law.fix or {}) | begin)
-        raise InputError(f"law {law.name}: no starting value near the measured curve", "formula", "give start values")
-    found.sort(key=lambda one: one[0])
-    improved = [_improved(law, values, near) for _, values in found[:IMPROVED]]
-    return StartValues(min(improved, key=lambda one: one[0])[1], bends)
+    return StartSearch(law, near, fastest).minima()
 
 
-def _size(law: Law, name: str, friction: float, speed: float) -> float:
-    """Return the natural size of a parameter by its dimensions; 1 where these are not known."""
-    force, power = law.dimensions.get(name, (0, 0))
-    return float(friction**force * speed**power)
+class StartSearch:
+    """The values of a law's free parameters that are tried near another friction; arguments as of `find_starts`."""
 
+    def __init__(self, law: Law, near: Target, fastest: float = 0.0) -> None:
+        self.law, self.near = law, near
+        self.fixed, self.given = dict(law.fix or {}), dict(law.start or {})
+        self.checked = np.linspace(0.0, max(fastest, float(near.speeds[-1])), CHECKED)
+        self.sizes = {name: natural_size(law, name, near.size, float(near.speeds[-1])) for name in law.free}
+        first = self.sizes | self.given
+        self.begin = {name: self._inside(name, first[name]) for name in law.free}
+        self.refused: InputError | None = None
 
-def _inside(law: Law, name: str, value: float) -> float:
-    low, high = law.limits(name)
-    if low < value < high:
-        return value
-    if math.isfinite(low) and math.isfinite(high):
-        return 0.5 * (low + high)
-    return float(np.clip(value, low, high))
+    def minima(self) -> list[Start]:
+        """Return the best local minima."""
+        linear = self.linear
+        tried = [name for name in self.law.free if name not in linear and name not in self.given]
+        found = [
+            start
+            for values in [self.begin, *self._trials(tried)]
+            if (start := self._with_linear(values, linear)) is not None
+        ]
+        best = self._valleys(sorted(found, key=_order))
+        improved = [end for start in best if (end := self._improved(start)) is not None]
+        if not improved:
+            why = self.refused or InputError("no values were tried", "formula", "give first values")
+            what = f"law {self.law.name} is no friction curve with any of the values tried: {why.what}"
+            raise InputError(what, why.where, why.do)
+        return self._valleys(sorted(improved, key=_order))
 
+    @cached_property
+    def bends(self) -> dict[str, bool]:
+        """Whether each parameter bends the curve: whether the derivative by it depends on it."""
+        return {name: self._moves((name,)) for name in self.law.free}
 
-def _bends(law: Law, name: str, values: dict[str, float], s: Array) -> bool:
-    """Return whether the derivative by a parameter depends on it, at some values of the others.
+    @property
+    def linear(self) -> list[str]:
+        """The parameters without a first value in which the formula is linear, in all of them together."""
+        chosen: list[str] = []
+        for name in self.law.free:
+            if name not in self.given and not self.bends[name] and not self._moves((*chosen, name)):
+                chosen.append(name)
+        return chosen
 
-    These differ from each other by chance: where two friction levels are equal, a Stribeck speed seems to act not.
-    """
-    rng = np.random.default_rng(SEED)
-    for _ in range(DRAWS):
-        drawn = {own: _inside(law, own, value * rng.uniform(0.5, 2.0)) for own, value in values.items()}
-        whole = dict(law.fix or {}) | drawn
-        value = whole[name] if whole[name] else 1.0
-        try:
-            first, other = (
-                law.curve.gradient(s, whole | {name: factor * value}, (name,)) for factor in (1.0, 1.0 / DOUBLED)
-            )
-        except InputError:
-            return True
-        if np.any(np.abs(first - other) > SAME * np.max(np.abs(first))):
-            return True
-    return False
+    def _moves(self, group: tuple[str, ...]) -> bool:
+        """Return whether the derivatives by a group of parameters depend on them, at some values of the others.
 
-
-def _trials(law: Law, tried: Sequence[str], begin: dict[str, float], sizes: dict[str, float]) -> list[dict[str, float]]:
-    """Return trials of the parameters that bend the curve: every combination, or some of very many."""
-    each = []
-    for name in tried:
-        low, high = law.limits(name)
-        values = [float(sizes[name] * factor) for factor in TRIALS]
-        values += [] if low >= 0 else [-value for value in values]
-        if math.isfinite(low) and math.isfinite(high):
-            values += np.linspace(low, high, TRIALS.size)[1:-1].tolist()
-        each.append([value for value in values if low <= value <= high])
-    count = math.prod(len(values) for values in each)
-    if count <= MOST_TRIALS:
-        combined = list(product(*each))
-    else:
+        These differ from each other by chance: where two friction levels are equal, a Stribeck speed seems to act not.
+        """
         rng = np.random.default_rng(SEED)
-        combined = [tuple(values[rng.integers(len(values))] for values in each) for _ in range(MOST_TRIALS)]
-    return [begin | dict(zip(tried, values, strict=True)) for values in combined]
+        for _ in range(DRAWS):
+            whole = self.fixed | {
+                name: self._inside(name, value * rng.uniform(0.5, 2.0)) for name, value in self.begin.items()
+            }
+            moved = whole | {name: (whole[name] or 1.0) / DOUBLED for name in group}
+            try:
+                first, other = (self.law.curve.gradient(self.near.speeds, at, group) for at in (whole, moved))
+            except InputError:
+                return True
+            if np.any(np.abs(first - other) > SAME * np.max(np.abs(first))):
+                return True
+        return False
+
+    def _inside(self, name: str, value: float) -> float:
+        low, high = self.law.limits(name)
+        if low < value < high:
+            return value
+        if math.isfinite(low) and math.isfinite(high):
+            return 0.5 * (low + high)
+        return float(np.clip(value, low, high))
+
+    def _trials(self, tried: Sequence[str]) -> list[dict[str, float]]:
+        """Return trials of the parameters that bend the curve: every combination, or some of very many."""
+        each = []
+        for name in tried:
+            low, high = self.law.limits(name)
+            values = [float(self.sizes[name] * factor) for factor in TRIALS]
+            values += [] if low >= 0 else [-value for value in values]
+            if math.isfinite(low) and math.isfinite(high):
+                values += np.linspace(low, high, TRIALS.size)[1:-1].tolist()
+            each.append([value for value in values if low <= value <= high])
+        if math.prod(len(values) for values in each) <= MOST_TRIALS:
+            combined = list(product(*each))
+        else:
+            rng = np.random.default_rng(SEED)
+            combined = [tuple(values[rng.integers(len(values))] for values in each) for _ in range(MOST_TRIALS)]
+        return [self.begin | dict(zip(tried, values, strict=True)) for values in combined]
+
+    def _with_linear(self, values: dict[str, float], linear: Sequence[str]) -> Start | None:
+        """Return values with the linear ones by least squares, within their bounds; None where they are not finite."""
+        left = self._left(values)
+        if left is None:
+            return None
+        if linear:
+            try:
+                columns = self.law.curve.gradient(self.near.speeds, self.fixed | values, tuple(linear))
+            except InputError as error:
+                self.refused = self.refused or error
+                return None
+            change = np.linalg.lstsq(np.einsum("mk,kp->mp", self.near.root, columns), -left, rcond=None)[0]
+            values = values | {
+                name: float(np.clip(values[name] + step, *self.law.limits(name)))
+                for name, step in zip(linear, change, strict=True)
+            }
+            left = self._left(values)
+        return None if left is None else Start(values, float(np.sum(left**2)))
+
+    def _left(self, values: dict[str, float]) -> Array | None:
+        """Return how far the formula is from the target (m,); None where it is not finite."""
+        try:
+            return self.near.away(self.law.curve.value(self.near.speeds, self.fixed | values))
+        except InputError as error:
+            self.refused = self.refused or error
+            return None
+
+    def _valleys(self, starts: Sequence[Start]) -> list[Start]:
+        """Return the best of the starts in each of the best valleys."""
+        kept: list[tuple[Start, Array]] = []
+        for start in starts:
+            left = self._left(start.values)
+            if left is not None and all(np.sum((left - other) ** 2) > SAME_VALLEY * start.misfit for _, other in kept):
+                kept.append((start, left))
+            if len(kept) == IMPROVED:
+                break
+        return [start for start, _ in kept]
+
+    def _improved(self, start: Start) -> Start | None:
+        """Return the end of least squares within the bounds, or the start; None where neither is friction."""
+        from scipy.optimize import least_squares
+
+        names = self.law.free
+        low, high = np.array([self.law.limits(name) for name in names]).T
+        begin = np.array([start.values[name] for name in names])
+        size = np.maximum(np.abs(begin), [SAME * self.sizes[name] for name in names])
+        bounds = (low / size, high / size)
+
+        def values(z: Array) -> dict[str, float]:
+            return dict(zip(names, (z * size).tolist(), strict=True))
+
+        def residual(z: Array) -> Array:
+            left = self._left(values(z))
+            return np.full(self.near.aim.size, FAR) if left is None else left
+
+        def slopes(z: Array) -> Array:
+            try:
+                own = self.law.curve.gradient(self.near.speeds, self.fixed | values(z), names)
+            except InputError:
+                own = np.zeros((self.near.speeds.size, len(names)))
+            return np.asarray(np.einsum("mk,kp->mp", self.near.root, own * size))
+
+        inside = np.clip(begin / size, *bounds)
+        with np.errstate(all="ignore"):  # of steps along what hardly changes the curve
+            found = least_squares(residual, inside, slopes, bounds=bounds, method="trf", x_scale=1.0, max_nfev=200)
+        usable = self._is_friction(start.values)  # its reason is understood more easily than that of the end
+        end = Start(values(found.x), float(2 * found.cost))
+        return end if self._is_friction(end.values) else start if usable else None
+
+    def _is_friction(self, values: dict[str, float]) -> bool:
+        """Return whether friction is finite and not negative at every slip speed, and above 0 at rest."""
+        whole = self.fixed | values
+        try:
+            friction = self.law.curve.value(self.checked, whole)
+            self.law.curve.gradient(self.checked, whole, self.law.free)
+        except InputError as error:
+            self.refused = self.refused or error
+            return False
+        lowest = int(np.argmin(friction))
+        if friction[lowest] >= 0 and friction[0] > 0:
+            return True
+        bad, kind = (lowest, "negative") if friction[lowest] < 0 else (0, "not above 0")
+        at = self.law.curve.place(float(self.checked[bad]), whole)
+        what = f"friction is {kind}, {friction[bad]:.4g} m/s^2, {at}"
+        self.refused = self.refused or InputError(what, "formula", "give bounds, or a form that stays above 0")
+        return False
 
 
-def _with_linear(law: Law, linear: Sequence[str], values: dict[str, float], near: Target) -> dict[str, float] | None:
-    """Return the values with those in which the formula is linear by least squares, within their bounds."""
-    left = _left(law, values, near)
-    if left is None or not linear:
-        return None if left is None else values
-    try:
-        columns = law.curve.gradient(near.speeds, dict(law.fix or {}) | values, tuple(linear))
-    except InputError:
-        return None
-    change = np.linalg.lstsq(np.einsum("mk,kp->mp", near.root, columns), -left, rcond=None)[0]
-    return values | {
-        name: float(np.clip(values[name] + step, *law.limits(name))) for name, step in zip(linear, change, strict=True)
-    }
-
-
-def _left(law: Law, values: dict[str, float], near: Target) -> Array | None:
-    """Return how far the formula is from the target (m,); None where it is not finite."""
-    try:
-        found = law.curve.value(near.speeds, dict(law.fix or {}) | values)
-    except InputError:
-        return None
-    return np.asarray(np.einsum("mk,k->m", near.root, found) - near.aim)
-
-
-def _improved(law: Law, values: dict[str, float], near: Target) -> tuple[float, dict[str, float]]:
-    """Return the sum of squares and the values after nonlinear least squares within the bounds."""
-    from scipy.optimize import least_squares
-
-    names = law.free
-    low, high = np.array([law.limits(name) for name in names]).T
-    begin = np.array([values[name] for name in names])
-    size = np.maximum(np.abs(begin), 1e-300)
-
-    def residual(z: Array) -> Array:
-        left = _left(law, dict(zip(names, (z * size).tolist(), strict=True)), near)
-        return np.full(near.aim.size, FAR) if left is None else left
-
-    bounds = (low / size, high / size)
-    inside = np.clip(begin / size, *bounds)
-    found = least_squares(residual, inside, bounds=bounds, method="trf", x_scale=1.0, max_nfev=200)
-    better = dict(zip(names, (found.x * size).tolist(), strict=True))
-    return float(2 * found.cost), better
+def _order(start: Start) -> tuple[float, int]:
+    """Return by what starts are sorted: of values that give the same curve those with fewer signs come first."""
+    return float(f"{max(start.misfit, ROUNDING):.5g}"), sum(value < 0 for value in start.values.values())

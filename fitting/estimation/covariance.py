@@ -20,6 +20,7 @@ import numpy as np
 from daq.base.compute.arrays import Array, autocorrelation_time
 from daq.base.measured import Measured
 from fitting.estimation.fit import Fit
+from fitting.estimation.fitted_law import FittedLaw
 from fitting.least_squares.normal_equations import ROUNDING, SchurComplement, eigen, normal_equations, scaled_inverse
 from fitting.model.parameters import PerCycle
 
@@ -67,7 +68,7 @@ def _true_square(fit: Fit, column: PerCycle) -> tuple[float, Array]:
     return max(float(np.mean(fit.local[own, column] ** 2)) - likely, 0.0), error
 
 
-def covariance(fit: Fit, precision: Array) -> Array:
+def covariance(fit: FittedLaw, precision: Array) -> Array:
     """Return a covariance (p, p) of the active shared unknowns, in no direction smaller than either of `covariances`.
 
     An unknown's own variance in it may be larger than both: for one quantity take the larger of both variances.
@@ -75,14 +76,15 @@ def covariance(fit: Fit, precision: Array) -> Array:
     return upper_bound(*covariances(fit, precision))
 
 
-def covariances(fit: Fit, precision: Array) -> tuple[Array, Array]:
+def covariances(fit: FittedLaw, precision: Array) -> tuple[Array, Array]:
     """Return the covariances (p, p) of the active shared unknowns by the sandwich and by the curvature.
 
     Parameters
     ----------
-    fit : Fit
+    fit : FittedLaw
     precision : (p,) f8
-        1/sd^2 of the calibrations, 0 where there is none: a prior's own error is one more independent source.
+        1/sd^2 of the calibrations, and of a formula's own unknowns; 0 where there is none.  A prior's own error is one
+        more independent source.
     """
     blocks = fit.solution.blocks
     reduced = SchurComplement(blocks)
@@ -118,7 +120,7 @@ def upper_bound(first: Array, second: Array) -> Array:
     return np.asarray(np.einsum("ik,jk->ij", half, half))
 
 
-def _founded(fit: Fit) -> Array:
+def _founded(fit: FittedLaw) -> Array:
     """Return the share (cycles,) of what a cycle informs that its residuals allow."""
     assumed = 1 / fit.at.problem.weights
     own = np.full(assumed.size, 1e-300)
@@ -128,7 +130,7 @@ def _founded(fit: Fit) -> Array:
     return np.asarray(np.minimum(ALLOWED * assumed / own, 1.0))
 
 
-def _excess(fit: Fit) -> Array:
+def _excess(fit: FittedLaw) -> Array:
     """Return the part of the precisions (cycles, q) of the levels' prior by which it is wider than their scatter."""
     sd = fit.at.noise.level_sd(fit.windows, fit.problem.level_prior)
     excess = (1 - (fit.at.noise.scatter / sd) ** 2) / sd**2

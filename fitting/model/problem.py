@@ -1,8 +1,9 @@
 """What stays the same while one law is fitted: starting values, bounds, and the calibrations as priors."""
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,13 +33,29 @@ FIRST_RAMP = 1e-4  # of the belt's speed: where a ramp law starts from its jump 
 NARROWEST_RAMP = 1e-6  # of the belt's speed: no fit makes a ramp narrower
 
 
+EXACT = 1e-6  # of an unknown's size: standard deviation of one that is held
+
+
+class GivenUnknown(NamedTuple):
+    """What the user gives of a shared unknown, in its units: bounds, equal where it is held, and a first value."""
+
+    slot: Global
+    low: float
+    high: float
+    start: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any."""
+    """One record in the fit's frame, its cycles (those without a flag are fitted), its belt's ripple if any.
+
+    ``given`` is what the user gives of the shared unknowns of each law.
+    """
 
     motion: MeasuredMotion
     cut: CycleSegmentation
     ripple: Ripple | None = None
+    given: Mapping[int | str, tuple[GivenUnknown, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +72,11 @@ class EstimationProblem:
     precision: Array
 
     @classmethod
-    def build(cls, law: int, runs: Sequence[Run]) -> "EstimationProblem":
+    def build(cls, law: int, runs: Sequence[Run], name: int | str | None = None) -> "EstimationProblem":
         """Regress the start and turn the calibrations into priors.
 
-        Several runs start from the median of what their regressions say of the contact.
+        Several runs start from the median of what their regressions say of the contact.  What the user gives is that of
+        the law, or of another one of that ``name`` on its contact.
         """
         kind = LAWS[law]
         motions = tuple(run.motion for run in runs)
@@ -115,7 +133,31 @@ class EstimationProblem:
             upper=upper.ravel(),
             prior=prior.ravel(),
             precision=precision.ravel(),
+        ).with_given(law if name is None else name)
+
+    def with_given(self, name: int | str) -> "EstimationProblem":
+        """Return the problem with what the user gives of a law's shared unknowns."""
+        if not any(run.given.get(name) for run in self.runs):
+            return self
+        start, lower, upper, prior, precision = (
+            own.copy() for own in (self.start, self.lower, self.upper, self.prior, self.precision)
         )
+        for run, own in enumerate(self.runs):
+            sizes = _sizes(own.motion, float(self.start[PER_RUN * run + Global.K]))
+            for given in own.given.get(name, ()):
+                at = PER_RUN * run + given.slot
+                lower[at], upper[at] = max(lower[at], given.low), min(upper[at], given.high)
+                first = start[at] if given.start is None else given.start
+                if given.low == given.high:
+                    lower[at] = upper[at] = first = prior[at] = given.low
+                    precision[at] = (EXACT * sizes[given.slot]) ** -2.0
+                start[at] = min(max(first, lower[at]), upper[at])
+        return replace(self, start=start, lower=lower, upper=upper, prior=prior, precision=precision)
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Which unknowns of all runs have one value."""
+        return np.asarray(self.lower == self.upper)
 
     def with_overtaking(self, overtaking: NDArray[np.bool_]) -> "EstimationProblem":
         """Return the problem with these cycles (cycles,) as ones in which the mass overtakes the belt after landing."""
@@ -153,7 +195,7 @@ class EstimationProblem:
             p = parameters.values(u[:PER_RUN])
             F, shape = starts.matched_curve(own.curve_code, near.curve_code, p.F, p.shape, fastest)
             start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
-        return start
+        return np.where(self.held, self.start, start)
 
     def windows(self, *, thinned: bool) -> ShootingWindows:
         """Return the windows of all runs, of every sample or thinned to `COARSE` a slip."""
@@ -234,6 +276,13 @@ def damping_calibration(motion: MeasuredMotion, K: float) -> Measured:
     if known is None or mass is None:
         return Measured(0.0, DEFAULT_DAMPING_SD * 2 * math.sqrt(K))
     return Measured(known.value / mass, known.sd / mass)
+
+
+def _sizes(motion: MeasuredMotion, K: float) -> dict[Global, float]:
+    """Return the natural size of each unknown that may be given."""
+    v, omega = motion.belt_speed, math.sqrt(K)
+    sizes = {Global.K: K, Global.LOG_F: 1.0, Global.V_DR: v, Global.SHAPE: 1 / v, Global.D: v, Global.STATIC: 1.0}
+    return sizes | {Global.DATUM: motion.travel, Global.DAMPING: omega}
 
 
 def _precision(sd: float, exact: float) -> float:

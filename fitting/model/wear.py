@@ -9,8 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.base.compute.arrays import Array
+from daq.base.compute.arrays import Array, Mask
 from daq.base.measured import Measured
+from fitting.model.parameters import PerCycle
+from fitting.model.windows import ShootingWindows
 
 FEWEST_LEVELS = 4  # a line through fewer has next to no error of its own
 
@@ -71,3 +73,10 @@ def level_trend(time: Array, level: Array) -> Wear | None:
     freedom = level.size - 2
     found = Wear(Measured(-slope, float(np.sqrt(np.sum(rest**2) / freedom / square))), middle, freedom)
     return found if found.first.value > 0 else None
+
+
+def of_cycles(windows: ShootingWindows, inlier: Mask, local: Array, run: int) -> Wear | None:
+    """Return the line through the friction levels of one run's inlier cycles; ``local`` (cycles, 6) has their logs."""
+    table = windows.table
+    own = (table[:, 1] == 0) & (table[:, 5] == run) & inlier[table[:, 0]]
+    return level_trend(windows.level_epoch[own], np.exp(local[table[own, 0], PerCycle.LEVEL]))

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
@@ -32,6 +33,19 @@ class NoLawError(Exception):
         self.reason = reason
 
 
+class FittedSix(NamedTuple):
+    """The fits of the six, and what they were fitted to.
+
+    ``sustained`` is whether the mass sticks often; ``doubt`` why the record would be refused, if no other law comes
+    near it.
+    """
+
+    fits: list[Fit]
+    runs: list[Run]
+    sustained: bool
+    doubt: str
+
+
 def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     """Cut a record into cycles; where the mass sticks often on a belt that ripples, as it would on a steady belt."""
     cut = cycles.segment_cycles(motion, excluded)
@@ -51,7 +65,7 @@ def _with_ripple(run: Run) -> Run:
 
 def _rippled(run: Run, found: ripple.Ripple) -> Run:
     """Return a run with a ripple, cut as the mass would move on a steady belt."""
-    return Run(run.motion, cycles.segment_cycles(found.removed(run.motion), _excluded(run)), found)
+    return replace(run, cut=cycles.segment_cycles(found.removed(run.motion), _excluded(run)), ripple=found)
 
 
 def _excluded(run: Run) -> frozenset[int]:
@@ -65,11 +79,18 @@ def fit_runs(
     jobs: int,
     progress: Callable[[float], None] | None,
     scheduler: str | None,
-) -> tuple[list[Fit], list[Run], bool]:
-    """Fit the laws to what may be described by them; also return what was fitted and whether the mass sticks often."""
+    *,
+    formulas: bool = False,
+) -> FittedSix:
+    """Fit the laws to what may be described by them.
+
+    Where ``formulas`` are fitted too, a record that none of the six comes near is not refused yet: one of these may.
+    """
     sustained = _check(runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
-    _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
+    doubt = screening.reject_by_coarse_fits(laws, runs, sustained=sustained)
+    if not formulas or doubt == screening.SINE_ALONE:
+        refuse(doubt, records)
     fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
         fits = fit_to(laws, runs)
@@ -85,13 +106,16 @@ def fit_runs(
             "add --laws 1,2",
         )
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
-    _refuse(screening.reject_by_misfit(fits, runs, sustained=seen), records)
-    screening.refuse_missing_frames(fits, records)
+    doubt = screening.reject_by_misfit(fits, runs, sustained=seen) or doubt
+    if not formulas or not fits or doubt == screening.SINE_ALONE:
+        refuse(doubt, records)
+    if not doubt:
+        screening.refuse_missing_frames(fits, records)
     if not seen and not any(record.sticks for record in records) and not _is_described(fits, runs):
-        _refuse(screening.NOT_DESCRIBED, records)
+        refuse(screening.NOT_DESCRIBED, records)
     if not sustained and not any(run.cut.uses_start for run in runs):
-        _refuse(screening.SINE_ALONE, records)
-    return fits, list(runs), sustained
+        refuse(screening.SINE_ALONE, records)
+    return FittedSix(fits, list(runs), sustained, doubt)
 
 
 def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = driver.SIX, **how: Any) -> list[Fit]:
@@ -172,7 +196,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     kinds = [run.cut.sustained for run in runs]
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
-        _refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
+        refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
     sources = [str(record.recording.source) for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
@@ -182,7 +206,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     count = sum(len(run.cut.used) for run in runs)
     if count < FEWEST_CYCLES:
         if not any(run.cut.starts_at_rest or record.sticks for run, record in zip(runs, records, strict=True)):
-            _refuse(screening.swings_alone(count), records)
+            refuse(screening.swings_alone(count), records)
         left = sum(len(run.cut.cycles) for run in runs) - count
         out = f", {left} more left out" if left else ""
         raise DataError(
@@ -196,7 +220,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     return sustained
 
 
-def _refuse(why: str, records: Sequence[Kinematics]) -> None:
+def refuse(why: str, records: Sequence[Kinematics]) -> None:
     """Raise where ``why`` says why the laws cannot be ranked: `NoLawError` for stick-slip, else DataError."""
     if not why:
         return

@@ -20,6 +20,7 @@ from fitting.data.frame import REST_FRACTION, SLIPPING, MeasuredMotion
 from fitting.driver.passes import first_pass, regressed_start
 from fitting.driver.task import law_task
 from fitting.estimation.fit import Fit
+from fitting.estimation.fitted_law import FittedLaw
 from fitting.model.problem import Run
 from fitting.selection import lost_frames
 from fitting.selection.evidence import constant_friction_limit
@@ -271,6 +272,12 @@ def _sine_or(what: str, runs: Sequence[Run], *, sustained: bool) -> str:
 def swings_alone(swings: int) -> str:
     """Return what a record of a few swings is that shows neither a start-up nor a stick."""
     return f"{swings} whole swing{'' if swings == 1 else 's'} in it, and no stick"
+
+
+def comes_near(fits: Sequence[FittedLaw], runs: Sequence[Run]) -> bool:
+    """Return whether one of some laws comes near the runs."""
+    longest = max(_slip_length(run.motion, run.cut) for run in runs)
+    return any(fit.misfit < WORST_FIT * longest for fit in fits)
 
 
 def reject_by_misfit(fits: Sequence[Fit], runs: Sequence[Run], *, sustained: bool) -> str:
