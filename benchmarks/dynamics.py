@@ -5,7 +5,7 @@ time per event and error against the exact map, on the thesis's two masses at V 
 of d, of
 
     exact, fine, coarse     rig_sim.dynamics.maps.stick_map, compiled
-    scipy                   rig_sim.comparison.two_masses: DOP853 between located events, rtol 1e-6
+    scipy                   oracles.two_masses: DOP853 between located events, rtol 1e-6
     pynamicalsys            RK45 of the equations with sign(w) replaced by tanh(w/width), compiled by numba
 
 then the time of a diagram of both attractors at 400 velocities: in this process, in two, and by a dask cluster of two
@@ -58,7 +58,7 @@ def main(argument: str) -> None:
 def map_speed(events):
     """Print and return what an event costs by each method."""
     # Not above: every process of a sweep imports this file, and with it would import scipy, 0.4 s.
-    from rig_sim.comparison.two_masses import next_stick
+    from oracles.two_masses import next_stick
 
     rows = []
     exact = StickMap(FLOW)
