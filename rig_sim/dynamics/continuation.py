@@ -24,7 +24,7 @@ from rig_sim.dynamics.minimum_map import next_minimum
 from rig_sim.dynamics.return_map import STEPS_ALLOWED_HERE
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import displacement, frame
-from rig_sim.integrate.buffer import new_work
+from rig_sim.integrate.work import new_work
 
 HALVINGS = 60  # of an interval of the parameter: its width falls below rounding
 TOUCH = 1e-9  # of the interval of starts: how well the start that gains least is found; its gain is even less wrong

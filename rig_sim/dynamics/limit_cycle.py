@@ -15,8 +15,8 @@ from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, force
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import Frame, frame, is_curved, linear_terms, mirrored, position
-from rig_sim.integrate.buffer import Buffer, new_work
 from rig_sim.integrate.newton import EPS
+from rig_sim.integrate.work import Work, new_work
 
 TURNS = 300  # evaluations of the return map; not swept
 # Turns that close to rounding, after which the search ends although the map all but touches the diagonal, where
@@ -152,7 +152,7 @@ def grazing_orbit(fr: Frame) -> Orbit:
     )
 
 
-def closed_turn(fr: Frame, work: Buffer) -> Turn:
+def closed_turn(fr: Frame, work: Work) -> Turn:
     """Return the turn of a ramp law that ends where it began: plain iteration of the return map and secant steps."""
     turn = next_slip(fr, classify(fr, 0.0, 0.0, 0.0), 0.0, 0.0, work)
     p_before = g_before = math.nan

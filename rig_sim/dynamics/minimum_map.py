@@ -20,9 +20,8 @@ from rig_sim.dynamics.return_map import PHASES_PER_TURN, creeps
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import classify, transition
 from rig_sim.flow.frame import Frame, free_acceleration, friction_slope, mode_bounds, steepest_slope
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.phases import increments, is_series, phase_exit
+from rig_sim.integrate.work import Work
 
 # Points of the Gauss-Legendre rule on every Taylor step.  A step ends at a quarter of the series' radius of
 # convergence, where 8 points leave 1e-17 of the integral; not swept.
@@ -57,7 +56,7 @@ class MinimumTurn:
     modes: tuple[int, ...] = ()
 
 
-def next_minimum(fr: Frame, p: float, work: Buffer) -> MinimumTurn:
+def next_minimum(fr: Frame, p: float, work: Work) -> MinimumTurn:
     """Follow the motion from a minimum at p (m, in the frame) to the next.
 
     The step limit of ``work`` ends a motion that never turns.
@@ -74,9 +73,9 @@ def next_minimum(fr: Frame, p: float, work: Buffer) -> MinimumTurn:
         lo, hi = mode_bounds(fr, mode)
         if lo <= still < hi:  # the phase is followed to where the mass turns, too
             lo, hi = (still, hi) if rising else (lo, still)
-        if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
+        if work.steps >= work.steps_allowed:
             return MinimumTurn(*modes.OUTCOMES[modes.STEP_LIMIT])
-        work[buffer.STEPS] += 1.0
+        work.steps += 1.0
         side, tau = phase_exit(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
         if math.isinf(tau) or creeps_to_rest(fr, mode, p, w):
             return MinimumTurn("fixed point", "the mass comes to rest without turning again")
@@ -116,7 +115,7 @@ def creeps_to_rest(fr: Frame, mode: int, p: float, w: float) -> bool:
     return creeps(fr, w + fr.v, a, fr.c - steepest_slope(fr, fr.d, fr.v))
 
 
-def lost(fr: Frame, mode: int, p: float, w: float, tau: float, work: Buffer) -> float:
+def lost(fr: Frame, mode: int, p: float, w: float, tau: float, work: Work) -> float:
     """Return the integral of (c - F'(w))/m over a step of ``tau`` (s) that `phase_exit` has just made; 0 in stick."""
     if mode == modes.STICK:
         return 0.0

@@ -22,11 +22,10 @@ from rig_sim.flow.frame import (
 )
 from rig_sim.friction.curve import HYPERBOLIC, MEASURED
 from rig_sim.friction.spline import about, piece_of
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.linear import first_extreme
 from rig_sim.integrate.phases import increments, is_series, phase_exit
 from rig_sim.integrate.polynomial import first_root, value
+from rig_sim.integrate.work import ORDER, Work
 
 STEPS_ALLOWED_HERE = 20_000  # of the integrator, in a whole search: some thousand turns without an event
 PHASES_PER_TURN = 200
@@ -51,7 +50,7 @@ class Turn:
     mode: int = modes.STICK  # in which the mass rests
 
 
-def next_slip(fr: Frame, mode: int, p: float, w: float, work: Buffer, *, to_the_end: bool = True) -> Turn:
+def next_slip(fr: Frame, mode: int, p: float, w: float, work: Work, *, to_the_end: bool = True) -> Turn:
     """Follow the motion to the next beginning of (backward) slip out of stick or ramp, and record its extremes.
 
     A start in stick or ramp leads to the end of that stick.  A motion that will not stick any more is followed to where
@@ -92,7 +91,7 @@ def pass_phase(
     w: float,
     p_seen: list[float],
     w_seen: list[float],
-    work: Buffer,
+    work: Work,
     *,
     to_the_end: bool = True,
 ) -> tuple[int, float, float, float]:
@@ -105,8 +104,8 @@ def pass_phase(
     lo, hi = mode_bounds(fr, mode)
     durations: list[float] = []
     turns: list[float] = []
-    while work[buffer.STEPS] < work[buffer.STEPS_ALLOWED]:
-        work[buffer.STEPS] += 1.0
+    while work.steps < work.steps_allowed:
+        work.steps += 1.0
         side, tau = phase_exit(fr, mode, p, w, 0.0, lo, hi, math.inf, work)
         if math.isinf(tau):
             return 0, tau, p, w
@@ -155,22 +154,22 @@ def swings_on(fr: Frame, turns: list[float]) -> bool:
     return len(turns) > 2 and abs(change) < CLOSED * size and abs(change) <= abs(turns[-2] - turns[-3])
 
 
-def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Buffer) -> list[float]:
+def turning_times(fr: Frame, mode: int, p: float, w: float, tau: float, work: Work) -> list[float]:
     """Return the local times within tau at which w = -v or w' = 0: where x and v may be extreme."""
     if mode == modes.STICK:
         return []
     level = -fr.v
     if is_series(fr, mode):
-        scale = work[buffer.TIME_SCALE]
-        for j in range(buffer.ORDER):
-            work[buffer.U + j] = (j + 1) * work[buffer.W + j + 1]
-        work[buffer.U + buffer.ORDER] = 0.0
+        scale = work.time_scale
+        for j in range(ORDER):
+            work.u[j] = (j + 1) * work.w[j + 1]
+        work.u[ORDER] = 0.0
         found = []
-        for series, target in ((buffer.W, level), (buffer.U, 0.0)):
-            before, behind = work[series] - target, value(work, series, buffer.ORDER, tau / scale) - target
+        for series, target in ((work.w, level), (work.u, 0.0)):
+            before, behind = series[0] - target, value(series, ORDER, tau / scale) - target
             if before * behind < 0.0:
                 side = -1 if before > 0.0 else 1
-                found.append(scale * first_root(work, series, buffer.ORDER, target, side, tau / scale))
+                found.append(scale * first_root(series, ORDER, target, side, tau / scale))
         return found
     C, _ = linear_terms(fr, mode)
     zeta = 0.5 * C / fr.m

@@ -19,9 +19,10 @@ from rig_sim.flow import modes
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import frame
-from rig_sim.integrate.buffer import CARRY, RAPID, STEPS, Buffer, new_work
 from rig_sim.integrate.compiled import compiled, for_kernels
-from rig_sim.integrate.phases import run, sample_phase
+from rig_sim.integrate.events import new_lists, new_samples
+from rig_sim.integrate.phases import Lists, State, run, sample_phase
+from rig_sim.integrate.work import Work, new_work, unboxed
 
 # Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that has not landed after
 # these does not count as one that lands.
@@ -29,6 +30,7 @@ STEPS_OF_LANDING = 20_000
 OSCILLATIONS = 1000.0  # of the mass alone, and the longest stick besides, within which it has to land
 # Steps that an application of the map counts as besides its own, for the 30 us of its call.
 STEPS_OF_CALL = 60
+LANDED = -1  # an outcome of the kernel
 
 
 @dataclass(frozen=True)
@@ -94,8 +96,8 @@ class LandingMap:
         self._edge = -fr.mirror * fr.d
         self._behind = modes.NEGATIVE if fr.mirror > 0.0 else modes.POSITIVE
         self._budget = budget or StepBudget(math.inf)
-        self._lists = np.zeros((4, 1))
-        self._work: Buffer = new_work(STEPS_OF_LANDING, compiled=True)
+        self._one = new_lists(1, compiled=True)
+        self._work = new_work(STEPS_OF_LANDING, compiled=True)
 
     def __call__(self, state: Array, change: float = 0.0) -> Array:
         """Return the state at the next landing, (2,), with u0 changed by ``change`` (N); NaN without one.
@@ -108,34 +110,27 @@ class LandingMap:
         if self._budget.left <= 0.0:
             raise self._budget.exceeded("map of landings", "apply the map less often")
         following = self.landing(state, change).state
-        self._budget.left -= self._work[STEPS] + STEPS_OF_CALL
+        self._budget.left -= self._steps + STEPS_OF_CALL
         return following
 
     def landing(self, state: Array, change: float = 0.0) -> Landing:
         """Return the next landing after the one at ``state``."""
-        return self._next(self._mode, state[1], self._edge, state[0] % self.period, change)
+        return self._next(State(self._mode, state[1], self._edge, state[0] % self.period), change)
 
     def first(self, x: float, v: float) -> Landing:
         """Return the first landing of a motion that starts at x (m) with velocity v (m/s) at phase 0."""
-        return self._next(initial_mode(self.flow, x, v, 0.0), x, v - self.flow.v_belt, 0.0, 0.0)
+        return self._next(State(initial_mode(self.flow, x, v, 0.0), x, v - self.flow.v_belt, 0.0), 0.0)
 
-    def _next(self, mode: int, x: float, w: float, t: float, change: float) -> Landing:
+    def _next(self, at: State, change: float) -> Landing:
         flow = self._compiled_flow._replace(u0=self.flow.u0 + change)
-        step, work = compiled_run(), self._work
-        work[STEPS] = work[CARRY] = work[RAPID] = 0.0
-        begun, end, x_slip = t, t + self._horizon, math.nan
-        while True:
-            before = mode
-            outcome, count, _, mode, x, w, t = step(flow, mode, x, w, t, end, 1, *self._lists, 0, work)
-            if outcome != modes.LIST_FULL or count == 0:
-                name = modes.OUTCOMES[outcome].name
-                ended = "no landing" if outcome in (modes.COMPLETED, modes.STEP_LIMIT) else name
-                return Landing(np.full(2, np.nan), math.nan, x_slip, ended)
-            if before in (modes.STICK, modes.RAMP):
-                x_slip = x
-            elif mode == modes.STICK or (mode == modes.RAMP and before == self._behind):
-                state = np.array([(t + work[CARRY]) % self.period, x])
-                return Landing(state, t - begun, x_slip, "completed")
+        end = at.t + self._horizon
+        outcome, landed, x_slip, self._steps = compiled_landing()(flow, at, end, self._behind, self._one, self._work)
+        if outcome != LANDED:
+            name = modes.OUTCOMES[outcome].name
+            ended = "no landing" if outcome in (modes.COMPLETED, modes.STEP_LIMIT) else name
+            return Landing(np.full(2, np.nan), math.nan, x_slip, ended)
+        state = np.array([(landed.t + landed.carry) % self.period, landed.x])
+        return Landing(state, landed.t - at.t, x_slip, "completed")
 
     def motion(self, states: Array, changes: Array, rate: float) -> tuple[Array, Array, Array]:
         """Return time (s, from the first landing), x (m) and v (m/s) of a motion under control, (n,) each.
@@ -160,19 +155,49 @@ class LandingMap:
         """Return times since a landing, x and v up to the next one, both landings included."""
         start = state[0] % self.period
         times = np.append(np.arange(0.0, duration := self.landing(state, change).duration, 1.0 / rate), duration)
-        out_x, out_v, out_mode = np.zeros((3, len(times)))
-        mode, x, w, t, i = self._mode, float(state[1]), self._edge, start, 0
+        samples = new_samples(start + times, compiled=True)
+        at, i = State(self._mode, float(state[1]), self._edge, start), 0
         flow, work = self.flow._replace(u0=self.flow.u0 + change), new_work()
         while i < len(times):
-            kind, mode, x, w, t, i = sample_phase(
-                flow, mode, x, w, t, start + times, i, len(times), start + duration, out_x, out_v, out_mode, work
-            )
+            kind, at, i = sample_phase(flow, at, start + duration, samples, i, work)
             if kind >= modes.FORCE_REVERSAL:
                 raise RuntimeError(modes.OUTCOMES[kind].name)
-        return times, out_x, out_v
+        return times, samples.x, samples.v
+
+
+def next_landing(
+    flow: Flow, at: State, end: float, behind: int, one: Lists, work: Work
+) -> tuple[int, State, float, float]:
+    """Follow the motion event by event to the next landing, or to ``end`` (s).
+
+    Parameters
+    ----------
+    behind : int
+        The mode from which a ramp is entered at a landing: that of a mass slower than the belt.
+    one : Lists
+        Of one event.
+
+    Returns
+    -------
+    (outcome, at, x_slip, steps)
+        `LANDED`, or how the motion ended; the state there; where the mass broke away last (m, or NaN); steps taken.
+    """
+    work = unboxed(work)
+    work.steps = 0.0
+    work.rapid = 0.0
+    x_slip = math.nan
+    while True:
+        before = at.mode
+        outcome, count, _, at = run(flow, at, end, one, 0, work)
+        if outcome != modes.LIST_FULL or count == 0:
+            return outcome, at, x_slip, work.steps
+        if before == modes.STICK or before == modes.RAMP:
+            x_slip = at.x
+        elif at.mode == modes.STICK or (at.mode == modes.RAMP and before == behind):
+            return LANDED, at, x_slip, work.steps
 
 
 @cache
-def compiled_run() -> Callable[..., tuple[int, int, int, int, float, float, float]]:
-    """Return the integrator's list of events as machine code."""
-    return compiled(run)
+def compiled_landing() -> Callable[..., tuple[int, State, float, float]]:
+    """Return `next_landing` as machine code."""
+    return compiled(next_landing, __name__)

@@ -30,9 +30,10 @@ from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame, friction_slope
 from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES, STEP_LIMIT
-from rig_sim.integrate.buffer import Buffer, new_work
 from rig_sim.integrate.compiled import compiled, for_kernels
-from rig_sim.integrate.phases import sample_phase
+from rig_sim.integrate.events import new_samples
+from rig_sim.integrate.phases import Samples, State, sample_phase
+from rig_sim.integrate.work import Work, new_work, unboxed
 
 # Times the linear ripple that a quenched motion may swing: above the threshold it swings by 0.65 to 1.0 times it, and
 # stick-slip that repeats with every period of a drive slower than the mass by 3 times it and more.
@@ -198,38 +199,23 @@ def swing(flow: Flow, motion: Settled) -> float:
 
 def positions(flow: Flow, x: float, v: float, times: Array) -> Array:
     """Return x (m) at increasing times (s), (n,), of a motion from (x, v) at the first; fewer where the motion ends."""
-    n, t, w = len(times), float(times[0]), v - flow.v_belt
-    mode = initial_mode(flow, x, v, t)
+    t = float(times[0])
+    at = State(initial_mode(flow, x, v, t), x, v - flow.v_belt, t)
     if (times[-1] - times[0]) * abs(flow.omega) > 2.0 * math.pi * MANY_PERIODS and flow.u0 != 0.0:
-        found, speeds, contacts = np.zeros((3, n))
-        served = compiled_samples()(
-            for_kernels(flow), mode, x, w, t, times, n, found, speeds, contacts, new_work(compiled=True)
-        )
-        return found[:served]
-    xs, vs, modes = [0.0] * n, [0.0] * n, [0.0] * n
-    served = samples(flow, mode, x, w, t, times.tolist(), n, xs, vs, modes, new_work())
-    return np.array(xs[:served])
+        found = new_samples(times, compiled=True)
+        served = compiled_samples()(for_kernels(flow), at, found, new_work(compiled=True))
+        return np.asarray(found.x[:served])
+    listed = new_samples(times.tolist(), compiled=False)
+    served = samples(flow, at, listed, new_work())
+    return np.array(listed.x[:served])
 
 
-def samples(
-    flow: Flow,
-    mode: int,
-    x: float,
-    w: float,
-    t: float,
-    times: Buffer,
-    n: int,
-    out_x: Buffer,
-    out_v: Buffer,
-    out_mode: Buffer,
-    work: Buffer,
-) -> int:
-    """Store the motion at n times, as `rig_sim.integrate.phases.sample_phase`; return how many it comes to."""
+def samples(flow: Flow, at: State, wanted: Samples, work: Work) -> int:
+    """Store the motion at the times wanted; return how many it comes to."""
+    work = unboxed(work)
     i = 0
-    while i < n:
-        kind, mode, x, w, t, i = sample_phase(
-            flow, mode, x, w, t, times, i, n, times[n - 1], out_x, out_v, out_mode, work
-        )
+    while i < wanted.n:
+        kind, at, i = sample_phase(flow, at, wanted.t[wanted.n - 1], wanted, i, work)
         if kind >= FORCE_REVERSAL:
             break
     return i

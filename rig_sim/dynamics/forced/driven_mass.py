@@ -12,21 +12,17 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from rig_sim.dynamics.forced.passage import (
     COLUMNS,
-    DP,
     ENDS,
     FACTOR,
     LANDING,
-    MODE,
     POSITION,
     SECTION,
     SLIP,
-    STATE,
     STROBE,
     TIME,
-    TURNS,
     VELOCITY,
-    P,
-    W,
+    Clock,
+    Place,
     compiled_passages,
 )
 from rig_sim.dynamics.forced.system import Passages
@@ -34,8 +30,8 @@ from rig_sim.dynamics.step_budget import StepBudget
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import displacement, frame, mirrored, position
-from rig_sim.integrate.buffer import STEPS, STEPS_ALLOWED, new_work
 from rig_sim.integrate.compiled import for_kernels
+from rig_sim.integrate.work import new_record, new_work
 
 SECTIONS = {"poincare": STROBE, "slip": SLIP, "landing": LANDING}
 # Integrator steps allowed of one call, some 0.5 us each, and of every passage asked for: 3 to 30 are usual.  A drive
@@ -100,13 +96,14 @@ class DrivenMass:
         self.scale = np.array([size, fr.omega0 * size])
         self.unit = max(1, math.ceil(abs(flow.omega) / fr.omega0))
         longest_stick = 2.0 * (fr.B + abs(fr.u0)) / (fr.k * fr.v) if fr.v > 0.0 else 0.0
-        self._patience = (OSCILLATIONS * 2.0 * math.pi / fr.omega0 + longest_stick) / self.period + OSCILLATIONS
+        patience = (OSCILLATIONS * 2.0 * math.pi / fr.omega0 + longest_stick) / self.period + OSCILLATIONS
+        self._clock = Clock(self.period, patience)
         self._budget = budget or StepBudget(math.inf)
         self._work = new_work(compiled=True)
-        self._state = np.zeros(STATE)
-        self._state[MODE] = mirrored(fr, initial_mode(self.flow, x, v, 0.0))
-        self._state[P], self._state[W] = displacement(fr, x), fr.mirror * (v - flow.v_belt)
-        self._state[DP] = 1.0 / fr.omega0
+        self._at = new_record(Place, compiled=True)
+        self._at.mode = mirrored(fr, initial_mode(self.flow, x, v, 0.0))
+        self._at.p, self._at.w = displacement(fr, x), fr.mirror * (v - flow.v_belt)
+        self._at.dp = 1.0 / fr.omega0
 
     def follow(self, number: int, *, tangent: bool = False) -> Passages:
         """Return the next ``number`` passages of the section: states (x, v) in m and m/s.
@@ -127,8 +124,8 @@ class DrivenMass:
         """
         wanted = self._drawn
         rows = np.empty((0, COLUMNS))
-        end = self._state[TURNS] + number
-        while self._state[TURNS] < end:
+        end = self._at.turns + number
+        while self._at.turns < end:
             more, outcome = self._rows(number, wanted | STROBE, tangent=False)
             rows = np.concatenate([rows, more])
             if outcome:
@@ -141,12 +138,11 @@ class DrivenMass:
         allowed = min(STEPS_OF_CALL + STEPS_OF_PASSAGE * number, max(self._budget.left, 0.0))
         number = min(number, int(allowed) + 1)  # no passage takes less than a step
         out = np.zeros(number * COLUMNS)
-        self._work[STEPS] = 0.0
-        self._work[STEPS_ALLOWED] = allowed
-        outcome, count = compiled_passages()(
-            self._frame, self.period, self._patience, mask, int(tangent), number, self._state, out, self._work
-        )
-        self._budget.left -= self._work[STEPS]
+        self._work.steps = 0.0
+        self._work.steps_allowed = allowed
+        follow = compiled_passages()
+        outcome, count = follow(self._frame, self._clock, mask, int(tangent), number, self._at, out, self._work)
+        self._budget.left -= self._work.steps
         return out.reshape(number, COLUMNS)[:count], outcome
 
     def _states(self, rows: Array) -> Array:

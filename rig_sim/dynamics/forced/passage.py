@@ -12,16 +12,17 @@ bit, however long it has lasted.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 from rig_sim.dynamics.forced.variation import after_event, deviation
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import transition
 from rig_sim.flow.frame import Frame, mode_bounds
 from rig_sim.flow.modes import FORCE_REVERSAL, NOT_FINITE, OUTCOMES, STEP_LIMIT, Outcome
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.phases import RAPID_ALLOWED, RAPID_TIME, increments, phase_exit
+from rig_sim.integrate.work import Buffer, Work, unboxed
 
 STROBE, SLIP, LANDING = 1, 2, 4
 NO_PASSAGE = 30
@@ -29,36 +30,54 @@ ENDS = {
     **OUTCOMES,
     NO_PASSAGE: Outcome("no stick", "the mass does not stick any more within the time of many oscillations"),
 }
-# Places in the state: mode, displacement (m) and relative velocity (m/s) in the frame, time within the drive period
-# (s), whole drive periods, the deviation, the logarithm of its growth, drive periods at the last passage.
-MODE, P, W, T, TURNS, DP, DW, GROWTH, LAST = range(9)
-STATE = 9
 TIME, POSITION, VELOCITY, FACTOR, SECTION = range(5)  # columns of a passage
 COLUMNS = 5
 
 
+@dataclass(slots=True)
+class Place:
+    """Where a driven motion stands.
+
+    Attributes
+    ----------
+    mode, p, w : float
+        Mode, displacement (m) and relative velocity (m/s), in the frame.
+    t, turns : float
+        Time within the drive period (s), and whole drive periods.
+    dp, dw, growth : float
+        The deviation, and the logarithm of its growth since the last passage.
+    last : float
+        Whole drive periods at the last passage.
+    """
+
+    mode: float
+    p: float
+    w: float
+    t: float
+    turns: float
+    dp: float
+    dw: float
+    growth: float
+    last: float
+
+
+class Clock(NamedTuple):
+    """The drive's period (s), and after how many without a passage the motion ends in `NO_PASSAGE`."""
+
+    period: float
+    patience: float
+
+
 def passages(
-    fr: Frame,
-    period: float,
-    patience: float,
-    mask: int,
-    tangent: int,
-    number: int,
-    state: Buffer,
-    out: Buffer,
-    work: Buffer,
+    fr: Frame, clock: Clock, mask: int, tangent: int, number: int, at: Place, out: Buffer, work: Work
 ) -> tuple[int, int]:
     """Follow the motion to its next ``number`` passages of the sections in ``mask``.
 
     Parameters
     ----------
-    period : float
-        Of the drive, s.
-    patience : float
-        Drive periods without a passage after which the motion ends in `NO_PASSAGE`.
     tangent : int
         1 to follow the deviation, 0 to leave it as it is.
-    state : (STATE,) float64
+    at : Place
         Where the motion begins; left where it ends.
     out : (number * COLUMNS,) float64
         Row after row: drive periods, displacement and relative velocity in the frame, growth, the section.
@@ -68,23 +87,25 @@ def passages(
     (outcome, count)
         0 or a key of `ENDS`; how many passages were noted.
     """
-    mode = int(state[MODE])
-    p, w, t = state[P], state[W], state[T]
-    dp, dw, growth = state[DP], state[DW], state[GROWTH]
+    at, work = unboxed(at), unboxed(work)
+    period = clock.period
+    mode = int(at.mode)
+    p, w, t = at.p, at.w, at.t
+    dp, dw, growth = at.dp, at.dw, at.growth
     count = 0
     outcome = 0
     while count < number:
-        if work[buffer.STEPS] >= work[buffer.STEPS_ALLOWED]:
+        if work.steps >= work.steps_allowed:
             outcome = STEP_LIMIT
             break
-        if state[TURNS] - state[LAST] > patience:
+        if at.turns - at.last > clock.patience:
             outcome = NO_PASSAGE
             break
         lo, hi = mode_bounds(fr, mode)
         side = 0
         tau = 0.0
         if t < period:
-            work[buffer.STEPS] += 1.0
+            work.steps += 1.0
             side, tau = phase_exit(fr, mode, p, w, t, lo, hi, period - t, work)
         if tau > 0.0:
             if tangent == 1:
@@ -101,11 +122,11 @@ def passages(
         if side == 0:
             if tau < period - t:
                 t += tau
-                work[buffer.RAPID] = 0.0
+                work.rapid = 0.0
                 continue
             section = STROBE
             t = 0.0
-            state[TURNS] += 1.0
+            at.turns += 1.0
         else:
             t += tau
             w = 0.0 if mode == modes.STICK else (hi if side > 0 else lo)
@@ -115,8 +136,8 @@ def passages(
                 break
             if tangent == 1:
                 dw = after_event(fr, mode, entered, side, p, w, t, dp, dw)
-            work[buffer.RAPID] = work[buffer.RAPID] + 1.0 if tau * fr.omega0 <= RAPID_TIME else 0.0
-            if work[buffer.RAPID] > RAPID_ALLOWED:
+            work.rapid = work.rapid + 1.0 if tau * fr.omega0 <= RAPID_TIME else 0.0
+            if work.rapid > RAPID_ALLOWED:
                 outcome = modes.EVENT_RATE
                 break
             if mode == modes.STICK or mode == modes.RAMP:
@@ -128,18 +149,18 @@ def passages(
             if tangent == 1:
                 dp, dw, more = normalised(fr, dp, dw)
                 growth += more
-            at = count * COLUMNS
-            out[at + TIME] = state[TURNS] + t / period
-            out[at + POSITION] = p
-            out[at + VELOCITY] = w
-            out[at + FACTOR] = growth
-            out[at + SECTION] = float(section)
+            row = count * COLUMNS
+            out[row + TIME] = at.turns + t / period
+            out[row + POSITION] = p
+            out[row + VELOCITY] = w
+            out[row + FACTOR] = growth
+            out[row + SECTION] = float(section)
             growth = 0.0
-            state[LAST] = state[TURNS]
+            at.last = at.turns
             count += 1
-    state[MODE] = float(mode)
-    state[P], state[W], state[T] = p, w, t
-    state[DP], state[DW], state[GROWTH] = dp, dw, growth
+    at.mode = float(mode)
+    at.p, at.w, at.t = p, w, t
+    at.dp, at.dw, at.growth = dp, dw, growth
     return outcome, count
 
 

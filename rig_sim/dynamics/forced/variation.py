@@ -20,10 +20,9 @@ import math
 from rig_sim.flow import modes
 from rig_sim.flow.frame import Frame, free_acceleration, friction_slope, linear_terms
 from rig_sim.friction.curve import CONSTANT, LINEAR
-from rig_sim.integrate import buffer
-from rig_sim.integrate.buffer import Buffer
 from rig_sim.integrate.linear import fundamental
 from rig_sim.integrate.phases import increments
+from rig_sim.integrate.work import Work
 
 # Gauss-Legendre collocation with three stages, order 6, on pieces of a Taylor step.  A Taylor step ends at about a
 # quarter of the series' radius of convergence; with a piece at most `PIECE` of the phase's own unit of time the
@@ -35,7 +34,7 @@ ITERATIONS = 40  # of the stages, which converge by a factor of 20 each
 
 
 def deviation(
-    fr: Frame, mode: int, p: float, w: float, t: float, tau: float, dp: float, dw: float, work: Buffer
+    fr: Frame, mode: int, p: float, w: float, t: float, tau: float, dp: float, dw: float, work: Work
 ) -> tuple[float, float]:
     """Return (dp, dw) after a step of ``tau`` (s) that `phase_exit` has just made from (p, w) at time t."""
     if mode == modes.STICK:
@@ -46,7 +45,7 @@ def deviation(
         S, E, I = fundamental(zeta, fr.omega2, (zeta - fr.omega0) * (zeta + fr.omega0), tau)  # noqa: E741
         a = -2.0 * zeta * dw - fr.omega2 * dp
         return dp + dw * (S + 2.0 * zeta * I) + a * I, dw + a * S - dw * E
-    pieces = math.ceil(tau / (PIECE * work[buffer.TIME_SCALE]))
+    pieces = math.ceil(tau / (PIECE * work.time_scale))
     h = tau / pieces
     for i in range(pieces):
         start = i * h
@@ -57,7 +56,7 @@ def deviation(
     return dp, dw
 
 
-def damping(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Buffer) -> float:
+def damping(fr: Frame, mode: int, p: float, w: float, t: float, tau: float, work: Work) -> float:
     """Return (c - F'(w))/m at local time ``tau`` of the step in ``work``."""
     _, dw = increments(fr, mode, p, w, t, tau, work)
     return (fr.c - friction_slope(fr, mode, w + dw)) / fr.m

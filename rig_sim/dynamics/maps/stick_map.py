@@ -9,29 +9,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from daq.base.compute.compile import pointer
 from rig_sim.dynamics.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
 from rig_sim.flow.two_mass import TwoMassFlow, largest_stretch, validate_two_masses
-from rig_sim.integrate.buffer import ORDER, Buffer
-from rig_sim.integrate.two_mass import (
-    MODE1,
-    MODE2,
-    STEPS,
-    STEPS_ALLOWED,
-    STEPS_LEFT,
-    TIME,
-    Y1,
-    Y2,
-    new_pair,
-    pair_event,
-    place,
-)
+from rig_sim.integrate.two_mass import Pair, new_pair, pair_event, place
+from rig_sim.integrate.work import ORDER, Buffer, unboxed
 
 # Steps allowed for one event: so many, and so many more for each unit of the fastest frequency, sqrt(1 + 2 a), up to a
 # limit, above which no event could be followed: such a coupling (a above 1.9e6) is refused.  The thesis's events take
@@ -51,13 +39,30 @@ ENDS = {
         "the masses did not both stick within the steps allowed: list the events instead, or slow the belt",
     ),
 }
-# Degree and tolerance of the series: rounding; errors of the map below 1e-9; below 1e-5 (measured by
-# benchmarks/dynamics.py)
-EXACT, FINE, COARSE = (ORDER, 2.0**-53), (14, 1e-9), (11, 2.5e-5)
+
+
+class Precision(NamedTuple):
+    """Degree and tolerance of the series."""
+
+    degree: int
+    tolerance: float
+
+
+# Rounding; errors of the map below 1e-9; below 1e-5 (measured by benchmarks/dynamics.py)
+EXACT, FINE, COARSE = Precision(ORDER, 2.0**-53), Precision(14, 1e-9), Precision(11, 2.5e-5)
+
+
+class Applied(NamedTuple):
+    """What the map makes of starts: the next d (m), the duration (s) and the outcome of each; the last one's word."""
+
+    d: Buffer
+    duration: Buffer
+    outcome: Buffer
+    word: Buffer
 
 
 def next_stick(
-    fr: Frame, a: float, b: float, y1: float, y2: float, degree: int, tolerance: float, work: Buffer, word: Buffer
+    fr: Frame, a: float, b: float, y1: float, y2: float, precision: Precision, work: Pair, word: Buffer
 ) -> tuple[int, float, float, int]:
     """Follow an event from the end of a global stick at (y1, y2), m, in the frame.
 
@@ -68,17 +73,17 @@ def next_stick(
         (1 and 2).
     """
     place(fr, a, b, y1, 0.0, y2, 0.0, 0.0, work)
-    work[STEPS] = 0.0
+    work.steps = 0.0
     letters = 0
     while True:
-        stuck1, stuck2 = work[MODE1] == STICK, work[MODE2] == STICK
+        stuck1, stuck2 = work.mode1 == STICK, work.mode2 == STICK
         if stuck1 and stuck2 and letters > 0:
-            return 0, work[Y2] - work[Y1], work[TIME], letters
-        event, outcome = pair_event(fr, a, b, math.inf, degree, tolerance, work)
+            return 0, work.y2[0] - work.y1[0], work.time, letters
+        event, outcome = pair_event(fr, a, b, math.inf, precision.degree, precision.tolerance, work)
         if outcome != 0 or event == 0:
-            return (NO_STICK if work[STEPS] >= work[STEPS_ALLOWED] else outcome), math.nan, math.nan, letters
-        broke1 = stuck1 and work[MODE1] != STICK
-        if broke1 or (stuck2 and work[MODE2] != STICK):
+            return (NO_STICK if work.steps >= work.steps_allowed else outcome), math.nan, math.nan, letters
+        broke1 = stuck1 and work.mode1 != STICK
+        if broke1 or (stuck2 and work.mode2 != STICK):
             if letters < len(word):
                 word[letters] = 1.0 if broke1 else 2.0
             letters += 1
@@ -91,21 +96,19 @@ def events_from(
     starts: Buffer,
     times: int,
     chained: int,
-    degree: int,
-    tolerance: float,
-    work: Buffer,
-    word: Buffer,
-    results: Buffer,
-    durations: Buffer,
-    outcomes: Buffer,
-) -> int:
-    """Apply the map ``times`` times to each of the starts (d in the frame); return how many letters ``word`` holds.
+    precision: Precision,
+    left: float,
+    out: Applied,
+    work: Pair,
+) -> tuple[int, float]:
+    """Apply the map ``times`` times to each of the starts (d in the frame).
 
-    With ``chained`` 1 only the first start counts, and every result is the next start.
+    With ``chained`` 1 only the first start counts, and every result is the next start.  Return how many letters the
+    last word has, and what is left of the ``left`` steps allowed in all.
     """
+    work = unboxed(work)
     letters = 0
     d = 0.0
-    work = pointer(work)
     for i in range(len(starts)):
         if chained == 0 or i == 0:
             d = starts[i]
@@ -115,20 +118,20 @@ def events_from(
             if math.isnan(d):
                 outcome = NOT_FINITE
                 break
-            if work[STEPS_LEFT] <= 0.0:
+            if left <= 0.0:
                 outcome = STEP_LIMIT
                 break
             first = (fr.B - fr.c * fr.v) / fr.k + a * d
             second = (b * fr.B - fr.c * fr.v) / fr.k - (1.0 + a) * d
             y1 = min(first, second)
-            outcome, d, duration, letters = next_stick(fr, a, b, y1, y1 + d, degree, tolerance, work, word)
-            work[STEPS_LEFT] -= work[STEPS]
+            outcome, d, duration, letters = next_stick(fr, a, b, y1, y1 + d, precision, work, out.word)
+            left -= work.steps
             if outcome != 0:
                 break
-        results[i] = d
-        durations[i] = duration
-        outcomes[i] = float(outcome)
-    return letters
+        out.d[i] = d
+        out.duration[i] = duration
+        out.outcome[i] = float(outcome)
+    return letters, left
 
 
 @dataclass(frozen=True)
@@ -161,8 +164,8 @@ class StickMap:
     ----------
     flow : TwoMassFlow
         The masses.
-    precision : tuple of int and float
-        Degree and tolerance of the series: `EXACT`, `FINE` or `COARSE`.
+    precision : Precision
+        `EXACT`, `FINE` or `COARSE`.
     budget : StepBudget, optional
         Integrator steps, after which the map raises `StepLimitError`; default `STEPS_IN_ALL` of its own.
 
@@ -179,9 +182,7 @@ class StickMap:
         The coupling is so stiff that one event takes more steps than are allowed.
     """
 
-    def __init__(
-        self, flow: TwoMassFlow, precision: tuple[int, float] = EXACT, *, budget: StepBudget | None = None
-    ) -> None:
+    def __init__(self, flow: TwoMassFlow, precision: Precision = EXACT, *, budget: StepBudget | None = None) -> None:
         validate_two_masses(flow)
         if flow.mass.v_belt == 0.0:
             raise ValueError("the belt is at rest: no stick ends; need a belt speed")
@@ -197,6 +198,7 @@ class StickMap:
         self.lo = -self.hi
         self._frame = frame(flow.mass)
         self._precision = precision
+        self._work = new_pair(int(self._steps_of_event), compiled=True)
         self._budget = budget or StepBudget(STEPS_IN_ALL)
 
     def __call__(self, x: Array, times: int = 1) -> Array:
@@ -232,25 +234,25 @@ class StickMap:
         self, starts: Array, times: int, *, compiled: bool, chained: int = 0
     ) -> tuple[Array, Array, Array, str]:
         """Return f, durations, outcomes and the last word."""
-        fr, (degree, tolerance) = self._frame, self._precision
-        work = new_pair(int(self._steps_of_event) if compiled else INTERPRETED_STEPS, compiled=compiled)
-        work[STEPS_LEFT] = self._budget.left
+        fr = self._frame
+        work = self._work if compiled else new_pair(INTERPRETED_STEPS)
         starts = np.where(np.abs(starts) <= self.hi, fr.mirror * starts, np.nan)
-        word = np.zeros(WORD)
-        results, durations, outcomes = np.zeros((3, len(starts)))
+        d, durations, outcomes = np.zeros((3, len(starts)))
+        out = Applied(d, durations, outcomes, np.zeros(WORD))
         kernel = compiled_events() if compiled else events_from
         a, b = self.flow.a, self.flow.b
-        letters = kernel(fr, a, b, starts, times, chained, degree, tolerance, work, word, results, durations, outcomes)
-        self._budget.left = work[STEPS_LEFT]
-        if np.any(outcomes == STEP_LIMIT):
+        letters, self._budget.left = kernel(
+            fr, a, b, starts, times, chained, self._precision, float(self._budget.left), out, work
+        )
+        if np.any(out.outcome == STEP_LIMIT):
             do = "take a smaller coupling.a, or fewer cells, values or events"
             raise self._budget.exceeded("map of two masses", do)
-        shown = "".join(str(int(letter)) for letter in word[: min(letters, WORD)]) + "..." * (letters > WORD)
-        return fr.mirror * results, durations, outcomes, shown
+        shown = "".join(str(int(letter)) for letter in out.word[: min(letters, WORD)]) + "..." * (letters > WORD)
+        return fr.mirror * out.d, out.duration, out.outcome, shown
 
 
 @cache
-def compiled_events() -> Callable[..., int]:
+def compiled_events() -> Callable[..., tuple[int, float]]:
     """Return `events_from` as machine code."""
     from rig_sim.integrate.compiled import compiled
 
