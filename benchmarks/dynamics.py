@@ -4,7 +4,7 @@
 time per event and error against the exact map, on the thesis's two masses at V = 0.1 with starts all over the interval
 of d, of
 
-    exact, fine, coarse     rig_sim.dynamics.maps.stick_map, compiled
+    exact, fine, coarse     rig_sim.dynamics.rig.stick, compiled
     scipy                   oracles.two_masses: DOP853 between located events, rtol 1e-6
     pynamicalsys            RK45 of the equations with sign(w) replaced by tanh(w/width), compiled by numba
 
@@ -29,8 +29,8 @@ from pathlib import Path
 import numpy as np
 
 from daq.base.compute.workers import workers
-from rig_sim.dynamics.maps.stick_map import COARSE, EXACT, FINE, StickMap
-from rig_sim.dynamics.maps.sweep import attractors_at, sweep
+from rig_sim.dynamics.analyses.sweep import attractors_at, sweep
+from rig_sim.dynamics.rig.stick import COARSE, EXACT, FINE, StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.scenes.scene import scene

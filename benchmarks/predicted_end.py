@@ -16,7 +16,7 @@ from typing import Any
 
 from rig_sim.cli.continuation import SweptFlow, point_intervals
 from rig_sim.cli.parameter_range import ParameterRange
-from rig_sim.dynamics.continuation import continuation
+from rig_sim.dynamics.orbits.branches import continuation
 from rig_sim.scenes.draws import drawn_changes
 from rig_sim.scenes.scene import scene
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rig_sim.dynamics.limit_cycle import cycle as cycle
+    from rig_sim.dynamics.orbits.limit_cycle import cycle as cycle
     from rig_sim.motion.play import events as events
     from rig_sim.scenes.scene import scene as scene
 
@@ -11,7 +11,11 @@ if TYPE_CHECKING:
 
 __all__ = ["__version__", "cycle", "events", "scene"]
 
-_HOME = {"scene": "rig_sim.scenes.scene", "events": "rig_sim.motion.play", "cycle": "rig_sim.dynamics.limit_cycle"}
+_HOME = {
+    "scene": "rig_sim.scenes.scene",
+    "events": "rig_sim.motion.play",
+    "cycle": "rig_sim.dynamics.orbits.limit_cycle",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -53,7 +53,7 @@ def cycle(scene: str, /, *, set_: SetChanges = None, json: Json = False) -> Answ
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.dynamics.limit_cycle import cycle as find
+    from rig_sim.dynamics.orbits.limit_cycle import cycle as find
 
     data = asdict(find(_scene(scene, set_)))
     return Answer(data, _lines(data))
@@ -70,8 +70,8 @@ def fixed_point(scene: str, /, *, set_: SetChanges = None, json: Json = False) -
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.dynamics.fixed_point import fixed_point as find
-    from rig_sim.dynamics.fixed_point import two_mass_fixed_point
+    from rig_sim.dynamics.orbits.fixed_point import fixed_point as find
+    from rig_sim.dynamics.orbits.fixed_point import two_mass_fixed_point
 
     found = _scene(scene, set_)
     data = asdict(find(found.flow()) if found.coupling is None else two_mass_fixed_point(found.two_mass_flow()))
@@ -101,7 +101,7 @@ def floquet(
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.dynamics.floquet import floquet as find
+    from rig_sim.dynamics.orbits.floquet import floquet as find
 
     data = asdict(find(_scene(scene, set_).flow(), orbit))
     return Answer(data, _lines(data))

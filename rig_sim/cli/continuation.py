@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rig_sim.cli.parameter_range import ParameterRange
-    from rig_sim.dynamics.continuation import SpecialPoint
-    from rig_sim.dynamics.point_draws import PointInterval
+    from rig_sim.dynamics.orbits.branches import SpecialPoint
+    from rig_sim.dynamics.orbits.point_draws import PointInterval
     from rig_sim.flow.flow import Flow
 
 MOST_DRAWS = 100_000
@@ -53,7 +53,7 @@ def continue_(
         A built-in name (see rig-sim scenes) or a TOML file.
     """
     from rig_sim.cli.parameter_range import parse
-    from rig_sim.dynamics.continuation import continuation
+    from rig_sim.dynamics.orbits.branches import continuation
     from rig_sim.scenes.scene import parse_changes
     from rig_sim.scenes.scene import scene as read
 
@@ -125,7 +125,7 @@ def point_intervals(
     swept: SweptFlow, points: "Sequence[SpecialPoint]", span: "ParameterRange", drawn: "list[dict[str, object]]"
 ) -> "tuple[list[PointInterval], int]":
     """Return the interval of each special point, and how many draws were no rig."""
-    from rig_sim.dynamics.point_draws import MovingPoint, interval
+    from rig_sim.dynamics.orbits.point_draws import MovingPoint, interval
 
     moving = [MovingPoint(point, swept, span.values()) for point in points]
     places: list[list[float]] = [[] for _ in moving]

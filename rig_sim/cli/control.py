@@ -13,9 +13,9 @@ from rig_sim.flow.flow import LARGEST, SMALLEST
 
 if TYPE_CHECKING:
     from daq.base.compute.arrays import Array
-    from rig_sim.dynamics.control.landing_map import LandingMap
+    from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit
     from rig_sim.dynamics.control.locking import Locking
-    from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit
+    from rig_sim.dynamics.rig.landing import LandingMap
 
 MOST_PERIOD = 100  # of a search; the multipliers of longer orbits leave no digit of a motion
 MOST_EVENTS = 10_000_000
@@ -86,7 +86,7 @@ def shaker(
     ]
     if plot is not None:
         from daq.base.output.plot import save
-        from rig_sim.dynamics.control.shaker_plot import shaker_figure
+        from rig_sim.dynamics.pictures.shaker import shaker_figure
 
         save(shaker_figure(plane, a, phi), plot, force=force)
         data["file"] = plot
@@ -125,9 +125,9 @@ def lock(
     scene
         A built-in name (see rig-sim scenes) or a TOML file, with a drive.
     """
-    from rig_sim.dynamics.control.landing_map import LandingMap
     from rig_sim.dynamics.control.locking import find_and_lock
-    from rig_sim.dynamics.step_budget import StepBudget
+    from rig_sim.dynamics.rig.landing import LandingMap
+    from rig_sim.dynamics.system.step_budget import StepBudget
     from rig_sim.scenes.scene import parse_changes
     from rig_sim.scenes.scene import scene as read
 
@@ -165,7 +165,7 @@ def lock(
         data |= _locked(f, found)
         if plot is not None and found.lock is not None:
             from daq.base.output.plot import save
-            from rig_sim.dynamics.control.lock_plot import lock_figure
+            from rig_sim.dynamics.pictures.lock import lock_figure
 
             save(lock_figure(f, found.lock, period, budget), plot, force=force)
             data["file"] = plot
@@ -207,7 +207,7 @@ def _searched(
     """Return what the thesis's search-and-lock has found, as JSON keys."""
     from rig_sim.dynamics.control.locking import ADVICE
     from rig_sim.dynamics.control.search_and_lock import search_and_lock
-    from rig_sim.dynamics.step_budget import StepLimitError
+    from rig_sim.dynamics.system.step_budget import StepLimitError
 
     try:
         found = search_and_lock(f, start, period, budget, progress=show.stage)

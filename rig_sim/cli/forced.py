@@ -10,8 +10,8 @@ from daq.base.errors import InputError
 from rig_sim.cli.numbers import with_error
 
 if TYPE_CHECKING:
-    from rig_sim.dynamics.forced.driven_mass import DrivenMass
-    from rig_sim.dynamics.maps.sweep import AttractorAt
+    from rig_sim.dynamics.analyses.sweep import AttractorAt
+    from rig_sim.dynamics.rig.driven import DrivenMass
     from rig_sim.flow.flow import Flow
     from rig_sim.scenes.model import Scene
 
@@ -37,9 +37,9 @@ class DrivenAttractors:
 
     def __call__(self, value: float) -> "list[AttractorAt]":
         """Return the attractors, the one that most starts lead to first."""
-        from rig_sim.dynamics.forced.attractors import attractors
-        from rig_sim.dynamics.forced.driven_mass import driven_masses
-        from rig_sim.dynamics.maps.sweep import AttractorAt
+        from rig_sim.dynamics.analyses.settling import attractors
+        from rig_sim.dynamics.analyses.sweep import AttractorAt
+        from rig_sim.dynamics.rig.driven import driven_masses
         from rig_sim.scenes.scene import scene
 
         flow, x, v = driven(scene(self.scene, **{self.key: value}), self.scene.name)
@@ -74,7 +74,7 @@ def driven(found: "Scene", name: str) -> "tuple[Flow, float, float]":
 
 def driven_lyapunov(name: str, changes: dict[str, object], events: int) -> Answer:
     """Return the answer of ``rig-sim lyapunov`` for a driven mass, per landing or per drive period."""
-    from rig_sim.dynamics.forced.exponent import exponent, rotation_number
+    from rig_sim.dynamics.analyses.exponent import exponent, rotation_number
 
     per = "landing"
     mass = driven_mass(name, changes, "landing")
@@ -116,7 +116,7 @@ def quench(
     scene
         A built-in name (see rig-sim scenes) or a TOML file, with a drive.
     """
-    from rig_sim.dynamics.forced.dither import quench as find
+    from rig_sim.dynamics.control.dither import quench as find
     from rig_sim.scenes.scene import parse_changes
 
     check_plot(plot, force)
@@ -137,7 +137,7 @@ def quench(
         lines.append(f"of spring and mass alone under the drive {found.linear_ripple:.4g}")
     if plot is not None:
         from daq.base.output.plot import save
-        from rig_sim.dynamics.forced.plot import quench_figure
+        from rig_sim.dynamics.pictures.driven import quench_figure
 
         save(quench_figure(flow, x, v), plot, force=force)
         data["file"] = plot
@@ -153,7 +153,7 @@ def driven_mass(name: str, changes: dict[str, object], section: str) -> "DrivenM
     InputError
         As `driven`, or a drive without a period.
     """
-    from rig_sim.dynamics.forced.driven_mass import DrivenMass
+    from rig_sim.dynamics.rig.driven import DrivenMass
 
     flow, x, v = with_period(name, changes)
     return DrivenMass(flow, x, v, section)

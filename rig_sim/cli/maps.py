@@ -14,8 +14,8 @@ from rig_sim.cli.numbers import with_error
 
 if TYPE_CHECKING:
     from rig_sim.cli.parameter_range import ParameterRange
-    from rig_sim.dynamics.maps.stick_map import StickEvent, StickMap
-    from rig_sim.dynamics.step_budget import StepBudget
+    from rig_sim.dynamics.rig.stick import StickEvent, StickMap
+    from rig_sim.dynamics.system.step_budget import StepBudget
     from rig_sim.flow.two_mass import TwoMassFlow
     from rig_sim.scenes.swept import SweptScene
 
@@ -85,7 +85,7 @@ def map_(
         if not several:
             data = {key: values[0] for key, values in data.items()}
     if periodic:
-        from rig_sim.dynamics.maps.periodic_points import periodic_points
+        from rig_sim.dynamics.analyses.periodic_points import periodic_points
 
         orbits = periodic_points(found, iterate)
         data["periodic"] = [{**asdict(orbit), "period": orbit.period, "stable": orbit.stable} for orbit in orbits]
@@ -96,7 +96,7 @@ def map_(
         ] or [f"no orbit of period {iterate}"]
     if plot is not None:
         from daq.base.output.plot import save
-        from rig_sim.dynamics.maps.plot import map_figure
+        from rig_sim.dynamics.pictures.maps import map_figure
 
         save(map_figure(found, iterate), plot, force=force)
         data["file"] = plot
@@ -106,9 +106,9 @@ def map_(
 
 def continue_map(flow_at: "SweptScene", name: str, span: "ParameterRange") -> Answer:
     """Return the answer of ``rig-sim continue`` for two masses."""
-    from rig_sim.dynamics.maps.map_continuation import map_continuation
-    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL
-    from rig_sim.dynamics.step_budget import StepBudget
+    from rig_sim.dynamics.analyses.map_branches import map_continuation
+    from rig_sim.dynamics.rig.stick import STEPS_IN_ALL
+    from rig_sim.dynamics.system.step_budget import StepBudget
 
     budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
     with application.progress("following", span.number) as show:
@@ -159,7 +159,7 @@ def basins(
     scene
         A built-in name (see rig-sim scenes) or a TOML file.
     """
-    from rig_sim.dynamics.maps.basins import basins as find
+    from rig_sim.dynamics.analyses.basins import basins as find
 
     if not 2 <= cells <= MOST_CELLS:
         raise InputError(f"is {cells}", "--cells", f"give 2 to {MOST_CELLS}")
@@ -186,7 +186,7 @@ def basins(
         lines.append(f"no global stick: {100.0 * found.nowhere:.3f} %")
     if plot is not None:
         from daq.base.output.plot import save
-        from rig_sim.dynamics.maps.plot import basins_figure
+        from rig_sim.dynamics.pictures.maps import basins_figure
 
         save(basins_figure(found), plot, force=force)
         data["file"] = plot
@@ -218,8 +218,8 @@ def lyapunov(
     scene
         A built-in name (see rig-sim scenes) or a TOML file; of two masses with start.d or start.attractor.
     """
-    from rig_sim.dynamics.maps.lyapunov import BLOCKS
-    from rig_sim.dynamics.maps.lyapunov import lyapunov as find
+    from rig_sim.dynamics.analyses.lyapunov import BLOCKS
+    from rig_sim.dynamics.analyses.lyapunov import lyapunov as find
     from rig_sim.motion.two_masses import stretch
     from rig_sim.scenes.scene import parse_changes
     from rig_sim.scenes.scene import scene as read
@@ -250,8 +250,8 @@ def stick_map(name: str, changes: list[str] | None, events: int = 0) -> "StickMa
     InputError
         One mass, or a belt at rest.
     """
-    from rig_sim.dynamics.maps.stick_map import STEPS_IN_ALL
-    from rig_sim.dynamics.step_budget import StepBudget
+    from rig_sim.dynamics.rig.stick import STEPS_IN_ALL
+    from rig_sim.dynamics.system.step_budget import StepBudget
     from rig_sim.scenes.scene import parse_changes, scene
 
     budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_EVENT * events))
@@ -266,7 +266,7 @@ def checked(flow: "TwoMassFlow", name: str, budget: "StepBudget | None" = None) 
     InputError
         They are not physical, or their belt is at rest.
     """
-    from rig_sim.dynamics.maps.stick_map import StickMap
+    from rig_sim.dynamics.rig.stick import StickMap
 
     try:
         return StickMap(flow, budget=budget)

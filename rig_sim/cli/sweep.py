@@ -19,7 +19,7 @@ from rig_sim.cli.maps import checked
 if TYPE_CHECKING:
     from daq.base.output.resume import ResumeFile
     from rig_sim.cli.parameter_range import ParameterRange
-    from rig_sim.dynamics.maps.sweep import AttractorAt
+    from rig_sim.dynamics.analyses.sweep import AttractorAt
     from rig_sim.scenes.model import Scene
 
 
@@ -73,7 +73,7 @@ def sweep(
         A built-in name (see rig-sim scenes) or a TOML file.
     """
     from rig_sim.cli.parameter_range import parse
-    from rig_sim.dynamics.maps.sweep import attractors_at
+    from rig_sim.dynamics.analyses.sweep import attractors_at
     from rig_sim.scenes.scene import parse_changes
     from rig_sim.scenes.scene import scene as read
     from rig_sim.scenes.swept import SweptScene
@@ -130,7 +130,7 @@ def sweep(
     lines += [] if rows else ["no attractor at any value: the motion comes to rest, or never sticks as a whole"]
     if plot is not None:
         from daq.base.output.plot import save
-        from rig_sim.dynamics.maps.plot import sweep_figure
+        from rig_sim.dynamics.pictures.maps import sweep_figure
 
         save(sweep_figure(rows, span.key, section, driven=not coupled), plot, force=force)
         data["file"] = plot
@@ -147,7 +147,7 @@ def _swept(
 ) -> "list[AttractorAt]":
     """Return the attractors at every value, those taken from the file that are there; the others go there."""
     from daq.base.compute.workers import workers
-    from rig_sim.dynamics.maps.sweep import sweep as follow
+    from rig_sim.dynamics.analyses.sweep import sweep as follow
 
     values = span.values().tolist()
     finished = _finished(file) if file is not None else {}
@@ -173,7 +173,7 @@ def _header(scene: "Scene", span: "ParameterRange", section: str) -> dict[str, A
 
 def _finished(file: "ResumeFile") -> "dict[float, list[AttractorAt]]":
     """Return the attractors by value from the file of ``--resume``."""
-    from rig_sim.dynamics.maps.sweep import AttractorAt
+    from rig_sim.dynamics.analyses.sweep import AttractorAt
 
     nan = float("nan")
     found = {}

@@ -7,13 +7,13 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.maps.basins import TRANSIENT, Attractor, basins
-from rig_sim.dynamics.maps.interval_map import slope
-from rig_sim.dynamics.maps.lyapunov import lyapunov
-from rig_sim.dynamics.maps.map_continuation import map_continuation
-from rig_sim.dynamics.maps.periodic_points import periodic_points
-from rig_sim.dynamics.maps.stick_map import StickMap
-from rig_sim.dynamics.maps.sweep import CELLS, AttractorAt, attractors_at, sweep
+from rig_sim.dynamics.analyses.basins import TRANSIENT, Attractor, basins
+from rig_sim.dynamics.analyses.lyapunov import lyapunov
+from rig_sim.dynamics.analyses.map_branches import map_continuation
+from rig_sim.dynamics.analyses.periodic_points import periodic_points
+from rig_sim.dynamics.analyses.sweep import CELLS, AttractorAt, attractors_at, sweep
+from rig_sim.dynamics.rig.stick import StickMap
+from rig_sim.dynamics.system.interval_map import slope
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
 

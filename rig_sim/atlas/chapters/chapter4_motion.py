@@ -7,9 +7,9 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from rig_sim.atlas.figure import Drawing, Entry, Label, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.fixed_point import two_mass_fixed_point
-from rig_sim.dynamics.maps.lyapunov import Exponent, lyapunov
-from rig_sim.dynamics.maps.stick_map import StickMap
+from rig_sim.dynamics.analyses.lyapunov import Exponent, lyapunov
+from rig_sim.dynamics.orbits.fixed_point import two_mass_fixed_point
+from rig_sim.dynamics.rig.stick import StickMap
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.motion.two_masses import TwoMassEvent, TwoMassPlayer, stretch, two_mass_events

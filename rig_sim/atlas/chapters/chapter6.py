@@ -7,13 +7,13 @@ import numpy as np
 
 from rig_sim.atlas.chapters.axes import T, V, X, motion
 from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.forced.attractors import attractors
-from rig_sim.dynamics.forced.dither import Quench, quench
-from rig_sim.dynamics.forced.driven_mass import DrivenMass, driven_masses
-from rig_sim.dynamics.forced.exponent import exponent
-from rig_sim.dynamics.limit_cycle import cycle
-from rig_sim.dynamics.maps.lyapunov import Exponent
-from rig_sim.dynamics.maps.sweep import AttractorAt, sweep
+from rig_sim.dynamics.analyses.exponent import exponent
+from rig_sim.dynamics.analyses.lyapunov import Exponent
+from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
+from rig_sim.dynamics.control.dither import Quench, quench
+from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.rig.driven import DrivenMass, driven_masses
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 

@@ -6,11 +6,11 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, parts, silent
-from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
+from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, periodic_orbits
 from rig_sim.dynamics.control.ogy import REPORTED, Lock, lock
-from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit, periodic_orbits
-from rig_sim.dynamics.period import period_of
-from rig_sim.dynamics.step_budget import StepLimitError
+from rig_sim.dynamics.system.controlled_map import ControlledMap, difference, orbit
+from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.system.step_budget import StepLimitError
 
 # Applications of the map that orbits are searched in, after as many as `TRANSIENT`.  The least unstable orbits of
 # periods 1 to 5 of the thesis's two motions come out of 1000 already.

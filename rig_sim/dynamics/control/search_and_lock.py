@@ -12,8 +12,8 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, silent
-from rig_sim.dynamics.control.controlled_map import ControlledMap, difference, orbit
-from rig_sim.dynamics.period import period_of
+from rig_sim.dynamics.system.controlled_map import ControlledMap, difference, orbit
+from rig_sim.dynamics.system.period import period_of
 
 TRANSIENT = 400  # applications at every step before the section is judged; a window's edge may take longer
 JUDGED = 130  # applications that are judged: twice the longest period that is recognised

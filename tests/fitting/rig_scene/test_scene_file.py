@@ -9,7 +9,7 @@ from daq.base.errors import InputError
 from daq.base.measured import Measured
 from fitting import cli
 from rig_sim.cli.continuation import continue_
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.scenes.draws import drawn_changes
 from rig_sim.scenes.scene import scene
 

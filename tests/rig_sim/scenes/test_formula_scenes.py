@@ -10,12 +10,12 @@ from scipy.integrate import solve_ivp
 
 from daq.base.errors import InputError
 from rig_sim.cli.parameter_range import ParameterRange
-from rig_sim.dynamics.continuation import continuation
-from rig_sim.dynamics.fixed_point import fixed_point
-from rig_sim.dynamics.floquet import floquet
-from rig_sim.dynamics.forced.attractors import attractors
-from rig_sim.dynamics.forced.driven_mass import driven_masses
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.orbits.branches import continuation
+from rig_sim.dynamics.orbits.fixed_point import fixed_point
+from rig_sim.dynamics.orbits.floquet import floquet
+from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.rig.driven import driven_masses
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED

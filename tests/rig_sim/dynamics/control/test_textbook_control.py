@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from daq.base.compute.arrays import Array
-from rig_sim.dynamics.control.controlled_map import derivatives, difference, orbit
+from rig_sim.dynamics.analyses.unstable_orbits import UnstableOrbit, orbit_multipliers, periodic_orbits
 from rig_sim.dynamics.control.locking import Locking, find_and_lock
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
-from rig_sim.dynamics.control.unstable_orbits import UnstableOrbit, orbit_multipliers, periodic_orbits
+from rig_sim.dynamics.system.controlled_map import derivatives, difference, orbit
 
 
 @dataclass
