@@ -29,7 +29,8 @@ from pathlib import Path
 import numpy as np
 
 from daq.base.compute.workers import workers
-from rig_sim.dynamics.analyses.sweep import attractors_at, sweep
+from rig_sim.dynamics.analyses.sweep import sweep
+from rig_sim.dynamics.rig.section import attractors_at
 from rig_sim.dynamics.rig.stick import COARSE, EXACT, FINE, StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
@@ -62,15 +63,17 @@ def map_speed(events):
 
     rows = []
     exact = StickMap(FLOW)
-    expected = exact(STARTS)
+    expected = exact.images(STARTS)
     for name, precision in (("exact", EXACT), ("fine", FINE), ("coarse", COARSE)):
         f = StickMap(FLOW, precision)
         f(STARTS[:2])
-        cost = min(cpu_of(partial(f, STARTS))[0] for _ in range(REPEATS)) / len(STARTS)
-        rows.append(row(name, f"degree {precision[0]}, tolerance {precision[1]:.0e}", cost, f(STARTS) - expected))
+        cost = min(cpu_of(partial(f.images, STARTS))[0] for _ in range(REPEATS)) / len(STARTS)
+        rows.append(
+            row(name, f"degree {precision[0]}, tolerance {precision[1]:.0e}", cost, f.images(STARTS) - expected)
+        )
     few = STARTS[:: len(STARTS) // events]
     cost, found = cpu_of(lambda: np.array([next_stick(FLOW, float(d), rtol=1e-6)[0] for d in few]))
-    rows.append(row("scipy", "DOP853, rtol 1e-06", cost / len(few), found - exact(few)))
+    rows.append(row("scipy", "DOP853, rtol 1e-06", cost / len(few), found - exact.images(few)))
     smooth = smoothed()
     if smooth is not None:
         events_of = [exact.event(float(d)) for d in few]
@@ -78,7 +81,7 @@ def map_speed(events):
         cost, found = cpu_of(
             lambda: np.array([smooth(float(d), event.duration) for d, event in zip(few, events_of, strict=True)])
         )
-        rows.append(row("pynamicalsys", f"RK45, tanh(w/{WIDTH:g})", cost / len(few), found - exact(few)))
+        rows.append(row("pynamicalsys", f"RK45, tanh(w/{WIDTH:g})", cost / len(few), found - exact.images(few)))
     for entry in rows:
         print(
             f"{entry['method']:13} {entry['setting']:32} {entry['per_second']:10.0f} events/s  "

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rig_sim.cli.parameter_range import ParameterRange
-    from rig_sim.dynamics.orbits.branches import SpecialPoint
+    from rig_sim.dynamics.analyses.special_points import SpecialPoint
     from rig_sim.dynamics.orbits.point_draws import PointInterval
     from rig_sim.flow.flow import Flow
 

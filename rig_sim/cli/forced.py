@@ -11,7 +11,7 @@ from rig_sim.cli.numbers import with_error
 
 if TYPE_CHECKING:
     from rig_sim.dynamics.analyses.sweep import AttractorAt
-    from rig_sim.dynamics.rig.driven import DrivenMass
+    from rig_sim.dynamics.rig.driven import DrivenMotion
     from rig_sim.flow.flow import Flow
     from rig_sim.scenes.model import Scene
 
@@ -39,13 +39,13 @@ class DrivenAttractors:
         """Return the attractors, the one that most starts lead to first."""
         from rig_sim.dynamics.analyses.settling import attractors
         from rig_sim.dynamics.analyses.sweep import AttractorAt
-        from rig_sim.dynamics.rig.driven import driven_masses
+        from rig_sim.dynamics.rig.driven import with_starts
         from rig_sim.scenes.scene import scene
 
         flow, x, v = driven(scene(self.scene, **{self.key: value}), self.scene.name)
         if flow.omega == 0.0:
             return [AttractorAt(value, 0, (), None, 0.0, (float("nan"), float("nan")), None, "no drive period")]
-        rows = attractors(driven_masses(flow, x, v, self.draws), value)
+        rows = attractors(*with_starts(flow, x, v, self.draws), value)
         if flow.u0 == 0.0:
             rows = [replace(row, outcome="no drive" if row.points else row.outcome) for row in rows]
         return rows
@@ -145,7 +145,7 @@ def quench(
     return Answer(data, "\n".join(lines))
 
 
-def driven_mass(name: str, changes: dict[str, object], section: str) -> "DrivenMass":
+def driven_mass(name: str, changes: dict[str, object], section: str) -> "DrivenMotion":
     """Return the mass of a scene, from its own start.
 
     Raises
@@ -153,10 +153,12 @@ def driven_mass(name: str, changes: dict[str, object], section: str) -> "DrivenM
     InputError
         As `driven`, or a drive without a period.
     """
-    from rig_sim.dynamics.rig.driven import DrivenMass
+    import numpy as np
+
+    from rig_sim.dynamics.rig.driven import DrivenMap
 
     flow, x, v = with_period(name, changes)
-    return DrivenMass(flow, x, v, section)
+    return DrivenMap(flow, section).motion(np.array([x, v]))
 
 
 def with_period(name: str, changes: dict[str, object]) -> "tuple[Flow, float, float]":

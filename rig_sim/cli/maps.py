@@ -112,30 +112,25 @@ def continue_map(flow_at: "SweptScene", name: str, span: "ParameterRange") -> An
 
     budget = StepBudget(max(STEPS_IN_ALL, STEPS_PER_VALUE * span.number))
     with application.progress("following", span.number) as show:
-        branches, points = map_continuation(
+        found = map_continuation(
             lambda value: checked(flow_at(value), name, budget), span.values().tolist(), progress=show
         )
-    data = {
-        "parameter": span.key,
-        "branches": [
-            {
-                "kind": f"period {branch.period}",
-                "stable": branch.stable,
-                "rows": [
-                    {"value": value, "points": orbit.points, "slope": orbit.slope} for value, orbit in branch.rows
-                ],
-            }
-            for branch in branches
-        ],
-        "points": [{"kind": point.kind, "parameter": span.key, "value": point.value} for point in points],
-    }
-    lines = [
-        f"{'stable' if branch.stable else 'unstable':8} period {branch.period} {span.key} from {branch.rows[0][0]:.6g} "
-        f"to {branch.rows[-1][0]:.6g}, {len(branch.rows)} values"
-        for branch in branches
+    branches = [
+        {
+            "kind": branch.kind,
+            "stable": branch.stable,
+            "rows": [{"value": row.value, **asdict(row.state)} for row in branch.rows],
+        }
+        for branch in found.branches
     ]
-    lines += [f"{point.kind}: {span.key} = {point.value:.12g}" for point in points] or ["no special point"]
-    return Answer(data, "\n".join(lines))
+    points = [{"kind": point.kind, "parameter": span.key, "value": point.value} for point in found.points]
+    lines = [
+        f"{'stable' if branch.stable else 'unstable':8} {branch.kind} {span.key} from {branch.rows[0].value:.6g} "
+        f"to {branch.rows[-1].value:.6g}, {len(branch.rows)} values"
+        for branch in found.branches
+    ]
+    lines += [f"{point.kind}: {span.key} = {point.value:.12g}" for point in found.points] or ["no special point"]
+    return Answer({"parameter": span.key, "branches": branches, "points": points}, "\n".join(lines))
 
 
 def basins(
@@ -218,8 +213,9 @@ def lyapunov(
     scene
         A built-in name (see rig-sim scenes) or a TOML file; of two masses with start.d or start.attractor.
     """
-    from rig_sim.dynamics.analyses.lyapunov import BLOCKS
-    from rig_sim.dynamics.analyses.lyapunov import lyapunov as find
+    import numpy as np
+
+    from rig_sim.dynamics.analyses.exponent import BLOCKS, exponent
     from rig_sim.motion.two_masses import stretch
     from rig_sim.scenes.scene import parse_changes
     from rig_sim.scenes.scene import scene as read
@@ -234,7 +230,7 @@ def lyapunov(
     if not abs(start) <= f.hi:
         raise InputError(f"is {start:g}", "start.d", f"both masses can stick with abs(d) up to {f.hi:.6g}")
     with application.progress("following the motion", events) as show:
-        found = find(f, start, events, show.stage)
+        found = exponent(f.motion(np.array([start])), events, show.stage)
     data = {**asdict(found), "per": "event"}
     if found.outcome != "completed":
         return Answer(data, f"{found.outcome}: the motion stops sticking; list its events instead")

@@ -73,7 +73,7 @@ def sweep(
         A built-in name (see rig-sim scenes) or a TOML file.
     """
     from rig_sim.cli.parameter_range import parse
-    from rig_sim.dynamics.analyses.sweep import attractors_at
+    from rig_sim.dynamics.rig.section import attractors_at
     from rig_sim.scenes.scene import parse_changes
     from rig_sim.scenes.scene import scene as read
     from rig_sim.scenes.swept import SweptScene

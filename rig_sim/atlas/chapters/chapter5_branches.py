@@ -22,7 +22,8 @@ from rig_sim.atlas.chapters.chapter5 import (
     unstable_trace,
 )
 from rig_sim.atlas.figure import Drawing, Entry, Label, Panel, StatementCheck, Style, Trace, compare, state
-from rig_sim.dynamics.orbits.branches import Branch, Continuation, continuation
+from rig_sim.dynamics.analyses.special_points import Branch, Continuation
+from rig_sim.dynamics.orbits.branches import continuation
 from rig_sim.dynamics.orbits.floquet import FloquetOrbit
 
 SPACE_FROM = 0.28  # the least damping of figure 5.7

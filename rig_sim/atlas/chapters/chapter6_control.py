@@ -160,7 +160,7 @@ def held(period: int) -> Lock:
 def part(period: int, first: int, last: int) -> tuple[Array, Array, Array]:
     """Return t, x, v of the controlled motion between two of its landings."""
     f, lock = locked(period)[0], held(period)
-    return f.motion(lock.states[first:last], lock.changes[first:last], SAMPLES / f.period)
+    return f.sampled(lock.states[first:last], lock.changes[first:last], SAMPLES / f.period)
 
 
 def lock_portrait(period: int) -> Drawing:

@@ -11,8 +11,9 @@ import numpy as np
 
 from daq.base.compute.arrays import Array, Integers
 from daq.base.compute.stages import Stages, parts, silent
-from rig_sim.dynamics.system.interval_map import IntervalMap
-from rig_sim.dynamics.system.period import period_of
+from rig_sim.dynamics.analyses.settling import settled
+from rig_sim.dynamics.system.interface import OnInterval
+from rig_sim.flow.modes import COMPLETED, OUTCOMES
 
 # Iterates of the map itself from each cycle before its attractor counts as reached: twice as many double the cost of a
 # sweep.  Near a period doubling an orbit may still be 1e-3 of the interval away after as many.
@@ -66,7 +67,7 @@ class Basins:
     cycles: int
 
 
-def basins(f: IntervalMap, cells: int, progress: Stages = silent) -> Basins:
+def basins(f: OnInterval, cells: int, progress: Stages = silent) -> Basins:
     """Return the attractors of a map and their basins; ``progress`` is called with the stage and what is done of it.
 
     Raises
@@ -78,11 +79,11 @@ def basins(f: IntervalMap, cells: int, progress: Stages = silent) -> Basins:
         raise ValueError(f"{cells} cells; need 2 or more")
     width = (f.hi - f.lo) / cells
     centres: Array = f.lo + width * (np.arange(cells, dtype=np.float64) + 0.5)
-    mapped = [f(centres[begin:end]) for begin, end in parts("mapping cells", cells, progress)]
+    mapped = [f.images(centres[begin:end]) for begin, end in parts("mapping cells", cells, progress)]
     following = cell_of(np.concatenate(mapped), f, cells)
     cycle_of, entries = cell_cycles(following)
     cycles = parts("following cycles", len(entries), progress, 1)
-    orbits = [settled(f, float(centres[entries[number]])) for number, _ in cycles]
+    orbits = [attractor_from(f, float(centres[entries[number]])) for number, _ in cycles]
     visited = [set(cell_of(np.array(orbit[0]), f, cells).tolist()) for orbit in orbits]
     leader = merged(visited)
     kept = [index for index in range(len(entries)) if leader[index] == index and NOWHERE not in visited[index]]
@@ -98,7 +99,7 @@ def basins(f: IntervalMap, cells: int, progress: Stages = silent) -> Basins:
     return Basins(found, float(np.mean(fate == NOWHERE)), centres, fate, len(entries))
 
 
-def cell_of(x: Array, f: IntervalMap, cells: int) -> Integers:
+def cell_of(x: Array, f: OnInterval, cells: int) -> Integers:
     """Return the cell of each x, shape (n,), or `NOWHERE` outside the interval and where x is NaN."""
     inside = (x >= f.lo) & (x <= f.hi)
     place = np.where(inside, (x - f.lo) / (f.hi - f.lo), 0.0) * cells
@@ -129,14 +130,15 @@ def cell_cycles(following: Integers) -> tuple[Integers, list[int]]:
     return np.array(cycle_of, dtype=np.int64), entries
 
 
-def settled(f: IntervalMap, start: float) -> tuple[tuple[float, ...], int | None]:
+def attractor_from(f: OnInterval, start: float) -> tuple[tuple[float, ...], int | None]:
     """Return the points of the attractor that ``start`` leads to, and its period; NaN where f is not defined."""
-    orbit = f.orbit(start, TRANSIENT + POINTS)[TRANSIENT:]
-    period = period_of(orbit, SAME * (f.hi - f.lo))
-    if period is None:
-        return tuple(orbit.tolist()), None
-    last = orbit[-period:]
-    return tuple(np.roll(last, -int(np.argmin(last))).tolist()), period
+    end = settled(f.motion(np.array([start])), (TRANSIENT,), POINTS, SAME)
+    points = end.states[:, 0]
+    if end.outcome != OUTCOMES[COMPLETED]:
+        points = np.append(points, np.nan)
+    if end.period is None:
+        return tuple(points.tolist()), None
+    return tuple(np.roll(points, -int(np.argmin(points))).tolist()), end.period
 
 
 def merged(visited: list[set[int]]) -> list[int]:

@@ -10,41 +10,30 @@ Orbits of periods 1 and 2 are found at every value and matched from value to val
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
-from rig_sim.dynamics.analyses.basins import settled
+from rig_sim.dynamics.analyses.basins import attractor_from
 from rig_sim.dynamics.analyses.periodic_points import PeriodicPoint, orbits_of_periods, periodic_points
-from rig_sim.dynamics.orbits.branches import SpecialPoint
-from rig_sim.dynamics.system.interval_map import IntervalMap
+from rig_sim.dynamics.analyses.special_points import Branch, BranchPoint, Continuation, SpecialPoint, crossing, least
+from rig_sim.dynamics.system.interface import OnInterval
 
-MapAt = Callable[[float], IntervalMap]
+MapAt = Callable[[float], OnInterval]
 PERIODS = 2  # orbits of periods 1 to so many are followed
 NEAR = 0.08  # of the interval: an orbit moves less from value to value; more values allow less
 PLACES = 400  # at which an orbit is looked for about where it was
 HALVINGS = 6  # of the step in which two orbits vanish, before the place where they meet is looked for
 STEEPEST = 0.5  # of the interval between two orbits' points: a rise between neighbouring places that counts as a jump
-PRECISION = 1e-14  # of the parameter, relative to its step
-
-
-@dataclass
-class OrbitBranch:
-    """One periodic orbit over the values at which it exists with the same stability, in order."""
-
-    period: int
-    stable: bool
-    rows: list[tuple[float, PeriodicPoint]] = field(default_factory=list)
 
 
 def map_continuation(
     map_at: MapAt, values: Sequence[float], *, progress: Callable[[float], None] = lambda _: None
-) -> tuple[list[OrbitBranch], list[SpecialPoint]]:
+) -> Continuation:
     """Return the branches of periodic orbits and the special points between the values, in increasing order."""
-    branches: list[OrbitBranch] = []
+    branches: list[Branch] = []
     points: list[SpecialPoint] = []
-    open_branches: dict[PeriodicPoint, OrbitBranch] = {}
+    open_branches: dict[PeriodicPoint, Branch] = {}
     before: list[PeriodicPoint] = []
     previous = values[0]
     for done, value in enumerate(values, 1):
@@ -53,18 +42,18 @@ def map_continuation(
         pairs = matched(before, orbits, NEAR * (f.hi - f.lo))
         points += special_points(map_at, (previous, value), before, orbits, pairs)
         earlier = {id(new): old for old, new in pairs}
-        now: dict[PeriodicPoint, OrbitBranch] = {}
+        now: dict[PeriodicPoint, Branch] = {}
         for orbit in orbits:
             old = earlier.get(id(orbit))
             branch = open_branches.get(old) if old else None
             if branch is None or branch.stable != orbit.stable:
-                branch = OrbitBranch(orbit.period, orbit.stable)
+                branch = Branch(f"period {orbit.period}", orbit.stable)
                 branches.append(branch)
-            branch.rows.append((value, orbit))
+            branch.rows.append(BranchPoint(value, orbit))
             now[orbit] = branch
         open_branches, before, previous = now, orbits, value
         progress(done)
-    return branches, sorted(points, key=lambda point: point.value)
+    return Continuation(tuple(branches), tuple(sorted(points, key=lambda point: point.value)))
 
 
 def matched(
@@ -118,26 +107,6 @@ def special_points(
                     yield SpecialPoint("fold", value)
 
 
-def crossing(function: Callable[[float], float | None], first: float, last: float) -> float | None:
-    """Return where a function passes 0 between two values; None where it does not, or is not defined on the way."""
-    from scipy.optimize import brentq
-
-    ends = function(first), function(last)
-    if ends[0] is None or ends[1] is None or (ends[0] > 0.0) == (ends[1] > 0.0):
-        return None
-
-    def defined(value: float) -> float:
-        result = function(value)
-        if result is None:
-            raise ArithmeticError("the orbit was lost")
-        return result
-
-    try:
-        return float(brentq(defined, first, last, xtol=PRECISION * abs(last - first), rtol=8.9e-16))
-    except ArithmeticError:
-        return None
-
-
 def orbit_between(
     map_at: MapAt, span: tuple[float, float], old: PeriodicPoint, new: PeriodicPoint, value: float
 ) -> PeriodicPoint | None:
@@ -171,7 +140,7 @@ def room(
     lo, hi = sorted(orbit.points)
     f = map_at(value)
     x = np.linspace(lo, hi, PLACES)
-    y = f(x)
+    y = f.images(x)
     rises = np.diff(y)
     if not np.all(np.abs(rises) < STEEPEST * (hi - lo)):
         return None
@@ -189,18 +158,17 @@ def is_chaotic_inside(
     step = 1e-6 * (span[1] - span[0])
     inside = max((value - step, value + step), key=lambda at: room(map_at, span, old, new, at) or -np.inf)
     orbit = orbit_between(map_at, span, old, new, inside)
-    return orbit is not None and settled(map_at(inside), float(np.mean(orbit.points)))[1] is None
+    return orbit is not None and attractor_from(map_at(inside), float(np.mean(orbit.points)))[1] is None
 
 
-def extremum(f: IntervalMap, times: int, sign: float, lo: float, hi: float) -> tuple[float, float]:
+def extremum(f: OnInterval, times: int, sign: float, lo: float, hi: float) -> tuple[float, float]:
     """Return where f^times is largest (``sign`` 1) or smallest (-1) between lo and hi, and its value there."""
-    from scipy.optimize import minimize_scalar
 
     def falling(x: float) -> float:
-        return -sign * float(f(np.array([x]), times)[0])
+        return -sign * float(f.images(np.array([x]), times)[0])
 
-    found = minimize_scalar(falling, bounds=(lo, hi), method="bounded", options={"xatol": 1e-9 * (hi - lo)})
-    return float(found.x), -sign * float(found.fun)
+    place, value = least(falling, lo, hi, 1e-9 * (hi - lo))
+    return place, -sign * value
 
 
 def fold(map_at: MapAt, stable: PeriodicPoint, unstable: PeriodicPoint, there: float, away: float) -> float | None:
@@ -221,19 +189,15 @@ def fold(map_at: MapAt, stable: PeriodicPoint, unstable: PeriodicPoint, there: f
         key=lambda pair: abs(pair[0] - pair[1]),
     )
     centre = 0.5 * (x_stable + x_unstable)
-    sign = 1.0 if float(map_at(there)(np.array([centre]), period)[0]) > centre else -1.0
+    sign = 1.0 if float(map_at(there).images(np.array([centre]), period)[0]) > centre else -1.0
     half = abs(x_stable - x_unstable)
 
     def touch(value: float) -> float | None:
-        from scipy.optimize import minimize_scalar
-
         f = map_at(value)
 
         def shortfall(x: float) -> float:
-            return -sign * (float(f(np.array([x]), period)[0]) - x)
+            return -sign * (float(f.images(np.array([x]), period)[0]) - x)
 
-        bounds = (centre - half, centre + half)
-        found = minimize_scalar(shortfall, bounds=bounds, method="bounded", options={"xatol": 1e-9 * half})
-        return -float(found.fun)
+        return -least(shortfall, centre - half, centre + half, 1e-9 * half)[1]
 
     return crossing(touch, there, away)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from rig_sim.dynamics.system.interval_map import IntervalMap, slope, survey
+from rig_sim.dynamics.system.interface import OnInterval, slope, survey
 
 # Places at which f^n(x) - x is compared with 0.  Two periodic points between neighbouring places are not seen: twice as
 # many halve the distance at which they are.
@@ -41,7 +41,7 @@ class PeriodicPoint:
 
 
 def periodic_points(
-    f: IntervalMap, period: int = 1, *, places: int = PLACES, within: tuple[float, float] | None = None
+    f: OnInterval, period: int = 1, *, places: int = PLACES, within: tuple[float, float] | None = None
 ) -> tuple[PeriodicPoint, ...]:
     """Return the orbits of exactly this period, by their smallest point: those with a point in the interval ``within``.
 
@@ -59,7 +59,7 @@ def periodic_points(
     return orbits_among(f, period, x, survey(f, x, period))
 
 
-def orbits_of_periods(f: IntervalMap, periods: int) -> list[PeriodicPoint]:
+def orbits_of_periods(f: OnInterval, periods: int) -> list[PeriodicPoint]:
     """Return the orbits of periods 1 to ``periods``, each as `periodic_points` finds them, at the cost of the longest.
 
     A place from which no stick follows, the costliest one, is tried once.
@@ -74,7 +74,7 @@ def orbits_of_periods(f: IntervalMap, periods: int) -> list[PeriodicPoint]:
     return found
 
 
-def orbits_among(f: IntervalMap, period: int, x: Array, iterate: Array) -> tuple[PeriodicPoint, ...]:
+def orbits_among(f: OnInterval, period: int, x: Array, iterate: Array) -> tuple[PeriodicPoint, ...]:
     """Return the orbits of exactly this period with a point between neighbours of ``x``, whose iterates are known."""
     gain = iterate - x
     found: list[PeriodicPoint] = []
@@ -90,12 +90,12 @@ def orbits_among(f: IntervalMap, period: int, x: Array, iterate: Array) -> tuple
     return tuple(sorted(found, key=lambda point: point.points))
 
 
-def orbit_slope(f: IntervalMap, orbit: Array) -> float:
+def orbit_slope(f: OnInterval, orbit: Array) -> float:
     """Return the product of the slopes at every point of an orbit."""
     return float(np.prod(slope(f, orbit)))
 
 
-def return_point(f: IntervalMap, period: int, first: float, last: float) -> float | None:
+def return_point(f: OnInterval, period: int, first: float, last: float) -> float | None:
     """Return where f^period(x) = x between two places where the gain f^period(x) - x has opposite signs.
 
     None where the sign changes by a jump of the map.
@@ -103,7 +103,7 @@ def return_point(f: IntervalMap, period: int, first: float, last: float) -> floa
     from scipy.optimize import brentq
 
     def gain(x: float) -> float:
-        return float(f(np.array([x]), period)[0]) - x
+        return float(f.images(np.array([x]), period)[0]) - x
 
     if gain(first) == 0.0:
         return first

@@ -13,8 +13,8 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import parts, silent
 from rig_sim.dynamics.analyses.sweep import SAME_POINT, AttractorAt, distinct
+from rig_sim.dynamics.system.interface import Motion, ReturnMap
 from rig_sim.dynamics.system.period import LONGEST_PERIOD, REPEATS, period_of
-from rig_sim.dynamics.system.system import System
 from rig_sim.flow.modes import COMPLETED, OUTCOMES, Outcome
 
 # Relative to the system's scale: how closely a state has to come back.  Rounding of a stable orbit stays at 1e-13; a
@@ -61,21 +61,36 @@ class Settled:
     outcome: Outcome
 
 
-def settled(system: System, transients: Sequence[int] = TRANSIENTS) -> Settled:
-    """Follow a system until its motion repeats, or for as long as ``transients`` say."""
+def settled(
+    motion: Motion, transients: Sequence[int] = TRANSIENTS, window: int = WINDOW, same: float = SAME
+) -> Settled:
+    """Follow a motion until it repeats, or for as long as ``transients`` say.
+
+    Parameters
+    ----------
+    motion : Motion
+        It ends where it has settled.
+    transients : sequence of int
+        Passages, or the system's own oscillations, left out before each comparison.
+    window : int
+        Passages that are compared.
+    same : float
+        Relative to the system's scale: how closely a state has to come back.
+    """
+    system = motion.system
     before: Array | None = None
     for transient in transients:
         for begin, end in parts("transient", transient * system.unit, silent, AT_ONCE):
-            found = system.follow(end - begin)
+            found = motion.follow(end - begin)
             if found.outcome != OUTCOMES[COMPLETED]:
                 break
         else:
-            found = system.follow(WINDOW)
+            found = motion.follow(window)
         if found.outcome != OUTCOMES[COMPLETED]:
             return Settled(found.states, None, found.outcome)
         scaled = found.states / system.scale
-        period = period_of(scaled, APART * SAME)
-        repeats = period_of(scaled, SAME)
+        period = period_of(scaled, APART * same)
+        repeats = period_of(scaled, same)
         if repeats is not None and (repeats == period or transient == transients[-1]):
             return Settled(found.states[-repeats:], repeats, found.outcome)
         grows = before is not None and is_growing(before, scaled)
@@ -88,44 +103,45 @@ def is_growing(before: Array, after: Array) -> bool:
     return bool(np.max(np.abs(after)) > max(GROWTH * np.max(np.abs(before)), LARGE))
 
 
-def attractors(systems: Iterable[System], value: float) -> list[AttractorAt]:
+def attractors(f: ReturnMap, starts: Iterable[Array], value: float) -> list[AttractorAt]:
     """Return the attractors that the starts lead to, the one with the most starts first; ``value`` of the parameter.
 
     Where no start leads to one, the only row has the number 0 and says why.
     """
     kinds: list[Settled] = []
     shown: list[Array] = []
-    starts: list[int] = []
+    counts: list[int] = []
     failed: list[Outcome] = []
-    for system in systems:
-        motion = settled(system)
-        if motion.outcome != OUTCOMES[COMPLETED]:
-            failed.append(motion.outcome)
+    for start in starts:
+        motion = f.motion(start)
+        end = settled(motion)
+        if end.outcome != OUTCOMES[COMPLETED]:
+            failed.append(end.outcome)
             continue
         for index, other in enumerate(kinds):
-            if is_same(motion, other, system.scale):
-                starts[index] += 1
-                if motion.period and (other.period is None or motion.period < other.period):
-                    kinds[index], shown[index] = motion, system.drawn(motion.period)
+            if is_same(end, other, f.scale):
+                counts[index] += 1
+                if end.period and (other.period is None or end.period < other.period):
+                    kinds[index], shown[index] = end, motion.drawn(end.period)
                 break
         else:
-            kinds.append(motion)
-            shown.append(system.drawn(motion.period or DRAWN))
-            starts.append(1)
+            kinds.append(end)
+            shown.append(motion.drawn(end.period or DRAWN))
+            counts.append(1)
     if not kinds:
         return [AttractorAt(value, 0, (), None, 0.0, (np.nan, np.nan), None, failed[0].name)]
     rows = []
-    number = len(failed) + sum(starts)
-    for rank, index in enumerate(sorted(range(len(kinds)), key=lambda index: -starts[index]), 1):
-        motion = kinds[index]
-        first = motion.states[:, 0]
+    number = len(failed) + sum(counts)
+    for rank, index in enumerate(sorted(range(len(kinds)), key=lambda index: -counts[index]), 1):
+        end = kinds[index]
+        first = end.states[:, 0]
         tolerance = SAME_POINT * float(np.max(np.abs(shown[index]), initial=0.0))
         points = distinct(shown[index].tolist(), tolerance)
         extent = float(first.min()), float(first.max())
         outcome = "completed" if points else "no passage"
-        repeats = len(shown[index]) if points and motion.period else None
-        share = starts[index] / number
-        rows.append(AttractorAt(value, rank, points, repeats, share, extent, motion.period, outcome))
+        repeats = len(shown[index]) if points and end.period else None
+        share = counts[index] / number
+        rows.append(AttractorAt(value, rank, points, repeats, share, extent, end.period, outcome))
     return rows
 
 

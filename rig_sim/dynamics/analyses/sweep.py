@@ -1,29 +1,15 @@
 """Attractors over a parameter: a bifurcation diagram.
 
 At every value the attractors are found anew, so that none is lost where another one has the larger basin, and values
-can be shared out over processes: of two masses from starts all over the interval of d
-(`rig_sim.dynamics.analyses.basins`).  Attractors of neighbouring values are then numbered alike where they lie closest.
+can be shared out over processes.  Attractors of neighbouring values are then numbered alike where they lie closest.
 """
 
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
-from rig_sim.dynamics.analyses.basins import NOWHERE, basins
-from rig_sim.dynamics.rig.section import section_points
-from rig_sim.dynamics.rig.stick import StickMap
-from rig_sim.dynamics.system.step_budget import StepBudget, StepLimitError
-from rig_sim.flow.modes import OUTCOMES, STEP_LIMIT
-from rig_sim.flow.two_mass import TwoMassFlow
-
-CELLS = 600  # of the cell mapping at each value; a basin narrower than a few cells may be missed: more cells find it
-CROSSINGS = 256  # points of the section on an attractor
-LEFT_OUT = 200  # first crossings of a motion without global stick
 SAME_POINT = 1e-7  # of the interval: points of the section closer than this are drawn as one
 # How long a task, which a process takes at a time, is to take, s.  To send one, and its results, takes 0.2 ms with
 # processes and 7 ms with dask: 3 % here, 7 % with half as much.  With twice as much a killed process loses twice as
@@ -33,9 +19,6 @@ TASK_S = 0.2
 LAST_TASKS = 16
 # Of the number of values in a task: the next value may take 1000 times longer than one without a drive, done at once.
 MOST_GROWTH = 2
-
-# Integrator steps at one value, 10 s.  Values of the thesis take 200 000 to 500 000, levels in the ratio of 10^5 10^7.
-STEPS_OF_VALUE = 20_000_000
 
 Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]
 
@@ -153,41 +136,6 @@ def timed(
     """Return each value with its attractors, and the time that all took, s."""
     begun = time.perf_counter()
     return [(value, find(value)) for value in values], time.perf_counter() - begun
-
-
-def attractors_at(flow_at: Callable[[float], TwoMassFlow], section: str, value: float) -> list[AttractorAt]:
-    """Return the attractors of two masses at one value, the largest basin first.
-
-    Parameters
-    ----------
-    flow_at : callable
-        The masses at a value of the parameter.
-    section : str
-        'map': points are d in global stick; 'poincare': x1 where the first mass turns forwards.
-    value : float
-        Of the parameter.
-    """
-    flow = flow_at(value)
-    try:
-        f = StickMap(flow, budget=StepBudget(STEPS_OF_VALUE))
-        found = basins(f, CELLS)
-    except StepLimitError:
-        return [AttractorAt(value, 0, (), None, math.nan, (math.nan, math.nan), outcome=OUTCOMES[STEP_LIMIT].name)]
-    rows = []
-    for attractor in found.attractors:
-        points = attractor.points
-        if section == "poincare":
-            points = distinct(section_points(flow, points[0], CROSSINGS).tolist(), SAME_POINT * (f.hi - f.lo))
-        rows.append((points, attractor.period, attractor.share))
-    if found.nowhere > 0.0 and section == "poincare":
-        start = float(found.centres[np.flatnonzero(found.fate == NOWHERE)[0]])
-        crossed = section_points(flow, start, CROSSINGS, skip=LEFT_OUT).tolist()
-        rows.append((distinct(crossed, SAME_POINT * (f.hi - f.lo)), None, found.nowhere))
-    return [
-        AttractorAt(value, number, points, period, share, (min(points), max(points)))
-        for number, (points, period, share) in enumerate(rows, 1)
-        if points
-    ]
 
 
 def distinct(points: list[float], tolerance: float) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, parts, silent
-from rig_sim.dynamics.system.controlled_map import ControlledMap, derivatives, difference, slope_at
+from rig_sim.dynamics.system.interface import Controlled, derivatives, difference, slope_at
 
 # Of the closest returns, from which Newton's method starts.  200 find up to a quarter more orbits of the thesis's
 # motions, 50 up to a quarter fewer; the least unstable one is always among them.
@@ -57,7 +57,7 @@ class UnstableOrbit:
         return int(np.sum(np.abs(self.multipliers) > 1.0))
 
 
-def close_returns(f: ControlledMap, states: Array, period: int) -> NDArray[np.intp]:
+def close_returns(f: Controlled, states: Array, period: int) -> NDArray[np.intp]:
     """Return where in a motion, (n, d), pieces of ``period`` states begin that nearly close, the closest first.
 
     Pieces that nearly close after a divisor of the period already, three times as close, are left out.
@@ -78,7 +78,7 @@ def close_returns(f: ControlledMap, states: Array, period: int) -> NDArray[np.in
     return order
 
 
-def periodic_orbits(f: ControlledMap, states: Array, period: int, progress: Stages = silent) -> list[UnstableOrbit]:
+def periodic_orbits(f: Controlled, states: Array, period: int, progress: Stages = silent) -> list[UnstableOrbit]:
     """Return the orbits of exactly this period that a motion, (n, d), has passed: the least unstable first.
 
     ``progress`` is called with the stage and what is done of it.
@@ -98,12 +98,12 @@ def periodic_orbits(f: ControlledMap, states: Array, period: int, progress: Stag
     return sorted(found, key=lambda orbit: float(np.abs(orbit.multipliers[0])))
 
 
-def separation(f: ControlledMap, state: Array, orbit: UnstableOrbit) -> float:
+def separation(f: Controlled, state: Array, orbit: UnstableOrbit) -> float:
     """Return the distance of a state from the nearest point of an orbit, in units of the scales."""
     return float(np.min(np.linalg.norm(difference(f, state, orbit.points), axis=1)))
 
 
-def refined(f: ControlledMap, points: Array) -> UnstableOrbit | None:
+def refined(f: Controlled, points: Array) -> UnstableOrbit | None:
     """Return the orbit of exactly this period next to ``points``, (p, d); None where there is none."""
     period, d = points.shape
     points = points.copy()
@@ -128,7 +128,7 @@ def refined(f: ControlledMap, points: Array) -> UnstableOrbit | None:
             break
     cyclic = np.isfinite(f.turn)
     points[:, cyclic] %= f.turn[cyclic]
-    gaps = np.array([difference(f, f(point), points[(i + 1) % period]) for i, point in enumerate(points)])
+    gaps = np.array([difference(f, f.after(point), points[(i + 1) % period]) for i, point in enumerate(points)])
     if not np.max(np.abs(gaps)) < CLOSED:
         return None
     if any(np.linalg.norm(difference(f, points[i], points[0])) < SAME for i in range(1, period)):

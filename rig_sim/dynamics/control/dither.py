@@ -24,7 +24,7 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from daq.base.compute.stages import Stages, silent
 from rig_sim.dynamics.analyses.settling import TRANSIENTS, Settled, settled
-from rig_sim.dynamics.rig.driven import DrivenMass
+from rig_sim.dynamics.rig.driven import DrivenMap
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
@@ -98,12 +98,13 @@ def quench(flow: Flow, x: float, v: float, progress: Stages = silent) -> Quench:
         The flow is not physical, or its drive has no period.
     """
     fr = frame(flow)
+    start = np.array([x, v])
     steps = StepBudget(STEPS_IN_ALL)
     progress("settling", 0, 2)
-    motion = settled(DrivenMass(flow, x, v, budget=steps))
+    motion = settled(DrivenMap(flow, budget=steps).motion(start))
     progress("settling", 1, 2)
     still = flow._replace(u0=0.0)
-    free = settled(DrivenMass(still, x, v, budget=steps))
+    free = settled(DrivenMap(still, budget=steps).motion(start))
     free_swing = swing(still, free)
     size = (fr.B + fr.v * math.sqrt(flow.k * flow.m)) / flow.k
     self_excited = free.period is None and free.outcome == OUTCOMES[COMPLETED] and free_swing > 1e-6 * size
@@ -165,10 +166,11 @@ def simulated_threshold(flow: Flow, x: float, v: float, steps: StepBudget, progr
     None, too, when the ``steps`` that the motions may take between them are spent.  ``progress`` is called with the
     stage and what is done of it.
     """
+    start = np.array([x, v])
 
     def quenched(u0: float) -> bool:
         driven = flow._replace(u0=u0)
-        return is_quenched(driven, settled(DrivenMass(driven, x, v, budget=steps), DECAY))
+        return is_quenched(driven, settled(DrivenMap(driven, budget=steps).motion(start), DECAY))
 
     least = threshold(flow)
     if not least > 0.0:

@@ -13,12 +13,20 @@ fold              the stable and the unstable orbit meet and vanish.  Under a ju
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from itertools import pairwise
 
 from daq.base.compute.arrays import Array
-from rig_sim.dynamics.orbits.fixed_point import FixedPoint, fixed_point, friction_at_rest
-from rig_sim.dynamics.orbits.floquet import FloquetOrbit, floquet
+from rig_sim.dynamics.analyses.special_points import (
+    Branch,
+    BranchPoint,
+    Continuation,
+    SpecialPoint,
+    bisected,
+    crossing,
+    least,
+)
+from rig_sim.dynamics.orbits.fixed_point import fixed_point, friction_at_rest
+from rig_sim.dynamics.orbits.floquet import floquet
 from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.dynamics.rig.minimum import next_minimum
 from rig_sim.dynamics.rig.turn import STEPS_ALLOWED_HERE
@@ -26,44 +34,11 @@ from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import displacement, frame
 from rig_sim.integrate.work import new_work
 
-HALVINGS = 60  # of an interval of the parameter: its width falls below rounding
+TOUCHED = 1e-13  # of the parameter, relative to its step: where the map touches the diagonal
 TOUCH = 1e-9  # of the interval of starts: how well the start that gains least is found; its gain is even less wrong
 CROSSES = 1e-6  # of the change of c - gamma_lin between two values: at a root it is below this, at a jump above
 
 FlowAt = Callable[[float], Flow]
-
-
-@dataclass(frozen=True)
-class BranchPoint:
-    """A fixed point or an orbit at one value of the parameter."""
-
-    value: float
-    state: FixedPoint | FloquetOrbit
-
-
-@dataclass
-class Branch:
-    """Neighbouring values at which one fixed point or orbit exists: ``kind`` 'fixed point' or 'orbit', ``stable``."""
-
-    kind: str
-    stable: bool
-    rows: list[BranchPoint] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class SpecialPoint:
-    """Where the picture changes: ``kind`` as in the module's table, at this value of the parameter."""
-
-    kind: str
-    value: float
-
-
-@dataclass(frozen=True)
-class Continuation:
-    """The branches and the special points of an interval."""
-
-    branches: tuple[Branch, ...]
-    points: tuple[SpecialPoint, ...]
 
 
 def continuation(
@@ -162,11 +137,7 @@ def folds(flow_at: FlowAt, rows: list[BranchPoint]) -> Iterator[SpecialPoint]:
 
 def smooth_fold(flow_at: FlowAt, first: float, last: float) -> float | None:
     """Return where the map from minimum to minimum (`least_gain`) just touches the diagonal; None where it does not."""
-    from scipy.optimize import brentq
-
-    if (least_gain(flow_at(first)) < 0.0) == (least_gain(flow_at(last)) < 0.0):
-        return None
-    return float(brentq(lambda at: least_gain(flow_at(at)), first, last, xtol=1e-13 * abs(last - first)))
+    return crossing(lambda at: least_gain(flow_at(at)), first, last, TOUCHED)
 
 
 def least_gain(flow: Flow) -> float:
@@ -175,8 +146,6 @@ def least_gain(flow: Flow) -> float:
     The least over all starts outside.  Below 0 a start moves outwards: an unstable orbit lies between it and the fixed
     point, a stable one outside.  1 for a start that does not turn again.
     """
-    from scipy.optimize import minimize_scalar
-
     fr = frame(flow)
     p_rest = displacement(fr, fixed_point(flow).x or 0.0)
 
@@ -188,17 +157,4 @@ def least_gain(flow: Flow) -> float:
     outer = far + gain(far) * (p_rest - far)
     if not outer < p_rest:  # even from far out the mass comes to rest
         return 1.0
-    found = minimize_scalar(gain, bounds=(outer, p_rest), method="bounded", options={"xatol": TOUCH * (p_rest - outer)})
-    return float(found.fun)
-
-
-def bisected(holds: Callable[[float], bool], first: float, last: float, halvings: int = HALVINGS) -> float:
-    """Return where a property that holds at one of two values, and not at the other, changes: to rounding."""
-    at_first = holds(first)
-    for _ in range(halvings):
-        middle = 0.5 * (first + last)
-        if holds(middle) == at_first:
-            first = middle
-        else:
-            last = middle
-    return 0.5 * (first + last)
+    return least(gain, outer, p_rest, TOUCH * (p_rest - outer))[1]

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.base.compute.arrays import Array
-from rig_sim.dynamics.orbits.branches import FlowAt, SpecialPoint, bisected
+from rig_sim.dynamics.analyses.special_points import SpecialPoint, bisected
+from rig_sim.dynamics.orbits.branches import FlowAt
 from rig_sim.dynamics.orbits.fixed_point import fixed_point
 from rig_sim.dynamics.orbits.limit_cycle import sticks
 from rig_sim.flow.flow import Flow

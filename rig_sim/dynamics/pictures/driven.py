@@ -17,7 +17,7 @@ from rig_sim.dynamics.control.dither import (
     swing,
     threshold,
 )
-from rig_sim.dynamics.rig.driven import DrivenMass
+from rig_sim.dynamics.rig.driven import DrivenMap
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.flow import Flow
 
@@ -44,7 +44,7 @@ def quench_figure(flow: Flow, x: float, v: float) -> Figure:
         amplitudes = least * np.linspace(*RATIOS)
         flows = [flow._replace(u0=u0) for u0 in amplitudes.tolist()]
         steps = StepBudget(STEPS_IN_ALL)
-        motions = [settled(DrivenMass(driven, x, v, budget=steps), DECAY) for driven in flows]
+        motions = [settled(DrivenMap(driven, budget=steps).motion(np.array([x, v])), DECAY) for driven in flows]
         below.plot(
             amplitudes, [swing(driven, motion) for driven, motion in zip(flows, motions, strict=True)], ".-", ms=5
         )

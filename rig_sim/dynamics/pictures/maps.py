@@ -11,7 +11,7 @@ from daq.base.output.plot import STYLE, figure
 from rig_sim.dynamics.analyses.basins import Basins
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
 from rig_sim.dynamics.analyses.sweep import AttractorAt
-from rig_sim.dynamics.system.interval_map import IntervalMap
+from rig_sim.dynamics.system.interface import OnInterval
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
 PLACES = 4000  # drawn of a map
@@ -27,12 +27,12 @@ MOST_DRAWN = 5000  # points drawn as shapes; more become an image
 
 
 @mpl.rc_context(fname=STYLE)
-def map_figure(f: IntervalMap, times: int = 1) -> Figure:
+def map_figure(f: OnInterval, times: int = 1) -> Figure:
     """Return a figure of the ``times``-th iterate of a map, with the points where it meets the diagonal."""
     drawn = figure(6.4, 6.2)
     axes = drawn.add_subplot()
     x = np.linspace(f.lo, f.hi, PLACES)
-    y = f(x, times)
+    y = f.images(x, times)
     cuts = jumps(f, times, x, y) + 1
     axes.plot([f.lo, f.hi], [f.lo, f.hi], color="0.6", lw=0.8)
     axes.plot(np.insert(x, cuts, np.nan), np.insert(y, cuts, np.nan), lw=1.2)
@@ -57,7 +57,7 @@ def map_figure(f: IntervalMap, times: int = 1) -> Figure:
     return drawn
 
 
-def jumps(f: IntervalMap, times: int, x: Array, y: Array) -> Integers:
+def jumps(f: OnInterval, times: int, x: Array, y: Array) -> Integers:
     """Return where the ``times``-th iterate jumps: after which of the places ``x``, ascending, with the values ``y``.
 
     Between two places whose values differ visibly the greater half of the difference is followed: where the iterate is
@@ -68,7 +68,7 @@ def jumps(f: IntervalMap, times: int, x: Array, y: Array) -> Integers:
     whole = np.abs(high - low)
     for _ in range(HALVINGS if found.size else 0):
         middle = 0.5 * (left + right)
-        value = f(middle, times)
+        value = f.images(middle, times)
         first = np.abs(value - low) >= np.abs(high - value)
         left, low = np.where(first, left, middle), np.where(first, low, value)
         right, high = np.where(first, middle, right), np.where(first, value, high)

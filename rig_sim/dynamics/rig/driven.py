@@ -25,8 +25,8 @@ from rig_sim.dynamics.rig.passage import (
     Place,
     compiled_passages,
 )
+from rig_sim.dynamics.system.interface import Passages
 from rig_sim.dynamics.system.step_budget import StepBudget
-from rig_sim.dynamics.system.system import Passages
 from rig_sim.flow.contact_state import force, initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import displacement, frame, mirrored, position
@@ -46,26 +46,28 @@ OSCILLATIONS = 200.0
 STARTS = 8  # in stick; fewer miss attractors with small basins, more cost in proportion
 
 
-class DrivenMass:
-    """A driven mass in motion; every call moves it on.
+class DrivenMap:
+    """A driven mass as a system: from one passage of a section to the next.
 
     Parameters
     ----------
     flow : Flow
         With omega other than 0; its phase counts as 0, as the section chooses the time's origin.
-    x, v : float
-        Start, m and m/s, at phase 0 of the drive.
     section : str
         Whose passages are followed: 'poincare' (stroboscopic), 'slip' (break-away) or 'landing'.
     draws : str
         The section whose positions are drawn.
     budget : StepBudget, optional
-        Integrator steps of all calls, and of all masses that share it, after which motions end in 'step limit'.
+        Integrator steps of all motions together, after which they end in 'step limit'.
 
     Attributes
     ----------
+    period : float
+        Of the drive, s.
     scale : (2,) float64
         Sizes of position (m) and velocity (m/s): the stretch at break-away with the drive's, and the belt's motion.
+    turn : (2,) float64
+        Infinite: the drive's phase is no part of the state.
     unit : int
         Drive periods in one oscillation of the mass alone, 1 at the least.
 
@@ -78,8 +80,6 @@ class DrivenMass:
     def __init__(
         self,
         flow: Flow,
-        x: float,
-        v: float,
         section: str = "poincare",
         draws: str = "poincare",
         *,
@@ -89,20 +89,33 @@ class DrivenMass:
         if flow.omega == 0.0:
             raise ValueError("drive.omega is 0: there is no drive period; need another number")
         self.flow = flow._replace(phase=0.0)
-        self._section, self._drawn = SECTIONS[section], SECTIONS[draws]
-        self._frame = fr = frame(for_kernels(self.flow))
+        self.section, self.draws = SECTIONS[section], SECTIONS[draws]
+        self.frame = fr = frame(for_kernels(self.flow))
         self.period = 2.0 * math.pi / abs(flow.omega)
         size = (fr.B + abs(fr.u0)) / fr.k + fr.v / fr.omega0 or 1.0  # where nothing moves the mass any size does
         self.scale = np.array([size, fr.omega0 * size])
+        self.turn = np.full(2, math.inf)
         self.unit = max(1, math.ceil(abs(flow.omega) / fr.omega0))
         longest_stick = 2.0 * (fr.B + abs(fr.u0)) / (fr.k * fr.v) if fr.v > 0.0 else 0.0
         patience = (OSCILLATIONS * 2.0 * math.pi / fr.omega0 + longest_stick) / self.period + OSCILLATIONS
-        self._clock = Clock(self.period, patience)
-        self._budget = budget or StepBudget(math.inf)
+        self.clock = Clock(self.period, patience)
+        self.budget = budget or StepBudget(math.inf)
+
+    def motion(self, start: Array) -> "DrivenMotion":
+        """Return the motion from (x, v), m and m/s, at phase 0 of the drive."""
+        return DrivenMotion(self, float(start[0]), float(start[1]))
+
+
+class DrivenMotion:
+    """A driven mass in motion; every call moves it on."""
+
+    def __init__(self, system: DrivenMap, x: float, v: float) -> None:
+        self.system = system
+        fr = system.frame
         self._work = new_work(compiled=True)
         self._at = new_record(Place, compiled=True)
-        self._at.mode = mirrored(fr, initial_mode(self.flow, x, v, 0.0))
-        self._at.p, self._at.w = displacement(fr, x), fr.mirror * (v - flow.v_belt)
+        self._at.mode = mirrored(fr, initial_mode(system.flow, x, v, 0.0))
+        self._at.p, self._at.w = displacement(fr, x), fr.mirror * (v - system.flow.v_belt)
         self._at.dp = 1.0 / fr.omega0
 
     def follow(self, number: int, *, tangent: bool = False) -> Passages:
@@ -113,7 +126,7 @@ class DrivenMass:
         tangent : bool
             Whether the growth of a deviation is wanted too, for four times the time; else it is NaN.
         """
-        rows, outcome = self._rows(number, self._section, tangent=tangent)
+        rows, outcome = self._rows(number, self.system.section, tangent=tangent)
         growth = rows[:, FACTOR] if tangent else np.full(len(rows), np.nan)
         return Passages(rows[:, TIME], self._states(rows), growth, ENDS[outcome])
 
@@ -122,7 +135,7 @@ class DrivenMass:
 
         The motion has to stand at phase 0.
         """
-        wanted = self._drawn
+        wanted = self.system.draws
         rows = np.empty((0, COLUMNS))
         end = self._at.turns + number
         while self._at.turns < end:
@@ -135,19 +148,20 @@ class DrivenMass:
         return drawn
 
     def _rows(self, number: int, mask: int, *, tangent: bool) -> tuple[Array, int]:
-        allowed = min(STEPS_OF_CALL + STEPS_OF_PASSAGE * number, max(self._budget.left, 0.0))
+        allowed = min(STEPS_OF_CALL + STEPS_OF_PASSAGE * number, max(self.system.budget.left, 0.0))
         number = min(number, int(allowed) + 1)  # no passage takes less than a step
         out = np.zeros(number * COLUMNS)
         self._work.steps = 0.0
         self._work.steps_allowed = allowed
         follow = compiled_passages()
-        outcome, count = follow(self._frame, self._clock, mask, int(tangent), number, self._at, out, self._work)
-        self._budget.left -= self._work.steps
+        fr, clock = self.system.frame, self.system.clock
+        outcome, count = follow(fr, clock, mask, int(tangent), number, self._at, out, self._work)
+        self.system.budget.left -= self._work.steps
         return out.reshape(number, COLUMNS)[:count], outcome
 
     def _states(self, rows: Array) -> Array:
         """Return (x, v) of rows, shape (n, 2)."""
-        fr = self._frame
+        fr = self.system.frame
         x = fr.x0 + fr.mirror * (fr.slip + rows[:, POSITION])
         return np.column_stack([x, fr.mirror * (rows[:, VELOCITY] + fr.v)])
 
@@ -171,7 +185,7 @@ def starts(flow: Flow, x: float, v: float, sticking: int = STARTS) -> list[tuple
     return found
 
 
-def driven_masses(flow: Flow, x: float, v: float, draws: str, sticking: int = STARTS) -> list[DrivenMass]:
-    """Return driven masses from all `starts`, with `STEPS_OF_VALUE` integrator steps between them."""
-    budget = StepBudget(STEPS_OF_VALUE)
-    return [DrivenMass(flow, *start, draws=draws, budget=budget) for start in starts(flow, x, v, sticking)]
+def with_starts(flow: Flow, x: float, v: float, draws: str, sticking: int = STARTS) -> tuple[DrivenMap, list[Array]]:
+    """Return a driven mass with `STEPS_OF_VALUE` integrator steps, and the `starts` of its motions."""
+    f = DrivenMap(flow, draws=draws, budget=StepBudget(STEPS_OF_VALUE))
+    return f, [np.array(start) for start in starts(flow, x, v, sticking)]

@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from rig_sim.dynamics.system.formula import FormulaMap
 from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow import modes
 from rig_sim.flow.contact_state import initial_mode
@@ -55,8 +56,8 @@ class Landing:
     outcome: str
 
 
-class LandingMap:
-    """The map from landing to landing of a driven mass: a `ControlledMap` of two numbers.
+class LandingMap(FormulaMap):
+    """The map from landing to landing of a driven mass: a `Controlled` system of two numbers.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ class LandingMap:
     period : float
         Of the drive, s.
     scale, turn, strength
-        As in `ControlledMap`: the drive's period and the largest stretch; the drive's period; u0.
+        As in `Controlled`: the drive's period and the largest stretch; the drive's period; u0.
 
     Raises
     ------
@@ -86,11 +87,11 @@ class LandingMap:
         self.flow = flow
         self._compiled_flow = for_kernels(flow)
         self.period = 2.0 * math.pi / abs(flow.omega)
-        self.strength = abs(flow.u0)
-        size = (fr.B + self.strength) / fr.k
-        self.scale = np.array([self.period, size + fr.v / fr.omega0])
-        self.turn = np.array([self.period, math.inf])
-        stick = 2.0 * (size + self.strength / fr.k) / fr.v if fr.v > 0.0 else 0.0
+        strength = abs(flow.u0)
+        size = (fr.B + strength) / fr.k
+        scale = [self.period, size + fr.v / fr.omega0]
+        super().__init__(scale, turn=[self.period, math.inf], strength=strength)
+        stick = 2.0 * (size + strength / fr.k) / fr.v if fr.v > 0.0 else 0.0
         self._horizon = stick + OSCILLATIONS * 2.0 * math.pi / fr.omega0 + self.period
         self._mode = modes.RAMP if fr.d > 0.0 else modes.STICK
         self._edge = -fr.mirror * fr.d
@@ -99,8 +100,8 @@ class LandingMap:
         self._one = new_lists(1, compiled=True)
         self._work = new_work(STEPS_OF_LANDING, compiled=True)
 
-    def __call__(self, state: Array, change: float = 0.0) -> Array:
-        """Return the state at the next landing, (2,), with u0 changed by ``change`` (N); NaN without one.
+    def step(self, state: Array, change: float = 0.0) -> tuple[Array, None, float]:
+        """Return the next landing, (2,), with u0 changed by ``change`` (N), and the drive periods to it; NaN without.
 
         Raises
         ------
@@ -109,9 +110,9 @@ class LandingMap:
         """
         if self._budget.left <= 0.0:
             raise self._budget.exceeded("map of landings", "apply the map less often")
-        following = self.landing(state, change).state
+        landing = self.landing(state, change)
         self._budget.left -= self._steps + STEPS_OF_CALL
-        return following
+        return landing.state, None, landing.duration / self.period
 
     def landing(self, state: Array, change: float = 0.0) -> Landing:
         """Return the next landing after the one at ``state``."""
@@ -132,7 +133,7 @@ class LandingMap:
         state = np.array([(landed.t + landed.carry) % self.period, landed.x])
         return Landing(state, landed.t - at.t, x_slip, "completed")
 
-    def motion(self, states: Array, changes: Array, rate: float) -> tuple[Array, Array, Array]:
+    def sampled(self, states: Array, changes: Array, rate: float) -> tuple[Array, Array, Array]:
         """Return time (s, from the first landing), x (m) and v (m/s) of a motion under control, (n,) each.
 
         Parameters

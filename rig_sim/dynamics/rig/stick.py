@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.base.compute.arrays import Array
+from rig_sim.dynamics.system.interface import IntervalMotion, growth_at
 from rig_sim.dynamics.system.step_budget import StepBudget, StepLimitError
 from rig_sim.flow.frame import Frame, frame
 from rig_sim.flow.modes import NOT_FINITE, OUTCOMES, STEP_LIMIT, STICK, Outcome
@@ -172,7 +173,7 @@ class StickMap:
     Attributes
     ----------
     lo, hi : float
-        Ends of the interval, m.
+        Ends of the interval, m; its length is the ``scale``.
 
     Raises
     ------
@@ -196,12 +197,13 @@ class StickMap:
         self.flow = flow
         self.hi = largest_stretch(flow)
         self.lo = -self.hi
+        self.scale, self.turn, self.unit = np.array([self.hi - self.lo]), np.array([math.inf]), 1
         self._frame = frame(flow.mass)
         self._precision = precision
         self._work = new_pair(int(self._steps_of_event), compiled=True)
         self._budget = budget or StepBudget(STEPS_IN_ALL)
 
-    def __call__(self, x: Array, times: int = 1) -> Array:
+    def images(self, x: Array, times: int = 1) -> Array:
         """Return f(x), or the ``times``-th iterate, shape (n,): NaN where x is outside or no global stick follows.
 
         Uses compiled code.
@@ -210,9 +212,16 @@ class StickMap:
         return results
 
     def survey(self, x: Array, times: int = 1) -> Array:
-        """Return what a call returns with the precision `FINE`: 2.5 times as fast, and wrong by 1e-9 of d or less."""
-        rough = StickMap(self.flow, FINE, budget=self._budget)
-        return rough(x, times)
+        """Return what `images` does with the precision `FINE`: 2.5 times as fast, and wrong by 1e-9 of d or less."""
+        return StickMap(self.flow, FINE, budget=self._budget).images(x, times)
+
+    def growth_at(self, x: Array) -> Array:
+        """Return the logarithms of the slopes' sizes at each x, shape (n,)."""
+        return growth_at(self, x)
+
+    def motion(self, start: Array) -> IntervalMotion:
+        """Return the motion from the stretch ``start``, (1,)."""
+        return IntervalMotion(self, start)
 
     def orbit(self, start: float, number: int) -> Array:
         """Return f(start), f(f(start)) ..., shape (number,); NaN from where no global stick follows."""

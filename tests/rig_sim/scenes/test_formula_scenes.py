@@ -15,7 +15,7 @@ from rig_sim.dynamics.orbits.branches import continuation
 from rig_sim.dynamics.orbits.fixed_point import fixed_point
 from rig_sim.dynamics.orbits.floquet import floquet
 from rig_sim.dynamics.orbits.limit_cycle import cycle
-from rig_sim.dynamics.rig.driven import driven_masses
+from rig_sim.dynamics.rig.driven import with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.reach import largest_slip_speed
 from rig_sim.friction.curve import LINEAR, MEASURED
@@ -121,7 +121,7 @@ def test_a_formula_is_varied_as_a_law_is() -> None:
 
 def test_a_driven_formula_has_the_attractors_of_the_law() -> None:
     known, found = (
-        attractors(driven_masses(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
+        attractors(*with_starts(scene("forced", **friction).flow(), 0.0, 0.0, "poincare"), 0.3)
         for friction in (
             {"friction.law": 5, "drive.omega": 0.3},
             {"friction.formula": HYPERBOLA, "drive.omega": 0.3},

@@ -10,11 +10,12 @@ import pytest
 from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses.basins import basins, merged
-from rig_sim.dynamics.analyses.lyapunov import lyapunov
+from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.map_branches import map_continuation
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
-from rig_sim.dynamics.analyses.sweep import AttractorAt, attractors_at, numbered
+from rig_sim.dynamics.analyses.sweep import AttractorAt, numbered
 from rig_sim.dynamics.pictures.maps import PLACES, jumps
+from rig_sim.dynamics.rig.section import attractors_at
 from rig_sim.dynamics.rig.stick import StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow
@@ -22,29 +23,6 @@ from rig_sim.scenes.scene import scene
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter4"]
 SHARES = REFERENCE["basin_fraction_attractor2_of_d_range"]
-
-
-class FormulaMap:
-    """A textbook map of an interval."""
-
-    def __init__(self, formula, lo, hi):
-        self.formula, self.lo, self.hi = formula, lo, hi
-
-    def __call__(self, x, times=1):
-        for _ in range(times):
-            x = self.formula(x)
-        return x
-
-    def orbit(self, start, number):
-        points, at = np.empty(number), np.array([start])
-        for i in range(number):
-            at = self(at)
-            points[i] = at[0]
-        return points
-
-
-def logistic(r):
-    return FormulaMap(lambda x: r * x * (1.0 - x), 0.0, 1.0)
 
 
 def thesis(v_belt):
@@ -56,42 +34,42 @@ def answer(capsys, *words):
     return json.loads(capsys.readouterr().out)
 
 
-def test_the_logistic_map_has_the_periodic_points_of_the_textbook():
+def test_the_logistic_map_has_the_periodic_points_of_the_textbook(textbook):
     r = 3.2
-    (zero, fixed) = periodic_points(logistic(r))
+    (zero, fixed) = periodic_points(textbook.Logistic(r))
     assert (zero.points, fixed.points[0]) == ((0.0,), pytest.approx(1.0 - 1.0 / r, abs=1e-14))
     assert (zero.slope, fixed.slope) == (pytest.approx(r, abs=1e-8), pytest.approx(2.0 - r, abs=1e-8))
-    (two,) = periodic_points(logistic(r), 2)
+    (two,) = periodic_points(textbook.Logistic(r), 2)
     root = math.sqrt((r + 1.0) * (r - 3.0))
     assert two.points == pytest.approx(((r + 1.0 - root) / (2.0 * r), (r + 1.0 + root) / (2.0 * r)), abs=1e-14)
     assert two.slope == pytest.approx(4.0 + 2.0 * r - r * r, abs=1e-8)
     assert two.stable
-    assert [orbit.period for orbit in periodic_points(logistic(3.9), 3)] == [3, 3]
+    assert [orbit.period for orbit in periodic_points(textbook.Logistic(3.9), 3)] == [3, 3]
 
 
-def test_exponents_of_the_logistic_map():
-    chaos = lyapunov(logistic(4.0), 0.3, 20_000)
+def test_exponents_of_the_logistic_map(textbook):
+    chaos = exponent(textbook.Logistic(4.0).motion(np.array([0.3])), 20_000)
     assert chaos.exponent == pytest.approx(math.log(2.0), abs=4.0 * chaos.stderr)
     assert 0.0 < chaos.stderr < 0.02
-    regular = lyapunov(logistic(3.2), 0.3, 100)
+    regular = exponent(textbook.Logistic(3.2).motion(np.array([0.3])), 100)
     assert (regular.exponent, regular.period) == (pytest.approx(0.5 * math.log(0.16), abs=1e-9), 2)
 
 
-def test_an_orbit_that_leaves_has_no_exponent():
-    f = FormulaMap(lambda x: np.where(x < 0.9, x + 0.05, np.nan), 0.0, 1.0)
-    assert lyapunov(f, 0.1, 100).outcome == "no attractor"
+def test_an_orbit_that_leaves_has_no_exponent(textbook):
+    f = textbook.OnInterval(lambda x: np.where(x < 0.9, x + 0.05, np.nan), 0.0, 1.0)
+    assert exponent(f.motion(f.start), 100).outcome == "no attractor"
     assert basins(f, 50).attractors == ()
     assert basins(f, 50).nowhere == 1.0
 
 
-def test_cycles_of_cells_of_one_chaotic_attractor_are_merged():
-    found = basins(logistic(3.9), 3000)
+def test_cycles_of_cells_of_one_chaotic_attractor_are_merged(textbook):
+    found = basins(textbook.Logistic(3.9), 3000)
     assert [(attractor.period, attractor.share) for attractor in found.attractors] == [(None, 1.0)]
     assert merged([{1, 2}, {3}, {2, 4}, {4, 3}]) == [0, 0, 0, 0]
 
 
-def test_two_wells_share_the_interval():
-    f = FormulaMap(lambda x: 1.5 * x - 0.5 * x**3, -1.2, 1.2)
+def test_two_wells_share_the_interval(textbook):
+    f = textbook.OnInterval(lambda x: 1.5 * x - 0.5 * x**3, -1.2, 1.2)
     found = basins(f, 1000)
     assert sorted(attractor.points for attractor in found.attractors) == [(-1.0,), (1.0,)]
     assert [attractor.share for attractor in found.attractors] == [0.5, 0.5]
@@ -119,7 +97,7 @@ def test_exponents_of_the_two_masses(capsys, v_belt):
 @pytest.mark.parametrize("v_belt", ["0.08060", "0.08075", "0.082"])
 def test_exponents_of_chaotic_masses(v_belt):
     expected = REFERENCE["lyapunov_per_event"][v_belt]
-    found = lyapunov(StickMap(thesis(float(v_belt))), 0.14, 20_000)
+    found = exponent(StickMap(thesis(float(v_belt))).motion(np.array([0.14])), 20_000)
     assert found.exponent == pytest.approx(expected["value"], abs=expected["tol"])
     assert found.stderr < 0.005
 
@@ -167,17 +145,21 @@ def test_a_sweep_draws_both_attractors(capsys, tmp_path):
     assert numbers == [[1, 2], [1]]  # attractor 2 ends at the fold, 0.1697
 
 
-def test_the_period_doubling_of_the_logistic_map_and_no_other_point():
-    branches, points = map_continuation(logistic, np.linspace(2.82, 3.12, 4).tolist())
-    assert [(point.kind, point.value) for point in points] == [("period-doubling", pytest.approx(3.0, abs=1e-8))]
-    assert {(branch.period, branch.stable) for branch in branches} == {(1, True), (1, False), (2, True)}
+def test_the_period_doubling_of_the_logistic_map_and_no_other_point(textbook):
+    found = map_continuation(textbook.Logistic, np.linspace(2.82, 3.12, 4).tolist())
+    assert [(point.kind, point.value) for point in found.points] == [("period-doubling", pytest.approx(3.0, abs=1e-8))]
+    assert {(branch.kind, branch.stable) for branch in found.branches} == {
+        ("period 1", True),
+        ("period 1", False),
+        ("period 2", True),
+    }
 
 
-def test_a_map_that_touches_the_diagonal_is_a_fold():
+def test_a_map_that_touches_the_diagonal_is_a_fold(textbook):
     def quadratic(r):
-        return FormulaMap(lambda x: x * x + r, -1.0, 1.0)
+        return textbook.OnInterval(lambda x: x * x + r, -1.0, 1.0)
 
-    points = map_continuation(quadratic, [0.1, 0.2, 0.3])[1]
+    points = map_continuation(quadratic, [0.1, 0.2, 0.3]).points
     assert [(point.kind, point.value) for point in points] == [("fold", pytest.approx(0.25, abs=1e-10))]
 
 
@@ -197,12 +179,13 @@ def test_bifurcations_of_the_two_masses(capsys, span, kind, name):
     assert point["value"] == pytest.approx(expected["value"], abs=1e-9)
 
 
-def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep():
+def test_a_drawn_map_breaks_where_it_jumps_and_not_where_it_is_steep(textbook):
     # The jump of 0.03 at d = -0.21 of the two masses was drawn as a line, the steep piece of f^2 at d = 0.2 was not.
-    f = FormulaMap(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
+    f = textbook.OnInterval(lambda x: np.sqrt(np.abs(x - 0.3)) * np.sign(x - 0.3) + 0.02 * (x > 0.7), -1.0, 1.0)
     x = np.linspace(f.lo, f.hi, PLACES)
-    found = jumps(f, 1, x, f(x))
-    assert np.abs(np.diff(f(x)))[np.searchsorted(x, 0.3) - 1] > 0.02, "the root is not steep enough to be mistaken"
+    y = f.images(x)
+    found = jumps(f, 1, x, y)
+    assert np.abs(np.diff(y))[np.searchsorted(x, 0.3) - 1] > 0.02, "the root is not steep enough to be mistaken"
     assert x[found] == pytest.approx(0.7, abs=2.0 / PLACES)
-    smooth = FormulaMap(lambda x: x * x, -1.0, 1.0)
-    assert jumps(smooth, 1, x, smooth(x)).size == 0
+    smooth = textbook.OnInterval(lambda x: x * x, -1.0, 1.0)
+    assert jumps(smooth, 1, x, smooth.images(x)).size == 0

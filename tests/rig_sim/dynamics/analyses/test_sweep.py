@@ -12,6 +12,7 @@ from daq.base.console import application
 from rig_sim.cli import app as cli
 from rig_sim.dynamics.analyses import sweep as sweeps
 from rig_sim.dynamics.analyses.sweep import AttractorAt
+from rig_sim.dynamics.rig import section
 from rig_sim.scenes.scene import BUILTIN_FOLDER
 
 FEW = ["sweep", "two-mass", "--over", "belt.speed=0.14:0.175:4", "--section", "map"]
@@ -57,7 +58,7 @@ def test_an_interrupted_sweep_is_continued(capsys, tmp_path, monkeypatch):
     """Used to begin anew: all that was found was lost with the process."""
     path = tmp_path / "sweep.jsonl"
     whole = document(capsys, *FEW)
-    find = sweeps.attractors_at
+    find = section.attractors_at
     found = []
 
     def interrupted(flow_at, section, value):
@@ -66,12 +67,12 @@ def test_an_interrupted_sweep_is_continued(capsys, tmp_path, monkeypatch):
         found.append(value)
         return find(flow_at, section, value)
 
-    monkeypatch.setattr(sweeps, "attractors_at", interrupted)
+    monkeypatch.setattr(section, "attractors_at", interrupted)
     assert application.run(cli.app, [*FEW, "--resume", str(path)]) == 130
     assert f"2 of 4 values are in {path}" in capsys.readouterr().err
     path.write_bytes(path.read_bytes()[:-1])  # cut in the middle of a line
     again = []
-    monkeypatch.setattr(sweeps, "attractors_at", lambda *asked: again.append(asked[-1]) or find(*asked))
+    monkeypatch.setattr(section, "attractors_at", lambda *asked: again.append(asked[-1]) or find(*asked))
     assert document(capsys, *FEW, "--resume", path) == whole
     assert len(again) == 3
     assert document(capsys, *FEW, "--resume", path) == whole
@@ -103,7 +104,7 @@ def test_rows_of_something_else_are_refused(capsys, tmp_path):
 
 def test_a_picture_that_exists_is_refused_before_anything_is_computed(capsys, tmp_path, monkeypatch):
     """Used to be refused at the end, and the result of the whole sweep with it."""
-    monkeypatch.setattr(sweeps, "attractors_at", None)
+    monkeypatch.setattr(section, "attractors_at", None)
     path = tmp_path / "sweep.png"
     path.touch()
     assert "exists" in document(capsys, *FEW, "--plot", path, code=2)["error"]["what"]

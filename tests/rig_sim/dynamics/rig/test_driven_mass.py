@@ -14,7 +14,7 @@ from rig_sim.dynamics.analyses.exponent import exponent
 from rig_sim.dynamics.analyses.settling import attractors
 from rig_sim.dynamics.control import dither
 from rig_sim.dynamics.rig import driven as driven_mass
-from rig_sim.dynamics.rig.driven import DrivenMass, driven_masses
+from rig_sim.dynamics.rig.driven import DrivenMap, with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.friction.curve import CONSTANT, LINEAR
 
@@ -97,11 +97,11 @@ def general_solver(flow, x, v, until, tolerance=1e-12):
 def test_sections_are_those_of_a_general_solver(flow, start):
     until = 25.0 if flow.omega == 1.6 else 40.0  # of a chaotic motion no longer
     broken, strobes = general_solver(flow, *start, until)
-    slip = DrivenMass(flow, *start, "slip").follow(len(broken))
+    slip = DrivenMap(flow, "slip").motion(start).follow(len(broken))
     assert len(broken) >= 2
     assert slip.times * 2.0 * math.pi / flow.omega == pytest.approx(broken[:, 0], abs=1e-7)
     assert slip.states[:, 0] == pytest.approx(broken[:, 1], abs=1e-7)
-    strobe = DrivenMass(flow, *start).follow(len(strobes))
+    strobe = DrivenMap(flow).motion(start).follow(len(strobes))
     assert strobe.states == pytest.approx(strobes, abs=1e-7)
 
 
@@ -121,9 +121,9 @@ def test_sections_are_those_of_a_general_solver(flow, start):
 def test_growth_is_that_of_two_neighbouring_motions(flow):
     """The variational equation with its jumps at events, against the difference of two motions."""
     passages, h = 6, 1e-6
-    mass = DrivenMass(flow, 0.1, 0.0)
+    mass = DrivenMap(flow).motion((0.1, 0.0))
     total = float(np.sum(mass.follow(passages, tangent=True).growth))
-    ends = [DrivenMass(flow, 0.1 + side * h, 0.0).follow(passages).states[-1] for side in (1.0, -1.0)]
+    ends = [DrivenMap(flow).motion((0.1 + side * h, 0.0)).follow(passages).states[-1] for side in (1.0, -1.0)]
     omega0 = math.sqrt(flow.k / flow.m)
     difference = (ends[0] - ends[1]) / (2.0 * h)
     assert total == pytest.approx(math.log(math.hypot(omega0 * difference[0], difference[1]) / omega0), abs=1e-5)
@@ -136,11 +136,11 @@ def test_growth_on_an_unstable_orbit_is_its_multiplier(name):
     (x,) = case["X_A"]
     for phase in (math.acos((x - 1.0) / flow.u0), 2.0 * math.pi - math.acos((x - 1.0) / flow.u0)):
         start = x - flow.v_belt * phase / flow.omega, flow.v_belt  # in stick at phase 0
-        broken = DrivenMass(flow, *start, "slip").follow(2)
+        broken = DrivenMap(flow, "slip").motion(start).follow(2)
         if broken.times[1] - broken.times[0] == pytest.approx(case["K"], abs=1e-6):
             break
     assert broken.states[:, 0] == pytest.approx([x, x], abs=1e-8)
-    growth = DrivenMass(flow, *start, "landing").follow(1, tangent=True).growth[0]
+    growth = DrivenMap(flow, "landing").motion(start).follow(1, tangent=True).growth[0]
     assert math.exp(growth) == pytest.approx(abs(case["mult"]), abs=1e-6)
 
 
@@ -153,7 +153,7 @@ def test_exponent_of_a_mass_that_never_sticks_is_that_of_its_damper(capsys):
 
 
 def test_exponent_without_a_drive_is_zero_the_motion_may_only_be_late():
-    found = exponent(DrivenMass(thesis(u0=0.0), 0.0, 0.0, "landing"), 1000)
+    found = exponent(DrivenMap(thesis(u0=0.0), "landing").motion((0.0, 0.0)), 1000)
     assert found.exponent == pytest.approx(0.0, abs=1e-8)
 
 
@@ -210,7 +210,7 @@ def test_a_sweep_over_the_belt_draws_its_diagram(capsys, tmp_path):
     ids=str,
 )
 def test_every_motion_ends_in_a_named_outcome(flow, outcomes):
-    rows = attractors(driven_masses(flow, 0.0, 0.0, "slip", 1), 0.0)
+    rows = attractors(*with_starts(flow, 0.0, 0.0, "slip", 1), 0.0)
     assert {row.outcome for row in rows} == outcomes
     assert all(bool(row.points) == (row.outcome == "completed") for row in rows)
 
@@ -220,7 +220,7 @@ def test_a_drive_far_faster_than_the_mass_ends_by_name(monkeypatch):
     monkeypatch.setattr(driven_mass, "STEPS_OF_VALUE", 200_000)
     monkeypatch.setattr(dither, "STEPS_IN_ALL", 200_000)
     fast = thesis(1e6)
-    (row,) = attractors(driven_masses(fast, 0.0, 0.0, "slip"), 0.0)
+    (row,) = attractors(*with_starts(fast, 0.0, 0.0, "slip"), 0.0)
     assert (row.attractor, row.points, row.outcome) == (0, (), "step limit")
     found = dither.quench(fast, 0.0, 0.0)
     assert (found.outcome, found.quenched, found.simulated_threshold) == ("step limit", False, None)

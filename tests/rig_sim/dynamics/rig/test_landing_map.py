@@ -18,7 +18,7 @@ from rig_sim.dynamics.analyses.unstable_orbits import periodic_orbits
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
 from rig_sim.dynamics.rig.landing import LandingMap
-from rig_sim.dynamics.system.controlled_map import difference, orbit
+from rig_sim.dynamics.system.interface import difference, orbit
 from rig_sim.scenes.scene import scene
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]
@@ -137,12 +137,14 @@ def test_a_ramp_law_and_a_backward_belt_have_landings_too() -> None:
     assert len(states) == 300
     found = periodic_orbits(ramp, states, 1)
     assert found
-    assert abs(np.max(np.abs(difference(ramp, ramp(found[0].points[0]), found[0].points[0])))) < 1e-10
+    assert abs(np.max(np.abs(difference(ramp, ramp.after(found[0].points[0]), found[0].points[0])))) < 1e-10
     # mirrored, the drive is half a period later
     there, back = driven(1.6), driven(1.6, **{"belt.speed": -0.085})
     state = there.first(0.2, 0.0).state
-    mirrored = back(np.array([state[0] + 0.5 * there.period, -state[1]]))
-    assert difference(back, mirrored, there(state) * [1, -1] + [0.5 * there.period, 0]) == pytest.approx(0, abs=1e-12)
+    mirrored = back.after(np.array([state[0] + 0.5 * there.period, -state[1]]))
+    assert difference(back, mirrored, there.after(state) * [1, -1] + [0.5 * there.period, 0]) == pytest.approx(
+        0, abs=1e-12
+    )
 
 
 @pytest.mark.slow
@@ -162,8 +164,8 @@ def test_a_motion_under_control_is_sampled_to_its_landings() -> None:
     changes = np.array([0.0, 0.001, -0.002])
     states = states[:1]
     for change in changes:
-        states = np.vstack([states, f(states[-1], float(change))])
-    t, x, v = f.motion(states[:-1], changes, 100.0)
+        states = np.vstack([states, f.after(states[-1], float(change))])
+    t, x, v = f.sampled(states[:-1], changes, 100.0)
     assert np.all(np.diff(t) >= 0)
     assert (x[0], x[-1], v[0], v[-1]) == pytest.approx((states[0, 1], states[-1, 1], 0.085, 0.085), abs=1e-9)
     assert np.max(v) < 0.085 + 1e-9

@@ -11,9 +11,9 @@ from daq.base.console import application
 from daq.base.errors import InputError
 from rig_sim.cli import app as cli
 from rig_sim.cli import maps
-from rig_sim.dynamics.analyses import sweep
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
 from rig_sim.dynamics.orbits.fixed_point import two_mass_fixed_point
+from rig_sim.dynamics.rig import section
 from rig_sim.dynamics.rig import stick as stick_map
 from rig_sim.dynamics.rig.stick import COARSE, FINE, StickMap
 from rig_sim.flow.flow import Flow
@@ -90,7 +90,7 @@ def test_equal_masses_that_begin_alike_move_as_one():
 
 def test_a_belt_that_runs_backwards_mirrors_the_map():
     d = np.linspace(-0.6, 0.6, 13)
-    assert StickMap(thesis(-0.1))(-d) == pytest.approx(-StickMap(thesis(0.1))(d), abs=0.0)
+    assert StickMap(thesis(-0.1)).images(-d) == pytest.approx(-StickMap(thesis(0.1)).images(d), abs=0.0)
 
 
 def test_the_fixed_point_has_the_right_eigenvalues_not_those_printed_in_the_thesis(capsys):
@@ -146,9 +146,9 @@ def test_a_map_without_an_event_shows_no_number_that_is_none(capsys):
 
 def test_lower_precision_keeps_its_promise():
     d = np.linspace(-0.6, 0.6, 501)
-    exact = StickMap(thesis())(d)
+    exact = StickMap(thesis()).images(d)
     for precision, allowed in ((FINE, 1e-9), (COARSE, 1e-5)):
-        errors = np.abs(StickMap(thesis(), precision)(d) - exact)
+        errors = np.abs(StickMap(thesis(), precision).images(d) - exact)
         assert np.quantile(errors, 0.99) < allowed  # the rest stands beside a jump of the map
 
 
@@ -175,7 +175,7 @@ def test_every_event_ends_in_a_named_outcome(flow, d, outcome):
 
 def test_an_analysis_of_a_very_stiff_coupling_ends_by_name(capsys, monkeypatch):
     # Basins at coupling.a = 1e6 used to take days: 50 000 steps an event, hundreds of attractors.
-    for place, name in ((stick_map, "STEPS_IN_ALL"), (maps, "STEPS_PER_EVENT"), (sweep, "STEPS_OF_VALUE")):
+    for place, name in ((stick_map, "STEPS_IN_ALL"), (maps, "STEPS_PER_EVENT"), (section, "STEPS_OF_VALUE")):
         monkeypatch.setattr(place, name, 2000 if place is not maps else 1)
     command = ["basins", "two-mass", "--cells", "300", "--json"]
     assert application.run(cli.app, command) == 2
