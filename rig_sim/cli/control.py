@@ -165,7 +165,7 @@ def lock(
         data |= _locked(f, found)
         if plot is not None and found.lock is not None:
             from daq.base.output.plot import save
-            from rig_sim.dynamics.pictures.lock import lock_figure
+            from rig_sim.dynamics.pictures.driven import lock_figure
 
             save(lock_figure(f, found.lock, period, budget), plot, force=force)
             data["file"] = plot

@@ -15,9 +15,7 @@ spring and the mass alone under the drive.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -29,11 +27,9 @@ from rig_sim.dynamics.system.step_budget import StepBudget
 from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.frame import frame, friction_slope
-from rig_sim.flow.modes import COMPLETED, FORCE_REVERSAL, NEGATIVE, OUTCOMES, STEP_LIMIT
-from rig_sim.integrate.compiled import compiled, for_kernels
-from rig_sim.integrate.events import new_samples
-from rig_sim.integrate.phases import Samples, State, sample_phase
-from rig_sim.integrate.work import Work, new_work, unboxed
+from rig_sim.flow.modes import COMPLETED, NEGATIVE, OUTCOMES, STEP_LIMIT
+from rig_sim.integrate.phases import State
+from rig_sim.integrate.sampled import sampled
 
 # Times the linear ripple that a quenched motion may swing: above the threshold it swings by 0.65 to 1.0 times it, and
 # stick-slip that repeats with every period of a drive slower than the mass by 3 times it and more.
@@ -202,28 +198,6 @@ def swing(flow: Flow, motion: Settled) -> float:
 def positions(flow: Flow, x: float, v: float, times: Array) -> Array:
     """Return x (m) at increasing times (s), (n,), of a motion from (x, v) at the first; fewer where the motion ends."""
     t = float(times[0])
+    many = (times[-1] - times[0]) * abs(flow.omega) > 2.0 * math.pi * MANY_PERIODS and flow.u0 != 0.0
     at = State(initial_mode(flow, x, v, t), x, v - flow.v_belt, t)
-    if (times[-1] - times[0]) * abs(flow.omega) > 2.0 * math.pi * MANY_PERIODS and flow.u0 != 0.0:
-        found = new_samples(times, compiled=True)
-        served = compiled_samples()(for_kernels(flow), at, found, new_work(compiled=True))
-        return np.asarray(found.x[:served])
-    listed = new_samples(times.tolist(), compiled=False)
-    served = samples(flow, at, listed, new_work())
-    return np.array(listed.x[:served])
-
-
-def samples(flow: Flow, at: State, wanted: Samples, work: Work) -> int:
-    """Store the motion at the times wanted; return how many it comes to."""
-    work = unboxed(work)
-    i = 0
-    while i < wanted.n:
-        kind, at, i = sample_phase(flow, at, wanted.t[wanted.n - 1], wanted, i, work)
-        if kind >= FORCE_REVERSAL:
-            break
-    return i
-
-
-@cache
-def compiled_samples() -> Callable[..., int]:
-    """Return `samples` as machine code."""
-    return compiled(samples)
+    return sampled(flow, at, times, compiled=bool(many))[0]

@@ -21,8 +21,9 @@ from rig_sim.flow.contact_state import initial_mode
 from rig_sim.flow.flow import Flow, validate
 from rig_sim.flow.frame import frame
 from rig_sim.integrate.compiled import compiled, for_kernels
-from rig_sim.integrate.events import new_lists, new_samples
-from rig_sim.integrate.phases import Lists, State, run, sample_phase
+from rig_sim.integrate.events import new_lists
+from rig_sim.integrate.phases import Lists, State, run
+from rig_sim.integrate.sampled import sampled
 from rig_sim.integrate.work import Work, new_work, unboxed
 
 # Integrator steps between two landings, 0.5 us each; the thesis's motions take 15.  A motion that has not landed after
@@ -156,14 +157,11 @@ class LandingMap(FormulaMap):
         """Return times since a landing, x and v up to the next one, both landings included."""
         start = state[0] % self.period
         times = np.append(np.arange(0.0, duration := self.landing(state, change).duration, 1.0 / rate), duration)
-        samples = new_samples(start + times, compiled=True)
-        at, i = State(self._mode, float(state[1]), self._edge, start), 0
-        flow, work = self.flow._replace(u0=self.flow.u0 + change), new_work()
-        while i < len(times):
-            kind, at, i = sample_phase(flow, at, start + duration, samples, i, work)
-            if kind >= modes.FORCE_REVERSAL:
-                raise RuntimeError(modes.OUTCOMES[kind].name)
-        return times, samples.x, samples.v
+        flow = self.flow._replace(u0=self.flow.u0 + change)
+        x, v = sampled(flow, State(self._mode, float(state[1]), self._edge, float(start)), start + times)
+        if len(x) < len(times):
+            raise RuntimeError("the motion ended before it landed")
+        return times, x, v
 
 
 def next_landing(
