@@ -30,12 +30,11 @@ import numpy as np
 
 from daq.base.compute.workers import workers
 from rig_sim.dynamics.analyses.sweep import sweep
-from rig_sim.dynamics.rig.section import attractors_at
 from rig_sim.dynamics.rig.stick import COARSE, EXACT, FINE, StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
+from rig_sim.functions.systems import SweptScene, TwoMassAttractors
 from rig_sim.scenes.scene import scene
-from rig_sim.scenes.swept import SweptScene
 
 RESULTS = Path(__file__).resolve().parent / "results"
 FLOW = TwoMassFlow(Flow(v_belt=0.1))
@@ -96,7 +95,7 @@ def map_speed(events):
 
 def sweep_speed():
     """Print and return the times of the diagram by who computes it."""
-    find = partial(attractors_at, SweptScene(scene("two-mass"), "belt.speed"), "poincare")
+    find = TwoMassAttractors(SweptScene(scene("two-mass"), "belt.speed"), "poincare")
     ways = {"one process": (1, False), "two processes": (2, False), "two dask workers": (1, True)}
     if find_spec("distributed") is None:
         print("dask.distributed is not installed: pip install 'stickslip[cluster]'")

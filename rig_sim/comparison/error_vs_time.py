@@ -84,7 +84,7 @@ def compare(
         raise InputError(f"is {until:g}", "--until", "give a positive number")
     for method in methods:
         if method not in METHODS:
-            raise InputError(f"unknown method {method!r}", "--methods", f"take some of {', '.join(METHODS)}")
+            raise InputError(f"unknown method {method!r}", "methods", f"take some of {', '.join(METHODS)}")
     swing = 2.0 * math.pi * math.sqrt(scene.mass.m / scene.spring.k)
     if until > LONGEST * swing:
         what = f"is {until:g}, {until / swing:.3g} periods of the mass: every method would step through all of them"
@@ -179,7 +179,7 @@ def tightest(lists: Lists, method: str, until: float) -> list[tuple[Any, str]]:
     """
     others = [key for key in _by_tightness(lists) if key[0] != method]
     if not others:
-        raise InputError("nothing to compare with", "--methods", "name two methods")
+        raise InputError("nothing to compare with", "methods", "name two methods")
     found = lists[max(others, key=lambda key: len(_agreeing(lists, key, until)))]  # of equals the first
     return _events(found)
 

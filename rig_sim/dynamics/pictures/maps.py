@@ -1,36 +1,29 @@
 """Pictures of maps and attractors; matplotlib is imported in modules of pictures alone."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
 from daq.base.compute.arrays import Array, Integers
-from daq.base.output.plot import STYLE, figure
-from rig_sim.dynamics.analyses.basins import Basins
+from rig_sim.dynamics.analyses.basins import Attractor
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
 from rig_sim.dynamics.analyses.sweep import AttractorAt
 from rig_sim.dynamics.system.interface import OnInterval
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe and Ito's
 PLACES = 4000  # drawn of a map
 VISIBLE, HALVINGS = 0.005, 30  # least jump of a map, of its interval; what a root does is then 3e-5 of its step
-ORDINATES = {  # of a sweep, by its section and whether the mass is driven
-    ("poincare", False): "x1 where the first mass turns forwards",
-    ("map", False): "d = x2 - x1 in global stick",
-    ("poincare", True): "x at phase 0 of the drive",
-    ("slip", True): "x at break-away",
-}
 SHARP = 480.0  # values over size of a point: 200 values and more are drawn as fine points, few as larger ones
 MOST_DRAWN = 5000  # points drawn as shapes; more become an image
 
 
-@mpl.rc_context(fname=STYLE)
-def map_figure(f: OnInterval, times: int = 1) -> Figure:
-    """Return a figure of the ``times``-th iterate of a map, with the points where it meets the diagonal."""
-    drawn = figure(6.4, 6.2)
-    axes = drawn.add_subplot()
+def draw_map(axes: "Axes", f: OnInterval, times: int = 1) -> None:
+    """Draw the ``times``-th iterate of a map, with the points where it meets the diagonal."""
     x = np.linspace(f.lo, f.hi, PLACES)
     y = f.images(x, times)
     cuts = jumps(f, times, x, y) + 1
@@ -54,7 +47,6 @@ def map_figure(f: OnInterval, times: int = 1) -> Figure:
         title=f"Map {name} from stick to stick",
     )
     axes.set_aspect("equal")
-    return drawn
 
 
 def jumps(f: OnInterval, times: int, x: Array, y: Array) -> Integers:
@@ -75,11 +67,8 @@ def jumps(f: OnInterval, times: int, x: Array, y: Array) -> Integers:
     return found[np.abs(high - low) > 0.5 * whole]
 
 
-@mpl.rc_context(fname=STYLE)
-def sweep_figure(rows: Sequence[AttractorAt], parameter: str, section: str, *, driven: bool = False) -> Figure:
-    """Return a bifurcation diagram: the points of every attractor, of two masses or a ``driven`` one."""
-    drawn = figure(8.6, 5.6)
-    axes = drawn.add_subplot()
+def draw_sweep(axes: "Axes", rows: Sequence[AttractorAt], parameter: str, ordinate: str) -> None:
+    """Draw a bifurcation diagram: the points of every attractor; ``ordinate`` says what they are."""
     size = min(max(SHARP / max(len({row.value for row in rows}), 1), 2.4), 5.0)
     for number in sorted({row.attractor for row in rows if row.points}):
         own = [row for row in rows if row.attractor == number]
@@ -90,25 +79,25 @@ def sweep_figure(rows: Sequence[AttractorAt], parameter: str, section: str, *, d
         axes.plot(x, y, ".", ms=size, mew=0, color=colour, rasterized=len(x) > MOST_DRAWN, label=label)
     if axes.lines:
         axes.legend(markerscale=14.4 / size, framealpha=0.85, edgecolor="none", frameon=True)
-    axes.set(xlabel=f"{parameter} (the scene's unit)", ylabel=f"{ORDINATES[section, driven]} (the scene's unit)")
+    axes.set(xlabel=f"{parameter} (the scene's unit)", ylabel=f"{ordinate} (the scene's unit)")
     axes.set_title(f"Attractors over {parameter}")
-    return drawn
 
 
-@mpl.rc_context(fname=STYLE)
-def basins_figure(found: Basins) -> Figure:
-    """Return a figure of which attractor each start d leads to, with the attractors' points above."""
-    drawn = figure(8.6, 2.6)
-    axes = drawn.add_subplot()
-    half = 0.5 * (found.centres[1] - found.centres[0])
-    for index, attractor in enumerate(found.attractors):
+def draw_basins(axes: "Axes", attractors: Sequence[Attractor], centres: Array, fate: Integers) -> None:
+    """Draw which attractor each start d leads to, with the attractors' points above.
+
+    Parameters
+    ----------
+    axes, attractors
+    centres, fate : (n,) arrays
+        Of each cell, and the index of its attractor.
+    """
+    half = 0.5 * (centres[1] - centres[0])
+    for index, attractor in enumerate(attractors):
         colour = COLOURS[index % len(COLOURS)]
         label = f"attractor {index + 1}: {100.0 * attractor.share:.1f} %"
-        axes.fill_between(
-            found.centres, 0.0, 1.0, where=found.fate == index, color=colour, step="mid", lw=0, label=label
-        )
+        axes.fill_between(centres, 0.0, 1.0, where=fate == index, color=colour, step="mid", lw=0, label=label)
         axes.plot(attractor.points, np.full(len(attractor.points), 1.15), "o", ms=4, mew=0, color=colour)
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    axes.set(xlim=(found.centres[0] - half, found.centres[-1] + half), ylim=(0.0, 1.3), yticks=[])
+    axes.set(xlim=(centres[0] - half, centres[-1] + half), ylim=(0.0, 1.3), yticks=[])
     axes.set(xlabel="d = x2 - x1 at the start (the scene's unit)", title="Basins; above, the attractors")
-    return drawn

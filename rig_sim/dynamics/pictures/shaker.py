@@ -1,27 +1,25 @@
 """Picture of the amplification-phase plane of a shaker: the thesis's figures 6.10 and 6.11 in one."""
 
 import math
+from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
 from daq.base.compute.arrays import Array
-from daq.base.output.plot import STYLE, figure
 from rig_sim.dynamics.control.stability import ShakerPlane
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 GROWTHS = (0.0, -0.1, -0.2)  # of sqrt(k/m), and
 FREQUENCIES = (0.5, 0.9, 1.0, 1.1, 2.0)  # of sqrt(k/m): the curves of the thesis
 PHASES, LEVELS = 721, 501  # of the shaded region
 
 
-@mpl.rc_context(fname=STYLE)
-def shaker_figure(plane: ShakerPlane, a: float, phi: float) -> Figure:
-    """Return a figure of the stable region with curves of constant growth rate and frequency; (a, phi) is marked."""
+def draw_shaker(axes: "Axes", plane: ShakerPlane, a: float, phi: float) -> None:
+    """Draw the stable region with curves of constant growth rate and frequency; (a, phi) is marked."""
     rate = math.sqrt(plane.k / plane.m)
     top = 1.1 * max(a, 5.0 * math.sqrt(plane.m * plane.k), 2.0 * abs(plane.S))
-    drawn = figure(8.6, 6.2)
-    axes = drawn.add_subplot()
     phases, levels = np.linspace(0.0, 2.0 * math.pi, PHASES), np.linspace(0.0, top, LEVELS)
     stable = stable_region(plane, levels, phases)
     axes.contourf(phases, levels, stable, levels=[0.5, 1.5], colors=["#CFE8DF"])
@@ -42,7 +40,6 @@ def shaker_figure(plane: ShakerPlane, a: float, phi: float) -> Figure:
     within = "" if plane.band is None else " within the filter's band"
     axes.set_title(f"Shaded: the oscillation decays{within} (omega0 = {rate:.4g} rad/s)")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    return drawn
 
 
 def stable_region(plane: ShakerPlane, a: Array, phi: Array) -> Array:

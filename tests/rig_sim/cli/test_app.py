@@ -16,7 +16,7 @@ import pytest
 import rig_sim
 from daq.base.console import application
 from rig_sim.cli.app import app
-from rig_sim.cli.numbers import with_error
+from rig_sim.functions.maps import with_error
 from rig_sim.motion import play as motion_module
 from rig_sim.motion.play import ScenePlayer
 

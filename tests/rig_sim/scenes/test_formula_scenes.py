@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from daq.base.errors import InputError
-from rig_sim.cli.parameter_range import ParameterRange
 from rig_sim.dynamics.analyses.settling import attractors
 from rig_sim.dynamics.orbits.branches import continuation
 from rig_sim.dynamics.orbits.fixed_point import fixed_point
@@ -102,7 +101,7 @@ def test_a_formula_is_varied_as_a_law_is() -> None:
         def at(gamma: float) -> Flow:
             return scene("damped", **{**friction, "friction.gamma": gamma, "belt.speed": 0.6, "damper.c": 0.38}).flow()
 
-        found = continuation(at, ParameterRange("friction.gamma", 2.0, 6.0, 9).values())
+        found = continuation(at, np.linspace(2.0, 6.0, 9))
         return [(point.kind, point.value) for point in found.points]
 
     law, formula = special({"friction.law": 5}), special({"friction.formula": HYPERBOLA})

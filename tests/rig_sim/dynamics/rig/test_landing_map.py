@@ -12,13 +12,13 @@ from scipy.optimize import brentq
 
 from daq.base.compute.arrays import Array
 from daq.base.console import application
-from rig_sim.cli import control
 from rig_sim.cli.app import app
 from rig_sim.dynamics.analyses.unstable_orbits import periodic_orbits
 from rig_sim.dynamics.control.ogy import lock
 from rig_sim.dynamics.control.search_and_lock import search_and_lock
 from rig_sim.dynamics.rig.landing import LandingMap
 from rig_sim.dynamics.system.interface import difference, orbit
+from rig_sim.functions import control
 from rig_sim.scenes.scene import scene
 
 REFERENCE = json.loads((Path(__file__).parents[3] / "reference" / "dynamics.json").read_text())["chapter6"]

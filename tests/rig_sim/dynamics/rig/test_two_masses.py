@@ -10,7 +10,6 @@ import pytest
 from daq.base.console import application
 from daq.base.errors import InputError
 from rig_sim.cli import app as cli
-from rig_sim.cli import maps
 from rig_sim.dynamics.analyses.periodic_points import periodic_points
 from rig_sim.dynamics.orbits.fixed_point import two_mass_fixed_point
 from rig_sim.dynamics.rig import section
@@ -19,6 +18,7 @@ from rig_sim.dynamics.rig.stick import COARSE, FINE, StickMap
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.two_mass import TwoMassFlow, slip_start
 from rig_sim.friction.curve import CONSTANT, LINEAR
+from rig_sim.functions import branches, maps
 from rig_sim.integrate.events import list_events
 from rig_sim.integrate.pair_motion import SAMPLES, PairMotion
 from rig_sim.motion.two_masses import two_mass_events
@@ -205,7 +205,7 @@ def test_a_slow_drive_until_the_end_of_time_ends_at_the_step_limit(capsys):
 def test_the_values_of_a_continuation_share_its_steps(capsys, monkeypatch):
     """Each value, and each step towards a special point, used to have 10^8 steps of its own: hours for stiff pairs."""
     monkeypatch.setattr(stick_map, "STEPS_IN_ALL", 400_000)  # one value takes 200 000
-    monkeypatch.setattr(maps, "STEPS_PER_VALUE", 100_000)
+    monkeypatch.setattr(branches, "STEPS_PER_VALUE", 100_000)
     command = ["continue", "two-mass", "--over", "belt.speed=0.15:0.153:4", "--json"]
     assert application.run(cli.app, command) == 2
     assert "step limit" in json.loads(capsys.readouterr().out)["error"]["what"]
