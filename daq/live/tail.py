@@ -16,6 +16,7 @@ from daq.base.errors import InputError
 from daq.finalise import connections, timeline
 from daq.finalise.integrity import CheckedCounts, check
 from daq.finalise.run import calibration
+from daq.protocols import blocks
 from daq.runfile import journal, journal_header, journal_records
 from daq.runfile.journal import Record
 from daq.runfile.recording import positions
@@ -104,7 +105,8 @@ class JournalTail:
         self.rig = Rig()
         self.counts = JournalTotals()
         self.ended = ""
-        self._backend = protocols.load(self.header["protocol"], str(path))
+        self._of_blocks = self.header["protocol"] == blocks.NAME
+        self._backend = protocols.load("frames" if self._of_blocks else self.header["protocol"], str(path))
         self._rate_hz = float(self.header["rate_hz"])
         self._at = len(journal.MAGIC)
         self._reads: list[tuple[int, bytes]] = []
@@ -112,13 +114,14 @@ class JournalTail:
         self._ident: frames.Ident | None = None
         self._last: _Last | None = None
         self._first_stamp: int | None = None
+        self._begun_s = 0.0  # time of the first sample of blocks
         self._trailing_damage = 0
         self._calibrated = False
 
     @property
     def unit(self) -> str:
         """Of positions: "m", or "count" without a calibration."""
-        return "count" if self.rig.metres_per_count is None else "m"
+        return "count" if self.rig.metres_per_count is None and self.header["columns"] != blocks.POSITIONS else "m"
 
     def poll(self) -> list[NewSamples]:
         """Return what came since the last call, in order; an empty list when nothing did.
@@ -152,6 +155,8 @@ class JournalTail:
     def _decoded(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
         if not new:
             return []
+        if self._of_blocks:
+            return self._unpacked(new)
         self._reads += new
         stream = self._backend.decode(self._reads, self.header)
         self._ident = connections.first_ident([stream]) or self._ident
@@ -181,6 +186,32 @@ class JournalTail:
         ticks, index = (int(column[-1]) for column in (samples.ticks, samples.index))
         self._last = _Last(ticks, float(time[-1]), int(count[-1]), index)
         return [NewSamples(time[own], positions(count[own], self.rig), fresh[own])]
+
+    def _unpacked(self, new: list[tuple[int, bytes]]) -> list[NewSamples]:
+        """Return the samples of blocks that a program hands over."""
+        if self._configuration and not self._calibrated:
+            _, self.rig, _ = calibration(self._configuration, [], None)
+            self._calibrated = True
+        made = []
+        for _, data in new:
+            found = blocks.unpacked(data, self.header["columns"])
+            if found is None:
+                self.counts.crc_errors += 1
+                continue
+            time, values = found
+            begins = self._last is None
+            if self._last is None:
+                self._begun_s, self._last = float(time[0]), _Last(0, float(time[0]), 0, 0)
+            steps = np.rint(np.diff(time, prepend=self._last.time) * self._rate_hz)
+            self.counts.lost += int(np.sum(np.maximum(steps[begins:], 1) - 1))
+            self.counts.samples += len(time)
+            self.counts.segments = 1
+            self._last = _Last(0, float(time[-1]), 0, 0)
+            position = positions(values.astype(np.int64), self.rig) if values.dtype.kind == "i" else values
+            fresh = np.zeros(len(time), np.bool_)
+            fresh[0] = begins
+            made.append(NewSamples(time - self._begun_s, position.astype(np.float64), fresh))
+        return made
 
     def _unwrapped(self, samples: timeline.Samples) -> tuple[np.typing.NDArray[np.int64], np.typing.NDArray[np.bool_]]:
         """Return the unwrapped counts, (n,), and which samples begin a part.

@@ -61,6 +61,7 @@ HEADER_EVERY = 1 << 16
 
 # What ended a recording, in its last record; another word there is the name of a signal.
 COMPLETE, STOPPED, PORT_LOST, BOARD_STOPPED = "complete", "stopped", "port lost", "board stopped"
+SOURCE_ENDED, SOURCE_FAILED = "source ended", "source failed"  # of blocks that a program hands over
 
 
 class Records:

@@ -156,7 +156,7 @@ def _reported(curve: MeasuredCurve, mass: float | None, *, trusted: bool) -> Mea
 def _first_not_rejected(members: Sequence[Fit], motions: Sequence[MeasuredMotion]) -> Judged:
     first = None
     for fit in members:
-        linearised = LinearisedFit.at(fit)
+        linearised = LinearisedFit.at(fit.at)
         if linearised is None:
             # Without derivatives nothing is fitted again: the residuals of repetitions are then the larger.
             usual, nowhere = None, np.zeros(len(fit.cycles), np.bool_)

@@ -1,139 +1,38 @@
-"""A law given as a formula, fitted to the positions of every window from the end of the measured curve's fit.
+"""A law given as a formula, fitted by the driver to the positions of every window.
 
-The motion is followed along a spline through the formula, whose knots are set closer until it errs by less than
-`TOLERANCE` of the friction; its derivatives by the parameters are the formula's own.  Everything else (windows, noise,
-weights of the cycles, calibrations) is that of the measured curve, so that the fit differs from it in the curve alone.
-
-A parameter that bends the curve and is never negative is fitted by its logarithm.  A trial whose formula is not finite
-or is negative at a speed of the motion is refused as one that cannot be followed.
+Windows, noise and calibrations are those of the measured curve, so that the fit differs from it in the curve alone.
+The search starts where the measured curve ended, and where the best law did.
 """
 
 import math
-import time as clock
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.base.compute.arrays import Array
 from daq.base.compute.distributions import student_quantile
-from daq.base.errors import InputError
 from daq.base.measured import Measured
 from fitting.curve.band import covariances
-from fitting.curve.spline_fit import FINAL, SplineFit
+from fitting.curve.forms import GRID, metric_of
+from fitting.curve.spline_fit import SplineFit
 from fitting.data.cycles import Cycle
+from fitting.driver.driver import best_end, start_beside
+from fitting.driver.fit import TaskFit
+from fitting.driver.formula import BEYOND, FormulaCurve, Target
+from fitting.driver.passes import finish
+from fitting.driver.task import KNOT_POWER, OF_THE_LAW, Task
 from fitting.estimation.linearised import LinearisedFit
 from fitting.estimation.result import Parameter
 from fitting.law import Law
-from fitting.least_squares import levenberg_marquardt
 from fitting.least_squares.levenberg_marquardt import Solution
 from fitting.least_squares.problem import LeastSquaresProblem
-from fitting.model import parameters
 from fitting.model.parameters import NUISANCE, PER_RUN, Global
+from fitting.model.problem import EstimationProblem
 from fitting.model.windows import ShootingWindows
-from fitting.sensitivity import flow
-from fitting.sensitivity.columns import local_tangents, shared_tangents
-from fitting.sensitivity.path import Path, follow, spline_curve
-from fitting.sensitivity.spline import FrictionSpline
-from fitting.sensitivity.tangents import tangents
-from rig_sim.flow.modes import STICK
 
-TOLERANCE = 1e-6  # of the largest friction: how far the spline may be from the formula
-FIRST_PIECES, KNOT_POWER = 24, 1.8  # knots s_max u^1.8, before they are set closer where the curve bends most
-MOST_PIECES = 300  # a power with an infinite slope at rest takes 150; more are a curve with a corner
-PER_PIECE = 6  # speeds of each piece at which the spline is put through the formula, and compared with it
-BEYOND = 1.1  # of the measured curve's last knot: slips of the fit may be a little faster
-STEPS: dict[str, Any] = FINAL | {"max_steps": 40, "damping": 1e-6}  # a form leaves the measured curve by a few bands
-DOUBLED = 2.0  # of a parameter: whether the derivative by it changes then shows whether it bends the curve
 LEAST_SHOWN = 1e-6  # of a prior's precision: a record that adds less shows nothing of the unknown
-SAME = 1e-9  # of a derivative: less is rounding
-
-
-class FormulaFriction:
-    """A law's formula as the friction that a path is followed with.
-
-    Unknowns theta (k,) stand for the law's free parameters: the value, or its logarithm (``by_log``).
-    """
-
-    def __init__(self, law: Law, fastest: float, start: dict[str, float], *, ramp: bool) -> None:
-        self.law, self.fastest, self.ramp = law, fastest, ramp
-        self._speeds = np.linspace(0.0, fastest, 41)
-        self.by_log = np.array([self._bends(name, start) and law.limits(name)[0] >= 0.0 for name in law.free])
-        self.start = self.theta(start)
-        self._through(fastest * np.linspace(0.0, 1.0, FIRST_PIECES + 1) ** KNOT_POWER)
-
-    def values(self, theta: Array) -> dict[str, float]:
-        """Return the parameters by name."""
-        free = np.where(self.by_log, np.exp(np.clip(theta, -700.0, 700.0)), theta)
-        return dict(self.law.fix or {}) | dict(zip(self.law.free, free.tolist(), strict=True))
-
-    def theta(self, values: dict[str, float]) -> Array:
-        """Return the unknowns (k,) of parameters."""
-        free = np.array([values[name] for name in self.law.free])
-        return np.where(self.by_log, np.log(np.where(self.by_log, free, 1.0)), free)
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (k,) of the unknowns."""
-        lower, upper = np.array([self.law.limits(name) for name in self.law.free]).T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(self.by_log, np.log(lower), lower), np.where(self.by_log, np.log(upper), upper)
-
-    def friction(self, theta: Array, s: Array) -> Array:
-        """Return friction per unit mass (m/s^2) at slip speeds s (k,), m/s.
-
-        Raises
-        ------
-        InputError
-            Where it is not finite, or negative.
-        """
-        found = self.law.curve.value(s, self.values(theta))
-        if found.min() < 0:
-            at = self.law.curve.place(float(s[np.argmin(found)]), self.values(theta))
-            what = f"law {self.law.name}: friction is negative, {found.min():.4g} m/s^2, {at}"
-            raise InputError(what, "formula", "give bounds, or a form that stays above 0")
-        return found
-
-    def slopes(self, theta: Array, s: Array) -> Array:
-        """Return the derivatives (k, unknowns) of friction at slip speeds s (k,) by the unknowns."""
-        values = self.values(theta)
-        found = self.law.curve.gradient(s, values, self.law.free)
-        return np.asarray(found * np.where(self.by_log, [values[name] for name in self.law.free], 1.0))
-
-    def spline(self, theta: Array) -> FrictionSpline | None:
-        """Return a spline through the formula; None where it is no friction, or too abrupt to be followed."""
-        while True:
-            try:
-                target = self.friction(theta, self._at)
-            except InputError:
-                return None
-            found = self._spline.with_coefficients(np.einsum("ij,j->i", self._project, target))
-            away = np.abs(found(self._at) - target) > TOLERANCE * target.max()
-            if not away.any():
-                return found
-            knots = self._spline.knots
-            bad = np.unique(np.clip(np.searchsorted(knots, self._at[away], side="right") - 1, 0, knots.size - 2))
-            if knots.size + bad.size > MOST_PIECES:
-                return None
-            self._through(np.sort(np.concatenate((knots, 0.5 * (knots[bad] + knots[bad + 1])))))
-
-    def _through(self, knots: Array) -> None:
-        """Make splines through the formula with these knots."""
-        parts = [np.linspace(a, b, PER_PIECE, endpoint=False) for a, b in pairwise(knots)]
-        self._at = np.append(np.concatenate(parts), knots[-1])
-        self._spline = FrictionSpline.over(knots)
-        self._project = np.linalg.pinv(self._spline.basis(self._at))
-
-    def _bends(self, name: str, start: dict[str, float]) -> bool:
-        whole = dict(self.law.fix or {}) | start
-        first, other = (
-            self.law.curve.gradient(self._speeds, whole | {name: factor * whole[name]}, (name,))
-            for factor in (1.0, DOUBLED)
-        )
-        return bool(np.any(np.abs(first - other) > SAME * np.max(np.abs(first))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,23 +44,35 @@ class FormulaFit:
     formula : Law
     host : SplineFit
         The measured curve that the fit began at.
-    friction : FormulaFriction
-    solution : Solution
-        Unknowns are those of ``host.places``, then theta.
-    path : Path
-    jacobian : (N, p + 6) f8
-    task : LeastSquaresProblem
-    cpu_s : float
+    friction : FormulaCurve
+    at : TaskFit
+        Where the driver ended; unknowns are those of ``places``, then theta.
     """
 
     formula: Law
     host: SplineFit
-    friction: FormulaFriction
-    solution: Solution
-    path: Path
-    jacobian: Array
-    task: LeastSquaresProblem
-    cpu_s: float
+    friction: FormulaCurve
+    at: TaskFit
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """The shared unknowns beside the formula's own."""
+        return self.at.task.places
+
+    @property
+    def solution(self) -> Solution:
+        """Where the last pass stopped."""
+        return self.at.solution
+
+    @property
+    def task(self) -> LeastSquaresProblem:
+        """What the last pass minimised."""
+        return self.at.problem
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of the fit, s."""
+        return self.at.cpu_s
 
     @property
     def law(self) -> str:
@@ -171,7 +82,7 @@ class FormulaFit:
     @property
     def windows(self) -> ShootingWindows:
         """The windows that were fitted."""
-        return self.path.windows
+        return self.at.windows
 
     @property
     def rows(self) -> tuple[slice, ...]:
@@ -181,7 +92,7 @@ class FormulaFit:
     @property
     def residual(self) -> Array:
         """Model minus measurement, m, (N,)."""
-        return self.solution.residual
+        return self.at.residual
 
     @property
     def cycles(self) -> tuple[Cycle, ...]:
@@ -191,7 +102,7 @@ class FormulaFit:
     @property
     def inlier_cycles(self) -> NDArray[np.bool_]:
         """Which cycles (cycles,) fit about as well as the others."""
-        return self.host.inlier
+        return self.at.noise.inliers
 
     @property
     def cycle_rms(self) -> Array:
@@ -211,7 +122,7 @@ class FormulaFit:
     @property
     def theta(self) -> Array:
         """Unknowns (k,) of the formula."""
-        return self.solution.u[len(self.host.places) :]
+        return self.solution.u[len(self.places) :]
 
     @property
     def values(self) -> dict[str, float]:
@@ -225,12 +136,12 @@ class FormulaFit:
         Where the rest position is assumed, a constant of the formula stands for it, and no law pays for that.
         """
         own = len(self.formula.free) - (self.host.rest is not None)
-        return sum(place % PER_RUN not in NUISANCE for place in self.host.places) + own
+        return sum(place % PER_RUN not in NUISANCE for place in self.places) + own
 
     @property
     def calibration_deviations(self) -> Array:
         """How far the unknowns are from their calibrations, in standard deviations; 0 where there is none."""
-        places, motions = self.host.places, self.host.fit.problem.motions
+        places, motions = self.places, self.host.fit.problem.motions
         off = np.abs(self.solution.u - self.task.prior) * np.sqrt(self.task.precision)
         guessed = [
             place % PER_RUN == Global.DATUM and motions[place // PER_RUN].datum_prior is None for place in places
@@ -250,23 +161,15 @@ class FormulaFit:
     @cached_property
     def variances(self) -> Array:
         """Variances (p,) of the shared unknowns: the larger of those by the noise and by the scatter of the cycles."""
-        linear = LinearisedFit(
-            shared=np.ascontiguousarray(self.jacobian[:, : self.solution.u.size]),
-            local=np.ascontiguousarray(self.jacobian[:, self.solution.u.size :]),
-            residual=self.residual,
-            rows=self.rows,
-            weights=self.task.weights,
-            prior_precision=np.diag(self.task.precision),
-            prior_gradient=self.task.precision * (self.solution.u - self.task.prior),
-            local_precision=self.task.local_precision,
-            local_gradient=self.task.local_precision * (self.solution.local - self.task.local_prior),
-        )
+        linear = LinearisedFit.at(self.at)
+        if linear is None:
+            raise RuntimeError("the fit of a formula has a path")
         return np.asarray(np.maximum(np.max([np.diag(found) for found in covariances(linear)], axis=0), 0.0))
 
     def without_prior(self, slot: Global, run: int = 0) -> Measured | None:
         """Return what the record alone shows of an unknown with a prior; None where there is none, or nothing shown."""
         place = PER_RUN * run + slot
-        index = self.host.places.index(place if place in self.host.places else slot)
+        index = self.places.index(place if place in self.places else slot)
         weight, variance = float(self.task.precision[index]), float(self.variances[index])
         alone = 1 / variance - weight if variance > 0 else 0.0
         if weight == 0 or alone <= LEAST_SHOWN * weight:
@@ -278,7 +181,7 @@ class FormulaFit:
         """Return k/m and the formula's parameters, with intervals of confidence 1 - alpha; per unit mass."""
         error = np.sqrt(self.variances)
         quantile = student_quantile(1 - alpha / 2, max(len(self.rows) - 1, 1))
-        u, places = self.solution.u, list(self.host.places)
+        u, places = self.solution.u, list(self.places)
         found = {"k/m": _interval(float(u[0]), float(error[places.index(Global.K)]), quantile, "s^-2")}
         place = places.index(Global.V_DR)
         found["v_dr"] = _interval(float(u[place]), float(error[place]), quantile, "m/s")
@@ -318,83 +221,58 @@ def _interval(
     return Parameter(value, error, lo, hi, unit)
 
 
-def fit_formula(law: Law, host: SplineFit, start: dict[str, float]) -> FormulaFit | None:
-    """Fit a law from the measured curve's end; None where its motion cannot be followed.
+def fit_formula(law: Law, host: SplineFit, start: dict[str, float] | None = None) -> FormulaFit | None:
+    """Fit a law to the runs of the measured curve; None where its motion cannot be followed.
 
     Parameters
     ----------
     law : Law
-        On the contact of the measured curve: a jump or a ramp.
+        With a jump or a ramp of its own.
     host : SplineFit
-    start : dict of str to float
-        A value of each free parameter, per unit mass.
+        The measured curve.
+    start : dict of str to float, optional
+        First values of free parameters, per unit mass.
+
+    Raises
+    ------
+    InputError
+        Where no value of the parameters makes a friction.
     """
-    begun = clock.process_time()
-    ramp = bool(host.path.curve.ramp)
-    friction = FormulaFriction(law, BEYOND * float(host.spline.knots[-1]), start, ramp=ramp)
-    p = len(host.places)
-    task = host.task
-
-    def path(q: Array, local: Array) -> Path | None:
-        spline = friction.spline(q[p:])
-        if spline is None:
-            return None
-        u = host.u.copy()
-        u[list(host.places)] = q[:p]
-        curve = spline_curve(spline, ramp)
-        return follow(host.path.windows, curve, parameters.copy_shared(u), local, longest_step=flow.LONGEST_STEP)
-
-    def evaluate(q: Array, local: Array, derivatives: bool) -> tuple[Array, Array] | None:
-        found = path(q, local)
-        if found is None:
-            return None
-        if not derivatives:
-            return found.residual, np.zeros((0, 0))
-        try:
-            own = _formula_tangents(found, friction, q[p:])
-        except InputError:  # a derivative that is not finite
-            return None
-        return found.residual, np.hstack([shared_tangents(found, host.places), own, local_tangents(found)])
-
-    none = np.zeros(len(law.free))
-    lower, upper = friction.bounds
-    own = replace(
-        task,
-        evaluate=evaluate,
-        some=None,
-        lower=np.concatenate((task.lower[:p], lower)),
-        upper=np.concatenate((task.upper[:p], upper)),
-        prior=np.concatenate((task.prior[:p], none)),
-        precision=np.concatenate((task.precision[:p], none)),
-    )
-    begin = np.concatenate((host.solution.u[:p], friction.start))
-    solution = levenberg_marquardt.minimise(own, begin, host.solution.local, **STEPS)
-    if solution is None:
-        return None
-    last, found = path(solution.u, solution.local), own.evaluate(solution.u, solution.local, True)
-    if last is None or found is None:
-        return None
-    return FormulaFit(law, host, friction, solution, last, found[1], own, clock.process_time() - begun)
+    given = law if start is None else replace(law, start=start)
+    fastest = BEYOND * (float(host.spline.knots[-1]) + (0.0 if law.ramp else _ramp_width(host)))
+    curve = FormulaCurve(given, fastest, _target(host))
+    problem = _problem(law, host)
+    places = tuple(place for place in problem.active if place % PER_RUN not in OF_THE_LAW)
+    task = Task(problem, curve, places)
+    beside = start_beside(task, host.at)
+    begin = beside._replace(q=np.concatenate([beside.q[: len(places)], curve.start]))
+    settled = best_end(task, [(begin, host.at.noise.without_fade), (begin, None)], host.noise)
+    found = None if settled is None else finish(settled, host.noise) or settled
+    return None if found is None or found.path is None else FormulaFit(law, host, curve, found)
 
 
-def _formula_tangents(path: Path, friction: FormulaFriction, theta: Array) -> Array:
-    """Return the derivatives of the positions by the unknowns of the formula, shape (N, k)."""
-    spline = path.curve.spline
-    if spline is None:
-        raise RuntimeError("the path of a formula follows a spline")
-    at_rest = float(spline.coefficients[0])
-    d = path.unknown(Global.D) if path.curve.ramp else 0.0
-    q = path.unknown(Global.COMPLIANCE) * np.exp(path.unknown(Global.LOG_F)) / path.unknown(Global.K)
-    giving = 1 - q * path.friction_slope / path.level if np.any(q) else 1.0
-    slips = path.slips
-    forces = np.zeros((path.time.size, theta.size))
-    speed = np.clip(path.slip_speed[slips], 0.0, friction.fastest)
-    side = np.broadcast_to(path.level * path.side * giving, path.time.shape)[slips]
-    forces[slips] = side[:, None] * friction.slopes(theta, speed)
-    rest = friction.slopes(theta, np.zeros(1))[0]
-    if path.curve.ramp or np.any(q):
-        ramp = ~slips & (path.mode != STICK)
-        share = path.friction / at_rest * (d / np.maximum(d + q * at_rest, 1e-300))
-        forces[ramp] = share[ramp][:, None] * rest
-    edge = np.broadcast_to(q, path.time.shape)[path.first_point[:-1]][:, None] * rest
-    return tangents(path, forces, edge=edge)
+def _target(host: SplineFit) -> Target:
+    """Return the measured curve, in the metric of the record (`fitting.curve.forms.Metric`)."""
+    metric, fastest = metric_of(host, host.linearised()), float(host.spline.knots[-1])
+    s = fastest * np.linspace(0.0, 1.0, GRID) ** KNOT_POWER
+    root = np.einsum("mn,nk->mk", metric.root, host.spline.projection(s))
+    return Target(s, root, metric.aim, float(np.median(host.spline.coefficients)))
+
+
+def _ramp_width(host: SplineFit) -> float:
+    return float(host.u[Global.D]) if host.path.curve.ramp else 0.0
+
+
+def _problem(law: Law, host: SplineFit) -> EstimationProblem:
+    """Return the measured curve's problem, on the contact of the law."""
+    problem = host.at.task.problem
+    if law.ramp == problem.ramp:
+        return problem
+    other = EstimationProblem.build(6 if law.ramp else 5, problem.runs)
+    datum = [PER_RUN * run + Global.DATUM for run in range(len(problem.runs))]
+    changed = {}
+    for name in ("start", "prior", "precision", "lower", "upper"):
+        values = getattr(other, name).copy()
+        values[datum] = getattr(problem, name)[datum]
+        changed[name] = values
+    return replace(other, **changed)

@@ -11,7 +11,7 @@ from daq.base.compute.distributions import normal_quantile, student_quantile
 from fitting.curve.band import covariances, curve_columns, half_widths, seen_speeds
 from fitting.curve.forms import fit_forms
 from fitting.curve.result import BandExit, FormFit, MeasuredCurve
-from fitting.curve.spline_fit import REACHED, SplineFit, fit_spline
+from fitting.curve.spline_fit import SplineFit, fit_spline
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import Parameter
 from fitting.model.parameters import Global
@@ -22,6 +22,7 @@ from rig_sim.friction.law import LAWS
 # where there is no ramp.
 RAMP_NEARER = 0.97
 NEAR = 1.3  # times the noise
+REACHED = 1.03  # times the noise: the other contact can be no better
 NEWTON = {"m s^-2": "N", "s^-1": "N s/m", "m^-1": "N s^2/m^2", "s m^-2": "N s^3/m^3"}  # units per unit mass, with it
 
 

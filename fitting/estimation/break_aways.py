@@ -15,8 +15,8 @@ from fitting.data.ripple import Ripple
 from fitting.estimation.fit import Fit
 from fitting.estimation.result import BreakAway
 from fitting.model.parameters import PER_CYCLE, Global, PerCycle
-from fitting.model.shooting import evaluator
 from fitting.model.windows import ShootingWindows
+from fitting.sensitivity.values import positions
 from rig_sim.friction.law import LAWS
 
 # Times in slips (`MeasuredMotion.slip_s`).
@@ -111,7 +111,6 @@ def _reaches_level(fit: Fit, motion: MeasuredMotion, k: int) -> float:
 
 def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
     """Return the squared error around the corner for break-aways at ``trials`` (cycles, m), same shape; m^2."""
-    law, u = LAWS[fit.law], fit.u
     errors = np.full(trials.shape, np.inf)
     table: list[tuple[int, ...]] = []
     owner: list[tuple[int, ...]] = []
@@ -127,7 +126,7 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
             if after >= last:
                 continue
             row = np.zeros(PER_CYCLE)
-            row[PerCycle.X_SLIP], row[PerCycle.V_SLIP] = x, float(edge) - 1e-9 * u[Global.V_DR]
+            row[PerCycle.X_SLIP], row[PerCycle.V_SLIP] = x, float(edge) - 1e-9 * fit.u[Global.V_DR]
             row[PerCycle.LEVEL] = row[PerCycle.NEXT_LEVEL] = fit.local[k, PerCycle.LEVEL]
             taken = np.r_[begin, motion.time[after:last]]
             table.append((len(local), 0, total, taken.size, 0, 0))
@@ -146,11 +145,11 @@ def _misfit(fit: Fit, motion: MeasuredMotion, trials: Array) -> Array:
         source=np.zeros(total, np.int64),
         rows=(),
     )
-    evaluate = evaluator(law.curve_code, bool(law.ramp), windows, u, [Global.K], np.ones(u.size), np.ones(PER_CYCLE))
-    found = evaluate(u[[Global.K]], np.array(local), False)
-    if found is None:
+    task = fit.at.task
+    curve = task.curve.on_path(task.split(fit.at.q)[1], fit.u)
+    model = None if curve is None else positions(windows, curve, fit.u, np.array(local))
+    if model is None:
         return errors
-    model = found[0]
     for k, j, first, after, last, at in owner:
         before = _in_stick(fit, motion, k, motion.time[first:after]) - motion.measured[first:after]
         slipping = model[at + 1 : at + 1 + last - after] - motion.measured[after:last]

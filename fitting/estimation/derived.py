@@ -81,7 +81,7 @@ def derived_parameters(
 
     ``x0`` is where the spring's rest lies in the recorded positions.  Fs is its mean over the record; where the contact
     sticks again and again, ``Fs0/m`` is what it was when the recording began and ``wear`` the fraction of that lost per
-    second, both by the line through the cycles' friction levels (`fitting.estimation.wear`).  ``static`` is a ramp's
+    second, both by the line through the cycles' friction levels (`fitting.model.wear`).  ``static`` is a ramp's
     break-away level over Fs, given where the record shows that they differ.  ``droop`` is how much
     slower the belt runs under the load Fs, ``ripple`` and ``ripple_hz`` are amplitude and frequency of its speed.
 

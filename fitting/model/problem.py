@@ -1,4 +1,4 @@
-"""What stays the same while one law is fitted: starting values, scales, bounds, and the calibrations as priors."""
+"""What stays the same while one law is fitted: starting values, bounds, and the calibrations as priors."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,8 +14,10 @@ from fitting.data.frame import MeasuredMotion
 from fitting.data.ripple import Ripple
 from fitting.model import parameters, starts
 from fitting.model.parameters import PER_RUN, Global
+from fitting.model.windows import ShootingWindows
 from rig_sim.friction.law import LAWS
 
+COARSE = 62.5  # samples a slip: residuals are correlated over many samples, and the search runs on a thinned record
 DEFAULT_DAMPING_SD = 0.01  # of the critical one: one standard deviation when no ring-down was recorded
 LEAST_LINEAR_FRICTION = 0.97  # of the fastest slip: how close the linear curve may come to zero
 RIPPLE_AMPLITUDE_SD = 0.2  # of its amplitude: how well the sticks show it
@@ -47,12 +49,10 @@ class EstimationProblem:
     runs: tuple[Run, ...]
     active: tuple[int, ...]
     start: Array
-    scale: Array
     lower: Array
     upper: Array
     prior: Array
     precision: Array
-    local_scale: Array  # (6,)
 
     @classmethod
     def build(cls, law: int, runs: Sequence[Run]) -> "EstimationProblem":
@@ -67,11 +67,10 @@ class EstimationProblem:
         omega = math.sqrt(K)
         damping = damping_calibration(motions[0], K)
         speed = min(motion.belt_speed for motion in motions)
-        travel = max(motion.travel for motion in motions)
-        shape, steepest = max(abs(first_shape), 1e-3 / speed), np.inf
+        steepest = np.inf
         if kind.curve == "linear":  # beyond Fs/G_slip the curve would push: that far it is no friction
             steepest = LEAST_LINEAR_FRICTION / max(float(np.max(m.belt_speed - m.velocity)) for m in motions)
-        start, scale, lower, upper, prior, precision = np.zeros((6, len(runs), PER_RUN))
+        start, lower, upper, prior, precision = np.zeros((5, len(runs), PER_RUN))
         lower[:], upper[:] = -np.inf, np.inf
         upper[:, Global.SHAPE] = steepest
         for r, (run, own) in enumerate(zip(runs, first, strict=True)):
@@ -100,13 +99,11 @@ class EstimationProblem:
             for slot, (value, weight) in known.items():
                 prior[r, slot], precision[r, slot] = value, weight
             start[r] = parameters.to_array(begin)
-            scale[r] = K, 1.0, v, shape, speed, motion.travel, omega, omega, v / motion.travel, v, v, begin.omega, 1.0
             lowest = start[r, Global.LOG_F] - LARGEST_LOG_DROP
             lower[r, : Global.DATUM] = 1e-6 * K, lowest, 0.05 * v, 0, NARROWEST_RAMP * speed
             lower[r, [Global.DAMPING, Global.OMEGA]] = 0.0
             lower[r, Global.STATIC], upper[r, Global.STATIC] = 1.0, LARGEST_STATIC
             lower[r, Global.COMPLIANCE] = NARROWEST_RAMP * v / motion.travel
-        fastest = max(motion.belt_speed for motion in motions)
         return cls(
             law=law,
             runs=tuple(runs),
@@ -114,12 +111,10 @@ class EstimationProblem:
                 law, [motion.compliance is not None for motion in motions], [run.ripple is not None for run in runs]
             ),
             start=start.ravel(),
-            scale=scale.ravel(),
             lower=lower.ravel(),
             upper=upper.ravel(),
             prior=prior.ravel(),
             precision=precision.ravel(),
-            local_scale=np.array([travel, fastest, 1.0, 1.0, travel, fastest]),
         )
 
     def with_overtaking(self, overtaking: NDArray[np.bool_]) -> "EstimationProblem":
@@ -159,6 +154,15 @@ class EstimationProblem:
             F, shape = starts.matched_curve(own.curve_code, near.curve_code, p.F, p.shape, fastest)
             start[Global.LOG_F :: PER_RUN], start[Global.SHAPE :: PER_RUN] = math.log(F), shape
         return start
+
+    def windows(self, *, thinned: bool) -> ShootingWindows:
+        """Return the windows of all runs, of every sample or thinned to `COARSE` a slip."""
+        return ShootingWindows.join(
+            [
+                ShootingWindows.from_cycles(run.motion, run.cut.used, coarse_stride(run.motion) if thinned else 1)
+                for run in self.runs
+            ]
+        )
 
     @property
     def curve(self) -> int:
@@ -200,6 +204,11 @@ def _regressed(
     ]
     contact = {name: float(np.median([getattr(own, name) for own, _ in found])) for name in ("K", "F", "shape", "d")}
     return [own._replace(**contact) for own, _ in found], float(np.median([size for _, size in found]))
+
+
+def coarse_stride(motion: MeasuredMotion) -> int:
+    """Return every how many samples one is left of a record thinned to `COARSE` a slip."""
+    return max(1, round(motion.time.size / motion.span * motion.slip_s / COARSE))
 
 
 def level_prior(motions: Sequence[MeasuredMotion]) -> float:

@@ -3,12 +3,14 @@
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 from daq.base.errors import DataError, InputError
 from fitting.adequacy.assess import describes
 from fitting.data import cycles, ripple
 from fitting.data.frame import MeasuredMotion
-from fitting.estimation import search
+from fitting.driver import driver
+from fitting.estimation.covariance import without_level_errors
 from fitting.estimation.fit import Fit
 from fitting.model.problem import Run
 from fitting.selection import evidence, screening
@@ -18,6 +20,7 @@ from processing.record.kinematics import Kinematics
 # Times the error that a rippling belt leaves in the start-up drag: a steady belt that leaves more was none.  On belts
 # with 2 % ripple a steady one left 1.5 to 79 times as much; three parameters without meaning gain a factor of 1.2.
 SWINGING = 1.3
+CONSTANT = (1, 2)  # laws of constant friction, which alone make a mass graze the belt
 MOST_OTHERS = 3  # ripples that are tried in the likeliest one's place: each costs another fit of all laws
 
 
@@ -67,7 +70,7 @@ def fit_runs(
     sustained = _check(runs, records)
     seen = sustained  # as the record itself shows, before any law is fitted
     _refuse(screening.reject_by_coarse_fits(laws, runs, sustained=sustained), records)
-    fit_to = partial(search.fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
+    fit_to = partial(_fit_laws, jobs=jobs, progress=progress, scheduler=scheduler)
     if sustained:
         fits = fit_to(laws, runs)
         if len(runs) == 1 and runs[0].ripple is not None and fits and not _is_described(fits, runs):
@@ -91,8 +94,13 @@ def fit_runs(
     return fits, list(runs), sustained
 
 
+def _fit_laws(laws: Sequence[int], runs: Sequence[Run], among: Sequence[int] = driver.SIX, **how: Any) -> list[Fit]:
+    """Fit laws by the driver; what all of them know is without the errors of the levels."""
+    return [without_level_errors(Fit.of(one)) for one in driver.fit_laws(laws, runs, among, **how)]
+
+
 def _fit_other_ripples(
-    laws: Sequence[int], run: Run, fits: list[Fit], fit_to: Callable[[Sequence[int], Sequence[Run]], list[Fit]]
+    laws: Sequence[int], run: Run, fits: list[Fit], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run]]:
     """Fit the laws with the other ripples that the sticks may show, until one is described; return the best fits."""
     best = fits, run
@@ -119,7 +127,7 @@ def _other_ripples(run: Run) -> list[Run]:
 
 
 def _fit_grazing(
-    laws: Sequence[int], steady: Sequence[Run], fit_to: Callable[[Sequence[int], Sequence[Run]], list[Fit]]
+    laws: Sequence[int], steady: Sequence[Run], fit_to: Callable[..., list[Fit]]
 ) -> tuple[list[Fit], Sequence[Run], bool]:
     """Fit the laws to a mass that merely grazes the belt; also return what was fitted and whether it sticks often.
 
@@ -127,10 +135,10 @@ def _fit_grazing(
     ripple of the belt comes first only where the start-up drag asks for it.  Laws with sticks are tried where constant
     friction leaves more than the noise does.
     """
-    tried = [(fit_to((1, 2), steady), steady)]
+    tried = [(fit_to(CONSTANT, steady, CONSTANT), steady)]
     rippled = [_with_ripple(run) for run in steady]
     if any(run.ripple is not None for run in rippled):
-        tried.append((fit_to((1, 2), rippled), rippled))
+        tried.append((fit_to(CONSTANT, rippled, CONSTANT), rippled))
         still, swinging = (evidence.drag_error(*one) for one in tried)
         if still > SWINGING * swinging:
             tried.reverse()

@@ -258,7 +258,7 @@ def _judge(fits: list[Fit], runs: Sequence[Run], alpha: float, *, sustained: boo
     errors = {fit.law: evidence.unit_errors(fit, runs, units) for fit in fits}
     for jump, ramp in equivalence.closed_ramps(fits):
         if errors[ramp].mean() < errors[jump].mean():
-            errors[jump] = errors[ramp]
+            errors[ramp] = errors[jump]
     place = {fit.law: i for i, fit in enumerate(fits)}
     penalised = np.array([evidence.penalised(fit, errors[fit.law], units) for fit in fits])
 

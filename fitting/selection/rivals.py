@@ -6,7 +6,7 @@ six.  What is evidence and who is in the set is decided as between the six (`fit
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -124,23 +124,9 @@ def preferred_forms(forms: Sequence[FormFit]) -> list[tuple[Law, FormFit]]:
 def fit_rivals(curve: MeasuredCurve) -> list[FormulaFit]:
     """Fit the laws whose forms the measured curve prefers; those whose motion cannot be followed are missing."""
     host = curve.spline_fit
-    # The curve may be in newtons; the fit is per unit mass.
-    mass = float(np.median(curve.friction / host.spline(curve.speed - curve.ramp)))
-    fits = (fit_formula(law, host, _start(law, form, mass)) for law, form in preferred_forms(curve.forms))
+    ramp = bool(host.path.curve.ramp)
+    fits = (fit_formula(replace(law, ramp=ramp), host) for law, _ in preferred_forms(curve.forms))
     return [fit for fit in fits if fit is not None]
-
-
-def _start(law: Law, form: FormFit, mass: float) -> dict[str, float]:
-    """Return the parameters of a form, per unit mass."""
-    names = FORM[law.name][1]
-    found = {}
-    for name in law.free:
-        value = form.parameters[names.get(name, name)].value
-        found[name] = value / mass ** law.dimensions[name][0]
-    if law.name == "power":  # of which the form's fall is that at the largest speed, and the law's that at 1 m/s
-        fastest = float(form.formula.split("s/")[1].split()[0])
-        found["b"] /= fastest ** found["p"]
-    return found
 
 
 def compete(

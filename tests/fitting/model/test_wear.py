@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fitting.estimation import wear
+from fitting.model import wear
 from fitting.selection.ranking import rank
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from fitting.departures.definition.fitted_motion import FittedMotion
+from fitting.forces.fitted_motion import FittedMotion
 from fitting.sensitivity.path import NO_DRAG
 from fitting.sensitivity.rates import Drag
 

@@ -1,4 +1,4 @@
-"""Positions that a law predicts in every window, and their derivatives, on the compiled flow of rig_sim."""
+"""Positions that a law predicts in every window by the exact flow of rig_sim: what the fit's own steps are held to."""
 
 import math
 from collections.abc import Callable

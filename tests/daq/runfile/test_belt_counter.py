@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 import daq
 from daq.base.errors import InputError
 from daq.base.measured import Measured
-from daq.finalise import belt_counter
 from daq.finalise.integrity import check
 from daq.finalise.timeline import Samples
 from daq.protocols import link_budget
@@ -20,7 +19,7 @@ from daq.protocols.request import RecordRequest
 from daq.protocols.session import Plan
 from daq.recorder import ports
 from daq.recorder.record import record
-from daq.runfile import store
+from daq.runfile import belt_counter, store
 from daq.runfile.rig import Rig
 from daq.wire import counters
 from daq.wire.frames import Capability, Ident

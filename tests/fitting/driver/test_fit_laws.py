@@ -6,10 +6,13 @@ import pytest
 import rig_sim
 from daq.runfile.rig import Rig
 from fitting.data import cycles, frame
-from fitting.estimation import search, trajectory
-from fitting.estimation.fit import without_outliers
-from fitting.model.parameters import PerCycle
-from fitting.model.problem import EstimationProblem, Run
+from fitting.driver import driver
+from fitting.driver.driver import fit_laws
+from fitting.driver.noise import without_outliers
+from fitting.driver.passes import first_pass, regressed_start
+from fitting.driver.task import law_task
+from fitting.model.parameters import Global, PerCycle
+from fitting.model.problem import Run
 from fitting.selection import candidates
 from fitting.selection.ranking import rank
 from processing.smoothing import smooth
@@ -29,8 +32,8 @@ CONTAINED = ((1, 2), (3, 4), (5, 6), (1, 3), (1, 5))
 
 def usual_errors(recording, rig=None):
     motion = frame.from_kinematics(smooth(recording), recording.rig if rig is None else rig, None)
-    fits = search.fit_laws((1, 2, 3, 4, 5, 6), [Run(motion, cycles.segment_cycles(motion))])
-    return {fit.law: fit.geometric_mean_rms for fit in fits}
+    fits = fit_laws((1, 2, 3, 4, 5, 6), [Run(motion, cycles.segment_cycles(motion))])
+    return {fit.task.curve.law: fit.geometric_mean_rms for fit in fits}
 
 
 def test_a_law_never_errs_more_than_one_it_contains(synthetic):
@@ -59,11 +62,12 @@ def test_a_search_that_is_lost_starts_again(simulated):
     """Law 5 ended 0.3 to 0.6 mm off by itself: cycles in poor minima of their own held k/m 2 to 3 % off."""
     smoothed = simulated(*HARSH, duration=30.0)
     run = candidates.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
-    lost = trajectory.coarse_fit(EstimationProblem.build(5, [run]))
-    assert lost.geometric_mean_rms > search.LOST * run.motion.resolution
-    (found,) = search.fit_laws((5,), [run])
+    task = law_task(5, [run])
+    lost = first_pass(task, regressed_start(task))
+    assert lost.geometric_mean_rms > driver.LOST * run.motion.resolution
+    (found,) = fit_laws((5,), [run])
     assert found.geometric_mean_rms < 2 * run.motion.resolution
-    assert found.values.K == pytest.approx(35.184, rel=1e-4)
+    assert found.u[Global.K] == pytest.approx(35.184, rel=1e-4)
 
 
 def test_cycles_with_a_velocity_step_do_not_pull_at_the_parameters(simulated):
@@ -89,9 +93,9 @@ def test_an_overtaking_too_small_to_be_seen_is_found_by_what_it_leaves(simulated
     smoothed = simulated(*(f"{key}={value}" for key, value in OVERTAKEN.items()), duration=30.0)
     run = candidates.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
     assert not any(cycle.overtakes for cycle in run.cut.used)
-    (found,) = search.fit_laws((law,), [run])
+    (found,) = fit_laws((law,), [run])
     assert found.cycle_rms.max() < 1.1 * np.median(found.cycle_rms)
-    (overtaking,) = [cycle for cycle in found.cycles if cycle.overtakes]
+    (overtaking,) = [cycle for cycle in found.task.problem.cycles if cycle.overtakes]
     _, _, velocity, _ = ScenePlayer(rig_sim.scene("rig", **OVERTAKEN)).columns(run.motion.time)
     faster = (velocity > 0.22 + 1e-6) & (run.motion.time > 1.0)
     assert np.abs(run.motion.time[faster] - overtaking.landing).max() < 0.1
@@ -101,8 +105,8 @@ def test_the_level_under_which_the_mass_overtakes_the_belt_has_no_weight_in_the_
     """Only a low level lets it overtake: with such levels in the mean, Fs/m was 1 % below that of the slips."""
     smoothed = simulated(*(f"{key}={value}" for key, value in OVERTAKEN.items()), duration=30.0)
     run = candidates.cut_run(frame.from_kinematics(smoothed, smoothed.recording.rig, None), frozenset())
-    (found,) = search.fit_laws((5,), [run])
+    (found,) = fit_laws((5,), [run])
     levels = found.local[:, [PerCycle.LEVEL, PerCycle.NEXT_LEVEL]]
-    overtaking = np.array([cycle.overtakes for cycle in found.cycles])
+    overtaking = np.array([cycle.overtakes for cycle in found.task.problem.cycles])
     assert levels[overtaking, 1].max() < -0.05
     assert abs(levels[:, 0].mean()) < 1e-3
