@@ -1,8 +1,8 @@
 """The firmware of boards: which files are for which board, and the command that writes them into one.
 
 Of Arduino Uno, Nano and Mega there is firmware of the project's own, built files and source beside each other: in
-``firmware/`` of the project, or in an installed package in ``daq/firmware``.  Of the others there are sketches, in
-``sketches/`` or ``daq/sketches``, which print text lines.
+``firmware/`` of the project, or in an installed package in ``daq/firmware``.  Of the others there are sketches, in its
+folder ``sketches``, which print text lines.
 """
 
 from collections.abc import Mapping
@@ -136,8 +136,8 @@ def board(name: str) -> BoardFirmware | Sketch:
     return known[name]
 
 
-def folder(name: str = "firmware") -> Path:
-    """Return where the files of ``firmware`` or ``sketches`` are.
+def folder() -> Path:
+    """Return where the firmware's files are.
 
     Raises
     ------
@@ -145,11 +145,10 @@ def folder(name: str = "firmware") -> Path:
         They are not there: the installation is incomplete.
     """
     here = Path(__file__).resolve().parent
-    mark = {"firmware": "latch.S", "sketches": "common"}[name]
-    for place in (here.parent / name, here / name):
-        if (place / mark).exists():
+    for place in (here.parent / "firmware", here / "firmware"):
+        if (place / "latch.S").exists():
             return place
-    raise InputError("the firmware's files are missing", str(here / name), "install stickslip again")
+    raise InputError("the firmware's files are missing", str(here / "firmware"), "install stickslip again")
 
 
 def write(kind: BoardFirmware, target: Path, *, force: bool = False) -> tuple[Path, list[Path]]:
@@ -192,7 +191,7 @@ def write_sketch(sketch: Sketch, target: Path, *, force: bool = False) -> tuple[
     tuple of (Path, list of Path)
         The folder of the sketch, or the file for MicroPython; and all files.
     """
-    source = folder("sketches")
+    source = folder() / "sketches"
     own = source / sketch.name
     files = {target / file.relative_to(own): file for file in sorted(own.rglob("*")) if file.is_file()}
     main = next(place for place in files if place.suffix in (".ino", ".py"))

@@ -46,7 +46,8 @@ def test_it_writes_hex_and_source_and_prints_the_flashing_command(run, tmp_path,
     assert Path(said["hex"]) == Path("my board") / name
     assert (tmp_path / said["hex"]).read_bytes() == (FIRMWARE / name).read_bytes()
     sources = {Path(path).name for path in said["source"]}
-    assert sources == {file.name for file in FIRMWARE.iterdir() if file.suffix not in (".hex", ".elf")}
+    beside = {file.name for file in FIRMWARE.iterdir() if file.is_file() and file.suffix not in (".hex", ".elf")}
+    assert sources == beside
     words = shlex.split(said["flash"])
     assert words[0] == "avrdude"
     assert words[words.index("-p") + 1] == mcu

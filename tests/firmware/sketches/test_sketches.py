@@ -25,7 +25,7 @@ from daq.runfile import journal
 from ..conftest import need
 
 HERE = Path(__file__).resolve().parent
-SKETCHES = HERE.parents[1] / "sketches"
+SKETCHES = HERE.parents[2] / "firmware" / "sketches"
 BOARDS = ("esp32", "pico", "teensy")
 START_US = 2**32 - 5_000_000
 READ = 4096  # bytes that come at once
