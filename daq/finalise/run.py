@@ -72,6 +72,7 @@ def finalise(
     if not recorded.damaged:
         try:
             markers.unlink(missing_ok=True)
+            journal.stop_path(part).unlink(missing_ok=True)
             remove()
         except OSError as error:
             left = f"{error.filename or part} could not be removed ({error.strerror})"

@@ -101,7 +101,7 @@ def record_blocks(
     with keeping(writer):
         if request.calibration is not None:
             writer.append(journal.CONFIGURATION, time.monotonic_ns(), request.calibration.encode())
-        with _syncing(writer, place) as lock:
+        with _syncing(writer, place, stop) as lock:
             failure = _take(first, taking, samples, writer, lock, progress, stop)
         writer.sync()
         place.check()
@@ -136,7 +136,8 @@ def _take(
             with lock:
                 for data in blocks.packed(block.time, block.values):
                     writer.append(journal.RECEIVED, stamp, data)
-                writer.tick()
+                if writer.tick() and writer.is_asked_to_stop():
+                    stop.set()
             progress(taking.taken_s)
             if stop.is_set():
                 reason = journal.STOPPED
@@ -159,7 +160,7 @@ def _take(
 
 
 @contextlib.contextmanager
-def _syncing(writer: journal.Writer, place: JournalPlace) -> Iterator[threading.Lock]:
+def _syncing(writer: journal.Writer, place: JournalPlace, stop: threading.Event) -> Iterator[threading.Lock]:
     """Sync a journal every second while a source is waited for; yield the lock that its writers take."""
     lock, ended = threading.Lock(), threading.Event()
 
@@ -168,6 +169,8 @@ def _syncing(writer: journal.Writer, place: JournalPlace) -> Iterator[threading.
             with lock, contextlib.suppress(OSError):  # the caller's thread meets the same
                 if writer.tick():
                     place.check()
+                    if writer.is_asked_to_stop():
+                        stop.set()
 
     thread = threading.Thread(target=sync, name="daq journal", daemon=True)
     thread.start()

@@ -379,6 +379,8 @@ def _take(
                 pass
             if writer.tick():
                 place.check()
+                if writer.is_asked_to_stop():
+                    stop.set()
         stopped_by = stop.reason if isinstance(stop, StopRequest) else journal.STOPPED
         reason = stopped_by if reader.ended == journal.STOPPED else reader.ended
         writer.append(journal.END, time.monotonic_ns(), json.dumps({"reason": reason}).encode())
