@@ -86,7 +86,7 @@ def write(
     RefusedError
         The disk refuses.
     """
-    form = suffix.chosen(path, FORMS)
+    form = suffix.chosen(path, FORMS, "--output")
     atomic.refuse_existing(path, force)
     samples = _number(until, rate)
     player = _player(scene, phases, max_steps)

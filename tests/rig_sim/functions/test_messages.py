@@ -87,7 +87,7 @@ MISTAKES = [
         lambda: rig_sim.run("base", until=10, rate=10, step=0.1),
         "step: exact has no step; drop it, or take method='rk4-henon'",
     ),
-    (lambda: rig_sim.run("base", until=10, rate=10, output="a.txt"), "a.txt"),
+    (lambda: rig_sim.run("base", until=10, rate=10, output="a.pdf"), "give a name in .h5 or .csv (output)"),
     (lambda: rig_sim.floquet("damped", orbit="unstabel"), "orbit: unknown orbit 'unstabel'; did you mean 'unstable'?"),
     (
         lambda: rig_sim.continue_("damped", over="c=1:2"),
