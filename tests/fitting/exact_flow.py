@@ -15,9 +15,9 @@ from fitting.model.windows import ShootingWindows
 from rig_sim.flow.flow import Flow
 from rig_sim.flow.modes import FORCE_REVERSAL, NEGATIVE, NOT_FINITE, POSITIVE, RAMP, STICK
 from rig_sim.friction.spline import NO_TABLE
-from rig_sim.integrate.buffer import STEPS, Buffer, new_work
 from rig_sim.integrate.compiled import compiled
-from rig_sim.integrate.phases import sample_phase
+from rig_sim.integrate.phases import Samples, State, sample_phase
+from rig_sim.integrate.work import Work, new_work, unboxed
 
 STEP = 1e-6  # of each unknown's scale: derivative error about 1e-6 from curvature, 1e-9 from rounding
 STICK_LOCK = 10.0  # break-away level over Fs of a stick inside a window: the break-away itself lies in no window
@@ -103,7 +103,7 @@ def window_positions(
     model: Array,
     jacobian: Array,
     room: Array,
-    work: Buffer,
+    work: Work,
 ) -> int:
     """Fill ``model`` (N,) with the positions of all windows and ``jacobian`` (N, p + 6) with forward differences.
 
@@ -111,6 +111,7 @@ def window_positions(
     stands, and so without an array of its own: ``u`` and ``local`` are stepped in place and put back.  ``jacobian`` of
     no rows: positions only.  Returns 0, or the outcome that ended the flow.
     """
+    work = unboxed(work)
     p = steps.columns.shape[1]
     for row in range(windows.table.shape[0]):
         stick, first = windows.table[row, 1], windows.table[row, 2]
@@ -154,7 +155,7 @@ def values_of(u: Array) -> Values:
 
 
 def integrate_window(
-    curve: int, ramp: int, u: Array, part: Array, window: ShootingWindow, out: Array, room: Array, work: Buffer
+    curve: int, ramp: int, u: Array, part: Array, window: ShootingWindow, out: Array, room: Array, work: Work
 ) -> int:
     """Follow one window from its own start and store the position at its times; return 0 or an outcome.
 
@@ -188,7 +189,7 @@ def integrate_window(
         Filled with positions, m.
     room : (2 or more, n or more) f8
         Scratch space.
-    work : Buffer
+    work : Work
     """
     p, times = values_of(u), window.times
     stick, n, omega = window.stick == 1, times.size, p.omega
@@ -219,7 +220,7 @@ def integrate_window(
         mode = RAMP
     else:
         mode = NEGATIVE if w <= 0.0 else POSITIVE
-    work[STEPS] = 0.0
+    work.steps = 0.0
     t, last, i = times[0], times[n - 1], 0
     landed, level = stick, math.exp(part[LEVEL])
     while i < n:
@@ -234,7 +235,9 @@ def integrate_window(
         law = (curve, ramp, p.F, static, factor, p.shape * p.F, p.shape, hold * p.d)
         flow = Flow(1.0, p.K, p.datum, p.damping, p.v_dr, *law, amplitude, omega, phase, hold * droop, 0, NO_TABLE)
         before = mode
-        kind, mode, x, w, t, i = sample_phase(flow, mode, x, w, t, times, i, n, end, out, room[0], room[1], work)
+        samples = Samples(times, out, room[0], room[1], n)
+        kind, at, i = sample_phase(flow, State(mode, x, w, t, 0.0), end, samples, i, work)
+        mode, x, w, t, _ = at
         if kind >= FORCE_REVERSAL:
             return kind
         if not landed and before == NEGATIVE and kind != 0 and t >= window.earliest_landing:

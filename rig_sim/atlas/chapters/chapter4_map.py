@@ -7,13 +7,14 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.maps.basins import TRANSIENT, Attractor, basins
-from rig_sim.dynamics.maps.interval_map import slope
-from rig_sim.dynamics.maps.lyapunov import lyapunov
-from rig_sim.dynamics.maps.map_continuation import map_continuation
-from rig_sim.dynamics.maps.periodic_points import periodic_points
-from rig_sim.dynamics.maps.stick_map import StickMap
-from rig_sim.dynamics.maps.sweep import CELLS, AttractorAt, attractors_at, sweep
+from rig_sim.dynamics.analyses.basins import TRANSIENT, Attractor, basins
+from rig_sim.dynamics.analyses.exponent import exponent
+from rig_sim.dynamics.analyses.map_branches import map_continuation
+from rig_sim.dynamics.analyses.periodic_points import periodic_points
+from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
+from rig_sim.dynamics.rig.section import CELLS, attractors_at
+from rig_sim.dynamics.rig.stick import StickMap
+from rig_sim.dynamics.system.interface import slope
 from rig_sim.flow.two_mass import TwoMassFlow
 from rig_sim.scenes.scene import scene
 
@@ -54,7 +55,7 @@ def diagram() -> tuple[AttractorAt, ...]:
 @cache
 def special(kind: str, low: float, high: float) -> float:
     """Return the belt velocity of a special point of the map between two others."""
-    _, points = map_continuation(map_at, np.linspace(low, high, 5).tolist())
+    points = map_continuation(map_at, np.linspace(low, high, 5).tolist()).points
     (found,) = [point.value for point in points if point.kind == kind]
     return found
 
@@ -123,7 +124,7 @@ def second_attractor() -> Drawing:
 def graph(f: StickMap, times: int, low: float, high: float) -> list[Trace]:
     """Return the diagonal and the ``times``-th iterate of a map between two stretches, with gaps where it jumps."""
     x = np.linspace(low, high, PLACES)
-    y = f(x, times)
+    y = f.images(x, times)
     y[np.flatnonzero(np.abs(np.diff(y)) > 0.1 * (high - low))] = np.nan
     ends = np.array([low, high])
     return [Trace(ends, ends, "", "thin", None), Trace(x, y, "", "line", 0)]
@@ -159,7 +160,7 @@ def crisis() -> Drawing:
                 (
                     *graph(f, 1, low, high),
                     Trace(corners, sides, "unstable period 2", "dashed", 2),
-                    Trace(visited, f(visited), "attractor 2", "points", 1),
+                    Trace(visited, f.images(visited), "attractor 2", "points", 1),
                 ),
                 f"({letter}) V = {speed}",
                 (low, high),
@@ -271,7 +272,7 @@ def secant() -> Drawing:
     f, low, high = map_at(EXPONENT_SPEEDS[0]), 0.04, 0.2
     d, step = 0.08, 0.02
     x = np.array([d, d + step])
-    y = f(x)
+    y = f.images(x)
     tangent = float(slope(f, x[:1])[0])
     return Drawing(
         "The slope of the map at a point d_n of an orbit, from the images of d_n and d_n + delta; the Lyapunov "
@@ -318,7 +319,7 @@ def exponents() -> Drawing:
     for speed, expected in zip(
         EXPONENT_SPEEDS, ("chaotic: above 0", "periodic: below 0", "periodic: below 0"), strict=True
     ):
-        found = lyapunov(map_at(speed), attractors(speed)[-1].points[0], LONG)
+        found = exponent(map_at(speed).motion(np.array(attractors(speed)[-1].points[:1])), LONG)
         found_exponents.append(found.exponent)
         rows.append(
             state(

@@ -7,9 +7,9 @@ import numpy as np
 
 from daq.base.compute.arrays import Array
 from rig_sim.atlas.figure import Drawing, Entry, Label, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.fixed_point import two_mass_fixed_point
-from rig_sim.dynamics.maps.lyapunov import Exponent, lyapunov
-from rig_sim.dynamics.maps.stick_map import StickMap
+from rig_sim.dynamics.analyses.exponent import Exponent, exponent
+from rig_sim.dynamics.orbits.fixed_point import two_mass_fixed_point
+from rig_sim.dynamics.rig.stick import StickMap
 from rig_sim.friction.contact import force
 from rig_sim.friction.law import LAWS
 from rig_sim.motion.two_masses import TwoMassEvent, TwoMassPlayer, stretch, two_mass_events
@@ -186,7 +186,7 @@ def history(mass: int, of_velocity: bool) -> Drawing:
 def chaotic_exponent() -> Exponent:
     """Return the Lyapunov exponent on the attractor that figures 4.7 to 4.12 show."""
     run = scene("two-mass", **CHAOTIC)
-    return lyapunov(StickMap(run.two_mass_flow()), stretch(run), 4000)
+    return exponent(StickMap(run.two_mass_flow()).motion(np.array([stretch(run)])), 4000)
 
 
 def portrait(mass: int) -> Drawing:

@@ -8,10 +8,10 @@ import numpy as np
 from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import V, X, motion
 from rig_sim.atlas.figure import Drawing, Entry, Panel, Trace, state
-from rig_sim.dynamics.continuation import continuation
-from rig_sim.dynamics.fixed_point import FixedPoint, fixed_point
-from rig_sim.dynamics.floquet import FloquetOrbit, floquet
-from rig_sim.dynamics.limit_cycle import Orbit, cycle
+from rig_sim.dynamics.orbits.branches import continuation
+from rig_sim.dynamics.orbits.fixed_point import FixedPoint, fixed_point
+from rig_sim.dynamics.orbits.floquet import FloquetOrbit, floquet
+from rig_sim.dynamics.orbits.limit_cycle import Orbit, cycle
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 

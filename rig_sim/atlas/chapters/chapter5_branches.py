@@ -22,8 +22,9 @@ from rig_sim.atlas.chapters.chapter5 import (
     unstable_trace,
 )
 from rig_sim.atlas.figure import Drawing, Entry, Label, Panel, StatementCheck, Style, Trace, compare, state
-from rig_sim.dynamics.continuation import Branch, Continuation, continuation
-from rig_sim.dynamics.floquet import FloquetOrbit
+from rig_sim.dynamics.analyses.special_points import Branch, Continuation
+from rig_sim.dynamics.orbits.branches import continuation
+from rig_sim.dynamics.orbits.floquet import FloquetOrbit
 
 SPACE_FROM = 0.28  # the least damping of figure 5.7
 BESIDE = 1e-6  # of a special point: how close to it the branches are drawn and the fold's multiplier is taken

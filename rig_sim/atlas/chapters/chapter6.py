@@ -7,13 +7,12 @@ import numpy as np
 
 from rig_sim.atlas.chapters.axes import T, V, X, motion
 from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.forced.attractors import attractors
-from rig_sim.dynamics.forced.dither import Quench, quench
-from rig_sim.dynamics.forced.driven_mass import DrivenMass, driven_masses
-from rig_sim.dynamics.forced.exponent import exponent
-from rig_sim.dynamics.limit_cycle import cycle
-from rig_sim.dynamics.maps.lyapunov import Exponent
-from rig_sim.dynamics.maps.sweep import AttractorAt, sweep
+from rig_sim.dynamics.analyses.exponent import Exponent, exponent
+from rig_sim.dynamics.analyses.settling import attractors
+from rig_sim.dynamics.analyses.sweep import AttractorAt, sweep
+from rig_sim.dynamics.control.dither import Quench, quench
+from rig_sim.dynamics.orbits.limit_cycle import cycle
+from rig_sim.dynamics.rig.driven import DrivenMap, with_starts
 from rig_sim.flow.flow import Flow
 from rig_sim.scenes.scene import scene
 
@@ -35,7 +34,7 @@ def flow_at(omega: float, u0: float = U0) -> Flow:
 
 def attractors_at(omega: float) -> list[AttractorAt]:
     """Return the attractors at a drive frequency, with the positions of break-away."""
-    return attractors(driven_masses(flow_at(omega), 0.0, 0.0, "slip"), omega)
+    return attractors(*with_starts(flow_at(omega), 0.0, 0.0, "slip"), omega)
 
 
 @cache
@@ -47,7 +46,7 @@ def period(omega: float) -> int | None:
 @cache
 def landing_exponent(omega: float) -> Exponent:
     """Return the Lyapunov exponent per landing of the motion from (0, 0)."""
-    return exponent(DrivenMass(flow_at(omega), 0.0, 0.0, "landing"), LANDINGS)
+    return exponent(DrivenMap(flow_at(omega), "landing").motion(np.zeros(2)), LANDINGS)
 
 
 def unforced() -> Drawing:

@@ -10,12 +10,12 @@ from daq.base.compute.arrays import Array
 from rig_sim.atlas.chapters.axes import T, V, X
 from rig_sim.atlas.chapters.chapter6 import U0, UNPRINTED, flow_at
 from rig_sim.atlas.figure import Drawing, Entry, Panel, StatementCheck, Trace, compare, state
-from rig_sim.dynamics.control.landing_map import LandingMap
 from rig_sim.dynamics.control.locking import Locking, find_and_lock
 from rig_sim.dynamics.control.ogy import Lock
 from rig_sim.dynamics.control.phasor import phasor
 from rig_sim.dynamics.control.search_and_lock import SearchAndLock, search_and_lock
 from rig_sim.dynamics.control.stability import ShakerCurve, ShakerPlane
+from rig_sim.dynamics.rig.landing import LandingMap
 
 S = 0.3  # gamma_lin - c: the thesis's least amplification at phi = pi
 HIGHEST = 5.5  # amplification drawn, that of figure 6.11
@@ -160,7 +160,7 @@ def held(period: int) -> Lock:
 def part(period: int, first: int, last: int) -> tuple[Array, Array, Array]:
     """Return t, x, v of the controlled motion between two of its landings."""
     f, lock = locked(period)[0], held(period)
-    return f.motion(lock.states[first:last], lock.changes[first:last], SAMPLES / f.period)
+    return f.sampled(lock.states[first:last], lock.changes[first:last], SAMPLES / f.period)
 
 
 def lock_portrait(period: int) -> Drawing:

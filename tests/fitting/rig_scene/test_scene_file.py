@@ -5,10 +5,10 @@ import shutil
 import numpy as np
 import pytest
 
+import rig_sim
 from daq.base.errors import InputError
 from daq.base.measured import Measured
-from rig_sim.cli.continuation import continue_
-from rig_sim.dynamics.limit_cycle import cycle
+from rig_sim.dynamics.orbits.limit_cycle import cycle
 from rig_sim.scenes.draws import drawn_changes
 from rig_sim.scenes.scene import scene
 
@@ -71,7 +71,7 @@ def test_the_saved_scene_plays_back_with_period_and_extremes_of_the_true_rig(fit
 
 def test_draws_say_where_stick_slip_ends(fitted):
     path, _ = fitted
-    found = continue_(str(path), over="damper.c=0.3:3.3:4", draws=12).data
+    found = rig_sim.continue_(path, over="damper.c=0.3:3.3:4", draws=12).as_json()
     points = {point["kind"]: point for point in found["points"]}
     assert set(points) == {"hopf", "fold"}
     gamma, Fs, v = 9.618, 0.13068 * 35.184 * 0.3, 0.22
@@ -82,7 +82,7 @@ def test_draws_say_where_stick_slip_ends(fitted):
     assert found["refused"] == 0
     assert drawn_changes(scene(path), 3, "") == drawn_changes(scene(path), 3, "")  # the same seed
     # at a fixed damping above every end there is no stick-slip, and no point to draw
-    assert continue_(str(path), over="belt.speed=0.1:0.5:3", draws=5, set_=["damper.c=5"]).data["points"] == []
+    assert rig_sim.continue_(scene(path, **{"damper.c": 5.0}), over="belt.speed=0.1:0.5:3", draws=5).points == ()
 
 
 @pytest.mark.slow
@@ -93,7 +93,7 @@ def test_draws_that_put_the_point_beyond_the_values_are_counted(fitted, tmp_path
     spread = [[0.0] * 7 for _ in range(7)]
     spread[6][6] = 4.0**2  # gamma 9.6 +- 4
     wide.write_text(text[: text.index("covariance = [")] + f"covariance = {spread!r}\n")
-    found = continue_(str(wide), over="damper.c=1.2:2:3", draws=60).data
+    found = rig_sim.continue_(wide, over="damper.c=1.2:2:3", draws=60).as_json()
     hopf = next(point for point in found["points"] if point["kind"] == "hopf")
     assert hopf["draws"] + hopf["below"] + hopf["above"] + found["refused"] == 60
     assert hopf["below"] + hopf["above"] > 3
@@ -137,7 +137,7 @@ def test_a_contact_that_no_law_describes_is_saved_as_its_curve_and_plays_back(co
     assert played.period == pytest.approx(truth.period, rel=5e-3)
     assert played.x_slip == pytest.approx(truth.x_slip, rel=5e-3)
     assert (played.x_min, played.x_max) == pytest.approx((truth.x_min, truth.x_max), abs=1e-3)
-    ended = continue_(str(tmp_path / "rig.toml"), over="belt.speed=0.1:0.6:6", draws=20).data["points"]
+    ended = rig_sim.continue_(tmp_path / "rig.toml", over="belt.speed=0.1:0.6:6", draws=20).as_json()["points"]
     assert any(point["kind"] == "hopf" and point["lo"] is not None for point in ended)
 
 
