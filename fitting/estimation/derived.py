@@ -129,12 +129,7 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
         Whose own parameters are wanted, beside those that all runs share.
     """
     known = _known(fit, motion, run)
-    left_out = {"Fs/k", *hidden(known)}
-    rows = [
-        row
-        for row, scale in given_rows(LAWS[fit.law].curve, motion, known)
-        if scale is None and row.name not in left_out
-    ]
+    rows = _rows_each_once(fit, motion, known)
     slopes = np.array([list(_slopes(row.formula, known.own, known.active)) for row in rows])
     slopes *= np.array([sign_of(row, motion) for row in rows])[:, None]
     lengths = np.array([row.length * row.formula(values(known.own)) * motion.length_error for row in rows])
@@ -144,6 +139,24 @@ def correlations(fit: Fit, motion: MeasuredMotion, run: int = 0) -> Correlations
     error = np.sqrt(np.diag(spread)[shown])
     matrix = np.clip(spread[np.ix_(shown, shown)] / np.outer(error, error), -1.0, 1.0)
     return Correlations(tuple(row.name for row, own in zip(rows, shown, strict=True) if own), matrix)
+
+
+def _rows_each_once(fit: Fit, motion: MeasuredMotion, known: "Known") -> list[Derived]:
+    """Return the rows of what `correlations` compares: those per unit mass that follow from no others."""
+    rows = given_rows(LAWS[fit.law].curve, motion, known)
+    left_out = {"Fs/k", *hidden(known)}
+    return [row for row, scale in rows if scale is None and row.name not in left_out]
+
+
+def independent_parameters(fit: Fit, motion: MeasuredMotion) -> "IndependentParameters":
+    """Return the parameters of the first run that follow from no others, per unit mass, at any unknowns of the fit."""
+    rows = _rows_each_once(fit, motion, _known(fit, motion, 0))
+
+    def at(q: Array) -> Array:
+        p = values(fit.at.task.split(q)[0][:PER_RUN])
+        return np.array([sign_of(row, motion) * row.formula(p) for row in rows])
+
+    return IndependentParameters(tuple(row.name for row in rows), np.array([row.length for row in rows]), at)
 
 
 def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> float:
@@ -157,6 +170,14 @@ def break_away_level_error(fit: Fit, motion: MeasuredMotion, run: int = 0) -> fl
     place = p.datum + p.F / p.K
     slope = np.array(list(_slopes(lambda q: q.K * (place - q.datum) / q.F, known.own, known.active)))
     return math.sqrt(max(float(np.einsum("i,sij,j->s", slope, known.spreads, slope).max()), 0.0))
+
+
+class IndependentParameters(NamedTuple):
+    """Names of parameters, the power of the metre in each (k,), and their values (k,) at unknowns q of the fit."""
+
+    names: tuple[str, ...]
+    lengths: Array
+    at: Callable[[Array], Array]
 
 
 class Known(NamedTuple):
