@@ -92,7 +92,9 @@ def test_bifurcations_of_a_fitted_contact_are_where_the_notebook_says():
 def test_the_notebook_runs_from_arrays_to_its_verdict():
     outputs = outputs_of_a_run(NOTEBOOK)
     shown = [output.data for output in outputs if output.output_type == "execute_result"]
-    assert sum("image/png" in data for data in shown) == 4  # of the run, the motion, the ranking, and the fit over the run
+    assert (
+        sum("image/png" in data for data in shown) == 4
+    )  # of the run, the motion, the ranking, and the fit over the run
     assert sum("text/html" in data for data in shown) >= 5  # the three values and two tables
     values = [data["text/plain"] for data in shown if data["text/plain"].startswith("<") and "text/html" in data]
     assert len(values) == 3

@@ -67,7 +67,7 @@ def independent_formula_parameters(fit: FormulaFit, motion: MeasuredMotion) -> I
         for name, place, _ in shown
     ]
 
-    def at(q: Array) -> Array:
+    def at(q: Array, unseen: float) -> Array:  # a formula's unknowns are all in the fit
         own = fit.curve.values(fit.at.task.split(q)[1])
         return np.array([sign * q[place] if place < first else own[free[place - first]] for _, place, sign in shown])
 

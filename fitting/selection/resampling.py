@@ -75,7 +75,7 @@ def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int |
     for _ in range(n):
         weight = rng.exponential(size=problem.weights.size)
         prior = problem.prior + spread * rng.standard_normal(spread.size)
-        longer = 1 + motion.length_error * float(rng.standard_normal())
+        longer, unseen = 1 + motion.length_error * float(rng.standard_normal()), float(rng.standard_normal())
         drawn = replace(
             problem,
             weights=problem.weights * weight,
@@ -84,7 +84,7 @@ def bootstrap(fit: Fit | FormulaFit, motion: MeasuredMotion, n: int, seed: int |
         )
         solution = _fitted(drawn, fit.at.q, fit.at.local)
         if solution is not None:
-            found.append(shown.at(solution.u) * longer**shown.lengths)
+            found.append(shown.at(solution.u, unseen) * longer**shown.lengths)
     if len(found) < FEWEST_FITTED * n:
         what = f"{n - len(found)} of {n} draws of cycles cannot be fitted"
         raise DataError(what, "bootstrap", "use the covariance, or record more cycles")
