@@ -22,6 +22,7 @@ from fitting.driver.passes import (
     assumed_noise,
     finish,
     first_pass,
+    regressed_pass,
     regressed_start,
     restarted_windows,
     settle,
@@ -189,11 +190,10 @@ def _from_regression(task: Task) -> TaskFit | None:
     Much noise leads out of poor minima of single cycles; less lets a law that is wrong find its way along a valley that
     calibrations as strong as that noise close.
     """
-    start = regressed_start(task)
-    found = first_pass(task, start)
+    found = regressed_pass(task)
     if found is not None and found.geometric_mean_rms < NOISE_ALONE * _resolution(task):
         return found
-    other = first_pass(task, start, assumed_noise(task, LESS_NOISE))
+    other = regressed_pass(task, assumed_noise(task, LESS_NOISE))
     return other if found is None else _better(found, other)
 
 
