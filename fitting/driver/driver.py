@@ -348,7 +348,16 @@ def _is_closed(ramp: TaskFit, jump: TaskFit) -> bool:
 
 
 def _moved(pair: tuple[TaskFit, TaskFit], again: Callable[[TaskFit], TaskFit | None]) -> TaskFit | None:
-    """Return the first task fitted from where the second ended, with its noise; None where that cannot be followed."""
+    """Return the first task fitted from where the second ended, with its noise; None where that cannot be followed.
+
+    Of a law that is far off, settling takes the misfit for noise: where it then errs more than the second, the first
+    pass stays.
+    """
     one, inner = pair
     trial = first_pass(one.task, start_beside(one.task, inner, NARROW), inner.noise.without_fade)
-    return None if trial is None else again(trial)
+    if trial is None:
+        return None
+    settled = again(trial)
+    if settled is None or settled.geometric_mean_rms <= CONTAINED * inner.geometric_mean_rms:
+        return settled
+    return _better(settled, trial)
