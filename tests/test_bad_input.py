@@ -284,7 +284,7 @@ MISTAKES = [
     ("fit-friction run.h5 --jobs 0", ["--jobs", "0", "1 or more"]),
     ("rig-sim cycles base", ["cycles", "Did you mean", "cycle"]),
     ("rig-sim cycle none.toml", ["none.toml", "no such file", "base"]),
-    ("rig-sim cycle run.h5", ["run.h5", "is no text file", "--save-scene"]),
+    ("rig-sim cycle run.h5", ["run.h5", "no text file", "--save-scene"]),
     ("rig-sim cycle base --set friction.law", ["--set", "friction.law", "section.key=value"]),
     ("rig-sim cycle base --set friction.law=9", ["friction.law is 9", "1, 2, 3"]),
     ("rig-sim events base", ["--until", "rig-sim events --help"]),

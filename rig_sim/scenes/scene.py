@@ -182,7 +182,7 @@ def _read(name_or_path: "str | Path") -> tuple[str, dict[str, Any]]:
         raise InputError("no such file", where, f"check the path, or take a built-in scene: {_listed()}") from None
     except UnicodeDecodeError:
         do = "give a scene's TOML file; of a run, fit-friction RUN.h5 --save-scene FILE.toml writes one"
-        raise InputError("is no text file", where, do) from None
+        raise InputError("cannot be read: it is no text file", where, do) from None
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where, "give the path of a TOML file") from None
     content.setdefault("name", path.stem)
