@@ -99,6 +99,7 @@ class Ranking(result.Ranking):
         DataError
             No law describes the record: the intervals are withheld.
         """
+        self._correlations("covariance")
         error = np.array([self.best.parameters[name].stderr for name in self._names])
         return self._square(self.correlation.to_numpy() * np.outer(error, error))
 
@@ -256,7 +257,7 @@ class Ranking(result.Ranking):
         """
         target, recordings = Path(path), [record.recording for record in self.records]
         suffix.check(target, suffix.PAGE, "--report", {suffix.PDF: "then print the page from a browser"})
-        digests, files = [own.digest for own in recordings], [own.source for own in recordings]
+        digests, files = [own.digest for own in recordings], self._files
         page.refuse_foreign_file(target, digests, files=files, force=force)
         counted = [from_kinematics(record) for record in self.records]
         text = page.render(self, self.records, counted, self.alpha)
@@ -288,12 +289,17 @@ class Ranking(result.Ranking):
         DataError
             Neither a law nor a friction curve describes the record.
         """
-        target, files = Path(path), [record.recording.source for record in self.records]
+        target = Path(path)
         suffix.check(target, suffix.TOML, "--save-scene", {})
-        scene_file.refuse_existing(target, files, force=force)
+        scene_file.refuse_existing(target, self._files, force=force)
         rig = fitted_scene.of_ranking(self, from_kinematics(self.records[0]))
         scene_file.write(target, scene_file.text(rig, self, Path(self.records[0].recording.name)))
         return target
+
+    @property
+    def _files(self) -> list[Path]:
+        """The files of the runs; a run in memory has none."""
+        return [record.recording.source for record in self.records if record.recording.source.name]
 
     @property
     def _names(self) -> list[str]:

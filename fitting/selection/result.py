@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.base.compute.arrays import Array
-from daq.base.errors import DataError, InputError
+from daq.base.errors import DataError, InputError, in_python
 from fitting.adequacy.result import Adequacy
 from fitting.curve.formula_fit import FormulaFit
 from fitting.curve.formula_parameters import formula_correlations
@@ -442,7 +442,7 @@ class Ranking:
     def _repr_html_(self) -> str:
         from daq.base.output import notebook
 
-        about = [("verdict", self.verdict), *(("warning", text) for text in self.warnings)]
+        about = [("verdict", self.verdict), *(("warning", in_python(text)) for text in self.warnings)]
         parts = [notebook.table("Ranking", about)]
         if self.rows:
             header = ("law", "", "rms (um)", "weight", "in the set")

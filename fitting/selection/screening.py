@@ -149,6 +149,7 @@ def _wrong_times(percent: str, kind: str, record: Kinematics) -> DataError:
         "parameter with them",
         record.recording.where,
         "import the track with the camera's own time stamps ('daq import --time NAME'), or record again and keep them",
+        python="load the track with the camera's own time stamps: daq.load(path, time='NAME')",
     )
 
 

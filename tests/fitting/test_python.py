@@ -1,6 +1,8 @@
 """`fitting` from Python: arrays in, results out, the numbers of the command, and mistakes answered with what to do."""
 
+import ast
 import doctest
+import inspect
 import json
 import re
 import shutil
@@ -13,13 +15,16 @@ import daq
 import fitting
 import processing
 from daq.base.console import application
-from daq.base.errors import StickslipError
+from daq.base.errors import StickslipError, in_python
 from daq.runfile.rig import Rig
 from fitting import cli
+from fitting.report import page
 
 ROOT = Path(__file__).resolve().parents[2]
 RUN = ROOT / "data_samples" / "law5.h5"
 MINE = "Fs/(1 + s/v_s)"
+ERRORS = ("InputError", "DataError")
+FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9-]*)")
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +91,9 @@ def test_function_and_command_give_the_same_numbers(tmp_path, capsys):
     assert without_costs(called) == without_costs(typed)
 
 
-def test_a_run_its_motion_and_its_arrays_give_one_answer(run):
+def test_a_run_its_motion_and_its_arrays_give_one_answer(run, tmp_path):
     of_arrays = fitting.rank(run.time, run.position, laws=5, mass=run.rig.mass, x0=(0, 5e-4))
+    assert "a run in memory" in of_arrays.save_scene(tmp_path / "arrays.toml").read_text()
     of_motion = fitting.rank(processing.smooth(run), run.rig, 5)
     assert of_motion.best.parameters == fitting.rank(run, laws=5).best.parameters
     for name in ("k/m", "gamma"):  # without the length of a count the rounding is not known
@@ -190,6 +196,38 @@ def test_several_runs_have_residuals_each_and_no_common_time(joint):
     assert joint.best.profile("k/m").deviance.max() > 4
 
 
+def test_where_no_law_describes_the_record_tables_say_what_to_take(run):
+    found = fitting.rank(run, laws=3)
+    assert found.adequacy.rejected
+    for table in (lambda: found.covariance, lambda: found.correlation, lambda: found.bootstrap(2)):
+        with pytest.raises(StickslipError, match=r"take ranking.curve, which needs no law"):
+            table()
+    assert len(found.curve) > 100
+    assert found.residuals.residual_m.std() > 10 * found.adequacy.noise_m
+    assert np.isnan(found.to_xarray().stderr.sel(law="3", parameter="k/m"))
+
+
+def raised():
+    """Yield the place of each error of a fit, its texts, and whether it has another call for Python."""
+    for path in sorted((ROOT / "fitting").rglob("*.py")):
+        if path.stem in ("cli", "flags", "request", "batch", "table", "comparison", "joint"):  # of the command alone
+            continue
+        for call in ast.walk(ast.parse(path.read_text())):
+            if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id in ERRORS:
+                texts = [str(node.value) for node in ast.walk(call) if isinstance(node, ast.Constant)]
+                own = {keyword.arg for keyword in call.keywords}
+                yield f"{path.stem}:{call.lineno}", " ".join(texts), "python" in own
+
+
+def test_every_flag_that_an_error_names_is_a_keyword_or_has_another_call_beside_it():
+    keywords = {*inspect.signature(fitting.rank).parameters, "path", "force"}
+    found = list(raised())
+    assert len(found) > 80
+    flags = [(place, flag) for place, text, other in found if not other for flag in FLAG.findall(text)]
+    strange = [(place, flag) for place, flag in flags if in_python(f"--{flag}") not in keywords]
+    assert [each for each in strange if each[1] not in ("datum", "datum-sd", "ramp")] == []  # of the command alone
+
+
 # A mistake, and the words that say what to do.
 MISTAKES = [
     (lambda run: fitting.rank(run.time), "fitting.rank(time, position)"),
@@ -231,6 +269,7 @@ OF_A_RANKING = [
     (lambda found: found.best.profile("wear"), "wear follows from other parameters; take one of k/m"),
     (lambda found: found.best.position("now"), "t: t is 'now'; give numbers, as in t=np.linspace(0, 1, 101)"),
     (lambda found: found.bootstrap(1), "bootstrap: n is 1; give 2 draws or more"),
+    (lambda found: found.report("other.html"), "give another name, or force=True to replace it"),
     (lambda found: found.report("run.pdf"), "name it run.html (path); then print the page from a browser"),
     (lambda found: found.save_scene("rig.h5"), "this is a TOML file; name it rig.toml (path)"),
     (lambda found: found.save_scene("there.toml"), "give another name, or force=True to replace it"),
@@ -245,8 +284,9 @@ OF_A_RANKING = [
 def test_a_mistake_names_keyword_and_cure(mistake, words, of, request, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("there.toml").write_text("mine = 1")
+    Path("other.html").write_text(f'{page.MARK} 0.2.0">{"1" * 64}')  # a report of another run
     with pytest.raises(StickslipError) as caught:
         mistake(request.getfixturevalue(of))
     assert words in str(caught.value)
     assert not re.search(r"(?<!\w)--\w", str(caught.value))
-    assert [path.name for path in tmp_path.iterdir()] == ["there.toml"]
+    assert {path.name for path in tmp_path.iterdir()} == {"there.toml", "other.html"}
