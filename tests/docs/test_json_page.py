@@ -38,10 +38,12 @@ def test_every_key_that_a_command_prints_is_on_the_page(tmp_path):
     for name in ("law3", "law5"):
         shutil.copy(examples.ROOT / "data_samples" / f"{name}.h5", tmp_path)
     lines = [
-        ("daq", daq, ["record", "--duration", "1", "-o", "run.h5"]),
+        ("daq", daq, ["record", "--duration", "12", "-o", "run.h5"]),
         ("process smooth", process, ["smooth", "law5.h5"]),
         ("fit-friction", fit_friction, ["law5.h5", "--no-report"]),
-        ("fit-friction", fit_friction, ["law5.h5", "law3.h5", "--no-report", "--laws", "1"]),
+        ("fit-friction", fit_friction, ["law3.h5", "--no-report", "--laws", "1"]),
+        ("fit-friction", fit_friction, ["law5.h5", "run.h5", "--no-report", "--laws", "5"]),
+        ("fit-friction", fit_friction, ["--each", "law5.h5", "--no-report", "--laws", "5"]),
     ]
     for command, app, arguments in lines:
         with contextlib.chdir(tmp_path), contextlib.redirect_stdout(io.StringIO()) as out:
