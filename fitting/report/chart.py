@@ -258,7 +258,7 @@ def picture(name: str, width: float, height: float, axes: Sequence[Axes], about:
     """
     inner = "".join(one.svg(f"{name}-{number}") for number, one in enumerate(axes))
     named = f'role="img" aria-label="{html.escape(about)}"'
-    head = f'<svg class="chart" viewBox="0 0 {width:g} {height:g}" {named} font-family="sans-serif" fill="#222222"'
+    head = f'<svg viewBox="0 0 {width:g} {height:g}" {named} font-family="sans-serif" fill="#222222"'
     return f'{head} style="width:100%;height:auto;max-width:{1.35 * width:g}px">{inner}</svg>'
 
 

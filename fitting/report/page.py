@@ -180,6 +180,7 @@ def render(
         warnings=[symbols.pretty(warning) for warning in ranking.warnings],
         statistics=pooled(statistics).rows(motions[0].unit),
         adequacy=ranking.adequacy,
+        pretty=symbols.pretty,
         adequacy_facts=_adequacy_facts(ranking.adequacy),
         forms=_forms(ranking.adequacy),
         pictures={name: Markup(text) for name, text in plot.draw(ranking, statistics).items()},
