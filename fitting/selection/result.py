@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 
+MOST_ERROR = 0.5  # of a parameter: with a larger standard error its value is not stated in words
+CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
+
+
 def numbers(values: "ArrayLike", name: str) -> Array:
     """Return what a caller gives as numbers; InputError, which names the argument, for anything else."""
     try:
@@ -36,10 +40,6 @@ def numbers(values: "ArrayLike", name: str) -> Array:
     except (TypeError, ValueError):
         do = f"give numbers, as in {name}=np.linspace(0, 1, 101)"
         raise InputError(f"{name} is {values!r:.40}", name, do) from None
-
-
-MOST_ERROR = 0.5  # of a parameter: with a larger standard error its value is not stated in words
-CURVE = ("k/m", "Fs/m", "v_dr", "gamma", "G_slip/m", "d")  # parameters in the short form of a ranking
 
 
 @dataclass(frozen=True)
