@@ -265,6 +265,8 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=RESULTS / "identify.json")
     parser.add_argument("--write", action="store_true", help="put the results into the tables of the pages")
     given = parser.parse_args()
+    if given.write and given.laws != parser.get_default("laws"):
+        parser.error("--write takes all laws: leave out --laws")
     laws = [int(law) for law in given.laws.split(",")]
     cases = [
         (scene, law, seed)
