@@ -75,7 +75,7 @@ def refuse_foreign_file(path: Path, digests: Sequence[str], *, files: Sequence[P
         if kept is None:
             return
         what += f", {kept.name}"
-    raise InputError(what, str(path), do)
+    raise InputError(what, str(path), do, python="give another name, or force=True to replace it")
 
 
 def _holder(digests: set[str], file: Path) -> Path | None:

@@ -105,7 +105,7 @@ def fit_runs(
     if not sustained and not fits:
         raise DataError(
             "no sustained stick: constant friction, and neither law 1 nor law 2 was to be fitted",
-            str(records[0].recording.source),
+            records[0].recording.where,
             "add --laws 1,2",
         )
     # The residuals of a law that is not near the motion show what is wrong with the law, whatever the frames are.
@@ -200,7 +200,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
     sustained = all(kinds)
     for run, kind, record in zip(runs, kinds, records, strict=True):
         refuse(screening.reject_by_cycles(run.motion, run.cut, len(record.slips), sustained=kind), [record])
-    sources = [str(record.recording.source) for record in records]
+    sources = [record.recording.where for record in records]
     if any(kinds) and not sustained:
         grazing = ", ".join(source for source, kind in zip(sources, kinds, strict=True) if not kind)
         raise DataError(
