@@ -53,6 +53,9 @@ def cut_run(motion: MeasuredMotion, excluded: frozenset[int]) -> Run:
     if beyond and cut.cycles:
         what = f"no cycle {', '.join(map(str, beyond[:5]))}: the run has {len(cut.cycles)}"
         raise InputError(what, "--exclude-cycles", f"give numbers from 1 to {len(cut.cycles)}")
+    if len(excluded) == len(cut.cycles) >= FEWEST_CYCLES:
+        what = f"all {len(cut.cycles)} cycles are left out; a verdict needs {FEWEST_CYCLES}"
+        raise InputError(what, "--exclude-cycles", "leave out fewer")
     run = Run(motion, cut)
     return _with_ripple(run) if cut.sustained else run
 
@@ -212,7 +215,7 @@ def _check(runs: Sequence[Run], records: Sequence[Kinematics]) -> bool:
         raise DataError(
             f"{count} complete stick-slip cycle{'' if count == 1 else 's'}{out}; a verdict needs {FEWEST_CYCLES}",
             ", ".join(sources),
-            "record longer" if sustained or not left else "record longer, or exclude fewer cycles",
+            "leave out fewer (--exclude-cycles)" if any(map(_excluded, runs)) else "record longer",
         )
     for run, record in zip(runs, records, strict=True):
         if run.cut.shows_belt:
