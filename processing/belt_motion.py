@@ -83,9 +83,11 @@ def smooth_belt(record: BeltRecord, noise: BeltNoise, motion: Motion, model: Met
         Of the positions of the mass, m; 0 for a record without counts.
     """
     order = motion.order if motion.method == "sg" else 4
-    how = model if model.method == "fd" else MethodModel(method="sg", noise=0.0, window=motion.window, order=order)
+    how = model
+    if model.method != "fd":
+        how = MethodModel(method="sg", noise=0.0, jerk=model.jerk, window=motion.window, order=order)
     relative = registry.apply(record.relative, replace(how, noise=noise.relative))
-    if model.jerk is None:
+    if model.method not in registry.SMOOTHERS:
         belt = registry.apply(record.belt, replace(how, noise=noise.belt))
     else:
         finer = (record.belt.pitch / pitch) ** 2 if pitch else 1.0

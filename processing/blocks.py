@@ -17,16 +17,15 @@ import numpy as np
 from daq.base.compute.arrays import Array, Integers
 from daq.base.measured import Measured
 from processing.belt_motion import BeltNoise, BeltRecord, learn_noise, smooth_belt
-from processing.defects import frames, position_steps, sensor_faults, velocity_steps
+from processing.defects import faults, frames
 from processing.defects.findings import belt_findings, drift_finding, sensor_findings, step_findings
 from processing.kalman import white_jerk
-from processing.kalman.bridge import across_faults
 from processing.methods import registry
 from processing.methods.method_model import MethodModel
 from processing.model_values import values
 from processing.record.finding import Finding
 from processing.record.motion import ROWS, BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
-from processing.record.position_steps import PositionStep, step_offsets, without_steps
+from processing.record.position_steps import PositionStep
 from processing.record.series import Series
 from processing.record.setting import Setting
 from processing.segmentation import plateaus
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 
 PARTS = 8  # of a block, whose means show a drift
 LONGEST = 2**16  # samples: no smoother's window counts as longer
-SOUND = 0.9  # share of the samples around a velocity step that must be positions; a bridged hole has a kink at its ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +64,10 @@ class MotionModel:
         Median sample interval, s.
     moving : (int, int)
         Samples of the first motion of the record and of the last one.
-    limits : FaultLimits
-        What faults of the sensor are judged by.
-    step_unit : float
-        Of the test for steps of the position, m; 0: they are not looked for.
+    faults : FaultModel
+        What faults of the record are judged by.
     method : MethodModel
         The method that runs, and what it learned.
-    jerk : white_jerk.Noise
-        Of the record as a motion of white jerk: the motion across faults.
     rule : PlateauRule or None
         How sticks show in the motion that the method makes; None where the method finds them itself.
     belt_speed : float
@@ -84,10 +78,8 @@ class MotionModel:
 
     interval: float
     moving: tuple[int, int]
-    limits: sensor_faults.FaultLimits
-    step_unit: float
+    faults: faults.FaultModel
     method: MethodModel
-    jerk: white_jerk.Noise
     rule: plateaus.PlateauRule | None
     belt_speed: float
     belt_noise: BeltNoise | None
@@ -95,7 +87,7 @@ class MotionModel:
     @property
     def window(self) -> int:
         """Samples that the method smooths over."""
-        return self.method.window or white_jerk.equivalent_window(self.jerk.rho(self.interval), LONGEST)
+        return self.method.window or white_jerk.equivalent_window(self.method.jerk.rho(self.interval), LONGEST)
 
     @property
     def plateau_speed(self) -> float:
@@ -150,25 +142,6 @@ class BlockMotion:
     found: BlockFindings
 
 
-@dataclass(frozen=True, eq=False)
-class _Cleaned:
-    """The m samples of a block and of its neighbourhood, without faults and without steps of the position.
-
-    Attributes
-    ----------
-    data, seen : Series
-        All m samples, with lines across faults, and those that are positions.
-    sound, steps, offset : SoundRecord, tuple of PositionStep, array of shape (m,)
-        Faults, steps, and the sum of the steps before each sample, m.
-    """
-
-    data: Series
-    seen: Series
-    sound: sensor_faults.SoundRecord
-    steps: tuple[PositionStep, ...]
-    offset: Array
-
-
 def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -> MotionModel:
     """Learn the model of a record.
 
@@ -184,16 +157,15 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
         Whether to look for steps of the position.
     """
     recording, data = stretches.recording, stretches.data
-    limits, sound = sensor_faults.learn(data)
-    slack = plateaus.slack_at_rest(data.pitch, stretches.travel, limits.noise)
+    known, checked = faults.learn(data, recording.segment, steps=steps)
+    slack = plateaus.slack_at_rest(data.pitch, stretches.travel, known.noise)
     moving = plateaus.motion_samples(stretches.positions, stretches.samples, slack, data.interval)
-    unit = position_steps.learn(sound.bridged, limits.noise) if steps else 0.0
-    seen = replace(_clean(recording, sound, unit).seen, moving=_span(data.time, stretches.number, moving))
-    how = registry.learn(method, seen, setting, limits.noise)
-    belt = BeltRecord.of(recording, sound.kept, seen)
+    sound = replace(checked.series, moving=_span(data.time, stretches.number, moving))
+    seen = sound.taken(checked.kept) if checked.faults else sound
+    how = registry.learn(method, seen, setting, known.noise)
+    belt = BeltRecord.of(recording, checked.kept, seen)
     noise = None if belt is None else learn_noise(belt)
-    jerk = white_jerk.fit(seen) if how.jerk is None else how.jerk
-    model = MotionModel(data.interval, moving, limits, unit, how, jerk, None, math.nan, noise)
+    model = MotionModel(data.interval, moving, known, how, None, math.nan, noise)
     if how.sticks is not None:
         return replace(model, belt_speed=how.sticks.speed)
     motion = registry.apply(seen, how)
@@ -223,28 +195,22 @@ def apply(
         Sum of the steps of the position before the first of the m samples, in its segment, m.
     """
     span = _span(data.time, low + np.arange(data.time.size), model.moving)
-    sound = sensor_faults.without_faults(replace(data, interval=model.interval, moving=span), model.limits)
-    cleaned = _clean(recording, sound, model.step_unit)
-    data, seen, offset = cleaned.data, cleaned.seen, cleaned.offset
-    motion = registry.apply(seen, model.method)
-    belt = _belt_motion(BeltRecord.of(recording, sound.kept, seen), model, motion, seen)
-    found = _phases(recording, seen, motion, belt, model)
+    data = replace(data, interval=model.interval, moving=span)
+    checked = faults.find(data, recording.segment, model.faults, low)
+    sound = checked.series
+    motion = registry.apply(sound, model.method)
+    belt = _belt_motion(BeltRecord.of(recording, np.ones(sound.time.size, bool), sound), model, motion, sound)
+    found = _phases(recording, sound, motion, belt, model)
     phases = found.phases
-    if sound.faults:
-        number = np.flatnonzero(sound.kept)
-        phases = tuple(replace(phase, first=int(number[phase.first]), last=int(number[phase.last])) for phase in phases)
-        motion = across_faults(data.time, sound.kept, motion, model.jerk.jerk)
     columns = {"time": data.time[own]} | {name: getattr(motion, name)[own] for name in ROWS}
     if repair == "fix":
         segment = recording.segment
         columns["position"] = columns["position"] - np.where(segment[own] == segment[0], before, 0.0)
     else:
-        columns["position"] = columns["position"] + offset[own]
+        columns["position"] = columns["position"] + checked.offset[own]
     if belt is not None:
-        for name, values in (("belt_velocity", belt.velocity), ("belt_velocity_errors", belt.velocity_errors)):
-            whole = np.interp(data.time, seen.time, values) if sound.faults else values
-            columns[name] = whole[own]
-    steps = tuple(step for step in cleaned.steps if own.start <= step.first < own.stop)
+        columns |= {"belt_velocity": belt.velocity[own], "belt_velocity_errors": belt.velocity_errors[own]}
+    steps = tuple(step for step in checked.steps if own.start <= step.first < own.stop)
     parts = [part for part in np.array_split(np.arange(own.start, own.stop), PARTS) if part.size]
     numbered = recording.raw is not None
     return BlockMotion(
@@ -254,14 +220,18 @@ def apply(
             continues=any(phase.first < own.start <= phase.last for phase in phases),
             faults=tuple(
                 Fault(max(fault.first, own.start) + low, min(fault.last, own.stop - 1) + low, fault.kind)
-                for fault in sound.faults
+                for fault in checked.faults
                 if _meets(fault, own)
             ),
             steps=tuple(replace(step, first=step.first + low, last=step.last + low) for step in steps),
             step_segments=tuple(int(recording.segment[step.first]) for step in steps),
-            kicks=_kicks(cleaned, own, low),
+            kicks=tuple(
+                replace(kick, sample=kick.sample + low) for kick in checked.kicks if own.start <= kick.sample < own.stop
+            ),
             # A board's sample numbers show where samples are missing.
-            step_sums=np.zeros(frames.SUMS) if numbered else frames.step_sums(sound.bridged, own, model.limits.noise),
+            step_sums=np.zeros(frames.SUMS)
+            if numbered
+            else frames.step_sums(sound, own, model.faults.noise, model.faults.step),
             means=[(float(data.time[k].mean()), float(columns["position"][k - own.start].mean())) for k in parts],
             samples=own.stop - own.start,
             window=motion.window,
@@ -300,7 +270,7 @@ def join(
     windows = [(block.window, block.order) for block in blocks]
     window, order = max(set(windows), key=windows.count)
     steps = tuple(step for block in blocks for step in block.steps)
-    faults = tuple(fault for block in blocks for fault in block.faults)
+    every = tuple(fault for block in blocks for fault in block.faults)
     counted = frames.count_frames(np.sum([block.step_sums for block in blocks], axis=0))
     speeds = [block.belt_speed for block in blocks if math.isfinite(block.belt_speed)]
     return {
@@ -312,15 +282,15 @@ def join(
         "phases": tuple(phases),
         "losses": steps,
         "kicks": tuple(kick for block in blocks for kick in block.kicks),
-        "faults": faults,
+        "faults": every,
         "dropped_frames": counted.lost,
         "findings": (
-            *sensor_findings(faults, counted, sum(block.samples for block in blocks)),
+            *sensor_findings(every, counted, sum(block.samples for block in blocks)),
             *step_findings(list(steps), counted, unit, repaired=fixed),
             *([] if stuck > 1 else _drift(blocks, unit)),
             *belt_findings(stated, model.plateau_speed if stuck else math.nan, unit),
         ),
-        "noise": model.limits.noise,
+        "noise": model.faults.noise,
         "repaired": fixed and bool(steps),
         "model": values(model),
     }
@@ -345,15 +315,6 @@ def _span(time: Array, number: Integers, moving: tuple[int, int]) -> tuple[float
     begin = -math.inf if moving[0] <= number[0] else float(time[first]) if first < number.size else math.inf
     end = math.inf if moving[1] >= number[-1] else float(time[last]) if last >= 0 else -math.inf
     return begin, end
-
-
-def _clean(recording: "Recording", sound: sensor_faults.SoundRecord, unit: float) -> _Cleaned:
-    """Find steps of the position in a record without faults, and take them out."""
-    found = position_steps.position_steps(sound.bridged, unit) if unit else ()
-    steps = tuple(step for step in found if sound.kept[step.first : step.last + 1].all())
-    offset = step_offsets(recording.segment, steps)
-    seen = without_steps(sound.series, offset[sound.kept])
-    return _Cleaned(without_steps(sound.bridged, offset), seen, sound, steps, offset)
 
 
 def _belt_motion(belt: BeltRecord | None, model: MotionModel, motion: Motion, seen: Series) -> BeltMotion | None:
@@ -392,16 +353,6 @@ def _cut(phase: Phase, data: Series, own: slice, low: int) -> Phase:
         math.inf if cut_before else phase.start_sd,
         math.inf if cut_behind else phase.end_sd,
     )
-
-
-def _kicks(cleaned: _Cleaned, own: slice, low: int) -> tuple[VelocityStep, ...]:
-    """Return the steps of the velocity in a block, where most of the samples around are positions."""
-    found = []
-    for step in velocity_steps.velocity_steps(cleaned.data):
-        near = slice(max(step.sample - velocity_steps.AROUND, 0), step.sample + velocity_steps.AROUND)
-        if own.start <= step.sample < own.stop and cleaned.sound.kept[near].mean() > SOUND:
-            found.append(VelocityStep(step.sample + low, step.step))
-    return tuple(found)
 
 
 def _drift(blocks: Sequence[BlockFindings], unit: str) -> list[Finding]:

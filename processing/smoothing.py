@@ -71,7 +71,7 @@ def smooth(
         the velocity.
     repair_counts : {"off", "flag", "fix"}
         What to do about steps of the position, as where counts are lost or the datum moves
-        (`processing.defects.position_steps`): not to look for them; to mark them, and leave
+        (`processing.defects.faults`): not to look for them; to mark them, and leave
         the position as it was counted; or to mark them and put them back.  Where they are looked for, velocity and
         acceleration are those of the motion on either side, without the jump of the count.
     model : mapping, optional

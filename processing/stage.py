@@ -52,9 +52,9 @@ ADDED = ("start_errors", "end_errors", "size")  # columns that the first stages 
 Column = tuple[Callable[[Any], float], type, str]  # of a row its value, the type and the units, {unit} for a length's
 MODEL_UNITS = {  # of the numbers in a model, by name
     **dict.fromkeys(("interval", "shortest", "slip"), "s"),
-    **dict.fromkeys(("step", "spread", "noise", "step_unit", "belt", "relative"), "{unit}"),
+    **dict.fromkeys(("step", "noise", "belt", "relative"), "{unit}"),
     **dict.fromkeys(("speed", "fastest", "belt_speed", "stated"), "{unit}/s"),
-    **dict.fromkeys(("tolerance", "peak"), "{unit}/s^2"),
+    **dict.fromkeys(("tolerance", "peak", "sharpest"), "{unit}/s^2"),
     **dict.fromkeys(("reading", "reading_variance"), "{unit}^2"),
     **dict.fromkeys(("misfit", "corner", "line", "reset_variance"), ""),  # the last are of different derivatives
     **{"jerk": "{unit}^2/s^5", "process_density": "{unit}^2/s^7", "mean_snap": "{unit}/s^4"},

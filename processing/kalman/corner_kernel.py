@@ -90,7 +90,7 @@ def refine_switching_times(
     Parameters
     ----------
     time, position : array of shape (n,)
-        s and m.
+        s and m, NaN where a reading is missing.
     stored : array of shape (n, STORED)
         What the filter expected of each sample.
     what : int
@@ -149,6 +149,8 @@ def refine_switching_times(
                     else:
                         predict(order, order, time[i] - last, q[b], u[b], x, p)
                     last = time[i]
+                    if math.isnan(position[i]):
+                        continue
                     s = 1.0 / (p[0] + r[b])
                     e = position[i] - x[0]
                     total -= e * e * s

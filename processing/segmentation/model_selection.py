@@ -13,7 +13,14 @@ from daq.base.compute.arrays import Array, Integers, Mask
 from processing.kalman import white_jerk
 from processing.kalman.stick_slip import LABELS, LAND, LEAVE, MEET, RIDE, SLIP, STICK, NoiseLevels
 from processing.record.series import Series
-from processing.segmentation.noise_levels import Workspace, filter_stretch, merged, null_model, reestimate_noise
+from processing.segmentation.noise_levels import (
+    Workspace,
+    filter_stretch,
+    log_likelihood,
+    merged,
+    null_model,
+    reestimate_noise,
+)
 from processing.segmentation.switching_estimate import refine_switching_times
 from processing.segmentation.switching_times import SwitchingTimes, spans_of, sticks_of, stretches, without
 
@@ -308,7 +315,7 @@ def _jerk_gains(series: Series, noise: white_jerk.Noise, workspace: Workspace, s
 def _log_likelihood(innovations: Array) -> Array:
     """Return the log likelihood of each sample, up to a constant, from 1/s and e/s, (n, 2)."""
     s, scaled = np.ascontiguousarray(innovations.T)  # else every step reads the filter's whole memory
-    return np.asarray(0.5 * (np.log(s) - scaled**2 / s))
+    return log_likelihood(s, scaled)
 
 
 def _summed(gain: Array, spans: Integers) -> Array:

@@ -50,6 +50,7 @@ READING_GROUPS = ([label for label in range(LABELS) if label not in (STICK, REST
 # the covariance that it takes over from the slip.  Of 150 records without noise that made variances negative in 9; at
 # 1e-11 in 2, from 1e-10 to 1e-6 in none.
 DIGITS = 1e-8
+UNSCORED = np.empty((0, 2 + 2 * len(SNAP)))
 
 
 class Workspace:
@@ -107,6 +108,12 @@ def filter_stretch(
     return label, stored
 
 
+def log_likelihood(s: Array, scaled: Array) -> Array:
+    """Return the log likelihood of each sample, up to a constant, from 1/s and e/s, (n,); of a missing reading 0."""
+    known = s > 0
+    return np.asarray(0.5 * (np.log(np.where(known, s, 1.0)) - scaled**2 / np.where(known, s, 1.0)))
+
+
 def smooth_stretch(
     series: Series,
     times: SwitchingTimes,
@@ -136,7 +143,7 @@ def smooth_stretch(
         motion = np.empty((6, 0))
     back, time = compiled(motion_kernel.backward, KERNELS), series.time[stretch.own]
     known = process(levels)
-    back(SNAP, time, label, at, kind, known, stored, wanted, motion, stretch.own.start, noise, steps)
+    back(SNAP, time, label, at, kind, known, stored, wanted, motion, stretch.own.start, noise, steps, UNSCORED)
     return label, noise, summed_by_jump(steps)
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.base.compute.arrays import Array, Mask, runs
+from daq.base.compute.arrays import HOLE, Array, Mask, runs
 from daq.base.compute.compile import compiled
 from processing.kalman import white_jerk
 from processing.kalman.stick_slip import (
@@ -175,6 +175,7 @@ def apply(
     """
     if not series.time.size:
         return pilot
+    series = series.parted(max(HOLE * series.interval, rule.shortest))
     workspace = Workspace()
     first = initial_switching_times(series, plateaus.segment(series, pilot, rule, model.speed, stated=stated).phases)
     _, early = _looked_for(series, workspace, replace(first, unit=model.slip), model.first, model.misfit)
@@ -192,7 +193,7 @@ def apply(
             both = tuple(sorted((*found.corners, *odd), key=lambda corner: corner.time))
             return replace(found.with_rows(rows), corners=both, method="segment", order=ORDER)
         times = kept
-    return _averaged(series, workspace, times, model, pilot.window)
+    return _averaged(series, workspace, times, model, pilot)
 
 
 def _outside(series: Series, spans: list[Span]) -> Mask:
@@ -243,7 +244,7 @@ def _estimated(series: Series, workspace: Workspace, times: SwitchingTimes, leve
     return reestimate_noise(series, workspace, times, with_mean_snap(series, times, levels), 1)
 
 
-def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model: StickSlip, window: int) -> Motion:
+def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model: StickSlip, pilot: Motion) -> Motion:
     """Smooth, averaging over the uncertainty of the switching times: each a standard deviation early, and late.
 
     The smoother's variance has a share of the readings and one of the process noise.  A slip is smooth but for its
@@ -264,7 +265,13 @@ def _averaged(series: Series, workspace: Workspace, times: SwitchingTimes, model
         np.copyto(variance, share * (variance + late[3 + derivative]) / 2 + half**2, where=~line)
         np.sqrt(np.maximum(variance, 0.0, out=variance), out=variance)
     corners = tuple(_corners(series, times))
-    return Motion.from_rows(series, early[:3], early[3:], window=window, order=ORDER, method="segment", corners=corners)
+    found = Motion.from_rows(
+        series, early[:3], early[3:], window=pilot.window, order=ORDER, method="segment", corners=corners
+    )
+    outside = np.ones(series.time.size, bool)
+    for piece in series.pieces:
+        outside[piece] = False
+    return found.with_rows(np.where(outside, pilot.rows(), found.rows())) if outside.any() else found
 
 
 def _corners(series: Series, times: SwitchingTimes) -> list[Corner]:
@@ -291,7 +298,7 @@ def _run(series: Series, workspace: Workspace, times: SwitchingTimes, levels: No
         x, v, a and their variances.
     stick : array of bool, shape (n,)
     """
-    motion, stick = np.empty((6, series.time.size)), np.zeros(series.time.size, bool)
+    motion, stick = np.zeros((6, series.time.size)), np.zeros(series.time.size, bool)
     for piece in series.pieces:
         if piece.stop - piece.start < white_jerk.SHORT:
             motion[:, piece] = white_jerk.parabola(

@@ -208,7 +208,9 @@ def test_kernels_run_as_written_as_they_run_compiled(motion, recorded, kernel):
         make(motion_kernel.forward)(order, time, position, label, *corners, process, state, stored)
         sums = np.zeros((stick_slip.LABELS, 4)), np.zeros((stick_slip.KINDS, len(order), 2))
         whole = time.size
-        make(motion_kernel.backward)(order, time, label, *corners, process, stored, whole, found, 0, *sums)
+        make(motion_kernel.backward)(
+            order, time, label, *corners, process, stored, whole, found, 0, *sums, np.empty((0, 10))
+        )
         outcomes.append(found)
     one, two = outcomes
     scale = np.abs(one).max(axis=1, keepdims=True)
