@@ -40,7 +40,7 @@ from daq.base.compute.compile import stack, stack_square
 
 Labels = NDArray[np.uint8]
 Order = tuple[float, ...]
-Sums = tuple[float, float, float]
+Sums = tuple[float, float, float, float]
 
 LINE = (0.0, 0.0)  # order of a motion of which x and v alone are alive
 SETTLED = 36.0  # natural logarithm of how far a start must have faded: 2e-16
@@ -375,11 +375,11 @@ def sum_likelihood(
 
     Each begins in its own of the ``states``, (k, state_size).  Returned are sums over all samples but the first four of
     a stretch, which only set its filter up: of the logarithm of the innovation's variance, of its square over that
-    variance, and of 1.  A square counts as ``most`` at most, and a reading beyond that is left out of the filter, but
-    never more than three in a row: outliers, not a motion that turns.
+    variance, of 1, and of 1 where the square is more than ``most``.  It then counts as that, and the reading is left
+    out of the filter, but never more than three in a row: outliers, not a motion that turns.
     """
     n = len(order)
-    logarithms = squares = samples = 0.0
+    logarithms = squares = samples = clipped = 0.0
     product = 1.0
     x, p = stack(order), stack_square(order)
     for k in range(0, edges.size - 1, every):
@@ -394,6 +394,7 @@ def sum_likelihood(
             if i >= edges[k] + 4:
                 product *= s
                 squares += min(e * e * s, most)
+                clipped += e * e * s > most
                 samples += 1.0
                 if product < 1e-200:
                     logarithms -= math.log(product)
@@ -403,4 +404,4 @@ def sum_likelihood(
                 continue
             out = 0
             update(order, order, e, s, 1.0, x, p)
-    return logarithms - math.log(product), squares, samples
+    return logarithms - math.log(product), squares, samples, clipped

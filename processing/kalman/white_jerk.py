@@ -40,6 +40,9 @@ ROBUST_STRETCH = 2**10  # likewise of the fit without corners and outlying readi
 # Standard deviations of an innovation beyond which it is one of these: with 20, spikes of 2 to 30 mm in 1 mm of noise
 # pass for jerk, and one in five of them is found.
 CLIP = 5.0
+# Of the samples: the most that are such.  Where sticks are read without noise, all of every slip may be; 19 spikes a
+# second are a twentieth of 400 readings.  At half, frozen stretches count as motion, at twice a fifth of a record.
+OUTLYING = 0.1
 LOG_RHO = (-48.0, 12.0)  # of q interval^5/r: from what hardly bends to interpolation
 # Times the standard deviation of a reading that a record of less than four windows may lie off its smoothed motion.
 # The likelihood is that of the record from its first motion on: a mass that rests and is then dragged evenly is a
@@ -119,7 +122,7 @@ def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
 
     def cost(log_rho: float, every: int) -> tuple[float, float]:
         """Return minus the log likelihood, up to a constant, and the variance of a reading at which it is least."""
-        logarithms, squares, samples = sums(log_rho, every)
+        logarithms, squares, samples, _ = sums(log_rho, every)
         variance = max(squares / samples, 1e-30)
         return 0.5 * (samples * math.log(variance) + logarithms), variance
 
@@ -156,6 +159,11 @@ def robust_fit(series: Series, sigma: float, widest: int) -> Noise:
         few = max(len(stretches) // 4, 1)
         middle = lowest(lambda log_rho: sum(sums(log_rho, few)[:2]), (least, LOG_RHO[1]), 4.0, 1.5)
         log_rho = max(vertex(lambda log_rho: sum(sums(log_rho, 1)[:2]), middle, 1.5), least)
+        while log_rho < LOG_RHO[1]:
+            _, _, samples, clipped = sums(log_rho, 1)
+            if clipped <= OUTLYING * samples:
+                break
+            log_rho += 1.0
     return Noise(math.exp(log_rho) * reading / series.interval**5, reading)
 
 

@@ -95,6 +95,14 @@ def test_clean_records_have_no_faults(seen, sensor, law):
     assert (frames.lost, frames.doubled) == (0, 0)
 
 
+@pytest.mark.parametrize("rate", [1000 / 60, 20.0])
+def test_slips_of_few_samples_beside_sticks_without_noise_are_no_faults(motion, imported, rate):
+    """Sticks read to a nanometre made the jerk next to nothing: every slip was a row of outlying readings."""
+    true = motion(5, 40.0, 0.0, scatter=0.0, belt=0.1)
+    thin = slice(None, None, round(1000 / rate))
+    assert found_in(imported(np.round(true.time[thin], 9), np.round(true.x[thin], 9), rate)).faults == ()
+
+
 @pytest.mark.parametrize("second", [-1.0, -0.8, 0.9, 1.0])
 @pytest.mark.parametrize("apart", [1, 2, 3])
 def test_two_spikes_side_by_side_are_both_found(seen, apart, second):
