@@ -10,8 +10,17 @@
 Exit codes: 0 done (also after the first Ctrl-C), 1 a bug, 2 usage or bad input, 3 device, 4 data quality,
 5 the fit could not decide between laws, 6 stick-slip that none of the laws describes (both results, not errors),
 130 second Ctrl-C.
+
+A message names what its reader can write.  A command's reader types flags; the public functions take the same flags as
+keywords.  So a message is written once, with its flags as they are typed, and shown in two ways::
+
+    error.as_line(), error.as_json()    on a terminal: --max-steps, --method=dop853
+    str(error)                          from Python:   max_steps, method='dop853'
+
+Where the call from Python is another one than that keyword, the error has it: ``python``.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -23,6 +32,8 @@ EXIT_DATA = 4
 EXIT_UNDECIDED = 5
 EXIT_NO_LAW = 6
 EXIT_INTERRUPTED = 130
+
+_FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9]*(?:-[a-z0-9]+)*)(?:=([^\s,;:()]*[^\s,;:().]))?")
 
 
 class StickslipError(Exception):
@@ -36,6 +47,9 @@ class StickslipError(Exception):
         The file, key, flag, port or sample it was found at.
     do : str
         What to do about it.
+    python : str
+        The same for a caller from Python, where `in_python` of ``do`` does not name the call to make: a scene, a file
+        or a result is made by another function, or ``do`` names a command.
 
     Attributes
     ----------
@@ -47,11 +61,12 @@ class StickslipError(Exception):
 
     exit_code = EXIT_BUG
 
-    def __init__(self, what: str, where: str = "", do: str = "") -> None:
+    def __init__(self, what: str, where: str = "", do: str = "", *, python: str = "") -> None:
         super().__init__(what, where, do)
         self.what = what
         self.where = where
         self.do = do
+        self.python = python
         self.data: dict[str, Any] = {}
         self.lines: list[str] = []
 
@@ -64,10 +79,13 @@ class StickslipError(Exception):
         """Return what a JSON document has under ``error``."""
         return {"what": self.what, "where": self.where, "do": self.do}
 
+    def as_line(self) -> str:
+        """Return one line for a terminal: ``where: what; do``."""
+        return _line(self.what, self.where, self.do)
+
     def __str__(self) -> str:
-        """One line: ``where: what; do``."""
-        line = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{line}; {self.do}" if self.do else line
+        """One line for a caller from Python: flags are keywords, and ``python`` stands in place of ``do``."""
+        return _line(in_python(self.what), in_python(self.where), self.python or in_python(self.do))
 
 
 class InputError(StickslipError):
@@ -86,6 +104,35 @@ class DataError(StickslipError):
     """The recorded data cannot bear what was asked of them."""
 
     exit_code = EXIT_DATA
+
+
+def in_python(text: str) -> str:
+    """Return a text in which flags are the keywords that functions take: ``--max-steps`` is ``max_steps``.
+
+    A value that follows an equals sign is Python's: ``--method=dop853`` is ``method='dop853'``; numbers and names in
+    capital letters (``--until=T``) stay as they are.
+    """
+    return _FLAG.sub(_keyword, text)
+
+
+def _keyword(flag: "re.Match[str]") -> str:
+    name, value = flag[1].replace("-", "_"), flag[2]
+    if value is None:
+        return name
+    return f"{name}={value if value.isupper() or _is_number(value) else repr(value)}"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _line(what: str, where: str, do: str) -> str:
+    line = f"{where}: {what}" if where else what
+    return f"{line}; {do}" if do else line
 
 
 def check_known(name: str, known: "list[str] | tuple[str, ...]", what: str, where: str) -> None:

@@ -121,7 +121,8 @@ def _rig() -> Check:
             port.write(b"I\n")
             frames = wire.FrameReader().feed(port.read(4096))
     except (StickslipError, OSError) as error:
-        return Check("simulated rig", False, str(error), "install stickslip again")
+        detail = error.as_line() if isinstance(error, StickslipError) else str(error)
+        return Check("simulated rig", False, detail, "install stickslip again")
     names = [frame.name for frame in frames if isinstance(frame, wire.Ident)]
     return Check("simulated rig", bool(names), names[0] if names else "no answer", "install stickslip again")
 

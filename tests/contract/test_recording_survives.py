@@ -34,9 +34,15 @@ def record_line(board, output, duration):
     return [*COMMAND, "record", "--port", str(board.path), "--duration", str(duration), "-o", str(output), "--json"]
 
 
+def heed_hangup():
+    """Undo what nohup does to the tests: a signal that is ignored at the start stays ignored."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def start(line, part, **more):
     """Start a recording, and wait until its journal holds samples."""
-    process = subprocess.Popen(line, **({"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True} | more))
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(line, preexec_fn=heed_hangup, **(pipes | more))
     until = time.monotonic() + HANGS_S
     while not (part.exists() and part.stat().st_size > 8000):
         assert process.poll() is None, process.communicate()

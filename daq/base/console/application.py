@@ -198,7 +198,7 @@ def _fail(name: str, error: StickslipError, code: int, as_json: bool) -> int:
         _print_text(error.lines)
     except OSError:
         _discard_stdout()
-    note(f"{name}: {error}")
+    note(f"{name}: {error.as_line()}")
     return code
 
 

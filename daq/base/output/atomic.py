@@ -53,20 +53,21 @@ def refuse_existing(
     flag : str
         The flag that names the output, for the message.
     """
-    where = str(path)
+    where, other = str(path), "give another name"
     if path.exists() and any(source.exists() and path.samefile(source) for source in sources):
-        raise InputError("would replace its own source", where, f"give another name ({flag})")
+        raise InputError("would replace its own source", where, f"{other} ({flag})", python=other)
     if path.is_dir():
-        raise InputError("is a folder", where, f"give a file name ({flag})")
+        raise InputError("is a folder", where, f"give a file name ({flag})", python="give a file name")
     if path.exists() and not path.is_file():
         raise InputError("is a device, not a file", where, "give a file name")
     if path.exists() and not force:
-        do = f"give another name ({flag}), or --force to replace it"
+        do = f"{other} ({flag}), or --force to replace it"
+        python = f"{other}, or force=True to replace it"
         if not own:
-            raise InputError("the output file exists", where, do)
+            raise InputError("the output file exists", where, do, python=python)
         with path.open("rb") as file:
             if own.encode() not in file.read(2000):
-                raise InputError(f"exists and is no {kind}", where, do)
+                raise InputError(f"exists and is no {kind}", where, do, python=python)
     if not path.absolute().parent.is_dir():
         raise InputError("its folder does not exist", where, f"make {path.absolute().parent} first")
 

@@ -150,7 +150,7 @@ def test_illegal_transitions_are_marked_in_the_run(tmp_path: Path, write_capture
 
 def test_a_capture_without_a_rate_is_not_guessed(tmp_path: Path, write_capture: Callable[..., Path]) -> None:
     path = write_capture(tmp_path / "x.sr", [0, 1], PAIR, rate=None)
-    with pytest.raises(InputError, match="--capture-rate"):
+    with pytest.raises(InputError, match="capture_rate"):
         replay.from_capture(sigrok.read(path), WIRED, 1000.0, Rig())
 
 

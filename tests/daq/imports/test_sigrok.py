@@ -72,7 +72,7 @@ def test_an_unknown_probe_lists_the_captures(path: Path, write_capture: Any) -> 
     for name in ("XC", "3"):
         with pytest.raises(InputError, match="2 XA, 5 XB") as error:
             found.bit(name, "--channels")
-        assert name in str(error.value)
+        assert name in error.value.as_line()
 
 
 def totals(path: Path, decoder: str | None = None, **probes: str) -> capture.Totals:
@@ -122,7 +122,7 @@ def test_a_wrong_wiring_is_refused(
     with pytest.raises(InputError) as error:
         totals(path, decoder, **probes)
     for word in words:
-        assert word in str(error.value)
+        assert word in error.value.as_line()
 
 
 def refused(path: Path) -> str:

@@ -1,5 +1,6 @@
 """Records of a QSB and text lines: read as declared, damage seen as far as it can be, refusals with their cure."""
 
+import re
 import time
 
 import numpy as np
@@ -262,8 +263,9 @@ def test_a_label_that_changes_is_damage():
     ],
 )
 def test_what_a_protocol_can_never_do_is_refused_before_anything_is_touched(name, wish, said):
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError) as refused:
         protocols.load(name).check(wish)
+    assert re.search(said, refused.value.as_line())
 
 
 def test_an_unknown_protocol_names_its_neighbour():
@@ -332,8 +334,9 @@ def test_the_rate_of_a_sketch_is_measured_and_another_is_refused_with_it():
 )
 def test_lines_that_need_columns_or_labels_are_refused_with_them(monkeypatch, line, said):
     monkeypatch.setattr(session_module, "ANSWER_S", 0.05)
-    with pytest.raises(DeviceError, match=said):
+    with pytest.raises(DeviceError) as refused:
         planned(line, RecordRequest())
+    assert re.search(said, refused.value.as_line())
 
 
 def test_milliseconds_taken_for_microseconds_are_refused(monkeypatch):
@@ -343,7 +346,7 @@ def test_milliseconds_taken_for_microseconds_are_refused(monkeypatch):
             return super().read()
 
     monkeypatch.setattr(session_module, "ANSWER_S", 0.4)
-    with pytest.raises(DeviceError, match=r"advances by .* ms in .* s; .*--columns t_ms"):
+    with pytest.raises(DeviceError, match=r"advances by .* ms in .* s; .*columns t_ms"):
         text.session(Slow(lambda k: b"t=%d,pos=%d\n" % (k, k)), "fake", RecordRequest()).identify()
 
 

@@ -444,7 +444,7 @@ def test_not_one_sample_is_an_error_that_stands_in_nobodys_way(tmp_path, attach)
 def test_an_existing_file_is_not_touched(tmp_path, attach):
     (tmp_path / "run.h5").write_bytes(b"mine")
     attach()
-    with pytest.raises(InputError, match="--force"):
+    with pytest.raises(InputError, match="force=True"):
         record(request(tmp_path))
     assert (tmp_path / "run.h5").read_bytes() == b"mine"
 

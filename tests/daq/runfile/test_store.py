@@ -435,7 +435,7 @@ def test_extend_never_replaces_the_record(tmp_path: Path) -> None:
 def test_an_existing_file_is_refused_and_kept(tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     path.write_text("precious")
-    with pytest.raises(InputError, match=r"exists; give another name \(-o\), or --force"):
+    with pytest.raises(InputError, match="exists; give another name, or force=True"):
         store.write(path, run())
     assert path.read_text() == "precious"
     store.write(path, run(), force=True)

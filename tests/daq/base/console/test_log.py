@@ -54,8 +54,9 @@ def test_a_failure_is_in_the_log_with_its_traceback(tmp_path, capsys):
 
 @pytest.mark.parametrize("typed", [["--log"], ["--log", "--json"], ["--log", "a", "--log=b"]])
 def test_a_log_needs_one_file(typed):
-    with pytest.raises(InputError, match="--log"):
+    with pytest.raises(InputError) as refused:
         log.taken_off(["record", *typed])
+    assert "--log" in refused.value.as_line()
 
 
 def test_what_follows_two_dashes_is_no_flag_of_the_log():
