@@ -24,10 +24,12 @@ from processing.methods import registry
 from processing.methods.method_model import MethodModel
 from processing.model_values import values
 from processing.record.finding import Finding
-from processing.record.motion import ROWS, BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
+from processing.record.motion import DERIVATIVES, BeltMotion, Fault, Motion, Phase, PhaseSegmentation, VelocityStep
 from processing.record.position_steps import PositionStep
 from processing.record.series import Series
 from processing.record.setting import Setting
+from processing.record.stretches import Survey, moving_samples
+from processing.record.units import Units, measured_in, speed_in
 from processing.segmentation import plateaus
 from processing.segmentation.phase_layout import segment_at_corners
 
@@ -40,18 +42,18 @@ LONGEST = 2**16  # samples: no smoother's window counts as longer
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """The stretches that represent a record of ``samples`` samples, as one.
+    """The stretches that represent a record, as one.
 
-    ``number`` (m,) are the samples' numbers in the record, ``positions`` returns a slice of all its positions, m, and
-    ``travel`` is how far these go, m.
+    ``number`` (m,) are the samples' numbers in the record, ``positions`` returns a slice of all its positions, m,
+    ``seen`` is how these move, and ``units`` are those of the record.
     """
 
     recording: "Recording"
     data: Series
     number: Integers
     positions: Callable[[slice], Array]
-    samples: int
-    travel: float
+    seen: Survey
+    units: Units
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +62,10 @@ class MotionModel:
 
     Attributes
     ----------
+    units : Units
+        Of the record: those of all that follows.
     interval : float
-        Median sample interval, s.
+        Median sample interval.
     moving : (int, int)
         Samples of the first motion of the record and of the last one.
     faults : FaultModel
@@ -71,11 +75,12 @@ class MotionModel:
     rule : PlateauRule or None
         How sticks show in the motion that the method makes; None where the method finds them itself.
     belt_speed : float
-        Of the belt by its sticks, m/s, signed; NaN where there are none.
+        Of the belt by its sticks, signed; NaN where there are none.
     belt_noise : BeltNoise or None
         Of a belt with an encoder.
     """
 
+    units: Units
     interval: float
     moving: tuple[int, int]
     faults: faults.FaultModel
@@ -92,7 +97,7 @@ class MotionModel:
     @property
     def plateau_speed(self) -> float:
         """Common speed of the plateaus, m/s; NaN without plateaus."""
-        return self.belt_speed if self.rule is None else self.rule.speed
+        return self.units.of(1, -1) * (self.belt_speed if self.rule is None else self.rule.speed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,16 +161,18 @@ def learn(stretches: Stretches, method: str, setting: Setting, *, steps: bool) -
     steps : bool
         Whether to look for steps of the position.
     """
-    recording, data = stretches.recording, stretches.data
+    recording, units, record = stretches.recording, stretches.units, stretches.seen
+    data, length = stretches.data.in_units(units), units.length_unit
     known, checked = faults.learn(data, recording.segment, steps=steps)
-    slack = plateaus.slack_at_rest(data.pitch, stretches.travel, known.noise)
-    moving = plateaus.motion_samples(stretches.positions, stretches.samples, slack, data.interval)
+    slack = plateaus.slack_at_rest(data.pitch, record.travel / abs(length), known.noise)
+    moving = moving_samples(lambda part: stretches.positions(part) / length, record.n, slack)
+    setting = replace(setting, belt_speed=speed_in(units, setting.belt_speed))
     sound = replace(checked.series, moving=_span(data.time, stretches.number, moving))
     seen = sound.taken(checked.kept) if checked.faults else sound
     how = registry.learn(method, seen, setting, known.noise)
-    belt = BeltRecord.of(recording, checked.kept, seen)
+    belt = BeltRecord.of(recording, checked.kept, seen, units)
     noise = None if belt is None else learn_noise(belt)
-    model = MotionModel(data.interval, moving, known, how, None, math.nan, noise)
+    model = MotionModel(units, data.interval, moving, known, how, None, math.nan, noise)
     if how.sticks is not None:
         return replace(model, belt_speed=how.sticks.speed)
     motion = registry.apply(seen, how)
@@ -194,49 +201,58 @@ def apply(
     before : float
         Sum of the steps of the position before the first of the m samples, in its segment, m.
     """
+    units, recorded = model.units, data.time[own]
+    data = data.in_units(units)
     span = _span(data.time, low + np.arange(data.time.size), model.moving)
     data = replace(data, interval=model.interval, moving=span)
     checked = faults.find(data, recording.segment, model.faults, low)
     sound = checked.series
     motion = registry.apply(sound, model.method)
-    belt = _belt_motion(BeltRecord.of(recording, np.ones(sound.time.size, bool), sound), model, motion, sound)
+    belt = _belt_motion(BeltRecord.of(recording, np.ones(sound.time.size, bool), sound, units), model, motion, sound)
     found = _phases(recording, sound, motion, belt, model)
     phases = found.phases
-    columns = {"time": data.time[own]} | {name: getattr(motion, name)[own] for name in ROWS}
+    columns = {"time": recorded}
+    for power, name in enumerate(DERIVATIVES):
+        unit = units.of(1, -power)
+        columns |= {name: getattr(motion, name)[own] * unit}
+        columns |= {f"{name}_errors": getattr(motion, f"{name}_errors")[own] * abs(unit)}
     if repair == "fix":
         segment = recording.segment
         columns["position"] = columns["position"] - np.where(segment[own] == segment[0], before, 0.0)
     else:
-        columns["position"] = columns["position"] + checked.offset[own]
+        columns["position"] = columns["position"] + checked.offset[own] * units.length_unit
     if belt is not None:
-        columns |= {"belt_velocity": belt.velocity[own], "belt_velocity_errors": belt.velocity_errors[own]}
+        columns["belt_velocity"] = belt.velocity[own] * units.of(1, -1)
+        columns["belt_velocity_errors"] = belt.velocity_errors[own] * abs(units.of(1, -1))
     steps = tuple(step for step in checked.steps if own.start <= step.first < own.stop)
-    parts = [part for part in np.array_split(np.arange(own.start, own.stop), PARTS) if part.size]
+    parts = [part for part in np.array_split(np.arange(recorded.size), PARTS) if part.size]
     numbered = recording.raw is not None
     return BlockMotion(
         columns,
         BlockFindings(
-            phases=tuple(_cut(phase, data, own, low) for phase in phases if _meets(phase, own)),
+            phases=tuple(_cut(phase, data, own, low, units) for phase in phases if _meets(phase, own)),
             continues=any(phase.first < own.start <= phase.last for phase in phases),
             faults=tuple(
                 Fault(max(fault.first, own.start) + low, min(fault.last, own.stop - 1) + low, fault.kind)
                 for fault in checked.faults
                 if _meets(fault, own)
             ),
-            steps=tuple(replace(step, first=step.first + low, last=step.last + low) for step in steps),
+            steps=tuple(_in_si(step, low, units) for step in steps),
             step_segments=tuple(int(recording.segment[step.first]) for step in steps),
             kicks=tuple(
-                replace(kick, sample=kick.sample + low) for kick in checked.kicks if own.start <= kick.sample < own.stop
+                VelocityStep(kick.sample + low, kick.step * units.of(1, -1))
+                for kick in checked.kicks
+                if own.start <= kick.sample < own.stop
             ),
             # A board's sample numbers show where samples are missing.
             step_sums=np.zeros(frames.SUMS)
             if numbered
             else frames.step_sums(sound, own, model.faults.noise, model.faults.step),
-            means=[(float(data.time[k].mean()), float(columns["position"][k - own.start].mean())) for k in parts],
+            means=[(float(recorded[k].mean()), float(columns["position"][k].mean())) for k in parts],
             samples=own.stop - own.start,
             window=motion.window,
             order=motion.order,
-            belt_speed=found.belt_speed,
+            belt_speed=found.belt_speed * units.of(1, -1),
         ),
     )
 
@@ -290,9 +306,9 @@ def join(
             *([] if stuck > 1 else _drift(blocks, unit)),
             *belt_findings(stated, model.plateau_speed if stuck else math.nan, unit),
         ),
-        "noise": model.faults.noise,
+        "noise": model.faults.noise * abs(model.units.length_unit),
         "repaired": fixed and bool(steps),
-        "model": values(model),
+        "model": values(model, model.units),
     }
 
 
@@ -327,7 +343,7 @@ def _phases(
     recording: "Recording", seen: Series, motion: Motion, belt: BeltMotion | None, model: MotionModel
 ) -> PhaseSegmentation:
     """Return the sticks and slips of the samples ``seen``."""
-    measured = recording.rig.belt_speed if recording.unit == "m" else None
+    measured = measured_in(model.units, recording.rig.belt_speed if recording.unit == "m" else None)
     stated, level = model.method.stated, model.belt_speed
     if model.rule is not None:
         return plateaus.segment(seen, motion, model.rule, level, measured, stated, belt)
@@ -340,19 +356,25 @@ def _meets(found: Phase | Fault, own: slice) -> bool:
     return bool(found.first < own.stop and found.last >= own.start)
 
 
-def _cut(phase: Phase, data: Series, own: slice, low: int) -> Phase:
-    """Return the part of a phase that lies in a block."""
+def _cut(phase: Phase, data: Series, own: slice, low: int, units: Units) -> Phase:
+    """Return the part of a phase that lies in a block, in SI units."""
     first, last = max(phase.first, own.start), min(phase.last, own.stop - 1)
     cut_before, cut_behind = first > phase.first, last < phase.last
     return Phase(
         phase.kind,
-        float(data.time[first]) if cut_before else phase.start,
-        float(data.time[last]) if cut_behind else phase.end,
+        units.start + units.time_unit * (float(data.time[first]) if cut_before else phase.start),
+        units.start + units.time_unit * (float(data.time[last]) if cut_behind else phase.end),
         first + low,
         last + low,
-        math.inf if cut_before else phase.start_sd,
-        math.inf if cut_behind else phase.end_sd,
+        math.inf if cut_before else units.time_unit * phase.start_sd,
+        math.inf if cut_behind else units.time_unit * phase.end_sd,
     )
+
+
+def _in_si(step: PositionStep, low: int, units: Units) -> PositionStep:
+    """Return a step of the position of the record, by the record's numbers, in SI units."""
+    way = 1 if units.length_unit > 0 else -1
+    return PositionStep(step.first + low, step.last + low, way * step.counts, step.size * units.length_unit)
 
 
 def _drift(blocks: Sequence[BlockFindings], unit: str) -> list[Finding]:

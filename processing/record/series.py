@@ -8,7 +8,7 @@ A shorter hole (a lost sample or two) stays inside its piece: the recorded times
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, wraps
+from functools import wraps
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeVar
 from weakref import WeakKeyDictionary
@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.base.compute.arrays import HOLE, Array, Integers, Mask, pieces
 from daq.base.errors import InputError
-from processing.polynomial.even_grid import even_grid
+from processing.record.units import Units
 
 if TYPE_CHECKING:
     from daq.runfile.recording import Recording
@@ -63,11 +63,17 @@ class Series:
     source: str = ""
     moving: tuple[float, float] | None = None
 
-    @cached_property
-    def even_counts(self) -> tuple[Array, ...]:
-        """Positions of each piece on its even grid, in counts; empty for a lone sample.  Needs a pitch."""
-        own = [(self.time[piece], self.position[piece] / self.pitch) for piece in self.pieces]
-        return tuple(even_grid(time, count) if time.size > 1 else np.empty(0) for time, count in own)
+    def in_units(self, units: Units) -> "Series":
+        """Return the record in the units of a record, one that is in SI units."""
+        length, time = units.length_unit, units.time_unit
+        return replace(
+            self,
+            time=(self.time - units.start) / time,
+            position=self.position / length,
+            origin=self.origin / length,
+            pitch=self.pitch / abs(length),
+            interval=self.interval / time,
+        )
 
     def taken(self, kept: Mask) -> "Series":
         """Return the samples ``kept``, (n,); a hole that is left ends a piece where it is longer than `HOLE`."""
