@@ -164,7 +164,7 @@ class _Templates:
         left = [np.maximum(1 - np.arange(1.0, max(RETURNS) + 1) / d, 0) ** 2 for d in RETURNS]  # of the way, as a share
         kicks = -np.diff(left, prepend=1.0)
         return cls(
-            np.array([variance(np.full(d, 1.0 / d)) for d in range(1, SPREAD + 1)]),
+            np.array([1 / variance(np.ones(d)) for d in range(1, SPREAD + 1)]),
             kicks,
             np.array([variance(own) for own in kicks]),
             np.array(RETURNS),
@@ -346,8 +346,9 @@ class _Search:
     def _left_of(self, step: _Step) -> float:
         """Return what is left of a step that was taken out, m."""
         own = self._scores[step.first : step.last + 1]
-        information = self._templates.steps[step.width - 1] * own[:, 3].sum()
-        return float(own[:, 2].sum() / information) if information > 0 else 0.0
+        information = float(own[:, 3].mean())
+        share = self._templates.steps[step.width - 1] * step.width
+        return float(own[:, 2].sum()) * share / information if information > 0 else 0.0
 
     def _merge_bursts(self) -> list[tuple[int, int]]:
         """Leave out what lies between steps that undo each other within `BURST` samples; return it.

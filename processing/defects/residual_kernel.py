@@ -35,7 +35,7 @@ def find_statistics(
     scores : array of shape (n, SCORES)
         Of `processing.kalman.white_jerk.smooth_piece`.
     steps : array of shape (s,)
-        Variance of the score of a step over 1, 2, ... samples over that of a step at once.
+        Variance of the score of a step at once over that of the sum of 1, 2, ... of them.
     kicks, variance, durations : array of shape (k, longest), (k,), (k,)
         Weights of the scores of kicks that are over after so many samples, and likewise their variance.
     sharpest : float
@@ -49,38 +49,35 @@ def find_statistics(
     """
     n = scores.shape[0]
     for i in range(own[0], own[1]):
-        z = scores[i]
-        for kind in range(4):
-            squares[kind, i] = 0.0
-        if z[1] > 0.0:
-            squares[OUTLIER, i] = z[0] * z[0] / z[1]
-            sizes[OUTLIER, i] = z[0] / z[1]
-        if i < ENDS or i >= n - ENDS or not (z[3] > 0.0 and z[5] > 0.0 and z[7] > 0.0):
-            continue
-        squares[KICK, i] = z[4] * z[4] / z[5]
-        sizes[KICK, i] = z[4] / z[5]
-        squares[CORNER, i] = z[6] * z[6] / z[7]
-        score = 0.0
-        for d in range(1, min(steps.size, n - ENDS - i) + 1):
-            score += scores[i + d - 1, 2]
-            information = steps[d - 1] * z[3]
-            square = score * score / (d * d * information)
-            if square > squares[STEP, i]:
-                squares[STEP, i] = square
-                sizes[STEP, i] = score / (d * information)
-                widths[i] = d
-        if max(squares[STEP, i], squares[KICK, i]) < TRIED:
-            continue
-        for k in range(durations.size):
-            d = durations[k]
-            if i + d > n - ENDS:
-                break
-            score = 0.0
-            for j in range(d):
-                score += kicks[k, j] * scores[i + j, 2]
-            information = variance[k] * z[3]
-            square = score * score / information
-            kick = 2 * score / (information * d * interval)
-            if square > squares[KICK, i] and abs(kick) <= sharpest * d * interval:
-                squares[KICK, i] = square
-                sizes[KICK, i] = kick
+        outlier, step, kick, corner = 0.0, 0.0, 0.0, 0.0
+        if scores[i, 1] > 0.0:
+            sizes[OUTLIER, i] = scores[i, 0] / scores[i, 1]
+            outlier = scores[i, 0] * sizes[OUTLIER, i]
+        known = scores[i, 3] > 0.0 and scores[i, 5] > 0.0 and scores[i, 7] > 0.0
+        if known and ENDS <= i < n - ENDS:
+            sizes[KICK, i] = scores[i, 4] / scores[i, 5]
+            kick = scores[i, 4] * sizes[KICK, i]
+            corner = scores[i, 6] * scores[i, 6] / scores[i, 7]
+            score, best, width = 0.0, 0.0, 1
+            for d in range(1, min(steps.size, n - ENDS - i) + 1):
+                score += scores[i + d - 1, 2]
+                if score * score * steps[d - 1] > step:
+                    step, best, width = score * score * steps[d - 1], score, d
+            step /= scores[i, 3]
+            sizes[STEP, i] = best * steps[width - 1] * width / scores[i, 3]
+            widths[i] = width
+        if max(step, kick) >= TRIED:
+            for k in range(durations.size):
+                d = durations[k]
+                if i + d > n - ENDS:
+                    break
+                score = 0.0
+                for j in range(d):
+                    score += kicks[k, j] * scores[i + j, 2]
+                information = variance[k] * scores[i, 3]
+                square = score * score / information
+                size = 2 * score / (information * d * interval)
+                if square > kick and abs(size) <= sharpest * d * interval:
+                    kick = square
+                    sizes[KICK, i] = size
+        squares[OUTLIER, i], squares[STEP, i], squares[KICK, i], squares[CORNER, i] = outlier, step, kick, corner

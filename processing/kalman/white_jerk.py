@@ -15,6 +15,7 @@ Source: H. E. Rauch, F. Tung and C. T. Striebel, AIAA J. 3 (1965) 1445.
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -58,6 +59,13 @@ class Noise:
 
     jerk: float
     reading: float
+
+    @cached_property
+    def process(self) -> motion_kernel.Process:
+        """The noise as the kernel takes it: one label, no corner."""
+        n = len(JERK)
+        density, reading = np.array([self.jerk]), np.array([self.reading])
+        return motion_kernel.Process(density, np.zeros(1), reading, np.full(1, n), np.full(1, n), np.zeros((1, n)))
 
     def rho(self, interval: float) -> float:
         """Return what decides how much is smoothed: q interval^5/r."""
@@ -129,8 +137,8 @@ def _likeliest(stretches: list[tuple[Array, Array]]) -> tuple[float, float]:
     few = max(len(stretches) // 16, 1)
     middle = lowest(lambda log_rho: cost(log_rho, few)[0], LOG_RHO, 6.0, 1.5)
     log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
-    grid = np.arange(LOG_RHO[0], LOG_RHO[1] + 3.0, 6.0).tolist()
-    if min(cost(value, 1)[0] for value in grid) < cost(log_rho, 1)[0]:
+    above = np.arange(log_rho + 4.0, LOG_RHO[1], 4.0).tolist()
+    if above and min(cost(value, 1)[0] for value in above) < cost(log_rho, 1)[0]:
         # Where the mass moves fast for a few per cent of the time, the few stretches may hold none of that.
         middle = lowest(lambda log_rho: cost(log_rho, 1)[0], LOG_RHO, 6.0, 1.5)
         log_rho = vertex(lambda log_rho: cost(log_rho, 1)[0], middle, 1.5)
@@ -174,15 +182,8 @@ def innovations(time: Array, position: Array, noise: Noise, stored: Array) -> Ar
     """
     state = first_state(time, position, noise.reading, 2)
     label, *none = _unmarked(time.size)
-    compiled(motion_kernel.forward, KERNELS)(JERK, time, position, label, *none, process(noise), state, stored)
+    compiled(motion_kernel.forward, KERNELS)(JERK, time, position, label, *none, noise.process, state, stored)
     return stored[:, STORED - 2 :]
-
-
-def process(noise: Noise) -> motion_kernel.Process:
-    """Return the noise as the kernel takes it: one label, no corner."""
-    density, reading = np.array([noise.jerk]), np.array([noise.reading])
-    n = len(JERK)
-    return motion_kernel.Process(density, np.zeros(1), reading, np.full(1, n), np.full(1, n), np.zeros((1, n)))
 
 
 def _unmarked(n: int) -> tuple[motion_kernel.Labels, Array, motion_kernel.Labels]:
@@ -273,7 +274,7 @@ def smooth_piece(
     forward, backward = compiled(motion_kernel.forward, KERNELS), compiled(motion_kernel.backward, KERNELS)
     n = time.size
     stored = np.empty((min(block + behind, n), STORED))
-    known = process(noise)
+    known = noise.process
     sums = np.zeros((1, 4)), np.zeros((1, len(JERK), 2))  # how well the noise levels fit: not asked for
     state = first_state(time, position, noise.reading, 2)
     scored = np.empty((0, SCORES)) if scores is None else scores

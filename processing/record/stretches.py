@@ -14,18 +14,15 @@ from processing.record.series import Series
 from processing.record.units import Units, power_of_two
 
 WINDOW = 2**11  # samples: stretches are so long, or multiples of it
-LEAST, MOST = 11 * 2**11, 2**17  # samples that the model of a longer record is learned from
+LEAST, MOST = 2**14, 2**17  # samples that the model of a longer record is learned from
 PART = 2**15  # samples of one stretch of them at least: the sticks that its ends cut are odd ones
 SHARE = 1 / 8  # of a record, between those: it costs little, and a record changes
-SWINGS = 8  # slips, or swings to and fro, that they hold where the record has them: fewer make no usual one
+SWINGS = 12  # slips, or swings to and fro, that they hold where the record has them: of fewer, landings are told late
 ACTIVE = 0.2  # of the travel within the most active stretches: less is rest, and says nothing about sticks
 STRIDE = 4  # of the samples whose percentiles are a window's travel
 READ = 2**15  # samples read at a time
 REST = 8  # samples: the medians of five of a shorter rest are few
-FARTHER, TURNING = (
-    4.0,
-    1.5,
-)  # times the slack; times as long: twice as long for a mass that turns, four times in a stick
+FARTHER, TURNING = 4.0, 1.5  # times the slack; times as long: twice for a mass that turns, four times in a stick
 SHORTEST = 16  # samples: a stretch below this is left out (third differences of fewer say little)
 
 

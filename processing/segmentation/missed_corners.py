@@ -168,7 +168,7 @@ def _read_alike(levels: NoiseLevels) -> NoiseLevels:
     """Return the levels with readings that err in sticks as they do in slips."""
     reading = levels.reading_variance.copy()
     reading[STICK] = reading[SLIP]
-    return levels._replace(reading_variance=reading)
+    return replace(levels, reading_variance=reading)
 
 
 def with_overtaking(

@@ -102,8 +102,8 @@ def learn_gate(
     gate = Gate(jerk, snap, uneven=None, lenient=False)
     judged = _Judged.of(series, workspace, times, levels, gate, needed)
     if levels.reading_variance[STICK] > 1.3 * levels.reading_variance[SLIP] or judged.in_doubt.any():
-        riding = levels._replace(
-            mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
+        riding = replace(
+            levels, mean_snap=np.zeros(LABELS), reading_variance=np.full(LABELS, levels.reading_variance[SLIP])
         )
         other = _as_rides(corners.first)
         for width in WIDTHS:
@@ -296,7 +296,7 @@ def _better_rounded(
     """
     reading = levels.reading_variance.copy()
     reading[STICK] = reading[SLIP]
-    more = np.maximum(_gains(series, times, levels._replace(reading_variance=reading), workspace, spans) - even, 0.0)
+    more = np.maximum(_gains(series, times, replace(levels, reading_variance=reading), workspace, spans) - even, 0.0)
     more[-1] = more[:-1].sum()
     return even + more
 

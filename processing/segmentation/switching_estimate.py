@@ -23,7 +23,6 @@ from processing.kalman.stick_slip import (
     STICK,
     STOP,
     NoiseLevels,
-    process,
 )
 from processing.record.series import Series
 from processing.segmentation.noise_levels import Workspace, filter_stretch
@@ -42,7 +41,7 @@ def refine_switching_times(
     ``width`` scales how far from its place it is looked for: 1 at first, less when it is nearly known.
     """
     run = compiled(corner_kernel.refine_switching_times, KERNELS)
-    unit, noise = times.unit, process(levels)
+    unit, noise = times.unit, levels.process
     finest = series.interval / 4 if width >= 1 else 0.0
     new_at, new_sd = times.at.copy(), times.sd.copy()
     near, far = unit * np.array(NEAR_LANDING), unit * np.array(NEAR_ONSET)
